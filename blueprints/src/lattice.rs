@@ -1,0 +1,104 @@
+//! The integer lattice of one unit (0.1 m) that blueprints live on, and its 24 proper rotations.
+
+use serde::{Deserialize, Serialize};
+
+/// One of the 24 rotations that map the cube onto itself.
+///
+/// Index order: `CubeRotation::all()` enumerates signed axis permutations with determinant +1, in lexicographic order
+/// of (image axis of x, image axis of y) where axes are numbered +x −x +y −y +z −z; index 0 is the identity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "u8", into = "u8")]
+pub struct CubeRotation(u8);
+
+/// The error of a rotation index outside 0..24.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("cube rotation {0} is not in 0..24")]
+pub struct InvalidRotation(pub u8);
+
+impl TryFrom<u8> for CubeRotation {
+    type Error = InvalidRotation;
+
+    fn try_from(index: u8) -> Result<Self, InvalidRotation> {
+        if index < 24 { Ok(Self(index)) } else { Err(InvalidRotation(index)) }
+    }
+}
+
+impl From<CubeRotation> for u8 {
+    fn from(rotation: CubeRotation) -> Self {
+        rotation.0
+    }
+}
+
+impl CubeRotation {
+    /// The rotation that changes nothing.
+    pub const IDENTITY: Self = Self(0);
+
+    /// All 24 rotations in index order.
+    pub fn all() -> impl Iterator<Item = Self> {
+        (0..24).map(Self)
+    }
+
+    /// Builds the rotation that sends x to `x` and y to `y`; `None` unless both are distinct signed unit axes.
+    pub fn from_images(x: [i32; 3], y: [i32; 3]) -> Option<Self> {
+        Self::all().find(|r| {
+            let m = r.matrix();
+            (0..3).all(|i| m[i][0] == x[i] && m[i][1] == y[i])
+        })
+    }
+
+    /// The rotation as a row-major matrix of −1, 0 and 1; column `j` is the image of axis `j`.
+    pub fn matrix(self) -> [[i32; 3]; 3] {
+        let axis = |k: u8| {
+            let mut v = [0; 3];
+            v[usize::from(k / 2)] = 1 - 2 * i32::from(k % 2);
+            v
+        };
+        // Four choices of y remain for each image of x: the axes that are not ±x.
+        let kx = self.0 / 4;
+        let ky = (0..6).filter(|k| k / 2 != kx / 2).nth(usize::from(self.0 % 4)).unwrap_or(0);
+        let (x, y) = (axis(kx), axis(ky));
+        let z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+        [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
+    }
+
+    /// Applies the rotation to an integer vector.
+    pub fn apply(self, v: [i32; 3]) -> [i32; 3] {
+        self.matrix().map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+    }
+
+    /// The inverse rotation.
+    pub fn inverse(self) -> Self {
+        let m = self.matrix();
+        Self::from_images(m[0], m[1]).expect("the rows of a rotation are distinct unit axes")
+    }
+
+    /// `self ∘ other`: first `other`, then `self`.
+    pub fn compose(self, other: Self) -> Self {
+        let m = other.matrix();
+        let column = |j: usize| self.apply([m[0][j], m[1][j], m[2][j]]);
+        Self::from_images(column(0), column(1)).expect("a product of rotations is a rotation")
+    }
+
+    /// The rotation as a unit quaternion.
+    pub fn quaternion(self) -> nalgebra::UnitQuaternion<f32> {
+        let m = nalgebra::Matrix3::from_fn(|i, j| self.matrix()[i][j] as f32);
+        nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(m))
+    }
+}
+
+/// The pose of block `b` seen from block `a` on the lattice: exact, so two of them can be compared with `==`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct RelativePlacement {
+    /// Centre of `b` minus centre of `a` in `a`'s frame, in half units (0.05 m).
+    pub offset_half_units: [i32; 3],
+    /// Rotation of `b` relative to `a`.
+    pub rotation: CubeRotation,
+}
+
+impl RelativePlacement {
+    /// The pose of `a` seen from `b`.
+    pub fn inverse(self) -> Self {
+        let rotation = self.rotation.inverse();
+        Self { offset_half_units: rotation.apply(self.offset_half_units).map(|x| -x), rotation }
+    }
+}

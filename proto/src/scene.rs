@@ -1,0 +1,54 @@
+//! What a world looks like after a step: plain data, all that features, rewards, replays and videos need.
+
+use blueprints::{BlockIdx, N_BLOCKS, RelativePlacement};
+
+/// Number of grippers (paper: 2; the single-gripper ablation leaves the second one absent).
+pub const N_GRIPPERS: usize = 2;
+
+/// Position and orientation in the world frame, z up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Centre in metres.
+    pub position: [f32; 3],
+    /// Unit quaternion, order x, y, z, w.
+    pub orientation: [f32; 4],
+}
+
+/// Two blocks held together by their magnets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Joint {
+    /// The lower block index.
+    pub a: BlockIdx,
+    /// The higher block index.
+    pub b: BlockIdx,
+    /// Nominal pose of `b` seen from `a`; equal to a [`blueprints::Link`]'s when the connection is the wanted one.
+    pub relative: RelativePlacement,
+}
+
+/// State of one gripper after a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gripper {
+    /// Block held during the last step; `None` before the first step and while a switch is delayed.
+    pub held: Option<BlockIdx>,
+    /// Orientation of the held block (the last one held when none is), unit quaternion x, y, z, w.
+    pub orientation: [f32; 4],
+    /// Commanded linear velocity of the last step, world frame, m/s.
+    pub linear_velocity: [f32; 3],
+    /// Commanded angular velocity of the last step, world frame, rad/s.
+    pub angular_velocity: [f32; 3],
+}
+
+/// A snapshot of a world.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// Pose of each block.
+    pub blocks: [Pose; N_BLOCKS],
+    /// Speed of each block: |v| + |ω| × half the block's diagonal, m/s.
+    pub speeds_mps: [f32; N_BLOCKS],
+    /// Existing connections, sorted, at most one per block pair.
+    pub joints: Vec<Joint>,
+    /// Grippers; the second is `None` in single-gripper worlds.
+    pub grippers: [Option<Gripper>; N_GRIPPERS],
+    /// Contacts heavier than the threshold during the last step.
+    pub n_heavy_contacts: u8,
+}

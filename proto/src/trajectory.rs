@@ -1,0 +1,94 @@
+//! A segment of one episode, from an actor to the learner.
+
+use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
+use serde::{Deserialize, Serialize};
+
+use crate::{Action, RewardTerms, Scene, Status, WeightsVersion};
+
+/// Name of an actor: 1 to 64 characters of `a-z`, `0-9`, `-`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct ActorId(pub(crate) String);
+
+/// How an episode begins (paper, section "Initial State").
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Start {
+    /// All blocks scattered on the ground.
+    Scattered,
+    /// Another blueprint stands, the other blocks are scattered.
+    Prebuilt(BlueprintId),
+    /// The goal stands but for its last `undone` connections (an extension for learning).
+    NearGoal {
+        /// Number of blocks taken off, at least 1.
+        undone: u8,
+    },
+    /// The world is as the previous episode left it (paper, section "Reset-Free Evaluation").
+    AsItIs,
+}
+
+/// One episode's goal and start: with the seed it determines the whole initial world.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Task {
+    /// The goal.
+    pub blueprint: BlueprintId,
+    /// `assignment[i]` is the block that plays the catalogue's block `i`; it permutes blocks of one type only.
+    pub assignment: [BlockIdx; N_BLOCKS],
+    /// How the episode begins.
+    pub start: Start,
+    /// Seed of the reset.
+    pub seed: u64,
+}
+
+/// One step of a trajectory: the scene seen, what was done, what came of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transition {
+    /// Scene before the action.
+    pub scene: Scene,
+    /// The action taken.
+    pub action: Action,
+    /// Joint log-probability of the action under the acting weights.
+    pub behavior_log_prob: f32,
+    /// Value of `scene` under the acting weights, in reward units.
+    pub value: f32,
+    /// Reward by term.
+    pub reward: RewardTerms,
+}
+
+/// How an ended episode went; rides on its last segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// All success conditions held at the last step.
+    pub success: bool,
+    /// Steps of the whole episode.
+    pub n_steps: u16,
+    /// Undiscounted return of the whole episode by term.
+    pub episode_return: RewardTerms,
+}
+
+/// Consecutive steps of one episode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectory {
+    /// Who acted.
+    pub actor: ActorId,
+    /// Start time of the actor process, so that a restarted actor's numbers do not collide; ms since 1970.
+    pub epoch: u64,
+    /// Counts the actor's trajectories from 0; with `actor` and `epoch` it identifies the message.
+    pub seq: u64,
+    /// Weights that acted (the oldest, if they changed inside the segment).
+    pub weights_version: WeightsVersion,
+    /// Goal and start of the episode.
+    pub task: Task,
+    /// Index of the first transition in its episode.
+    pub first_step: u16,
+    /// At least one step.
+    pub transitions: Vec<Transition>,
+    /// Scene after the last action.
+    pub last_scene: Scene,
+    /// `Running` when the segment was cut before the episode's end; never `Diverged`.
+    pub status: Status,
+    /// Value of `last_scene` for bootstrapping: 0 after success, V(last_scene) otherwise, in reward units.
+    pub bootstrap_value: f32,
+    /// Present exactly when the episode ended.
+    pub outcome: Option<Outcome>,
+}

@@ -1,0 +1,40 @@
+//! What the learner broadcasts: parameters, the statistics that belong to them, and the task probabilities.
+
+use std::collections::BTreeMap;
+
+use blueprints::BlueprintId;
+
+/// Counts the learner's published weights from 0 (untrained).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(transparent)]
+pub struct WeightsVersion(pub u64);
+
+/// Running statistics that are frozen with a weights version.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Normalisation {
+    /// Mean of each node, edge and global feature, in the order of the feature vectors; empty means none.
+    pub feature_mean: [Vec<f32>; 3],
+    /// Standard deviation of each, at least a small floor; same lengths.
+    pub feature_std: [Vec<f32>; 3],
+    /// Mean of the value targets, in reward units.
+    pub value_mean: f32,
+    /// Standard deviation of the value targets, in reward units.
+    pub value_std: f32,
+}
+
+/// A frozen policy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weights {
+    /// Which one.
+    pub version: WeightsVersion,
+    /// Environment steps that the learner had consumed.
+    pub n_env_steps: u64,
+    /// Hash of the network configuration; a process with another network refuses the weights.
+    pub network_hash: u64,
+    /// All parameters as one flat vector, in the order of `policy`'s parameter table.
+    pub parameters: Vec<f32>,
+    /// Statistics of features and returns.
+    pub normalisation: Normalisation,
+    /// Probability of each training blueprint; sums to 1.
+    pub task_probabilities: BTreeMap<BlueprintId, f32>,
+}
