@@ -1,0 +1,134 @@
+//! Who may know whom: the table of ARCHITECTURE.md against the manifests.
+
+use std::collections::BTreeSet;
+
+use crate::repository::{files, manifest, members, read, root, shown};
+
+/// Each crate with all crates of the workspace that it may depend on.
+const ALLOWED: [(&str, &[&str]); 8] = [
+    ("blueprints", &[]),
+    ("proto", &["blueprints"]),
+    ("environment", &["blueprints", "proto"]),
+    ("policy", &["blueprints", "proto"]),
+    ("actor", &["blueprints", "proto", "environment", "policy"]),
+    ("learner", &["blueprints", "proto", "policy"]),
+    ("evaluator", &["blueprints", "proto", "environment", "policy"]),
+    ("deploy", &["blueprints", "proto", "actor", "learner", "evaluator"]),
+];
+
+/// External crates, by the beginning of their name, with the only crates that may name them.
+const HOMES: [(&str, &[&str]); 6] = [
+    ("rapier", &["environment"]),
+    ("burn", &["policy", "learner"]),
+    ("cubecl", &["policy", "learner"]),
+    ("zenoh", &["proto"]),
+    ("prost", &["proto"]),
+    ("clap", &["deploy"]),
+];
+
+/// Crates whose results depend on their arguments alone.
+const PURE: [&str; 3] = ["blueprints", "environment", "policy"];
+
+/// What a pure crate does not name: clocks, the network, other processes, the terminal, the environment's variables.
+const IMPURE: [&str; 9] = [
+    "Instant::now",
+    "SystemTime",
+    "std::net",
+    "std::process",
+    "std::env::",
+    "println!",
+    "rand::rng",
+    "rand::random",
+    "OsRng",
+];
+
+/// Names of the dependencies in the given tables of a manifest, target-specific ones included.
+fn dependencies(member: &str, tables: &[&str]) -> BTreeSet<String> {
+    let manifest = manifest(&root().join(member).join("Cargo.toml"));
+    let targets = manifest.get("target").and_then(|targets| targets.as_table());
+    let scopes = targets.into_iter().flat_map(|targets| targets.values().filter_map(|target| target.as_table()));
+    std::iter::once(&manifest)
+        .chain(scopes)
+        .flat_map(|scope| tables.iter().filter_map(|table| scope.get(*table)?.as_table()))
+        .flat_map(|table| table.iter().map(|(name, spec)| package_name(name, spec)))
+        .collect()
+}
+
+/// A renamed dependency counts by its real name.
+fn package_name(name: &str, spec: &toml::Value) -> String {
+    spec.get("package").and_then(|package| package.as_str()).unwrap_or(name).to_owned()
+}
+
+#[test]
+fn every_member_has_a_row_in_the_table() {
+    let rows: BTreeSet<String> = ALLOWED.iter().map(|(member, _)| (*member).to_owned()).collect();
+    let expected: BTreeSet<String> = members().into_iter().filter(|member| member != "tests").collect();
+    assert_eq!(rows, expected);
+}
+
+#[test]
+fn dependencies_point_one_way() {
+    let members = members();
+    for (member, allowed) in ALLOWED {
+        for name in dependencies(member, &["dependencies", "build-dependencies"]) {
+            let edge_is_fine = !members.contains(&name) || allowed.contains(&name.as_str());
+            assert!(edge_is_fine, "{member} must not depend on {name}: see ARCHITECTURE.md");
+        }
+    }
+}
+
+#[test]
+fn nobody_depends_on_the_tests_or_the_binary() {
+    for (member, _) in ALLOWED {
+        let all = dependencies(member, &["dependencies", "build-dependencies", "dev-dependencies"]);
+        assert!(!all.contains("tests") && !all.contains("deploy"), "{member} must not depend on tests or deploy");
+    }
+}
+
+#[test]
+fn external_crates_stay_at_home() {
+    for (member, _) in ALLOWED {
+        for name in dependencies(member, &["dependencies", "build-dependencies", "dev-dependencies"]) {
+            for (prefix, homes) in HOMES {
+                let is_home = homes.contains(&member);
+                assert!(!name.starts_with(prefix) || is_home, "{member} names {name}, whose home is {homes:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn pure_crates_read_no_clock_and_do_no_io() {
+    for member in PURE {
+        for path in files(&root().join(member).join("src"), &["rs"]) {
+            for (number, line) in read(&path).lines().enumerate() {
+                let code = line.split("//").next().unwrap_or_default();
+                let found = IMPURE.iter().find(|word| code.contains(*word));
+                assert_eq!(found, None, "{}:{} is in a pure crate", shown(&path), number + 1);
+            }
+        }
+    }
+}
+
+#[test]
+fn all_members_share_lints_edition_and_licence() {
+    for member in members() {
+        let manifest = manifest(&root().join(&member).join("Cargo.toml"));
+        let inherits = |table: &toml::Value, key: &str| {
+            let value = table.get(key).and_then(|value| value.get("workspace")).or_else(|| table.get(key));
+            value.and_then(toml::Value::as_bool) == Some(true)
+        };
+        assert!(inherits(&manifest["lints"], "workspace"), "{member}: lints");
+        for key in ["version", "edition", "rust-version", "license"] {
+            assert!(inherits(&manifest["package"], key), "{member}: {key} is not the workspace's");
+        }
+    }
+}
+
+#[test]
+fn the_page_names_every_crate() {
+    let page = read(&root().join("ARCHITECTURE.md"));
+    for member in members() {
+        assert!(page.contains(&format!("[{member}]({member})")), "ARCHITECTURE.md has no row for {member}");
+    }
+}

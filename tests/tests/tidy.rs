@@ -1,0 +1,85 @@
+//! Files are short, finished and linked properly.
+
+use crate::repository::{files, members, read, root, shown};
+
+const MAX_LINES: usize = 400;
+
+/// Marks of unfinished work, put together here so that this file does not contain them.
+const LEFTOVERS: [&str; 7] = [
+    concat!("TO", "DO"),
+    concat!("FIX", "ME"),
+    concat!("X", "XX"),
+    concat!("HA", "CK"),
+    concat!("to", "do!"),
+    concat!("unimple", "mented!"),
+    concat!("db", "g!("),
+];
+
+/// What makes tests slow, silent or dependent on luck.
+const SHAKY: [&str; 3] = [concat!("#[ig", "nore"), concat!("should", "_panic"), concat!("thread::", "sleep")];
+
+/// All lines of such files that contain one of `words`, as `file:line: word`.
+fn hits(extensions: &[&str], words: &[&str]) -> Vec<String> {
+    let mut hits = Vec::new();
+    for path in files(root(), extensions) {
+        for (number, line) in read(&path).lines().enumerate() {
+            hits.extend(
+                words
+                    .iter()
+                    .filter(|word| line.contains(**word))
+                    .map(|word| format!("{}:{}: {word}", shown(&path), number + 1)),
+            );
+        }
+    }
+    hits
+}
+
+#[test]
+fn source_files_have_at_most_400_lines() {
+    let long: Vec<String> = files(root(), &["rs"])
+        .iter()
+        .map(|path| (path, read(path).lines().count()))
+        .filter(|(_, n_lines)| *n_lines > MAX_LINES)
+        .map(|(path, n_lines)| format!("{}: {n_lines} lines", shown(path)))
+        .collect();
+    assert_eq!(long, Vec::<String>::new());
+}
+
+#[test]
+fn nothing_is_left_unfinished() {
+    assert_eq!(hits(&["rs", "sh", "toml", "md", "proto"], &LEFTOVERS), Vec::<String>::new());
+}
+
+#[test]
+fn no_test_sleeps_or_hides() {
+    assert_eq!(hits(&["rs"], &SHAKY), Vec::<String>::new());
+}
+
+#[test]
+fn every_source_file_says_what_it_is_about() {
+    for member in members() {
+        for path in files(&root().join(&member).join("src"), &["rs"]) {
+            assert!(read(&path).starts_with("//!"), "{} does not begin with its subject", shown(&path));
+        }
+    }
+}
+
+#[test]
+fn links_between_documents_lead_somewhere() {
+    for path in files(root(), &["md"]) {
+        let text = read(&path);
+        let targets = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+        for target in targets.filter(|target| !target.contains("://") && !target.starts_with('#')) {
+            let file = target.split('#').next().unwrap_or_default();
+            let folder = path.parent().expect("a file lies in a folder");
+            assert!(folder.join(file).exists(), "{}: the link to {target} is broken", shown(&path));
+        }
+    }
+}
+
+#[test]
+fn the_licences_that_the_manifests_name_are_there() {
+    for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
+        assert!(root().join(name).is_file(), "{name} is missing");
+    }
+}
