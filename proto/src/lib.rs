@@ -1,11 +1,24 @@
 //! All that two processes must agree on: the plain validated types, their wire form, the key expressions and the bus.
+//!
+//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`] →
+//! [`codec`] → [`keys`] → [`bus`].
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod bus;
+pub mod codec;
+pub mod keys;
+pub mod metrics;
 pub mod scene;
 pub mod step;
 pub mod trajectory;
 pub mod weights;
+pub mod wilson;
+mod wire;
 
+pub use codec::{Ack, DecodeError, Refusal};
+pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};
 pub use step::{Action, Move, RewardTerms, Status};
-pub use trajectory::{ActorId, Outcome, Start, Task, Trajectory, Transition};
+pub use trajectory::{ActorId, InvalidActorId, Outcome, Start, Task, Trajectory, Transition};
 pub use weights::{Normalisation, Weights, WeightsVersion};

@@ -1,5 +1,8 @@
 //! A segment of one episode, from an actor to the learner.
 
+use std::fmt;
+use std::str::FromStr;
+
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +11,7 @@ use crate::{Action, RewardTerms, Scene, Status, WeightsVersion};
 /// Name of an actor: 1 to 64 characters of `a-z`, `0-9`, `-`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct ActorId(pub(crate) String);
+pub struct ActorId(String);
 
 /// How an episode begins (paper, section "Initial State").
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -91,4 +94,49 @@ pub struct Trajectory {
     pub bootstrap_value: f32,
     /// Present exactly when the episode ended.
     pub outcome: Option<Outcome>,
+}
+
+/// The error of a name that no actor can have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("actor name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
+pub struct InvalidActorId(pub String);
+
+impl TryFrom<String> for ActorId {
+    type Error = InvalidActorId;
+
+    fn try_from(name: String) -> Result<Self, InvalidActorId> {
+        let allowed = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-';
+        if (1..=64).contains(&name.len()) && name.bytes().all(allowed) {
+            Ok(Self(name))
+        } else {
+            Err(InvalidActorId(name))
+        }
+    }
+}
+
+impl FromStr for ActorId {
+    type Err = InvalidActorId;
+
+    fn from_str(name: &str) -> Result<Self, InvalidActorId> {
+        Self::try_from(name.to_owned())
+    }
+}
+
+impl From<ActorId> for String {
+    fn from(actor: ActorId) -> Self {
+        actor.0
+    }
+}
+
+impl fmt::Display for ActorId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl ActorId {
+    /// The name.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
 }

@@ -10,7 +10,7 @@ use blueprints::BlueprintId;
 pub struct WeightsVersion(pub u64);
 
 /// Running statistics that are frozen with a weights version.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Normalisation {
     /// Mean of each node, edge and global feature, in the order of the feature vectors; empty means none.
     pub feature_mean: [Vec<f32>; 3],
@@ -18,7 +18,7 @@ pub struct Normalisation {
     pub feature_std: [Vec<f32>; 3],
     /// Mean of the value targets, in reward units.
     pub value_mean: f32,
-    /// Standard deviation of the value targets, in reward units.
+    /// Standard deviation of the value targets, in reward units, above 0; 1 before there are any.
     pub value_std: f32,
 }
 
@@ -37,4 +37,11 @@ pub struct Weights {
     pub normalisation: Normalisation,
     /// Probability of each training blueprint; sums to 1.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
+}
+
+impl Default for Normalisation {
+    /// No feature statistics, and values as they are.
+    fn default() -> Self {
+        Self { feature_mean: Default::default(), feature_std: Default::default(), value_mean: 0.0, value_std: 1.0 }
+    }
 }

@@ -1,0 +1,32 @@
+//! The bus: what crosses between actors, learner, evaluator and viewers, on zenoh.
+//!
+//! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
+//! liveliness tokens say who is there. The services see the types of this module only, never zenoh's.
+//!
+//! Nothing here blocks in a zenoh callback: a slow callback would stall every peer of the session. Work goes to
+//! tokio tasks through bounded channels, and what does not fit is counted.
+
+mod alive;
+mod config;
+mod counters;
+mod error;
+mod ingest;
+mod latest;
+mod matching;
+mod metrics;
+mod sender;
+mod session;
+mod task;
+mod viewer;
+mod weights;
+
+pub use alive::{AliveToken, AliveWatch};
+pub use config::{BusConfig, BusConfigError, BusMode};
+pub use counters::{BusCounts, IngestCounts};
+pub use error::{BusError, SendError};
+pub use ingest::TrajectoryServer;
+pub use metrics::{MetricsPublisher, MetricsSample, MetricsSubscriber};
+pub use sender::TrajectorySender;
+pub use session::{Bus, process_epoch_ms};
+pub use viewer::TrajectoryViewer;
+pub use weights::{WeightsPublisher, WeightsSubscriber};

@@ -1,0 +1,61 @@
+//! Opening and closing a session.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use super::counters::BusCounters;
+use super::{BusConfig, BusCounts, BusError};
+
+/// A session on the bus; clones share it.
+///
+/// Needs tokio's multi-thread runtime. Close it before the runtime ends.
+#[derive(Clone, Debug)]
+pub struct Bus {
+    pub(super) session: zenoh::Session,
+    pub(super) config: Arc<BusConfig>,
+    pub(super) counters: Arc<BusCounters>,
+}
+
+impl Bus {
+    /// Joins the bus; a client waits until its router is there.
+    ///
+    /// # Errors
+    /// If the configuration breaks a rule, an endpoint makes no sense or cannot be listened on.
+    pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
+        config.validate()?;
+        let zenoh_config = config.to_zenoh().map_err(BusError::during("configuring the bus"))?;
+        let session = zenoh::open(zenoh_config).await.map_err(BusError::during(format!(
+            "joining the bus (listening on {:?}, connecting to {:?})",
+            config.listen, config.connect
+        )))?;
+        Ok(Self { session, config: Arc::new(config.clone()), counters: Arc::default() })
+    }
+
+    /// Opens a router that is reached only through a unix socket in `dir`, for tests.
+    ///
+    /// # Errors
+    /// If the socket cannot be made.
+    pub async fn isolated(dir: &Path) -> Result<Self, BusError> {
+        Self::open(&BusConfig::isolated_router(dir)).await
+    }
+
+    /// What this session dropped so far.
+    pub fn counts(&self) -> BusCounts {
+        self.counters.counts()
+    }
+
+    /// Leaves the bus: what is queued is still sent, tokens and queryables vanish for the others.
+    ///
+    /// # Errors
+    /// If zenoh cannot end its tasks in time.
+    pub async fn close(&self) -> Result<(), BusError> {
+        self.session.close().await.map_err(BusError::during("leaving the bus"))
+    }
+}
+
+/// The time now in milliseconds since 1970: tells a restarted process from its predecessor of the same name.
+pub fn process_epoch_ms() -> u64 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since_1970.as_millis()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,97 @@
+//! The rules that decoders share; each returns the checked value or names the field and the offending value.
+
+use blueprints::{BlockIdx, BlueprintId};
+
+use super::DecodeError;
+
+/// No coordinate, velocity, reward or log-probability of a sane world comes near this.
+const LARGEST_MAGNITUDE: f32 = 1e6;
+
+/// How far a quaternion's norm may be from 1: much more than f32 rounding, much less than a visible distortion.
+const UNIT_TOLERANCE: f32 = 1e-3;
+
+/// Characters of a text that are quoted in an error; a stranger's message must not flood the log.
+const MAX_QUOTED_CHARS: usize = 80;
+
+pub(super) fn invalid(field: &'static str, value: impl ToString, expected: &'static str) -> DecodeError {
+    let value: String = value.to_string().chars().take(MAX_QUOTED_CHARS).collect();
+    DecodeError::Invalid { field, value, expected }
+}
+
+pub(super) fn present<T>(field: &'static str, value: Option<T>) -> Result<T, DecodeError> {
+    value.ok_or(DecodeError::Missing { field })
+}
+
+/// A finite number of plausible size.
+pub(super) fn number(field: &'static str, value: f32) -> Result<f32, DecodeError> {
+    if value.abs() <= LARGEST_MAGNITUDE { Ok(value) } else { Err(invalid(field, value, "a number in −1e6..=1e6")) }
+}
+
+pub(super) fn not_negative(field: &'static str, value: f32) -> Result<f32, DecodeError> {
+    if (0.0..=LARGEST_MAGNITUDE).contains(&value) {
+        Ok(value)
+    } else {
+        Err(invalid(field, value, "a number in 0..=1e6"))
+    }
+}
+
+pub(super) fn positive(field: &'static str, value: f32) -> Result<f32, DecodeError> {
+    if value > 0.0 && value.is_finite() { Ok(value) } else { Err(invalid(field, value, "a finite number above 0")) }
+}
+
+pub(super) fn probability(field: &'static str, value: f32) -> Result<f32, DecodeError> {
+    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err(invalid(field, value, "a number in 0..=1")) }
+}
+
+/// Exactly `N` finite numbers of plausible size.
+pub(super) fn numbers<const N: usize>(field: &'static str, values: &[f32]) -> Result<[f32; N], DecodeError> {
+    let values: [f32; N] = array(field, values)?;
+    values.iter().try_for_each(|&v| number(field, v).map(drop))?;
+    Ok(values)
+}
+
+pub(super) fn array<T: Copy, const N: usize>(field: &'static str, values: &[T]) -> Result<[T; N], DecodeError> {
+    values.try_into().map_err(|_| invalid(field, format!("{} values", values.len()), wanted_length(N)))
+}
+
+pub(super) fn unit_quaternion(field: &'static str, values: &[f32]) -> Result<[f32; 4], DecodeError> {
+    let q: [f32; 4] = numbers(field, values)?;
+    let norm = q.iter().map(|x| x * x).sum::<f32>().sqrt();
+    if (norm - 1.0).abs() <= UNIT_TOLERANCE {
+        Ok(q)
+    } else {
+        Err(invalid(field, format!("a quaternion of norm {norm}"), "a norm within 1e-3 of 1"))
+    }
+}
+
+pub(super) fn block(field: &'static str, index: u32) -> Result<BlockIdx, DecodeError> {
+    u8::try_from(index)
+        .ok()
+        .and_then(|i| BlockIdx::try_from(i).ok())
+        .ok_or_else(|| invalid(field, index, "a block index in 0..16"))
+}
+
+pub(super) fn blueprint_id(field: &'static str, id: String) -> Result<BlueprintId, DecodeError> {
+    // The id is cloned so that the error can show it.
+    BlueprintId::try_from(id.clone()).map_err(|_| invalid(field, id, "the id of a blueprint"))
+}
+
+/// An integer that fits a narrower type.
+pub(super) fn narrow<T: TryFrom<u32>>(
+    field: &'static str,
+    value: u32,
+    expected: &'static str,
+) -> Result<T, DecodeError> {
+    T::try_from(value).map_err(|_| invalid(field, value, expected))
+}
+
+fn wanted_length(n: usize) -> &'static str {
+    match n {
+        3 => "3 values",
+        4 => "4 values",
+        16 => "16 values",
+        96 => "96 values",
+        112 => "112 values",
+        _ => "another number of values",
+    }
+}

@@ -1,0 +1,37 @@
+//! Plain types ↔ protobuf bytes. Decoding checks everything: what it returns keeps every rule of the plain type's
+//! documentation, whoever sent the bytes.
+
+mod check;
+mod error;
+mod reply;
+mod scene;
+mod trajectory;
+mod weights;
+
+use prost::Message;
+
+pub use error::DecodeError;
+pub use reply::{Ack, Refusal, Refused, decode_ack, decode_refused, encode_ack, encode_refused};
+pub use trajectory::{MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, decode_trajectory, encode_trajectory};
+pub use weights::{
+    MAX_PARAMETERS, MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice,
+    encode_weights,
+};
+
+/// The version that this process writes and the only one that it reads.
+pub const PROTOCOL_VERSION: u32 = 1;
+
+/// Limit for the messages of a few numbers.
+const MAX_SMALL_BYTES: usize = 4096;
+
+/// Parses `bytes` unless they are more than `limit`.
+fn parse<M: Message + Default>(message: &'static str, bytes: &[u8], limit: usize) -> Result<M, DecodeError> {
+    if bytes.len() > limit {
+        return Err(DecodeError::TooLarge { message, bytes: bytes.len(), limit });
+    }
+    M::decode(bytes).map_err(|source| DecodeError::Malformed { message, source })
+}
+
+fn check_version(found: u32) -> Result<(), DecodeError> {
+    if found == PROTOCOL_VERSION { Ok(()) } else { Err(DecodeError::Version { found, expected: PROTOCOL_VERSION }) }
+}

@@ -1,0 +1,132 @@
+//! Scenes, actions and rewards.
+
+use blueprints::{CubeRotation, N_BLOCKS, RelativePlacement};
+
+use super::DecodeError;
+use super::check::{array, block, invalid, narrow, not_negative, number, numbers, present, unit_quaternion};
+use crate::{Action, Gripper, Joint, N_GRIPPERS, Pose, RewardTerms, Scene, wire};
+
+/// Position and orientation.
+const POSE_LEN: usize = 7;
+/// Linear and angular velocity.
+const MOVE_LEN: usize = 6;
+/// Two touching blocks of at most 4 units are never further apart along an axis, in half units.
+const MAX_OFFSET_HALF_UNITS: i32 = 8;
+
+pub(super) fn scene_to_wire(scene: &Scene) -> wire::Scene {
+    let mut poses = Vec::with_capacity(N_BLOCKS * POSE_LEN);
+    for pose in &scene.blocks {
+        poses.extend_from_slice(&pose.position);
+        poses.extend_from_slice(&pose.orientation);
+    }
+    let [gripper_0, gripper_1] = scene.grippers.each_ref().map(|g| g.as_ref().map(gripper_to_wire));
+    wire::Scene {
+        poses,
+        speeds: scene.speeds_mps.to_vec(),
+        joints: scene.joints.iter().map(joint_to_wire).collect(),
+        gripper_0,
+        gripper_1,
+        n_heavy_contacts: scene.n_heavy_contacts.into(),
+    }
+}
+
+pub(super) fn scene_from_wire(scene: wire::Scene) -> Result<Scene, DecodeError> {
+    let poses: [f32; N_BLOCKS * POSE_LEN] = numbers("scene.poses", &scene.poses)?;
+    let mut blocks = [Pose { position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }; N_BLOCKS];
+    for (pose, values) in blocks.iter_mut().zip(poses.chunks_exact(POSE_LEN)) {
+        pose.position = numbers("scene.poses", &values[..3])?;
+        pose.orientation = unit_quaternion("scene.poses", &values[3..])?;
+    }
+    let speeds_mps: [f32; N_BLOCKS] = array("scene.speeds", &scene.speeds)?;
+    for speed in speeds_mps {
+        not_negative("scene.speeds", speed)?;
+    }
+    let joints = scene.joints.into_iter().map(joint_from_wire).collect::<Result<Vec<_>, _>>()?;
+    if let Some([first, second]) =
+        joints.array_windows().find(|[first, second]| (first.a, first.b) >= (second.a, second.b))
+    {
+        let pair = |j: &Joint| format!("({}, {})", j.a.get(), j.b.get());
+        let value = format!("{} before {}", pair(first), pair(second));
+        return Err(invalid("scene.joints", value, "block pairs in rising order, each once"));
+    }
+    let first = gripper_from_wire(present("scene.gripper_0", scene.gripper_0)?)?;
+    Ok(Scene {
+        blocks,
+        speeds_mps,
+        joints,
+        grippers: [Some(first), scene.gripper_1.map(gripper_from_wire).transpose()?],
+        n_heavy_contacts: narrow("scene.n_heavy_contacts", scene.n_heavy_contacts, "a number in 0..=255")?,
+    })
+}
+
+fn joint_to_wire(joint: &Joint) -> wire::Joint {
+    wire::Joint {
+        a: u8::from(joint.a).into(),
+        b: u8::from(joint.b).into(),
+        offset: joint.relative.offset_half_units.to_vec(),
+        rotation: u8::from(joint.relative.rotation).into(),
+    }
+}
+
+fn joint_from_wire(joint: wire::Joint) -> Result<Joint, DecodeError> {
+    let (a, b) = (block("joint.a", joint.a)?, block("joint.b", joint.b)?);
+    if a >= b {
+        return Err(invalid("joint.b", joint.b, "a block index above joint.a"));
+    }
+    let offset_half_units: [i32; 3] = array("joint.offset", &joint.offset)?;
+    if let Some(offset) =
+        offset_half_units.iter().find(|x| !(-MAX_OFFSET_HALF_UNITS..=MAX_OFFSET_HALF_UNITS).contains(*x))
+    {
+        return Err(invalid("joint.offset", offset, "a number in −8..=8"));
+    }
+    let rotation = narrow("joint.rotation", joint.rotation, "a number in 0..24")
+        .and_then(|r: u8| CubeRotation::try_from(r).map_err(|_| invalid("joint.rotation", r, "a number in 0..24")))?;
+    Ok(Joint { a, b, relative: RelativePlacement { offset_half_units, rotation } })
+}
+
+fn gripper_to_wire(gripper: &Gripper) -> wire::Gripper {
+    wire::Gripper {
+        held: gripper.held.map(|block| u8::from(block).into()),
+        orientation: gripper.orientation.to_vec(),
+        linear_velocity: gripper.linear_velocity.to_vec(),
+        angular_velocity: gripper.angular_velocity.to_vec(),
+    }
+}
+
+fn gripper_from_wire(gripper: wire::Gripper) -> Result<Gripper, DecodeError> {
+    Ok(Gripper {
+        held: gripper.held.map(|index| block("gripper.held", index)).transpose()?,
+        orientation: unit_quaternion("gripper.orientation", &gripper.orientation)?,
+        linear_velocity: numbers("gripper.linear_velocity", &gripper.linear_velocity)?,
+        angular_velocity: numbers("gripper.angular_velocity", &gripper.angular_velocity)?,
+    })
+}
+
+pub(super) fn action_to_wire(action: &Action) -> wire::Action {
+    let [choice_0, choice_1] = action.choices.map(|choice| choice.map(|block| u8::from(block).into()));
+    wire::Action { choice_0, choice_1, moves: action.moves.as_flattened().to_vec() }
+}
+
+pub(super) fn action_from_wire(action: wire::Action) -> Result<Action, DecodeError> {
+    let choice = |index: Option<u32>| index.map(|i| block("action.choice", i)).transpose();
+    let choices: [_; N_GRIPPERS] = [choice(action.choice_0)?, choice(action.choice_1)?];
+    let values: [f32; N_BLOCKS * MOVE_LEN] = numbers("action.moves", &action.moves)?;
+    let mut moves = [[0.0; MOVE_LEN]; N_BLOCKS];
+    moves.as_flattened_mut().copy_from_slice(&values);
+    Ok(Action { choices, moves })
+}
+
+pub(super) fn reward_to_wire(reward: &RewardTerms) -> wire::Reward {
+    let &RewardTerms { connected, wrong, magnets, blocks, force } = reward;
+    wire::Reward { connected, wrong, magnets, blocks, force }
+}
+
+pub(super) fn reward_from_wire(reward: wire::Reward) -> Result<RewardTerms, DecodeError> {
+    Ok(RewardTerms {
+        connected: number("reward.connected", reward.connected)?,
+        wrong: number("reward.wrong", reward.wrong)?,
+        magnets: number("reward.magnets", reward.magnets)?,
+        blocks: number("reward.blocks", reward.blocks)?,
+        force: number("reward.force", reward.force)?,
+    })
+}

@@ -1,0 +1,150 @@
+//! Weights and the notice of newer ones.
+
+use std::collections::BTreeMap;
+
+use prost::Message;
+
+use super::check::{blueprint_id, invalid, number, positive, present, probability};
+use super::{DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
+use crate::{Normalisation, Weights, WeightsVersion, wire};
+
+/// Most parameters that a network may have.
+pub const MAX_PARAMETERS: usize = 1 << 24;
+
+/// Largest encoded weights, in bytes: the parameters and 1 MiB for the rest.
+pub const MAX_WEIGHTS_BYTES: usize = 4 * MAX_PARAMETERS + (1 << 20);
+
+/// How far the task probabilities' sum may be from 1: rounding of a few hundred f32 terms.
+const SUM_TOLERANCE: f64 = 1e-3;
+
+/// Says that newer weights can be pulled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WeightsNotice {
+    /// Start time of the learner process, ms since 1970. A learner that resumes an older checkpoint counts on from
+    /// there, so a version is newer only within one epoch.
+    pub epoch: u64,
+    /// The newest version.
+    pub version: WeightsVersion,
+}
+
+/// Weights together with the learner process that published them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PublishedWeights {
+    /// Start time of the learner process, ms since 1970.
+    pub epoch: u64,
+    /// The weights.
+    pub weights: Weights,
+}
+
+/// The bytes of weights published by the learner process that started at `epoch`.
+pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
+    let statistics = |i: usize| {
+        Some(wire::FeatureStatistics {
+            mean: weights.normalisation.feature_mean[i].clone(),
+            std: weights.normalisation.feature_std[i].clone(),
+        })
+    };
+    wire::Weights {
+        protocol_version: PROTOCOL_VERSION,
+        epoch,
+        version: weights.version.0,
+        n_env_steps: weights.n_env_steps,
+        network_hash: weights.network_hash,
+        parameters: weights.parameters.clone(),
+        normalisation: Some(wire::Normalisation {
+            nodes: statistics(0),
+            edges: statistics(1),
+            globals: statistics(2),
+            value_mean: weights.normalisation.value_mean,
+            value_std: weights.normalisation.value_std,
+        }),
+        task_probabilities: weights
+            .task_probabilities
+            .iter()
+            .map(|(id, &probability)| wire::TaskProbability { blueprint: id.to_string(), probability })
+            .collect(),
+    }
+    .encode_to_vec()
+}
+
+/// Reads weights and checks every rule that [`Weights`] documents.
+///
+/// # Errors
+/// Names the first field that breaks a rule, and its value.
+pub fn decode_weights(bytes: &[u8]) -> Result<PublishedWeights, DecodeError> {
+    let message: wire::Weights = parse("Weights", bytes, MAX_WEIGHTS_BYTES)?;
+    check_version(message.protocol_version)?;
+    let n_parameters = message.parameters.len();
+    if !(1..=MAX_PARAMETERS).contains(&n_parameters) {
+        return Err(invalid("parameters", format!("{n_parameters} values"), "1 to 16777216 values"));
+    }
+    if let Some(parameter) = message.parameters.iter().find(|p| !p.is_finite()) {
+        return Err(invalid("parameters", parameter, "finite numbers"));
+    }
+    let weights = Weights {
+        version: WeightsVersion(message.version),
+        n_env_steps: message.n_env_steps,
+        network_hash: message.network_hash,
+        parameters: message.parameters,
+        normalisation: normalisation_from_wire(present("normalisation", message.normalisation)?)?,
+        task_probabilities: probabilities_from_wire(message.task_probabilities)?,
+    };
+    Ok(PublishedWeights { epoch: message.epoch, weights })
+}
+
+/// The bytes of a notice.
+pub fn encode_notice(notice: WeightsNotice) -> Vec<u8> {
+    wire::WeightsNotice { protocol_version: PROTOCOL_VERSION, epoch: notice.epoch, version: notice.version.0 }
+        .encode_to_vec()
+}
+
+/// Reads a notice.
+///
+/// # Errors
+/// If the bytes are not one of this protocol version.
+pub fn decode_notice(bytes: &[u8]) -> Result<WeightsNotice, DecodeError> {
+    let notice: wire::WeightsNotice = parse("WeightsNotice", bytes, MAX_SMALL_BYTES)?;
+    check_version(notice.protocol_version)?;
+    Ok(WeightsNotice { epoch: notice.epoch, version: WeightsVersion(notice.version) })
+}
+
+fn normalisation_from_wire(message: wire::Normalisation) -> Result<Normalisation, DecodeError> {
+    let (node_mean, node_std) = statistics_from_wire(present("normalisation.nodes", message.nodes)?)?;
+    let (edge_mean, edge_std) = statistics_from_wire(present("normalisation.edges", message.edges)?)?;
+    let (global_mean, global_std) = statistics_from_wire(present("normalisation.globals", message.globals)?)?;
+    Ok(Normalisation {
+        feature_mean: [node_mean, edge_mean, global_mean],
+        feature_std: [node_std, edge_std, global_std],
+        value_mean: number("normalisation.value_mean", message.value_mean)?,
+        value_std: positive("normalisation.value_std", message.value_std)?,
+    })
+}
+
+fn statistics_from_wire(message: wire::FeatureStatistics) -> Result<(Vec<f32>, Vec<f32>), DecodeError> {
+    let wire::FeatureStatistics { mean, std } = message;
+    if mean.len() != std.len() {
+        return Err(invalid("normalisation.std", format!("{} values", std.len()), "as many as the means"));
+    }
+    mean.iter().try_for_each(|&m| number("normalisation.mean", m).map(drop))?;
+    std.iter().try_for_each(|&s| positive("normalisation.std", s).map(drop))?;
+    Ok((mean, std))
+}
+
+fn probabilities_from_wire(
+    message: Vec<wire::TaskProbability>,
+) -> Result<BTreeMap<blueprints::BlueprintId, f32>, DecodeError> {
+    let mut probabilities = BTreeMap::new();
+    let mut sum = 0.0;
+    for wire::TaskProbability { blueprint, probability: p } in message {
+        let id = blueprint_id("task_probabilities.blueprint", blueprint)?;
+        let p = probability("task_probabilities.probability", p)?;
+        sum += f64::from(p);
+        if probabilities.insert(id.clone(), p).is_some() {
+            return Err(invalid("task_probabilities.blueprint", id, "each blueprint once"));
+        }
+    }
+    if (sum - 1.0).abs() > SUM_TOLERANCE {
+        return Err(invalid("task_probabilities", format!("a sum of {sum}"), "a sum of 1"));
+    }
+    Ok(probabilities)
+}

@@ -1,0 +1,92 @@
+//! The interval in which a success rate lies.
+
+use serde::{Deserialize, Serialize};
+
+/// The quantile of the normal distribution for 95 %, two-sided.
+const Z_95: f64 = 1.959_963_984_540_054;
+
+/// Successes among episodes, with the 95 % Wilson score interval of the rate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SuccessRate {
+    /// Episodes that succeeded.
+    pub n_successes: u64,
+    /// All episodes.
+    pub n_episodes: u64,
+    /// `n_successes / n_episodes`, 0 without episodes.
+    pub rate: f64,
+    /// Lower end of the interval, 0 without episodes.
+    pub wilson_low: f64,
+    /// Upper end of the interval, 1 without episodes.
+    pub wilson_high: f64,
+}
+
+impl SuccessRate {
+    /// The rate of these counts.
+    ///
+    /// # Panics
+    /// If there are more successes than episodes.
+    pub fn new(n_successes: u64, n_episodes: u64) -> Self {
+        let (wilson_low, wilson_high) = wilson_interval(n_successes, n_episodes);
+        let rate = if n_episodes == 0 { 0.0 } else { n_successes as f64 / n_episodes as f64 };
+        Self { n_successes, n_episodes, rate, wilson_low, wilson_high }
+    }
+}
+
+/// The 95 % Wilson score interval of a success probability (E. B. Wilson, 1927, doi:10.1080/01621459.1927.10502953).
+///
+/// Chosen over the normal approximation because it is sound at 0 and at all successes, where evaluations begin and
+/// end. Without episodes nothing is known: (0, 1).
+///
+/// # Panics
+/// If there are more successes than episodes.
+pub fn wilson_interval(n_successes: u64, n_episodes: u64) -> (f64, f64) {
+    assert!(n_successes <= n_episodes, "{n_successes} successes in {n_episodes} episodes");
+    if n_episodes == 0 {
+        return (0.0, 1.0);
+    }
+    let n = n_episodes as f64;
+    let p = n_successes as f64 / n;
+    let z2 = Z_95 * Z_95;
+    let center = (p + z2 / (2.0 * n)) / (1.0 + z2 / n);
+    let half_width = Z_95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
+    // Exactly 0 and 1 at the ends, where rounding would leave a trace.
+    let low = if n_successes == 0 { 0.0 } else { center - half_width };
+    let high = if n_successes == n_episodes { 1.0 } else { center + half_width };
+    (low, high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn check(n_successes: u64, n_episodes: u64, low: f64, high: f64) {
+        let (found_low, found_high) = wilson_interval(n_successes, n_episodes);
+        assert!((found_low - low).abs() < 5e-5, "low {found_low}, expected {low}");
+        assert!((found_high - high).abs() < 5e-5, "high {found_high}, expected {high}");
+    }
+
+    #[test]
+    fn hand_worked_intervals() {
+        // z² = 3.841459. With n = 40 and p = 1: high is 1 and low = n / (n + z²) = 40 / 43.841459.
+        check(40, 40, 0.9124, 1.0);
+        // p = 0 mirrors it: z² / (n + z²) = 3.841459 / 43.841459.
+        check(0, 40, 0.0, 0.0876);
+        // n = 10, p = 1/2: center 1/2, half width z/2 / √(n + z²) = 0.979982 / √13.841459 = 0.263406.
+        check(5, 10, 0.2366, 0.7634);
+        // One episode: z² / (1 + z²) = 3.841459 / 4.841459.
+        check(0, 1, 0.0, 0.7935);
+        check(0, 0, 0.0, 1.0);
+    }
+
+    #[test]
+    fn the_rate_lies_in_its_interval() {
+        for n_episodes in 1..50 {
+            for n_successes in 0..=n_episodes {
+                let s = SuccessRate::new(n_successes, n_episodes);
+                assert!(0.0 <= s.wilson_low && s.wilson_low <= s.rate, "{s:?}");
+                assert!(s.rate <= s.wilson_high && s.wilson_high <= 1.0, "{s:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,5 @@
+//! The prost types generated from `proto/lodestone.proto`; only the codec may see them.
+
+#![allow(missing_docs, unreachable_pub, clippy::all)]
+
+include!(concat!(env!("OUT_DIR"), "/lodestone.v1.rs"));
