@@ -1,8 +1,11 @@
 //! A target structure: which blocks, where, and which magnet pairs hold it together.
 
+use std::fmt;
+use std::str::FromStr;
+
 use serde::{Deserialize, Serialize};
 
-use crate::{BlockIdx, CubeRotation, RelativePlacement};
+use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT_M};
 
 /// Name of a blueprint, `<size>_<index>` as in the paper (`6_005`), with a prefix for the test sets.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -56,6 +59,198 @@ pub struct Link {
 pub struct Blueprint {
     pub(crate) id: BlueprintId,
     pub(crate) split: Split,
+    pub(crate) title: String,
     pub(crate) placements: Vec<Placement>,
     pub(crate) links: Vec<Link>,
+}
+
+/// The error of a text that is no blueprint id.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a blueprint id like 6_005 or test_12_000: a size of 2 to 16, an index of three digits")]
+pub struct InvalidBlueprintId(pub String);
+
+/// The error of an unknown split name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a split; the splits are train, test, test-literal, test-longest and test-tallest")]
+pub struct InvalidSplit(pub String);
+
+impl BlueprintId {
+    /// The id as text.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+
+    /// The number of blocks that the id announces, 2 to 16.
+    pub fn size(&self) -> usize {
+        parse_size(&self.0).expect("an id holds a size")
+    }
+}
+
+/// The size in `[prefix_]<size>_<index>`, or `None` if the text has another form.
+fn parse_size(text: &str) -> Option<usize> {
+    let (rest, index) = text.rsplit_once('_')?;
+    let (prefix, size) = rest.rsplit_once('_').map_or((None, rest), |(prefix, size)| (Some(prefix), size));
+    let digits = |s: &str| !s.is_empty() && s.bytes().all(|b| b.is_ascii_digit());
+    let prefix_ok = prefix.is_none_or(|p| {
+        p.starts_with(|c: char| c.is_ascii_lowercase())
+            && p.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+    });
+    if !prefix_ok || index.len() != 3 || !digits(index) || !digits(size) || size.starts_with('0') {
+        return None;
+    }
+    size.parse().ok().filter(|n| (2..=N_BLOCKS).contains(n))
+}
+
+impl TryFrom<String> for BlueprintId {
+    type Error = InvalidBlueprintId;
+
+    fn try_from(text: String) -> Result<Self, InvalidBlueprintId> {
+        if parse_size(&text).is_some() { Ok(Self(text)) } else { Err(InvalidBlueprintId(text)) }
+    }
+}
+
+impl FromStr for BlueprintId {
+    type Err = InvalidBlueprintId;
+
+    fn from_str(text: &str) -> Result<Self, InvalidBlueprintId> {
+        Self::try_from(text.to_owned())
+    }
+}
+
+impl From<BlueprintId> for String {
+    fn from(id: BlueprintId) -> Self {
+        id.0
+    }
+}
+
+impl fmt::Display for BlueprintId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&self.0)
+    }
+}
+
+impl Split {
+    /// All splits, training first.
+    pub const ALL: [Self; 5] = [Self::Train, Self::Test, Self::TestLiteral, Self::TestLongest, Self::TestTallest];
+
+    /// The name used in files and flags.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Test => "test",
+            Self::TestLiteral => "test-literal",
+            Self::TestLongest => "test-longest",
+            Self::TestTallest => "test-tallest",
+        }
+    }
+}
+
+impl fmt::Display for Split {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for Split {
+    type Err = InvalidSplit;
+
+    fn from_str(text: &str) -> Result<Self, InvalidSplit> {
+        Self::ALL.into_iter().find(|split| split.as_str() == text).ok_or_else(|| InvalidSplit(text.to_owned()))
+    }
+}
+
+impl Placement {
+    /// Centre in metres, blueprint frame.
+    pub fn position_m(&self) -> nalgebra::Vector3<f32> {
+        nalgebra::Vector3::from(self.center_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
+    }
+
+    /// Size in unit cells along the blueprint's axes.
+    pub fn size_cells(&self, inventory: &Inventory) -> [i32; 3] {
+        self.rotation.apply(inventory.cells(self.block).map(i32::from)).map(i32::abs)
+    }
+
+    /// The unit cells that the block fills, each by its lowest corner in units, in increasing order.
+    pub fn filled_cells(&self, inventory: &Inventory) -> Vec<[i32; 3]> {
+        let size = self.size_cells(inventory);
+        let low: [i32; 3] = std::array::from_fn(|k| (self.center_half_units[k] - size[k]) / 2);
+        let mut cells = Vec::new();
+        for x in low[0]..low[0] + size[0] {
+            for y in low[1]..low[1] + size[1] {
+                cells.extend((low[2]..low[2] + size[2]).map(|z| [x, y, z]));
+            }
+        }
+        cells
+    }
+}
+
+impl Blueprint {
+    /// The blueprint's name.
+    pub fn id(&self) -> &BlueprintId {
+        &self.id
+    }
+
+    /// The part of the catalogue it belongs to.
+    pub fn split(&self) -> Split {
+        self.split
+    }
+
+    /// What it shows, in a few words.
+    pub fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// Its blocks, sorted by block index.
+    pub fn placements(&self) -> &[Placement] {
+        &self.placements
+    }
+
+    /// The block pairs that must be connected, sorted by `(a, b)`.
+    pub fn links(&self) -> &[Link] {
+        &self.links
+    }
+
+    /// Number of blocks, 2 to 16.
+    pub fn n_blocks(&self) -> usize {
+        self.placements.len()
+    }
+
+    /// Whether the block is part of the structure.
+    pub fn contains(&self, block: BlockIdx) -> bool {
+        self.placement(block).is_some()
+    }
+
+    /// Where the block belongs, or `None` if the structure does without it.
+    pub fn placement(&self, block: BlockIdx) -> Option<&Placement> {
+        self.placements.binary_search_by_key(&block, |p| p.block).ok().map(|i| &self.placements[i])
+    }
+
+    /// The wanted pose of `b` seen from `a`, linked or not; `None` if one of them is not in the structure.
+    pub fn relative(&self, a: BlockIdx, b: BlockIdx) -> Option<RelativePlacement> {
+        Some(RelativePlacement::between(self.placement(a)?, self.placement(b)?))
+    }
+
+    /// The link between two blocks in either order.
+    ///
+    /// Its `relative` is always the pose of the higher block index seen from the lower.
+    pub fn link(&self, a: BlockIdx, b: BlockIdx) -> Option<&Link> {
+        let key = (a.min(b), a.max(b));
+        self.links.binary_search_by_key(&key, |link| (link.a, link.b)).ok().map(|i| &self.links[i])
+    }
+
+    /// The same structure on other blocks: block `i` is replaced by `permutation[i]`.
+    ///
+    /// The result is a valid blueprint if the permutation maps every block to one of the same type, each once.
+    pub fn permuted(&self, permutation: &[BlockIdx; N_BLOCKS]) -> Self {
+        let place = |p: &Placement| Placement { block: permutation[p.block.get()], ..*p };
+        let mut placements: Vec<_> = self.placements.iter().map(place).collect();
+        placements.sort_by_key(|p| p.block);
+        let relink = |link: &Link| {
+            let (a, b) = (permutation[link.a.get()], permutation[link.b.get()]);
+            if a < b { Link { a, b, ..*link } } else { Link { a: b, b: a, relative: link.relative.inverse(), ..*link } }
+        };
+        let mut links: Vec<_> = self.links.iter().map(relink).collect();
+        links.sort_by_key(|link| (link.a, link.b));
+        Self { placements, links, id: self.id.clone(), split: self.split, title: self.title.clone() }
+    }
 }

@@ -1,6 +1,11 @@
 //! The 16 blocks of 6 types and their magnets.
 
+use std::str::FromStr;
+use std::sync::LazyLock;
+
 use serde::{Deserialize, Serialize};
+
+use crate::RelativePlacement;
 
 /// Number of blocks in every world (paper, section "Magnetic Block Assembly Environment").
 pub const N_BLOCKS: usize = 16;
@@ -83,4 +88,181 @@ pub struct Magnet {
 pub struct Inventory {
     types: Vec<BlockType>,
     type_of: [u8; N_BLOCKS],
+    magnets: Vec<Vec<Magnet>>,
+}
+
+/// Why an inventory file is refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InventoryError {
+    /// Not TOML, or not of the expected shape.
+    #[error("not an inventory: {0}")]
+    Syntax(String),
+    /// The counts do not sum to [`N_BLOCKS`].
+    #[error("the inventory holds {0} blocks, not 16")]
+    WrongTotal(usize),
+    /// Two types of the same name.
+    #[error("block type {0:?} is listed twice")]
+    DuplicateType(String),
+    /// A side outside 1..=8 cells.
+    #[error("block type {name:?} has size {cells:?}; each side must be 1 to 8 cells")]
+    BadSize {
+        /// The type's name.
+        name: String,
+        /// Its size in cells.
+        cells: [u8; 3],
+    },
+}
+
+impl Inventory {
+    /// The inventory of the paper's world, read from `inventory.toml`.
+    ///
+    /// # Panics
+    /// Never in a build that passes the tests: the file is part of the program.
+    pub fn standard() -> &'static Self {
+        static STANDARD: LazyLock<Inventory> = LazyLock::new(|| {
+            include_str!("../inventory.toml").parse().expect("the embedded inventory.toml is valid")
+        });
+        &STANDARD
+    }
+
+    /// The types in the order of the file.
+    pub fn types(&self) -> &[BlockType] {
+        &self.types
+    }
+
+    /// Position of a block's type in [`types`](Self::types).
+    pub fn type_idx(&self, block: BlockIdx) -> usize {
+        usize::from(self.type_of[block.get()])
+    }
+
+    /// The type of a block.
+    pub fn block_type(&self, block: BlockIdx) -> &BlockType {
+        &self.types[self.type_idx(block)]
+    }
+
+    /// Size of a block in unit cells along its own x, y and z.
+    pub fn cells(&self, block: BlockIdx) -> [u8; 3] {
+        self.block_type(block).cells
+    }
+
+    /// Half of a block's size in metres along its own x, y and z.
+    pub fn half_extents_m(&self, block: BlockIdx) -> [f32; 3] {
+        self.cells(block).map(|n| f32::from(n) * UNIT_M / 2.0)
+    }
+
+    /// The magnets of a block, one at the centre of every unit cell of every face.
+    ///
+    /// Order: faces +x −x +y −y +z −z, within a face by increasing position.
+    pub fn magnets(&self, block: BlockIdx) -> &[Magnet] {
+        &self.magnets[self.type_idx(block)]
+    }
+
+    /// All blocks of the same type, the block itself included, in index order.
+    pub fn same_type(&self, block: BlockIdx) -> impl Iterator<Item = BlockIdx> {
+        BlockIdx::all().filter(move |&other| self.type_of[other.get()] == self.type_of[block.get()])
+    }
+
+    /// All blocks of the named type in index order; empty for an unknown name.
+    pub fn blocks_of_type(&self, name: &str) -> Vec<BlockIdx> {
+        BlockIdx::all().filter(|&block| self.block_type(block).name == name).collect()
+    }
+
+    /// Magnets of `a` and of `b` that coincide, face each other and attract, as indices into
+    /// [`magnets`](Self::magnets) of each, ordered by `a`'s.
+    ///
+    /// `b_from_a` is the pose of `b` seen from `a`.
+    pub fn magnet_pairs(&self, a: BlockIdx, b: BlockIdx, b_from_a: RelativePlacement) -> Vec<(usize, usize)> {
+        self.coincident(a, b, b_from_a, |p, q| p != q)
+    }
+
+    /// Like [`magnet_pairs`](Self::magnet_pairs), for magnets that coincide and repel.
+    pub fn clashing_pairs(&self, a: BlockIdx, b: BlockIdx, b_from_a: RelativePlacement) -> Vec<(usize, usize)> {
+        self.coincident(a, b, b_from_a, |p, q| p == q)
+    }
+
+    fn coincident(
+        &self,
+        a: BlockIdx,
+        b: BlockIdx,
+        b_from_a: RelativePlacement,
+        wanted: impl Fn(Polarity, Polarity) -> bool,
+    ) -> Vec<(usize, usize)> {
+        let moved: Vec<Magnet> = self.magnets(b).iter().map(|magnet| magnet.seen_through(b_from_a)).collect();
+        let mut pairs = Vec::new();
+        for (i, p) in self.magnets(a).iter().enumerate() {
+            for (j, q) in moved.iter().enumerate() {
+                let meet = p.position_half_units == q.position_half_units && p.normal == q.normal.map(|x| -x);
+                if meet && wanted(p.polarity, q.polarity) {
+                    pairs.push((i, j));
+                }
+            }
+        }
+        pairs
+    }
+}
+
+impl FromStr for Inventory {
+    type Err = InventoryError;
+
+    /// Reads an inventory from TOML: a list `types` of [`BlockType`]s whose counts sum to [`N_BLOCKS`].
+    fn from_str(text: &str) -> Result<Self, InventoryError> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct File {
+            types: Vec<BlockType>,
+        }
+        let File { types } = toml::from_str(text).map_err(|error| InventoryError::Syntax(error.to_string()))?;
+        for (i, block_type) in types.iter().enumerate() {
+            if types[..i].iter().any(|other| other.name == block_type.name) {
+                return Err(InventoryError::DuplicateType(block_type.name.clone()));
+            }
+            if block_type.cells.iter().any(|n| !(1..=8).contains(n)) {
+                return Err(InventoryError::BadSize { name: block_type.name.clone(), cells: block_type.cells });
+            }
+        }
+        let type_of: Vec<u8> =
+            (0_u8..).zip(&types).flat_map(|(idx, t)| std::iter::repeat_n(idx, usize::from(t.count))).collect();
+        let type_of = type_of.try_into().map_err(|all: Vec<u8>| InventoryError::WrongTotal(all.len()))?;
+        let magnets = types.iter().map(|t| magnets_of(t.cells)).collect();
+        Ok(Self { types, type_of, magnets })
+    }
+}
+
+impl Magnet {
+    /// This magnet of block `b` in the frame of a block `a` that sees `b` at `b_from_a`.
+    pub fn seen_through(self, b_from_a: RelativePlacement) -> Self {
+        let turned = b_from_a.rotation.apply(self.position_half_units);
+        Self {
+            position_half_units: std::array::from_fn(|i| turned[i] + b_from_a.offset_half_units[i]),
+            normal: b_from_a.rotation.apply(self.normal),
+            polarity: self.polarity,
+        }
+    }
+}
+
+/// The magnets of a cuboid: a unit cell's centre lies at odd half units from the cuboid's corner.
+fn magnets_of(cells: [u8; 3]) -> Vec<Magnet> {
+    let size = cells.map(i32::from);
+    let centers = |axis: usize| (0..size[axis]).map(move |k| 2 * k + 1 - size[axis]);
+    let mut magnets = Vec::new();
+    for axis in 0..3 {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for (sign, polarity) in [(1, Polarity::Positive), (-1, Polarity::Negative)] {
+            let mut normal = [0; 3];
+            normal[axis] = sign;
+            let mut face = Vec::new();
+            for pu in centers(u) {
+                for pv in centers(v) {
+                    let mut position_half_units = [0; 3];
+                    position_half_units[axis] = sign * size[axis];
+                    position_half_units[u] = pu;
+                    position_half_units[v] = pv;
+                    face.push(Magnet { position_half_units, normal, polarity });
+                }
+            }
+            face.sort_by_key(|magnet| magnet.position_half_units);
+            magnets.extend(face);
+        }
+    }
+    magnets
 }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::{Placement, UNIT_M};
+
 /// One of the 24 rotations that map the cube onto itself.
 ///
 /// Index order: `CubeRotation::all()` enumerates signed axis permutations with determinant +1, in lexicographic order
@@ -79,6 +81,27 @@ impl CubeRotation {
         Self::from_images(column(0), column(1)).expect("a product of rotations is a rotation")
     }
 
+    /// The rotation nearest to `orientation`, and the angle between the two in radians, 0 to about 1.1.
+    ///
+    /// The nearest is the one with the largest trace of `Rᵀ·M`, so no angle is computed for the other 23. Of several
+    /// equally near ones the first is returned.
+    pub fn nearest(orientation: &nalgebra::UnitQuaternion<f32>) -> (Self, f32) {
+        let wanted = orientation.to_rotation_matrix();
+        let trace = |r: Self| {
+            let m = r.matrix();
+            (0..9).map(|k| m[k / 3][k % 3] as f32 * wanted[(k / 3, k % 3)]).sum::<f32>()
+        };
+        let mut best = (Self::IDENTITY, trace(Self::IDENTITY));
+        for rotation in Self::all().skip(1) {
+            let candidate = trace(rotation);
+            if candidate > best.1 {
+                best = (rotation, candidate);
+            }
+        }
+        // The angle comes from the quaternions: acos of the trace loses half the digits near zero.
+        (best.0, best.0.quaternion().angle_to(orientation))
+    }
+
     /// The rotation as a unit quaternion.
     pub fn quaternion(self) -> nalgebra::UnitQuaternion<f32> {
         let m = nalgebra::Matrix3::from_fn(|i, j| self.matrix()[i][j] as f32);
@@ -96,6 +119,18 @@ pub struct RelativePlacement {
 }
 
 impl RelativePlacement {
+    /// The pose of `b` seen from `a`.
+    pub fn between(a: &Placement, b: &Placement) -> Self {
+        let to_a = a.rotation.inverse();
+        let offset = std::array::from_fn(|i| b.center_half_units[i] - a.center_half_units[i]);
+        Self { offset_half_units: to_a.apply(offset), rotation: to_a.compose(b.rotation) }
+    }
+
+    /// Centre of `b` minus centre of `a` in `a`'s frame, in metres.
+    pub fn position_m(&self) -> nalgebra::Vector3<f32> {
+        nalgebra::Vector3::from(self.offset_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
+    }
+
     /// The pose of `a` seen from `b`.
     pub fn inverse(self) -> Self {
         let rotation = self.rotation.inverse();

@@ -1,11 +1,22 @@
 //! Blocks, magnets, the inventory and the target structures ("blueprints"), with no physics and no I/O in the math.
 //!
-//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file format, checks, hash and catalogue.
+//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`format`] and its [`error`]s → [`stance`] →
+//! [`checks`] → the canonical hash → [`catalogue`].
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod blueprint;
+mod canonical;
+pub mod catalogue;
+pub mod checks;
+pub mod error;
+pub mod format;
 pub mod inventory;
 pub mod lattice;
+pub mod stance;
 
 pub use blueprint::{Blueprint, BlueprintId, Link, Placement, Split};
+pub use catalogue::{Catalogue, CatalogueError};
+pub use error::{BlueprintError, BlueprintFileError};
 pub use inventory::{BlockIdx, BlockType, Inventory, Magnet, N_BLOCKS, Polarity, UNIT_M};
 pub use lattice::{CubeRotation, RelativePlacement};

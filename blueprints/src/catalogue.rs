@@ -1,0 +1,189 @@
+//! All blueprints that a run knows, from the program or from a folder.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+use std::{fs, io};
+
+use crate::checks::check_text;
+use crate::error::BlueprintFileError;
+use crate::{Blueprint, BlueprintId, Split};
+
+/// The `(file name, text)` of every blueprint file that is part of the program.
+pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/catalogue.rs"));
+
+/// Blueprints of distinct ids and structures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Catalogue {
+    blueprints: Vec<Blueprint>,
+    positions: BTreeMap<BlueprintId, usize>,
+}
+
+/// Why a catalogue is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum CatalogueError {
+    /// A folder or file cannot be read.
+    #[error("cannot read {path}: {error}")]
+    Io {
+        /// What was to be read.
+        path: PathBuf,
+        /// Why it could not be.
+        #[source]
+        error: io::Error,
+    },
+    /// A file is no valid blueprint.
+    #[error(transparent)]
+    Blueprint(#[from] BlueprintFileError),
+    /// There is nothing to build.
+    #[error("{0} holds no blueprint (*.toml)")]
+    Empty(PathBuf),
+    /// A file is not called after its blueprint.
+    #[error("{file}: the file of blueprint {id} must be called {id}.toml")]
+    FileName {
+        /// Name of the file.
+        file: String,
+        /// Id inside.
+        id: BlueprintId,
+    },
+    /// Two files with one id.
+    #[error("{file}: the id {id} is taken by another file")]
+    DuplicateId {
+        /// Name of the later file.
+        file: String,
+        /// The id.
+        id: BlueprintId,
+    },
+    /// Two files with the same structure, up to rotation and the choice among identical blocks.
+    #[error("{file}: {id} is the same structure as {other}")]
+    DuplicateStructure {
+        /// Name of the later file.
+        file: String,
+        /// Id of the later blueprint.
+        id: BlueprintId,
+        /// Id of the earlier one.
+        other: BlueprintId,
+    },
+    /// A held-out structure that is also trained on.
+    #[error("{file}: {id} ({split}) is the same structure as {other} ({other_split}); training would see a test")]
+    SplitOverlap {
+        /// Name of the later file.
+        file: String,
+        /// Id of the later blueprint.
+        id: BlueprintId,
+        /// Its split.
+        split: Split,
+        /// Id of the earlier one.
+        other: BlueprintId,
+        /// The earlier one's split.
+        other_split: Split,
+    },
+}
+
+impl Catalogue {
+    /// The blueprints that are part of the program.
+    ///
+    /// # Panics
+    /// Never in a build that passes the tests: the files are part of the program.
+    pub fn builtin() -> &'static Self {
+        static BUILTIN: LazyLock<Catalogue> = LazyLock::new(|| {
+            Catalogue::from_files(BUILTIN_FILES.iter().copied()).expect("the embedded blueprints are valid")
+        });
+        &BUILTIN
+    }
+
+    /// Reads every `*.toml` of a folder, or one file.
+    ///
+    /// # Errors
+    /// The first thing wrong, in the order of the file names; see [`CatalogueError`].
+    pub fn load(path: &Path) -> Result<Self, CatalogueError> {
+        let files = read_files(path)?;
+        if files.is_empty() {
+            return Err(CatalogueError::Empty(path.to_owned()));
+        }
+        Self::from_files(files.iter().map(|(file, text)| (file.as_str(), text.as_str())))
+    }
+
+    /// Builds a catalogue from `(file name, text)` pairs.
+    ///
+    /// # Errors
+    /// The first thing wrong, in the order given.
+    pub fn from_files<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, CatalogueError> {
+        let mut blueprints: Vec<Blueprint> = Vec::new();
+        let mut by_hash: BTreeMap<u64, (BlueprintId, Split)> = BTreeMap::new();
+        for (file, text) in files {
+            let blueprint = check_text(file, text).blueprint?;
+            let (file, id, split) = (file.to_owned(), blueprint.id().clone(), blueprint.split());
+            if Path::new(&file).file_name().and_then(|name| name.to_str()) != Some(&format!("{id}.toml")) {
+                return Err(CatalogueError::FileName { file, id });
+            }
+            if blueprints.iter().any(|other| *other.id() == id) {
+                return Err(CatalogueError::DuplicateId { file, id });
+            }
+            if let Some((other, other_split)) = by_hash.insert(blueprint.canonical_hash(), (id.clone(), split)) {
+                return Err(if (split == Split::Train) == (other_split == Split::Train) {
+                    CatalogueError::DuplicateStructure { file, id, other }
+                } else {
+                    CatalogueError::SplitOverlap { file, id, split, other, other_split }
+                });
+            }
+            blueprints.push(blueprint);
+        }
+        // By size first: as text, 12_000 comes before 2_000.
+        blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
+        let positions = blueprints.iter().enumerate().map(|(i, b)| (b.id().clone(), i)).collect();
+        Ok(Self { blueprints, positions })
+    }
+
+    /// The blueprint of that id.
+    pub fn get(&self, id: &BlueprintId) -> Option<&Blueprint> {
+        self.positions.get(id).map(|&i| &self.blueprints[i])
+    }
+
+    /// All blueprints by split, then size, then id.
+    pub fn iter(&self) -> std::slice::Iter<'_, Blueprint> {
+        self.blueprints.iter()
+    }
+
+    /// The blueprints of one split by size, then id.
+    pub fn of_split(&self, split: Split) -> Vec<&Blueprint> {
+        self.iter().filter(|blueprint| blueprint.split() == split).collect()
+    }
+
+    /// Number of blueprints.
+    pub fn len(&self) -> usize {
+        self.blueprints.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.blueprints.is_empty()
+    }
+}
+
+/// The `(path, text)` of every `*.toml` of a folder by name, or of one file whatever its name.
+///
+/// # Errors
+/// [`CatalogueError::Io`] with the path that cannot be read.
+pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogueError> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        |error| CatalogueError::Io { path, error }
+    };
+    let mut paths = Vec::new();
+    if path.is_dir() {
+        for entry in fs::read_dir(path).map_err(failed(path))? {
+            let entry = entry.map_err(failed(path))?.path();
+            if entry.extension().is_some_and(|extension| extension == "toml") {
+                paths.push(entry);
+            }
+        }
+        paths.sort();
+    } else {
+        paths.push(path.to_owned());
+    }
+    let read = |path: PathBuf| {
+        let text = fs::read_to_string(&path).map_err(failed(&path))?;
+        Ok((path.display().to_string(), text))
+    };
+    paths.into_iter().map(read).collect()
+}

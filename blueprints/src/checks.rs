@@ -1,0 +1,303 @@
+//! The checks that make a drawing a blueprint, one by one and by name.
+//!
+//! The loader and `lodestone blueprints check` run the same list: the loader stops at the first failure, the command
+//! shows them all.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use serde::Serialize;
+
+use crate::error::{BlueprintError, BlueprintFileError};
+use crate::format::{Draft, MagnetName, NamedPair};
+use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
+use crate::{Blueprint, BlueprintId, Inventory, Link, Placement, RelativePlacement};
+
+/// A check of one file, in the order in which they run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Check {
+    /// The text reads as a blueprint.
+    Format,
+    /// The inventory has the blocks.
+    Inventory,
+    /// No two blocks fill the same cell.
+    Overlap,
+    /// No like poles meet.
+    Polarity,
+    /// The listed magnet pairs are exactly those that meet.
+    Connections,
+    /// The structure is one piece.
+    Connected,
+    /// The centre of mass is over the support polygon by at least [`MIN_SUPPORT_MARGIN_U`].
+    Stands,
+    /// No other file has its id or its structure.
+    Unique,
+}
+
+/// How a check went.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "outcome", rename_all = "kebab-case")]
+pub enum Outcome {
+    /// It holds.
+    Passed,
+    /// It does not.
+    Failed {
+        /// Why, in one line.
+        error: String,
+    },
+    /// It could not run because an earlier one failed.
+    Skipped,
+}
+
+/// A check and how it went.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct CheckResult {
+    /// Which check.
+    pub check: Check,
+    /// How it went.
+    #[serde(flatten)]
+    pub outcome: Outcome,
+}
+
+/// All that was checked on one file.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Name of the file.
+    pub file: String,
+    /// The id, if the text could be read.
+    pub id: Option<BlueprintId>,
+    /// One result per check, in order; [`Check::Unique`] only where several files were checked together.
+    pub results: Vec<CheckResult>,
+    /// The blueprint, if all checks but uniqueness passed, else the first error.
+    pub blueprint: Result<Blueprint, BlueprintFileError>,
+}
+
+impl Check {
+    /// All checks in order.
+    pub const ALL: [Self; 8] = [
+        Self::Format,
+        Self::Inventory,
+        Self::Overlap,
+        Self::Polarity,
+        Self::Connections,
+        Self::Connected,
+        Self::Stands,
+        Self::Unique,
+    ];
+}
+
+impl fmt::Display for Check {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Format => "format",
+            Self::Inventory => "inventory",
+            Self::Overlap => "overlap",
+            Self::Polarity => "polarity",
+            Self::Connections => "connections",
+            Self::Connected => "connected",
+            Self::Stands => "stands",
+            Self::Unique => "unique",
+        })
+    }
+}
+
+impl Report {
+    /// Whether every check passed.
+    pub fn passed(&self) -> bool {
+        self.results.iter().all(|result| result.outcome == Outcome::Passed)
+    }
+}
+
+/// Runs every check but [`Check::Unique`] on a file's text; `file` is only used in messages.
+pub fn check_text(file: &str, text: &str) -> Report {
+    let inventory = Inventory::standard();
+    let mut run = Run::default();
+    let draft = run.record(Check::Format, Draft::parse(text));
+    let placed = draft.as_ref().and_then(|draft| run.record(Check::Inventory, draft.place(inventory)));
+    let mut blueprint = None;
+    if let (Some(draft), Some(placements)) = (&draft, &placed) {
+        let structure = Structure::new(draft, placements, inventory);
+        run.record(Check::Overlap, structure.overlap());
+        run.record(Check::Polarity, structure.polarity());
+        run.record(Check::Connections, structure.connections());
+        run.record(Check::Connected, structure.connected());
+        run.record(Check::Stands, structure.stands());
+        blueprint = Some(structure.blueprint());
+    }
+    for check in Check::ALL.into_iter().take(Check::ALL.len() - 1).skip(run.results.len()) {
+        run.results.push(CheckResult { check, outcome: Outcome::Skipped });
+    }
+    let blueprint = match (run.first_error, blueprint) {
+        (None, Some(blueprint)) => Ok(blueprint),
+        (Some(error), _) => Err(error),
+        (None, None) => unreachable!("without an error every stage has run"),
+    };
+    Report {
+        file: file.to_owned(),
+        id: draft.map(|draft| draft.id),
+        results: run.results,
+        blueprint: blueprint.map_err(|error| BlueprintFileError { file: file.to_owned(), error }),
+    }
+}
+
+/// Runs every check on `(file name, text)` pairs that are to form one catalogue.
+pub fn check_all<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Vec<Report> {
+    let mut reports: Vec<_> = files.into_iter().map(|(file, text)| check_text(file, text)).collect();
+    let mut by_id: BTreeMap<BlueprintId, String> = BTreeMap::new();
+    let mut by_hash: BTreeMap<u64, String> = BTreeMap::new();
+    for report in &mut reports {
+        let outcome = match &report.blueprint {
+            Err(_) => Outcome::Skipped,
+            Ok(blueprint) => {
+                let id_taken = by_id.get(blueprint.id()).map(|other| format!("{other} has the same id"));
+                let hash = blueprint.canonical_hash();
+                let shape_taken = by_hash.get(&hash).map(|other| format!("{other} is the same structure"));
+                by_id.entry(blueprint.id().clone()).or_insert_with(|| report.file.clone());
+                by_hash.entry(hash).or_insert_with(|| report.file.clone());
+                id_taken.or(shape_taken).map_or(Outcome::Passed, |error| Outcome::Failed { error })
+            }
+        };
+        report.results.push(CheckResult { check: Check::Unique, outcome });
+    }
+    reports
+}
+
+#[derive(Default)]
+struct Run {
+    results: Vec<CheckResult>,
+    first_error: Option<BlueprintError>,
+}
+
+impl Run {
+    fn record<T>(&mut self, check: Check, result: Result<T, BlueprintError>) -> Option<T> {
+        let (outcome, value) = match result {
+            Ok(value) => (Outcome::Passed, Some(value)),
+            Err(error) => {
+                let outcome = Outcome::Failed { error: error.to_string() };
+                self.first_error.get_or_insert(error);
+                (outcome, None)
+            }
+        };
+        self.results.push(CheckResult { check, outcome });
+        value
+    }
+}
+
+/// A placed drawing with all magnets that meet; blocks are counted in the order of the file.
+struct Structure<'a> {
+    draft: &'a Draft,
+    placements: &'a [Placement],
+    inventory: &'a Inventory,
+    attracting: BTreeSet<NamedPair>,
+    /// With the place where they meet, in half units.
+    repelling: Vec<(NamedPair, [i32; 3])>,
+}
+
+impl<'a> Structure<'a> {
+    fn new(draft: &'a Draft, placements: &'a [Placement], inventory: &'a Inventory) -> Self {
+        let mut attracting = BTreeSet::new();
+        let mut repelling = Vec::new();
+        for (i, a) in placements.iter().enumerate() {
+            for (j, b) in placements.iter().enumerate().skip(i + 1) {
+                let relative = RelativePlacement::between(a, b);
+                let magnet = |p: &Placement, k: usize| inventory.magnets(p.block)[k];
+                let named = |(p, q)| {
+                    let name = |at: &Placement, k| MagnetName::of(inventory, at.block, &magnet(at, k));
+                    (i, j, name(a, p), name(b, q))
+                };
+                attracting.extend(inventory.magnet_pairs(a.block, b.block, relative).into_iter().map(named));
+                for (p, q) in inventory.clashing_pairs(a.block, b.block, relative) {
+                    let turned = a.rotation.apply(magnet(a, p).position_half_units);
+                    let place = std::array::from_fn(|k| a.center_half_units[k] + turned[k]);
+                    repelling.push((named((p, q)), place));
+                }
+            }
+        }
+        Self { draft, placements, inventory, attracting, repelling }
+    }
+
+    fn name(&self, i: usize) -> String {
+        self.draft.blocks[i].name.clone()
+    }
+
+    fn overlap(&self) -> Result<(), BlueprintError> {
+        let mut filled = BTreeMap::new();
+        for (i, placement) in self.placements.iter().enumerate() {
+            for cell in placement.filled_cells(self.inventory) {
+                if let Some(other) = filled.insert(cell, i) {
+                    return Err(BlueprintError::Overlap { a: self.name(other), b: self.name(i), cell });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn polarity(&self) -> Result<(), BlueprintError> {
+        self.repelling.first().map_or(Ok(()), |&((i, j, p, q), place)| {
+            let (a, b, pair) = (self.name(i), self.name(j), format!("{p} {q}"));
+            Err(BlueprintError::LikePoles { a, b, pair, place_u: place.map(|x| x as f32 / 2.0) })
+        })
+    }
+
+    fn connections(&self) -> Result<(), BlueprintError> {
+        let words = |&(i, j, p, q): &NamedPair| (self.name(i), self.name(j), format!("{p} {q}"));
+        if let Some(pair) = self.draft.pairs.difference(&self.attracting).next() {
+            let (a, b, pair) = words(pair);
+            return Err(BlueprintError::ExtraPair { a, b, pair });
+        }
+        if let Some(pair) = self.attracting.difference(&self.draft.pairs).next() {
+            let (a, b, pair) = words(pair);
+            return Err(BlueprintError::MissingPair { a, b, pair });
+        }
+        Ok(())
+    }
+
+    fn connected(&self) -> Result<(), BlueprintError> {
+        let mut reached = BTreeSet::from([0]);
+        let mut frontier = vec![0];
+        while let Some(at) = frontier.pop() {
+            for &(i, j, ..) in &self.attracting {
+                let next = if i == at { j } else { i };
+                if (i == at || j == at) && reached.insert(next) {
+                    frontier.push(next);
+                }
+            }
+        }
+        (0..self.placements.len()).find(|i| !reached.contains(i)).map_or(Ok(()), |i| {
+            Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) })
+        })
+    }
+
+    fn stands(&self) -> Result<(), BlueprintError> {
+        let stance = stance(self.placements, self.inventory);
+        if stance.margin_u >= MIN_SUPPORT_MARGIN_U {
+            return Ok(());
+        }
+        let [x_u, y_u] = stance.center_u;
+        Err(BlueprintError::Unsupported { x_u, y_u, margin_u: stance.margin_u, min_u: MIN_SUPPORT_MARGIN_U })
+    }
+
+    fn blueprint(&self) -> Blueprint {
+        let mut placements = self.placements.to_vec();
+        placements.sort_by_key(|p| p.block);
+        let mut links = Vec::new();
+        for (i, a) in placements.iter().enumerate() {
+            for b in &placements[i + 1..] {
+                let relative = RelativePlacement::between(a, b);
+                let n_pairs = self.inventory.magnet_pairs(a.block, b.block, relative).len();
+                // Overlapping blocks never get this far, so at most the 8 × 8 magnets of one face meet.
+                if let Some(n_magnet_pairs) = u8::try_from(n_pairs).ok().filter(|&n| n > 0) {
+                    links.push(Link { a: a.block, b: b.block, relative, n_magnet_pairs });
+                }
+            }
+        }
+        Blueprint {
+            id: self.draft.id.clone(),
+            split: self.draft.split,
+            title: self.draft.title.clone(),
+            placements,
+            links,
+        }
+    }
+}

@@ -1,0 +1,246 @@
+//! The TOML text of a blueprint, one structure a file.
+//!
+//! ```toml
+//! id = "2_000"
+//! split = "train"
+//! title = "post on a plank"
+//! provenance = "drawn by hand"
+//! up = "+z"                      # which axis of the drawing points up at rest; +z when left out
+//!
+//! # `at` is the lowest-numbered corner cell that the block fills, in unit cells; `axes` says where the block's own
+//! # x and y axes point in the drawing.
+//! blocks = [
+//!     { name = "plank", type = "2x1x1", at = [0, 0, 0], axes = "+x +y" },
+//!     { name = "post", type = "1x1x1", at = [0, 0, 1], axes = "+x +y" },
+//! ]
+//!
+//! # Every pair of magnets that meet, by face and cell in the block's own frame.
+//! connections = [
+//!     { a = "plank", b = "post", magnets = ["+z(0,0,0) -z(0,0,0)"] },
+//! ]
+//! ```
+
+use std::collections::BTreeSet;
+
+use serde::Deserialize;
+
+use crate::error::BlueprintError;
+use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, Magnet, Placement, Split};
+
+/// Largest coordinate of a cell in a file, either way; it keeps the sums far from overflow.
+pub const MAX_COORDINATE: i32 = 64;
+
+/// A block as written: not yet one of the inventory's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct DraftBlock {
+    pub(crate) name: String,
+    pub(crate) type_name: String,
+    pub(crate) at: [i32; 3],
+    pub(crate) rotation: CubeRotation,
+}
+
+/// A magnet by the words of the file: face as a signed axis, cell in the block's own frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct MagnetName {
+    pub(crate) normal: [i32; 3],
+    pub(crate) cell: [i32; 3],
+}
+
+/// A magnet pair as written: two blocks by their position in the file, the first the smaller, and a magnet of each.
+pub(crate) type NamedPair = (usize, usize, MagnetName, MagnetName);
+
+/// A parsed file whose words are all known but whose structure is not yet checked.
+#[derive(Clone, Debug)]
+pub(crate) struct Draft {
+    pub(crate) id: BlueprintId,
+    pub(crate) split: Split,
+    pub(crate) title: String,
+    pub(crate) up: [i32; 3],
+    pub(crate) blocks: Vec<DraftBlock>,
+    pub(crate) pairs: BTreeSet<NamedPair>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawFile {
+    id: BlueprintId,
+    split: Split,
+    title: String,
+    provenance: String,
+    #[serde(default = "up_is_z")]
+    up: String,
+    blocks: Vec<RawBlock>,
+    connections: Vec<RawConnection>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawBlock {
+    name: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    at: [i32; 3],
+    axes: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawConnection {
+    a: String,
+    b: String,
+    magnets: Vec<String>,
+}
+
+fn up_is_z() -> String {
+    "+z".to_owned()
+}
+
+impl Draft {
+    /// Reads a file's text; the errors are those of form, not of structure.
+    pub(crate) fn parse(text: &str) -> Result<Self, BlueprintError> {
+        let raw: RawFile = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
+        if raw.blocks.len() != raw.id.size() {
+            return Err(BlueprintError::SizeMismatch { id: raw.id, n_blocks: raw.blocks.len() });
+        }
+        for (field, value) in [("title", &raw.title), ("provenance", &raw.provenance)] {
+            if value.trim().is_empty() {
+                return Err(BlueprintError::Empty(field));
+            }
+        }
+        let up = parse_axis(&raw.up).ok_or(BlueprintError::BadUp(raw.up))?;
+        let mut blocks: Vec<DraftBlock> = Vec::new();
+        for block in raw.blocks {
+            if block.name.is_empty() || blocks.iter().any(|other| other.name == block.name) {
+                return Err(BlueprintError::BadBlockName(block.name));
+            }
+            if block.at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
+                return Err(BlueprintError::OutOfRange { block: block.name, at: block.at });
+            }
+            let rotation = block.axes.split_once(' ').and_then(|(x, y)| {
+                let (x, y) = (parse_axis(x)?, parse_axis(y)?);
+                CubeRotation::from_images(x, y)
+            });
+            let rotation =
+                rotation.ok_or(BlueprintError::BadAxes { block: block.name.clone(), axes: block.axes })?;
+            blocks.push(DraftBlock { name: block.name, type_name: block.type_name, at: block.at, rotation });
+        }
+        let pairs = parse_pairs(raw.connections, &blocks)?;
+        Ok(Self { id: raw.id, split: raw.split, title: raw.title, up, blocks, pairs })
+    }
+
+    /// Gives every block of the file a block of the inventory, the k-th of a type the k-th, and turns the drawing so
+    /// that `up` is +z and its lowest corner lies at the origin. Placements are in the order of the file.
+    pub(crate) fn place(&self, inventory: &Inventory) -> Result<Vec<Placement>, BlueprintError> {
+        let upright = CubeRotation::all().find(|r| r.apply(self.up) == [0, 0, 1]).unwrap_or(CubeRotation::IDENTITY);
+        let mut placements = Vec::with_capacity(self.blocks.len());
+        for (i, block) in self.blocks.iter().enumerate() {
+            let same = inventory.blocks_of_type(&block.type_name);
+            if same.is_empty() {
+                return Err(BlueprintError::UnknownType {
+                    block: block.name.clone(),
+                    type_name: block.type_name.clone(),
+                    known: inventory.types().iter().map(|t| t.name.as_str()).collect::<Vec<_>>().join(", "),
+                });
+            }
+            let n_before = self.blocks[..i].iter().filter(|other| other.type_name == block.type_name).count();
+            let idx = *same.get(n_before).ok_or_else(|| BlueprintError::TooMany {
+                block: block.name.clone(),
+                type_name: block.type_name.clone(),
+                count: same.len(),
+            })?;
+            let size = block.rotation.apply(inventory.cells(idx).map(i32::from)).map(i32::abs);
+            let center = std::array::from_fn(|k| 2 * block.at[k] + size[k]);
+            placements.push(Placement {
+                block: idx,
+                center_half_units: upright.apply(center),
+                rotation: upright.compose(block.rotation),
+            });
+        }
+        move_to_origin(&mut placements, inventory);
+        Ok(placements)
+    }
+}
+
+impl MagnetName {
+    /// The name of a magnet of the given block.
+    pub(crate) fn of(inventory: &Inventory, block: BlockIdx, magnet: &Magnet) -> Self {
+        let cells = inventory.cells(block).map(i32::from);
+        // The cell's centre lies half a cell inside the face.
+        let cell = std::array::from_fn(|k| (magnet.position_half_units[k] - magnet.normal[k] + cells[k] - 1) / 2);
+        Self { normal: magnet.normal, cell }
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let (face, cell) = text.strip_suffix(')')?.split_once('(')?;
+        let cell: Vec<i32> = cell.split(',').map(|n| n.trim().parse().ok()).collect::<Option<_>>()?;
+        Some(Self { normal: parse_axis(face)?, cell: cell.try_into().ok()? })
+    }
+}
+
+impl std::fmt::Display for MagnetName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let axis = self.normal.iter().position(|&x| x != 0).unwrap_or(0);
+        let sign = if self.normal[axis] > 0 { '+' } else { '-' };
+        let [x, y, z] = self.cell;
+        write!(f, "{sign}{}({x},{y},{z})", ["x", "y", "z"][axis])
+    }
+}
+
+fn parse_pairs(
+    connections: Vec<RawConnection>,
+    blocks: &[DraftBlock],
+) -> Result<BTreeSet<NamedPair>, BlueprintError> {
+    let find = |name: &str| {
+        let position = blocks.iter().position(|block| block.name == name);
+        position.ok_or_else(|| BlueprintError::UnknownBlock(name.to_owned()))
+    };
+    let mut pairs = BTreeSet::new();
+    for RawConnection { a, b, magnets } in connections {
+        let (i, j) = (find(&a)?, find(&b)?);
+        if i == j {
+            return Err(BlueprintError::SelfConnection(a));
+        }
+        if magnets.is_empty() {
+            return Err(BlueprintError::NoMagnets { a, b });
+        }
+        for text in magnets {
+            let parsed = text.split_once(' ').and_then(|(p, q)| Some((MagnetName::parse(p)?, MagnetName::parse(q)?)));
+            let (p, q) = parsed.ok_or_else(|| BlueprintError::BadMagnetPair(text.clone()))?;
+            if !pairs.insert(if i < j { (i, j, p, q) } else { (j, i, q, p) }) {
+                return Err(BlueprintError::RepeatedPair { a, b, pair: text });
+            }
+        }
+    }
+    Ok(pairs)
+}
+
+fn move_to_origin(placements: &mut [Placement], inventory: &Inventory) {
+    let corner = |p: &Placement, k: usize| p.center_half_units[k] - p.size_cells(inventory)[k];
+    let lowest: [i32; 3] =
+        std::array::from_fn(|k| placements.iter().map(|p| corner(p, k)).min().unwrap_or(0));
+    for placement in placements {
+        placement.center_half_units = std::array::from_fn(|k| placement.center_half_units[k] - lowest[k]);
+    }
+}
+
+/// Reads `+x`, `-y` and the like.
+fn parse_axis(text: &str) -> Option<[i32; 3]> {
+    let (sign, axis) = match text.as_bytes() {
+        [b'+', axis] => (1, axis),
+        [b'-', axis] => (-1, axis),
+        _ => return None,
+    };
+    match axis {
+        b'x' => Some([sign, 0, 0]),
+        b'y' => Some([0, sign, 0]),
+        b'z' => Some([0, 0, sign]),
+        _ => None,
+    }
+}
+
+/// The parser's message on one line, with the line where it stumbled.
+fn syntax_error(text: &str, error: &toml::de::Error) -> BlueprintError {
+    let start = error.span().map_or(0, |span| span.start.min(text.len()));
+    let line = 1 + text.as_bytes()[..start].iter().filter(|&&b| b == b'\n').count();
+    BlueprintError::Syntax { line, message: error.message().replace('\n', ", ") }
+}

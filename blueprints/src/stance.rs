@@ -1,0 +1,87 @@
+//! Whether a structure stands: its centre of mass over the convex hull of what touches the ground.
+
+use crate::{Inventory, Placement};
+
+/// Least distance from the centre of mass to the edge of the support polygon that a blueprint must have, in units.
+pub const MIN_SUPPORT_MARGIN_U: f64 = 0.1;
+
+/// Where a structure's weight rests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stance {
+    /// Horizontal position of the centre of mass from the structure's frame, in units. All blocks have one density.
+    pub center_u: [f64; 2],
+    /// Distance from there to the nearest edge of the support polygon in units, negative outside it.
+    pub margin_u: f64,
+}
+
+/// Computes where a rigid structure with at least one block rests when its cells at z = 0 touch the ground.
+pub fn stance(placements: &[Placement], inventory: &Inventory) -> Stance {
+    let cells: Vec<[i32; 3]> = placements.iter().flat_map(|p| p.filled_cells(inventory)).collect();
+    let mean = |axis: usize| {
+        let sum: i32 = cells.iter().map(|cell| cell[axis]).sum();
+        f64::from(sum) / cells.len() as f64 + 0.5
+    };
+    let center_u = [mean(0), mean(1)];
+    let corners = cells.iter().filter(|cell| cell[2] == 0).flat_map(|&[x, y, _]| {
+        [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]]
+    });
+    let hull = convex_hull(corners.collect());
+    let margin_u = (0..hull.len())
+        .map(|i| distance_inside(hull[i], hull[(i + 1) % hull.len()], center_u))
+        .fold(f64::INFINITY, f64::min);
+    Stance { center_u, margin_u }
+}
+
+/// Signed distance of `p` from the line `a`→`b`, positive on its left.
+fn distance_inside(a: [i32; 2], b: [i32; 2], p: [f64; 2]) -> f64 {
+    let (dx, dy) = (f64::from(b[0] - a[0]), f64::from(b[1] - a[1]));
+    (dx * (p[1] - f64::from(a[1])) - dy * (p[0] - f64::from(a[0]))) / dx.hypot(dy)
+}
+
+/// The corners of the convex hull, counter-clockwise (Andrew's monotone chain).
+fn convex_hull(mut points: Vec<[i32; 2]>) -> Vec<[i32; 2]> {
+    points.sort_unstable();
+    points.dedup();
+    let mut hull = half_hull(points.iter().copied());
+    hull.extend(half_hull(points.iter().rev().copied()));
+    hull
+}
+
+/// One side of the hull without its last point, which begins the other side.
+fn half_hull(points: impl Iterator<Item = [i32; 2]>) -> Vec<[i32; 2]> {
+    let mut chain: Vec<[i32; 2]> = Vec::new();
+    for p in points {
+        while let [.., a, b] = chain[..]
+            && (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) <= 0
+        {
+            chain.pop();
+        }
+        chain.push(p);
+    }
+    chain.pop();
+    chain
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{BlockIdx, CubeRotation};
+
+    fn cube(x: i32, y: i32, z: i32) -> Placement {
+        let block = BlockIdx::try_from(0).unwrap();
+        Placement { block, center_half_units: [2 * x + 1, 2 * y + 1, 2 * z + 1], rotation: CubeRotation::IDENTITY }
+    }
+
+    #[test]
+    fn the_margin_is_the_distance_to_the_nearest_edge() {
+        let check = |placements: &[Placement], margin_u: f64| {
+            let got = stance(placements, Inventory::standard()).margin_u;
+            assert!((got - margin_u).abs() < 1e-12, "{got} is not {margin_u}");
+        };
+        check(&[cube(0, 0, 0)], 0.5);
+        // Two cells of overhang put the centre at x = (0.5 + 0.5 + 1.5 + 2.5) / 4 = 1.25, past the edge at 1.
+        check(&[cube(0, 0, 0), cube(0, 0, 1), cube(1, 0, 1), cube(2, 0, 1)], -0.25);
+        // Feet at (0,0) and (1,1): the hull's long edges are x − y = ±1, at 1/√2 from the centre (1, 1).
+        check(&[cube(0, 0, 0), cube(1, 1, 0)], std::f64::consts::FRAC_1_SQRT_2);
+    }
+}
