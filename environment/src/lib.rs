@@ -1,1 +1,25 @@
+//! The physical world of magnet blocks: initial states, steps, rewards and success.
+//!
+//! Reading order: [`env`] (what a world offers) → [`world`] → `reset`, `grippers`, `magnets`, `connections` (what happens
+//! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`config`].
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod config;
+pub mod env;
+pub mod reward;
+pub mod success;
+pub mod world;
+
+mod connections;
+mod convert;
+mod engine;
+mod grippers;
+mod magnets;
+mod reset;
+
+pub use config::{EnvironmentConfig, EnvironmentConfigError};
+pub use env::{Env, ResetError, StepResult};
+pub use reset::sample_assignment;
+pub use success::StableSuccess;
+pub use world::World;

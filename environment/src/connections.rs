@@ -1,0 +1,238 @@
+//! The connections between blocks: attraction, snap, load and break.
+
+use blueprints::{BlockIdx, Inventory, N_BLOCKS, Placement, RelativePlacement};
+use nalgebra::{Isometry3, Vector3};
+use proto::Joint;
+
+use crate::config::{MagnetConfig, PhysicsConfig};
+use crate::engine::{Engine, JointHandle};
+use crate::magnets::{Frame, MagnetPair, MagnetTable, magnet_position_m};
+
+/// A connection that exists.
+struct Connection {
+    joint: Joint,
+    handle: JointHandle,
+    /// Magnet pairs that count for its strength.
+    n_strong_pairs: f32,
+    /// Substeps of the soft and unbreakable beginning that are left.
+    snap_left: u16,
+    /// Running mean of its load; it breaks above 1.
+    load: f32,
+}
+
+/// All connections of a world.
+pub(crate) struct Connections {
+    table: MagnetTable,
+    config: MagnetConfig,
+    substep_s: f32,
+    live: Vec<Connection>,
+    /// Substeps for which a pair of blocks stays inert after a break, `[lower][higher]`.
+    cooldown: [[u16; N_BLOCKS]; N_BLOCKS],
+    linked: [[bool; N_BLOCKS]; N_BLOCKS],
+    /// Lowest block of each block's component.
+    components: [usize; N_BLOCKS],
+}
+
+impl Connections {
+    pub(crate) fn new(config: &MagnetConfig, physics: &PhysicsConfig, inventory: &Inventory) -> Self {
+        Self {
+            table: MagnetTable::new(inventory),
+            config: config.clone(),
+            substep_s: physics.substep_s(),
+            live: vec![],
+            cooldown: [[0; N_BLOCKS]; N_BLOCKS],
+            linked: [[false; N_BLOCKS]; N_BLOCKS],
+            components: std::array::from_fn(|i| i),
+        }
+    }
+
+    /// Forgets all connections; the engine's joints must be gone already.
+    pub(crate) fn clear(&mut self) {
+        self.live.clear();
+        self.cooldown = [[0; N_BLOCKS]; N_BLOCKS];
+        self.regroup();
+    }
+
+    /// Connects two blocks that stand as `joint` says, with no snap.
+    pub(crate) fn insert_built(&mut self, engine: &mut Engine, joint: Joint) {
+        self.insert(engine, joint, 0);
+    }
+
+    /// The connections, sorted.
+    pub(crate) fn joints(&self) -> Vec<Joint> {
+        let mut joints: Vec<_> = self.live.iter().map(|c| c.joint).collect();
+        joints.sort_unstable();
+        joints
+    }
+
+    /// Whether two blocks hang together through connections.
+    pub(crate) fn same_component(&self, a: BlockIdx, b: BlockIdx) -> bool {
+        self.components[a.get()] == self.components[b.get()]
+    }
+
+    /// Attracts and snaps; to be called before a substep.
+    pub(crate) fn attract(&mut self, engine: &mut Engine) {
+        for row in &mut self.cooldown {
+            row.iter_mut().for_each(|left| *left = left.saturating_sub(1));
+        }
+        let poses: [Isometry3<f32>; N_BLOCKS] = block_array(|block| engine.pose(block));
+        let frames = poses.each_ref().map(Frame::new);
+        let asleep = block_array(|block| engine.is_asleep(block));
+        let reach = self.config.attraction_range_m.max(self.config.snap_gap_m);
+        for a in BlockIdx::all() {
+            for b in BlockIdx::all().skip(a.get() + 1) {
+                let (i, j) = (a.get(), b.get());
+                if (asleep[i] && asleep[j]) || self.linked[i][j] || self.cooldown[i][j] > 0 {
+                    continue;
+                }
+                if self.table.may_touch((a, &frames[i]), (b, &frames[j]), reach) {
+                    self.attract_pair(engine, (a, &poses[i], &frames[i]), (b, &poses[j], &frames[j]), reach);
+                }
+            }
+        }
+    }
+
+    /// Measures loads and breaks at most one connection; to be called after a substep.
+    ///
+    /// Only one, and the rest of its component starts afresh: the load is shared anew once a connection has gone, and
+    /// without this whole chains burst at once.
+    pub(crate) fn strain(&mut self, engine: &mut Engine) {
+        let break_torque_per_n = blueprints::UNIT_M;
+        let mut worst: Option<(usize, f32)> = None;
+        for (i, connection) in self.live.iter_mut().enumerate() {
+            if connection.snap_left > 0 {
+                connection.snap_left -= 1;
+                if connection.snap_left == 0 {
+                    engine.set_joint_frequency(connection.handle, self.config.hold_frequency_hz);
+                }
+                continue;
+            }
+            if engine.is_asleep(connection.joint.a) && engine.is_asleep(connection.joint.b) {
+                continue;
+            }
+            let (force, torque) = engine.joint_load(connection.handle);
+            let strength = connection.n_strong_pairs * self.config.break_force_n;
+            let load = (force / strength).max(torque / (strength * break_torque_per_n));
+            connection.load += (1.0 - self.config.load_smoothing) * (load - connection.load);
+            if connection.load > 1.0 && worst.is_none_or(|(_, most)| connection.load > most) {
+                worst = Some((i, connection.load));
+            }
+        }
+        if let Some((i, _)) = worst {
+            self.break_connection(engine, i);
+        }
+    }
+
+    fn break_connection(&mut self, engine: &mut Engine, index: usize) {
+        let component = self.components[self.live[index].joint.a.get()];
+        for connection in &mut self.live {
+            if self.components[connection.joint.a.get()] == component {
+                connection.load = 0.0;
+            }
+        }
+        let broken = self.live.remove(index);
+        engine.remove_joint(broken.handle);
+        self.cooldown[broken.joint.a.get()][broken.joint.b.get()] = self.substeps(self.config.cooldown_ms);
+        self.regroup();
+    }
+
+    fn attract_pair(
+        &mut self,
+        engine: &mut Engine,
+        (a, pose_a, frame_a): (BlockIdx, &Isometry3<f32>, &Frame),
+        (b, pose_b, frame_b): (BlockIdx, &Isometry3<f32>, &Frame),
+        reach: f32,
+    ) {
+        let mut nearest: Option<MagnetPair> = None;
+        let (config, substep_s) = (&self.config, self.substep_s);
+        self.table.for_each_pair((a, frame_a), (b, frame_b), reach, |pair| {
+            if nearest.is_none_or(|best| pair.distance < best.distance) {
+                nearest = Some(pair);
+            }
+            let impulse = pair.attraction(config) * substep_s;
+            engine.apply_impulse(a, -impulse, pair.point_a);
+            engine.apply_impulse(b, impulse, pair.point_b);
+        });
+        let Some(relative) = nearest.and_then(|pair| pair.snap(pose_a, pose_b, &self.config)) else { return };
+        // In one component the lattice already says how the two stand; another snap would tear at it for ever.
+        if self.same_component(a, b) && self.relative_in_component(a, b) != Some(relative) {
+            return;
+        }
+        self.insert(engine, Joint { a, b, relative }, self.substeps(self.config.snap_ms));
+    }
+
+    fn insert(&mut self, engine: &mut Engine, joint: Joint, snap_left: u16) {
+        let inventory = Inventory::standard();
+        let pairs = inventory.magnet_pairs(joint.a, joint.b, joint.relative);
+        if pairs.is_empty() {
+            return;
+        }
+        // The joint acts at the middle of the magnets that meet, so that its torque is the one that they must carry.
+        let magnets = inventory.magnets(joint.a);
+        let sum: Vector3<f32> = pairs.iter().map(|&(m, _)| magnet_position_m(&magnets[m])).sum();
+        let middle = sum / pairs.len() as f32;
+        let b_in_a = Isometry3::from_parts(joint.relative.position_m().into(), joint.relative.rotation.quaternion());
+        let frame_a = Isometry3::translation(middle.x, middle.y, middle.z);
+        let frame_b = b_in_a.inverse() * frame_a;
+        let frequency =
+            if snap_left > 0 { self.config.snap_frequency_hz } else { self.config.hold_frequency_hz };
+        let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency);
+        let n_strong_pairs = pairs.len().min(usize::from(self.config.break_max_pairs)) as f32;
+        self.live.push(Connection { joint, handle, n_strong_pairs, snap_left, load: 0.0 });
+        self.regroup();
+    }
+
+    /// The lattice pose of `b` seen from `a` along the connections; `None` if no path joins them.
+    fn relative_in_component(&self, a: BlockIdx, b: BlockIdx) -> Option<RelativePlacement> {
+        let origin = Placement { block: a, center_half_units: [0; 3], rotation: blueprints::CubeRotation::IDENTITY };
+        let mut reached = vec![origin];
+        let mut next = 0;
+        while next < reached.len() {
+            let from = reached[next];
+            next += 1;
+            if from.block == b {
+                return Some(RelativePlacement::between(&origin, &from));
+            }
+            for connection in &self.live {
+                let Joint { a: low, b: high, relative } = connection.joint;
+                let (to, step) = if low == from.block {
+                    (high, relative)
+                } else if high == from.block {
+                    (low, relative.inverse())
+                } else {
+                    continue;
+                };
+                if reached.iter().all(|p| p.block != to) {
+                    let offset = from.rotation.apply(step.offset_half_units);
+                    reached.push(Placement {
+                        block: to,
+                        center_half_units: std::array::from_fn(|i| from.center_half_units[i] + offset[i]),
+                        rotation: from.rotation.compose(step.rotation),
+                    });
+                }
+            }
+        }
+        None
+    }
+
+    fn regroup(&mut self) {
+        self.linked = [[false; N_BLOCKS]; N_BLOCKS];
+        self.components = std::array::from_fn(|i| i);
+        for connection in &self.live {
+            let (a, b) = (connection.joint.a.get(), connection.joint.b.get());
+            self.linked[a][b] = true;
+            let (keep, drop) = (self.components[a].min(self.components[b]), self.components[a].max(self.components[b]));
+            self.components.iter_mut().filter(|c| **c == drop).for_each(|c| *c = keep);
+        }
+    }
+
+    fn substeps(&self, ms: f32) -> u16 {
+        (ms / (self.substep_s * 1000.0)).round() as u16
+    }
+}
+
+/// One value per block.
+pub(crate) fn block_array<T>(mut f: impl FnMut(BlockIdx) -> T) -> [T; N_BLOCKS] {
+    let mut blocks = BlockIdx::all();
+    std::array::from_fn(|_| f(blocks.next().expect("there are N_BLOCKS blocks")))
+}

@@ -1,0 +1,38 @@
+//! The border between nalgebra (everywhere else) and glam (rapier's own types); nothing else may name glam.
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use proto::Pose;
+use rapier3d::math;
+
+pub(crate) fn to_rapier(v: Vector3<f32>) -> math::Vector {
+    math::Vector::new(v.x, v.y, v.z)
+}
+
+pub(crate) fn from_rapier(v: math::Vector) -> Vector3<f32> {
+    Vector3::new(v.x, v.y, v.z)
+}
+
+pub(crate) fn pose_to_rapier(pose: &Isometry3<f32>) -> math::Pose {
+    let q = pose.rotation;
+    math::Pose::from_parts(to_rapier(pose.translation.vector), math::Rotation::from_xyzw(q.i, q.j, q.k, q.w))
+}
+
+pub(crate) fn pose_from_rapier(pose: &math::Pose) -> Isometry3<f32> {
+    let q = pose.rotation;
+    // Not normalised again: the engine keeps its quaternions normalised, and a second pass would change their last bit.
+    let rotation = UnitQuaternion::new_unchecked(Quaternion::new(q.w, q.x, q.y, q.z));
+    Isometry3::from_parts(Translation3::from(from_rapier(pose.translation)), rotation)
+}
+
+/// The pose as it travels.
+pub(crate) fn to_pose(pose: &Isometry3<f32>) -> Pose {
+    let q = pose.rotation;
+    Pose { position: pose.translation.vector.into(), orientation: [q.i, q.j, q.k, q.w] }
+}
+
+/// The pose as used in calculations; the quaternion is normalised, because one that travelled may be off by rounding.
+pub(crate) fn from_pose(pose: &Pose) -> Isometry3<f32> {
+    let [x, y, z, w] = pose.orientation;
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+    Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), rotation)
+}

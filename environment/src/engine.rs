@@ -1,0 +1,256 @@
+//! The rigid-body engine: 16 blocks and a ground in rapier, with only what the world needs of it.
+
+use blueprints::{BlockIdx, Inventory, N_BLOCKS};
+use nalgebra::{Isometry3, Vector3};
+use rapier3d::dynamics::{
+    CCDSolver, GenericJointBuilder, ImpulseJointHandle, ImpulseJointSet, IntegrationParameters, IslandManager,
+    JointAxesMask, JointAxis, MotorModel, MultibodyJointSet, RigidBody, RigidBodyBuilder, RigidBodyHandle,
+    RigidBodySet, SoftBodySet, SpringCoefficients,
+};
+use rapier3d::geometry::{BroadPhaseBvh, ColliderBuilder, ColliderSet, NarrowPhase};
+use rapier3d::pipeline::PhysicsPipeline;
+
+use crate::config::PhysicsConfig;
+use crate::convert::{from_rapier, pose_from_rapier, pose_to_rapier, to_rapier};
+
+/// Half of the ground's size in metres; blocks end their episode before they can reach its rim.
+const GROUND_HALF_EXTENTS_M: [f32; 3] = [6.0, 6.0, 0.5];
+
+/// A joint of the engine.
+pub(crate) type JointHandle = ImpulseJointHandle;
+
+/// What a step reads and writes.
+#[derive(Clone)]
+struct Bodies {
+    islands: IslandManager,
+    broad_phase: BroadPhaseBvh,
+    narrow_phase: NarrowPhase,
+    bodies: RigidBodySet,
+    colliders: ColliderSet,
+    joints: ImpulseJointSet,
+    multibody_joints: MultibodyJointSet,
+    soft_bodies: SoftBodySet,
+}
+
+/// 16 blocks, a ground and joints.
+pub(crate) struct Engine {
+    parameters: IntegrationParameters,
+    gravity: Vector3<f32>,
+    pipeline: PhysicsPipeline,
+    ccd: CCDSolver,
+    now: Bodies,
+    template: Bodies,
+    handles: [RigidBodyHandle; N_BLOCKS],
+    ground: RigidBodyHandle,
+    physics: PhysicsConfig,
+}
+
+/// Velocity of a rigid body: linear (of its centre) and angular, world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Velocity {
+    pub(crate) linear: Vector3<f32>,
+    pub(crate) angular: Vector3<f32>,
+}
+
+impl Engine {
+    pub(crate) fn new(physics: &PhysicsConfig, inventory: &Inventory) -> Self {
+        let mut template = Bodies {
+            islands: IslandManager::new(),
+            broad_phase: BroadPhaseBvh::default(),
+            narrow_phase: NarrowPhase::new(),
+            bodies: RigidBodySet::new(),
+            colliders: ColliderSet::new(),
+            joints: ImpulseJointSet::new(),
+            multibody_joints: MultibodyJointSet::new(),
+            soft_bodies: SoftBodySet::new(),
+        };
+        let [x, y, z] = GROUND_HALF_EXTENTS_M;
+        // A cuboid, not a half-space: contacts with it cost a third less.
+        let ground =
+            template.bodies.insert(RigidBodyBuilder::fixed().translation(to_rapier(Vector3::new(0.0, 0.0, -z))));
+        let collider = ColliderBuilder::cuboid(x, y, z).friction(physics.friction);
+        template.colliders.insert_with_parent(collider, ground, &mut template.bodies);
+        let blocks: Vec<_> = BlockIdx::all()
+            .map(|block| {
+                let body = RigidBodyBuilder::dynamic()
+                    .linear_damping(physics.damping_hz)
+                    .angular_damping(physics.damping_hz)
+                    .ccd_enabled(false)
+                    // Apart from each other and the ground until a reset places them.
+                    .translation(to_rapier(Vector3::new(block.get() as f32, 0.0, 1.0)));
+                let handle = template.bodies.insert(body);
+                let [x, y, z] = inventory.half_extents_m(block);
+                let collider =
+                    ColliderBuilder::cuboid(x, y, z).density(physics.density_kgpm3).friction(physics.friction);
+                template.colliders.insert_with_parent(collider, handle, &mut template.bodies);
+                handle
+            })
+            .collect();
+        let parameters = IntegrationParameters {
+            dt: physics.substep_s(),
+            // The engine's tolerances are fractions of this; at 1 they are huge beside a 10 cm block.
+            length_unit: blueprints::UNIT_M,
+            // One solver iteration, because a joint reports the impulse of its last iteration only; the inner ones add up.
+            num_solver_iterations: 1,
+            num_internal_pgs_iterations: 4,
+            ..IntegrationParameters::default()
+        };
+        Self {
+            parameters,
+            gravity: Vector3::new(0.0, 0.0, -physics.gravity_mps2),
+            pipeline: PhysicsPipeline::new(),
+            ccd: CCDSolver::new(),
+            now: template.clone(),
+            template,
+            handles: std::array::from_fn(|i| blocks[i]),
+            ground,
+            physics: physics.clone(),
+        }
+    }
+
+    /// Puts the blocks at rest at `poses` without joints.
+    ///
+    /// Everything that a step can read is replaced, because bodies that are only moved back keep caches that change the
+    /// last bits of what follows.
+    pub(crate) fn reset(&mut self, poses: &[Isometry3<f32>; N_BLOCKS]) {
+        self.now.clone_from(&self.template);
+        self.pipeline = PhysicsPipeline::new();
+        self.ccd = CCDSolver::new();
+        for (block, pose) in BlockIdx::all().zip(poses) {
+            self.body_mut(block).set_position(pose_to_rapier(pose), true);
+        }
+    }
+
+    /// Advances by one substep.
+    pub(crate) fn substep(&mut self) {
+        self.pipeline.step(
+            to_rapier(self.gravity),
+            &self.parameters,
+            &mut self.now.islands,
+            &mut self.now.broad_phase,
+            &mut self.now.narrow_phase,
+            &mut self.now.bodies,
+            &mut self.now.colliders,
+            &mut self.now.joints,
+            &mut self.now.multibody_joints,
+            &mut self.now.soft_bodies,
+            &mut self.ccd,
+            &(),
+            &(),
+        );
+    }
+
+    pub(crate) fn pose(&self, block: BlockIdx) -> Isometry3<f32> {
+        pose_from_rapier(self.body(block).position())
+    }
+
+    pub(crate) fn velocity(&self, block: BlockIdx) -> Velocity {
+        let body = self.body(block);
+        Velocity { linear: from_rapier(body.linvel()), angular: from_rapier(body.angvel()) }
+    }
+
+    pub(crate) fn mass_kg(&self, block: BlockIdx) -> f32 {
+        self.body(block).mass()
+    }
+
+    pub(crate) fn is_asleep(&self, block: BlockIdx) -> bool {
+        self.body(block).is_sleeping()
+    }
+
+    pub(crate) fn set_velocity(&mut self, block: BlockIdx, velocity: Velocity) {
+        let body = self.body_mut(block);
+        body.set_linvel(to_rapier(velocity.linear), true);
+        body.set_angvel(to_rapier(velocity.angular), true);
+    }
+
+    pub(crate) fn set_gravity(&mut self, block: BlockIdx, on: bool) {
+        let scale = if on { 1.0 } else { 0.0 };
+        if self.body(block).gravity_scale() != scale {
+            self.body_mut(block).set_gravity_scale(scale, true);
+        }
+    }
+
+    /// Impulse in N·s at a point, world frame.
+    pub(crate) fn apply_impulse(&mut self, block: BlockIdx, impulse: Vector3<f32>, point: Vector3<f32>) {
+        self.body_mut(block).apply_impulse_at_point(to_rapier(impulse), to_rapier(point), true);
+    }
+
+    /// A joint that holds `frame_a` of `a` and `frame_b` of `b` together.
+    pub(crate) fn insert_fixed_joint(
+        &mut self,
+        (a, frame_a): (BlockIdx, Isometry3<f32>),
+        (b, frame_b): (BlockIdx, Isometry3<f32>),
+        frequency_hz: f32,
+    ) -> JointHandle {
+        let joint = GenericJointBuilder::new(JointAxesMask::LOCKED_FIXED_AXES)
+            .local_frame1(pose_to_rapier(&frame_a))
+            .local_frame2(pose_to_rapier(&frame_b))
+            // The joint alone decides the pose: contacts between the two would fight it.
+            .contacts_enabled(false)
+            .softness(SpringCoefficients::new(frequency_hz, 1.0));
+        self.now.joints.insert(self.handles[a.get()], self.handles[b.get()], joint, true)
+    }
+
+    pub(crate) fn set_joint_frequency(&mut self, joint: JointHandle, frequency_hz: f32) {
+        if let Some(joint) = self.now.joints.get_mut(joint, false) {
+            joint.data.softness = SpringCoefficients::new(frequency_hz, 1.0);
+        }
+    }
+
+    /// Force (N) and torque (N·m) that the joint carried in the last substep.
+    pub(crate) fn joint_load(&self, joint: JointHandle) -> (f32, f32) {
+        let Some(joint) = self.now.joints.get(joint) else { return (0.0, 0.0) };
+        let [fx, fy, fz, tx, ty, tz] = joint.impulses;
+        // The engine measures a joint's angle as the sine of half of it, so its angular impulses count twice.
+        let torque = 0.5 * Vector3::new(tx, ty, tz).norm();
+        (Vector3::new(fx, fy, fz).norm() / self.parameters.dt, torque / self.parameters.dt)
+    }
+
+    /// A force-limited motor between the ground and the block's centre.
+    pub(crate) fn insert_motor(&mut self, block: BlockIdx, target: Velocity) -> JointHandle {
+        let mut joint = GenericJointBuilder::new(JointAxesMask::empty()).build();
+        let (linear, angular) = (target.linear, target.angular);
+        for (axis, velocity) in
+            [(JointAxis::LinX, linear.x), (JointAxis::LinY, linear.y), (JointAxis::LinZ, linear.z)]
+        {
+            joint.set_motor_velocity(axis, velocity, self.physics.motor_damping);
+            joint.set_motor_model(axis, MotorModel::ForceBased);
+            joint.set_motor_max_force(axis, self.physics.motor_force_n);
+        }
+        for (axis, velocity) in
+            [(JointAxis::AngX, angular.x), (JointAxis::AngY, angular.y), (JointAxis::AngZ, angular.z)]
+        {
+            joint.set_motor_velocity(axis, velocity, self.physics.motor_angular_damping);
+            joint.set_motor_model(axis, MotorModel::ForceBased);
+            joint.set_motor_max_force(axis, self.physics.motor_torque_nm);
+        }
+        self.now.joints.insert(self.ground, self.handles[block.get()], joint, true)
+    }
+
+    pub(crate) fn remove_joint(&mut self, joint: JointHandle) {
+        self.now.joints.remove(joint, true);
+    }
+
+    /// Calls `f` with the two bodies of every contact that carried more than `min_force_n` in the last substep; `None`
+    /// is the ground.
+    pub(crate) fn for_each_contact(&self, min_force_n: f32, mut f: impl FnMut([Option<BlockIdx>; 2])) {
+        let min_impulse = min_force_n * self.parameters.dt;
+        for pair in self.now.narrow_phase.contact_pairs() {
+            if pair.total_impulse_magnitude() > min_impulse {
+                let block = |collider| {
+                    let body = self.now.colliders.get(collider)?.parent()?;
+                    BlockIdx::all().find(|b| self.handles[b.get()] == body)
+                };
+                f([block(pair.collider1), block(pair.collider2)]);
+            }
+        }
+    }
+
+    fn body(&self, block: BlockIdx) -> &RigidBody {
+        &self.now.bodies[self.handles[block.get()]]
+    }
+
+    fn body_mut(&mut self, block: BlockIdx) -> &mut RigidBody {
+        &mut self.now.bodies[self.handles[block.get()]]
+    }
+}

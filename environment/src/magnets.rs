@@ -1,0 +1,200 @@
+//! The geometry of two blocks' magnets: which attract, and which are close enough to snap.
+
+use blueprints::{BlockIdx, CubeRotation, Inventory, Magnet, N_BLOCKS, Polarity, RelativePlacement, UNIT_M};
+use nalgebra::{Isometry3, Matrix3, Vector3};
+
+use crate::config::MagnetConfig;
+
+/// Two faces attract only if their normals are opposed to within 45°.
+const MIN_FACE_COSINE: f32 = std::f32::consts::FRAC_1_SQRT_2;
+
+/// A pose with its rotation as a matrix, since a block is compared with up to 15 others.
+#[derive(Clone, Copy)]
+pub(crate) struct Frame {
+    pub(crate) position: Vector3<f32>,
+    pub(crate) rotation: Matrix3<f32>,
+}
+
+/// An opposite pair of magnets within reach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct MagnetPair {
+    /// The magnet of the first block, world frame, m.
+    pub(crate) point_a: Vector3<f32>,
+    /// The magnet of the second block, world frame, m.
+    pub(crate) point_b: Vector3<f32>,
+    /// Distance between them, m.
+    pub(crate) distance: f32,
+    /// Position of each magnet in its block's frame, half units.
+    local: [[i32; 3]; 2],
+}
+
+/// The blocks' magnets as the hot loop wants them.
+pub(crate) struct MagnetTable {
+    half_extents: [Vector3<f32>; N_BLOCKS],
+    radii: [f32; N_BLOCKS],
+    /// Magnets by face, +x −x +y −y +z −z, with the position in metres beside the one in half units.
+    faces: [[Vec<(Vector3<f32>, [i32; 3])>; 6]; N_BLOCKS],
+}
+
+impl Frame {
+    pub(crate) fn new(pose: &Isometry3<f32>) -> Self {
+        Self { position: pose.translation.vector, rotation: pose.rotation.to_rotation_matrix().into_inner() }
+    }
+}
+
+impl MagnetTable {
+    pub(crate) fn new(inventory: &Inventory) -> Self {
+        let blocks: Vec<_> = BlockIdx::all().collect();
+        let half_extents = std::array::from_fn(|i| Vector3::from(inventory.half_extents_m(blocks[i])));
+        let faces = std::array::from_fn(|i| {
+            std::array::from_fn(|face| {
+                let on_face = |m: &&Magnet| face_of(m) == face;
+                let magnets = inventory.magnets(blocks[i]).iter().filter(on_face);
+                magnets.map(|m| (magnet_position_m(m), m.position_half_units)).collect()
+            })
+        });
+        Self { half_extents, radii: half_extents.map(|h| h.norm()), faces }
+    }
+
+    /// Whether the two blocks' surfaces are possibly within `reach` metres; false is certain.
+    pub(crate) fn may_touch(&self, (a, frame_a): (BlockIdx, &Frame), (b, frame_b): (BlockIdx, &Frame), reach: f32) -> bool {
+        let between = frame_b.position - frame_a.position;
+        let radii = self.radii[a.get()] + self.radii[b.get()] + reach;
+        if between.norm_squared() > radii * radii {
+            return false;
+        }
+        // Separating axes, the six face normals only: edges against edges do not attract.
+        let relative = frame_a.rotation.tr_mul(&frame_b.rotation);
+        let (in_a, in_b) = (frame_a.rotation.tr_mul(&between), frame_b.rotation.tr_mul(&between));
+        let (half_a, half_b) = (self.half_extents[a.get()], self.half_extents[b.get()]);
+        (0..3).all(|k| {
+            let shadow_b: f32 = (0..3).map(|j| relative[(k, j)].abs() * half_b[j]).sum();
+            let shadow_a: f32 = (0..3).map(|j| relative[(j, k)].abs() * half_a[j]).sum();
+            in_a[k].abs() <= half_a[k] + shadow_b + reach && in_b[k].abs() <= half_b[k] + shadow_a + reach
+        })
+    }
+
+    /// Calls `f` for every pair of opposite magnets on opposed faces that are within `reach` metres.
+    pub(crate) fn for_each_pair(
+        &self,
+        (a, frame_a): (BlockIdx, &Frame),
+        (b, frame_b): (BlockIdx, &Frame),
+        reach: f32,
+        mut f: impl FnMut(MagnetPair),
+    ) {
+        let relative = frame_a.rotation.tr_mul(&frame_b.rotation);
+        let offset = frame_a.rotation.tr_mul(&(frame_b.position - frame_a.position));
+        for (k, j) in (0..9).map(|i| (i / 3, i % 3)) {
+            // Opposite magnets sit on faces of opposite sign, so their normals are opposed when the axes agree.
+            if relative[(k, j)] < MIN_FACE_COSINE {
+                continue;
+            }
+            for (face_a, face_b) in [(2 * k, 2 * j + 1), (2 * k + 1, 2 * j)] {
+                for &(position_b, local_b) in &self.faces[b.get()][face_b] {
+                    let seen_from_a = offset + relative * position_b;
+                    for &(position_a, local_a) in &self.faces[a.get()][face_a] {
+                        let distance_squared = (seen_from_a - position_a).norm_squared();
+                        if distance_squared <= reach * reach {
+                            f(MagnetPair {
+                                point_a: frame_a.position + frame_a.rotation * position_a,
+                                point_b: frame_a.position + frame_a.rotation * seen_from_a,
+                                distance: distance_squared.sqrt(),
+                                local: [local_a, local_b],
+                            });
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl MagnetPair {
+    /// The lattice pose of the second block seen from the first that brings this pair together, if it is near enough.
+    pub(crate) fn snap(&self, a: &Isometry3<f32>, b: &Isometry3<f32>, config: &MagnetConfig) -> Option<RelativePlacement> {
+        if self.distance > config.snap_gap_m {
+            return None;
+        }
+        let (rotation, angle) = CubeRotation::nearest(&(a.rotation.inverse() * b.rotation));
+        if angle > config.snap_angle_deg.to_radians() {
+            return None;
+        }
+        let [local_a, local_b] = self.local;
+        let turned = rotation.apply(local_b);
+        Some(RelativePlacement { offset_half_units: std::array::from_fn(|i| local_a[i] - turned[i]), rotation })
+    }
+
+    /// Attraction in N on the second block, towards the first; the first gets the opposite.
+    pub(crate) fn attraction(&self, config: &MagnetConfig) -> Vector3<f32> {
+        let strength = config.attraction_peak_n * (1.0 - self.distance / config.attraction_range_m).max(0.0);
+        (self.point_a - self.point_b) * (strength / self.distance.max(1e-6))
+    }
+}
+
+/// Position of a magnet in its block's frame, m.
+pub(crate) fn magnet_position_m(magnet: &Magnet) -> Vector3<f32> {
+    Vector3::from(magnet.position_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
+}
+
+/// Index of a magnet's face in the order +x −x +y −y +z −z.
+fn face_of(magnet: &Magnet) -> usize {
+    let axis = magnet.normal.iter().position(|&n| n != 0).unwrap_or(0);
+    2 * axis + usize::from(magnet.polarity == Polarity::Negative)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Translation3, UnitQuaternion};
+
+    use super::*;
+
+    fn cube(i: u8) -> BlockIdx {
+        BlockIdx::try_from(i).unwrap()
+    }
+
+    fn at(x: f32, y: f32, yaw: f32) -> Isometry3<f32> {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        Isometry3::from_parts(Translation3::new(x, y, 0.05), rotation)
+    }
+
+    fn pairs(b: Isometry3<f32>) -> Vec<MagnetPair> {
+        let table = MagnetTable::new(Inventory::standard());
+        let (frame_a, frame_b) = (Frame::new(&at(0.0, 0.0, 0.0)), Frame::new(&b));
+        let mut found = vec![];
+        table.for_each_pair((cube(0), &frame_a), (cube(1), &frame_b), 0.04, |pair| found.push(pair));
+        if !found.is_empty() {
+            assert!(table.may_touch((cube(0), &frame_a), (cube(1), &frame_b), 0.04));
+        }
+        found
+    }
+
+    #[test]
+    fn a_cube_beside_a_cube_meets_it_with_one_pair() {
+        // The +x face of one at x = 0.05, the −x face of the other at 0.12 − 0.05 = 0.07.
+        let found = pairs(at(0.12, 0.0, 0.0));
+        assert_eq!(found.len(), 1);
+        assert!((found[0].distance - 0.02).abs() < 1e-6);
+        let force = found[0].attraction(&MagnetConfig::default());
+        // Half way into the range, half of 8 N, towards the first block.
+        assert!((force - Vector3::new(-4.0, 0.0, 0.0)).norm() < 1e-3, "{force}");
+        let placement = found[0].snap(&at(0.0, 0.0, 0.0), &at(0.12, 0.0, 0.0), &MagnetConfig::default()).unwrap();
+        assert_eq!(placement, RelativePlacement { offset_half_units: [2, 0, 0], rotation: CubeRotation::IDENTITY });
+    }
+
+    #[test]
+    fn like_poles_are_no_pair() {
+        // Turned by 180°, the second cube shows its +x face.
+        assert!(pairs(at(0.12, 0.0, std::f32::consts::PI)).is_empty());
+    }
+
+    #[test]
+    fn a_snap_needs_gap_and_angle() {
+        let snap = |b: Isometry3<f32>| {
+            pairs(b).iter().find_map(|p| p.snap(&at(0.0, 0.0, 0.0), &b, &MagnetConfig::default())).is_some()
+        };
+        assert!(snap(at(0.12, 0.0, 8_f32.to_radians())));
+        assert!(snap(at(0.12, 0.015, 0.0)));
+        assert!(!snap(at(0.135, 0.0, 0.0)), "35 mm");
+        assert!(!snap(at(0.12, 0.0, 20_f32.to_radians())), "20 degrees");
+    }
+}

@@ -1,0 +1,207 @@
+//! Initial states: where the blocks are and what is connected, from a seed.
+
+mod footprint;
+mod structure;
+
+use std::f32::consts::{FRAC_PI_2, TAU};
+
+use blueprints::{BlockIdx, Blueprint, CubeRotation, Inventory, N_BLOCKS};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use proto::Joint;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::ResetConfig;
+use crate::env::ResetError;
+use footprint::Footprint;
+use structure::{remaining_after, stand};
+
+/// Tries per block before the whole layout starts over, and layouts before giving up.
+const N_TRIES: usize = 200;
+const N_LAYOUTS: usize = 50;
+
+/// The blocks at rest, and the connections among them.
+#[derive(Clone, Debug)]
+pub(crate) struct Layout {
+    pub(crate) poses: [Isometry3<f32>; N_BLOCKS],
+    pub(crate) joints: Vec<Joint>,
+}
+
+/// A layout in the making.
+#[derive(Clone, Default)]
+struct Draft {
+    poses: [Option<Isometry3<f32>>; N_BLOCKS],
+    footprints: Vec<Footprint>,
+    joints: Vec<Joint>,
+}
+
+/// An assignment that shuffles the blocks of each type among themselves, every one equally likely.
+///
+/// A policy sees slot numbers; drawing the identical blocks anew in every episode keeps it from leaning on them.
+pub fn sample_assignment(rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
+    let inventory = Inventory::standard();
+    let mut assignment = crate::connections::block_array(|block| block);
+    for block_type in inventory.types() {
+        let slots = inventory.blocks_of_type(&block_type.name);
+        let mut players = slots.clone();
+        players.shuffle(rng);
+        for (slot, player) in slots.into_iter().zip(players) {
+            assignment[slot.get()] = player;
+        }
+    }
+    assignment
+}
+
+/// All blocks apart on the ground.
+pub(crate) fn scattered(config: &ResetConfig, rng: &mut ChaCha8Rng) -> Result<Layout, ResetError> {
+    lay_out(config, rng, |_| Some(Draft::default()))
+}
+
+/// `blueprint` stands, the other blocks are scattered.
+pub(crate) fn prebuilt(
+    config: &ResetConfig,
+    blueprint: &Blueprint,
+    rng: &mut ChaCha8Rng,
+) -> Result<Layout, ResetError> {
+    lay_out(config, rng, |rng| {
+        let all: Vec<_> = blueprint.placements().iter().map(|p| p.block).collect();
+        Some(stand(config, blueprint, &all, rng))
+    })
+}
+
+/// `blueprint` stands but for `undone` blocks, which lie near their places; the others are scattered.
+pub(crate) fn near_goal(
+    config: &ResetConfig,
+    blueprint: &Blueprint,
+    undone: u8,
+    rng: &mut ChaCha8Rng,
+) -> Result<Layout, ResetError> {
+    let most = blueprint.n_blocks() - 1;
+    if !(1..=most).contains(&usize::from(undone)) {
+        return Err(ResetError::Undone { blueprint: blueprint.id().clone(), undone, most });
+    }
+    lay_out(config, rng, |rng| {
+        let kept = remaining_after(blueprint, undone, rng);
+        let mut draft = stand(config, blueprint, &kept, rng);
+        for placement in blueprint.placements().iter().filter(|p| !kept.contains(&p.block)) {
+            // The structure is already there; its frame follows from any of its blocks.
+            let anchor = blueprint.placement(kept[0])?;
+            let in_blueprint = |p: &blueprints::Placement| {
+                Isometry3::from_parts(p.position_m().into(), p.rotation.quaternion())
+            };
+            let frame = draft.poses[anchor.block.get()]? * in_blueprint(anchor).inverse();
+            put_beside(config, &mut draft, placement.block, &(frame * in_blueprint(placement)), rng)?;
+        }
+        Some(draft)
+    })
+}
+
+/// Puts a block on the ground near its place, turned a little.
+fn put_beside(
+    config: &ResetConfig,
+    draft: &mut Draft,
+    block: BlockIdx,
+    place: &Isometry3<f32>,
+    rng: &mut ChaCha8Rng,
+) -> Option<()> {
+    let mut reach = config.near_goal_m;
+    for _ in 0..N_TRIES {
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), symmetric(rng, config.yaw_noise_rad));
+        let (x, y) = (place.translation.x + symmetric(rng, reach), place.translation.y + symmetric(rng, reach));
+        let rotation = yaw * place.rotation;
+        let footprint = Footprint::new(block, &rotation, [x, y]);
+        if draft.is_free(&footprint, config.clearance_m) {
+            draft.put(block, rotation, footprint);
+            return Some(());
+        }
+        // What stands there may be wide: look farther and farther away.
+        reach *= 1.02;
+    }
+    None
+}
+
+/// Repeats `begin` and scatters the blocks that it left out, until all have found room.
+fn lay_out(
+    config: &ResetConfig,
+    rng: &mut ChaCha8Rng,
+    begin: impl Fn(&mut ChaCha8Rng) -> Option<Draft>,
+) -> Result<Layout, ResetError> {
+    let mut homeless = BlockIdx::all().next().expect("there are blocks");
+    for _ in 0..N_LAYOUTS {
+        let Some(mut draft) = begin(rng) else { continue };
+        // Large blocks first: they would not find room between the small ones.
+        let mut left: Vec<_> = BlockIdx::all().filter(|b| draft.poses[b.get()].is_none()).collect();
+        left.reverse();
+        match left.into_iter().find(|&block| !scatter(config, &mut draft, block, rng)) {
+            Some(block) => homeless = block,
+            None => {
+                draft.joints.sort_unstable();
+                let poses = draft.poses.map(|pose| pose.expect("every block has been placed"));
+                return Ok(Layout { poses, joints: draft.joints });
+            }
+        }
+    }
+    Err(ResetError::NoRoom(homeless))
+}
+
+fn scatter(config: &ResetConfig, draft: &mut Draft, block: BlockIdx, rng: &mut ChaCha8Rng) -> bool {
+    (0..N_TRIES).any(|_| {
+        let rotation = random_rotation(config, block, rng);
+        let xy = [symmetric(rng, config.arena_half_width_m), symmetric(rng, config.arena_half_width_m)];
+        let footprint = Footprint::new(block, &rotation, xy);
+        let free = draft.is_free(&footprint, config.clearance_m);
+        if free {
+            draft.put(block, rotation, footprint);
+        }
+        free
+    })
+}
+
+/// A random yaw on a random face on which the block stands firmly.
+fn random_rotation(config: &ResetConfig, block: BlockIdx, rng: &mut ChaCha8Rng) -> UnitQuaternion<f32> {
+    let half = Inventory::standard().half_extents_m(block);
+    let stands = |axis: usize| {
+        let (side, other) = (half[(axis + 1) % 3], half[(axis + 2) % 3]);
+        // A hair of slack, because 2 × 0.05 need not equal 0.1.
+        half[axis] <= side.min(other) * config.max_slenderness * 1.001
+    };
+    let axes: Vec<_> = (0..3).filter(|&axis| stands(axis)).collect();
+    let axis = axes[rng.random_range(0..axes.len())];
+    let flip = if rng.random::<bool>() { FRAC_PI_2 } else { -FRAC_PI_2 };
+    // The rotation that turns the block's axis up or down.
+    let face = match axis {
+        0 => UnitQuaternion::from_axis_angle(&Vector3::y_axis(), flip),
+        1 => UnitQuaternion::from_axis_angle(&Vector3::x_axis(), flip),
+        _ => UnitQuaternion::from_axis_angle(&Vector3::x_axis(), if flip > 0.0 { 0.0 } else { 2.0 * FRAC_PI_2 }),
+    };
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rng.random_range(0.0..TAU)) * face
+}
+
+fn symmetric(rng: &mut ChaCha8Rng, half_width: f32) -> f32 {
+    half_width * (2.0 * rng.random::<f32>() - 1.0)
+}
+
+impl Draft {
+    fn is_free(&self, footprint: &Footprint, clearance_m: f32) -> bool {
+        self.footprints.iter().all(|other| footprint.gap(other) >= clearance_m)
+    }
+
+    /// Puts a block on the ground.
+    fn put(&mut self, block: BlockIdx, rotation: UnitQuaternion<f32>, footprint: Footprint) {
+        let [x, y] = footprint.center;
+        let translation = Translation3::new(x, y, footprint.half_height);
+        self.poses[block.get()] = Some(Isometry3::from_parts(translation, rotation));
+        self.footprints.push(footprint);
+    }
+}
+
+/// The rotation of the blueprint's frame about z.
+fn yaw_of(angle: f32) -> UnitQuaternion<f32> {
+    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle)
+}
+
+/// Half of a block's extent along the axes of the lattice, in half units: as many as it has cells there.
+fn half_size(block: BlockIdx, rotation: CubeRotation) -> [i32; 3] {
+    rotation.apply(Inventory::standard().cells(block).map(i32::from)).map(i32::abs)
+}

@@ -1,0 +1,91 @@
+//! A structure on the ground, whole or in part.
+
+use std::f32::consts::TAU;
+
+use blueprints::{BlockIdx, Blueprint, Inventory, Placement};
+use nalgebra::{Isometry3, Translation3, Vector3};
+use proto::Joint;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use super::{Draft, Footprint, half_size, symmetric, yaw_of};
+use crate::config::ResetConfig;
+
+/// The blocks `kept` of `blueprint` stand connected near the origin, turned by a random yaw, the lowest on the ground.
+pub(super) fn stand(config: &ResetConfig, blueprint: &Blueprint, kept: &[BlockIdx], rng: &mut ChaCha8Rng) -> Draft {
+    let placements: Vec<_> = blueprint.placements().iter().filter(|p| kept.contains(&p.block)).collect();
+    let n = placements.len().max(1) as f32;
+    let middle: Vector3<f32> = placements.iter().map(|p| p.position_m()).sum::<Vector3<f32>>() / n;
+    let bottom = placements.iter().map(|p| bottom_half_units(p)).min().unwrap_or(0) as f32 * blueprints::UNIT_M / 2.0;
+    let yaw = yaw_of(rng.random_range(0.0..TAU));
+    let offset = config.structure_offset_m;
+    let origin = Vector3::new(symmetric(rng, offset), symmetric(rng, offset), 0.0);
+    let mut draft = Draft::default();
+    for placement in placements {
+        let from_middle = placement.position_m() - Vector3::new(middle.x, middle.y, bottom);
+        let position = origin + yaw * from_middle;
+        let rotation = yaw * placement.rotation.quaternion();
+        draft.footprints.push(Footprint::new(placement.block, &rotation, [position.x, position.y]));
+        draft.poses[placement.block.get()] = Some(Isometry3::from_parts(Translation3::from(position), rotation));
+    }
+    let kept_links = blueprint.links().iter().filter(|link| kept.contains(&link.a) && kept.contains(&link.b));
+    draft.joints = kept_links.map(|link| Joint { a: link.a, b: link.b, relative: link.relative }).collect();
+    draft
+}
+
+/// The blocks that are left when `undone` are taken off one by one, so that the rest stays connected and, where
+/// possible, stands.
+pub(super) fn remaining_after(blueprint: &Blueprint, undone: u8, rng: &mut ChaCha8Rng) -> Vec<BlockIdx> {
+    let mut kept: Vec<_> = blueprint.placements().iter().map(|p| p.block).collect();
+    for _ in 0..undone {
+        let mut order = kept.clone();
+        order.shuffle(rng);
+        let without = |block: BlockIdx| kept.iter().copied().filter(|&b| b != block).collect::<Vec<_>>();
+        let mut choices: Vec<_> =
+            order.into_iter().map(without).filter(|rest| is_connected(blueprint, rest)).collect();
+        let standing = choices.iter().position(|rest| stands(blueprint, rest));
+        // A connected structure always has a block whose loss leaves it connected.
+        kept = choices.swap_remove(standing.unwrap_or(0));
+    }
+    kept
+}
+
+fn is_connected(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
+    let mut reached = vec![blocks[0]];
+    let mut next = 0;
+    while next < reached.len() {
+        let from = reached[next];
+        next += 1;
+        for &to in blocks {
+            if !reached.contains(&to) && blueprint.link(from, to).is_some() {
+                reached.push(to);
+            }
+        }
+    }
+    reached.len() == blocks.len()
+}
+
+/// Whether the centre of mass is above the rectangle about the lowest blocks.
+///
+/// The rectangle is a little larger than the true support; a structure that falls over is a poor start, not an error.
+fn stands(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
+    let placements: Vec<_> = blueprint.placements().iter().filter(|p| blocks.contains(&p.block)).collect();
+    let bottom = placements.iter().map(|p| bottom_half_units(p)).min();
+    let volume = |p: &Placement| Inventory::standard().cells(p.block).iter().map(|&n| f32::from(n)).product::<f32>();
+    let mass: f32 = placements.iter().map(|p| volume(p)).sum();
+    (0..2).all(|axis| {
+        let center = placements.iter().map(|p| volume(p) * p.center_half_units[axis] as f32).sum::<f32>() / mass;
+        let lowest = placements.iter().filter(|p| Some(bottom_half_units(p)) == bottom);
+        let edges = lowest.map(|p| {
+            let half = half_size(p.block, p.rotation)[axis];
+            (p.center_half_units[axis] - half, p.center_half_units[axis] + half)
+        });
+        let (low, high) = edges.fold((i32::MAX, i32::MIN), |(low, high), (l, h)| (low.min(l), high.max(h)));
+        low as f32 <= center && center <= high as f32
+    })
+}
+
+fn bottom_half_units(placement: &Placement) -> i32 {
+    placement.center_half_units[2] - half_size(placement.block, placement.rotation)[2]
+}

@@ -1,0 +1,104 @@
+//! Reward as a difference of potentials, each a pure function of scene and blueprint (paper, appendix "Rewards").
+
+use blueprints::{Blueprint, Inventory, Link};
+use nalgebra::{Isometry3, Vector3};
+use proto::{RewardTerms, Scene};
+
+use crate::config::{ForcePenalty, RewardConfig};
+use crate::convert::from_pose;
+use crate::magnets::magnet_position_m;
+
+/// How good a scene is, by term.
+///
+/// Per required block pair: `connected_weight` if it is connected as the blueprint says, and a dense part worth at
+/// most `dense_weight`, half of it for the magnets that should meet and half for the blocks; each half is the mean of
+/// `1 − tanh(d / distance_scale_m)` and `1 − θ/π`. `−wrong_weight` for every other connection, unused blocks included,
+/// and `−heavy_contact_weight` for every heavy contact, to at most `−heavy_contact_cap`.
+pub fn potential(scene: &Scene, blueprint: &Blueprint, config: &RewardConfig) -> RewardTerms {
+    let mut terms = RewardTerms::default();
+    for joint in &scene.joints {
+        if blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative) {
+            terms.connected += config.connected_weight;
+        } else {
+            terms.wrong -= config.wrong_weight;
+        }
+    }
+    for link in blueprint.links() {
+        let fit = Fit::new(scene, link);
+        terms.magnets += 0.5 * config.dense_weight * fit.magnets.closeness(config.distance_scale_m);
+        terms.blocks += 0.5 * config.dense_weight * fit.blocks.closeness(config.distance_scale_m);
+    }
+    let heavy = config.heavy_contact_weight * f32::from(scene.n_heavy_contacts);
+    terms.force = -heavy.min(config.heavy_contact_cap);
+    terms
+}
+
+/// The reward of a step from the potentials around it.
+pub fn reward(before: &RewardTerms, after: &RewardTerms, config: &RewardConfig) -> RewardTerms {
+    RewardTerms {
+        connected: after.connected - before.connected,
+        wrong: after.wrong - before.wrong,
+        magnets: after.magnets - before.magnets,
+        blocks: after.blocks - before.blocks,
+        force: match config.force_penalty {
+            ForcePenalty::Differenced => after.force - before.force,
+            ForcePenalty::PerStep => after.force,
+        },
+    }
+}
+
+/// Distance (m) and angle (rad) to a wanted pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Misfit {
+    pub(crate) distance: f32,
+    pub(crate) angle: f32,
+}
+
+/// How far two linked blocks are from their wanted relative pose.
+pub(crate) struct Fit {
+    /// Mean over the magnet pairs that should meet.
+    pub(crate) magnets: Misfit,
+    /// Of the blocks: each one's centre against its place as seen from the other, the mean of the two.
+    pub(crate) blocks: Misfit,
+}
+
+impl Misfit {
+    fn closeness(self, scale_m: f32) -> f32 {
+        0.5 * (1.0 - (self.distance / scale_m).tanh()) + 0.5 * (1.0 - self.angle / std::f32::consts::PI)
+    }
+}
+
+impl Fit {
+    pub(crate) fn new(scene: &Scene, link: &Link) -> Self {
+        let (a, b) = (from_pose(&scene.blocks[link.a.get()]), from_pose(&scene.blocks[link.b.get()]));
+        Self { magnets: magnet_misfit(&a, &b, link), blocks: block_misfit(&a, &b, link) }
+    }
+}
+
+fn block_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit {
+    let wanted = link.relative.rotation.quaternion();
+    // Seen from one block only, a distant pair's distance would depend on which of the two is numbered first.
+    let seen_from_a = a.inverse_transform_vector(&(b.translation.vector - a.translation.vector));
+    let from_a = (seen_from_a - link.relative.position_m()).norm();
+    let seen_from_b = b.inverse_transform_vector(&(a.translation.vector - b.translation.vector));
+    let from_b = (seen_from_b - link.relative.inverse().position_m()).norm();
+    Misfit { distance: 0.5 * (from_a + from_b), angle: wanted.angle_to(&(a.rotation.inverse() * b.rotation)) }
+}
+
+fn magnet_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit {
+    let inventory = Inventory::standard();
+    let (magnets_a, magnets_b) = (inventory.magnets(link.a), inventory.magnets(link.b));
+    let pairs = inventory.magnet_pairs(link.a, link.b, link.relative);
+    let mut sum = Misfit { distance: 0.0, angle: 0.0 };
+    for &(i, j) in &pairs {
+        let (magnet_a, magnet_b) = (&magnets_a[i], &magnets_b[j]);
+        let point_a = a.transform_point(&magnet_position_m(magnet_a).into());
+        let point_b = b.transform_point(&magnet_position_m(magnet_b).into());
+        sum.distance += (point_a - point_b).norm();
+        let normal = |rotation: &nalgebra::UnitQuaternion<f32>, n: [i32; 3]| rotation * Vector3::from(n.map(|x| x as f32));
+        // Magnets that meet look at each other.
+        sum.angle += normal(&a.rotation, magnet_a.normal).angle(&-normal(&b.rotation, magnet_b.normal));
+    }
+    let n = pairs.len().max(1) as f32;
+    Misfit { distance: sum.distance / n, angle: sum.angle / n }
+}

@@ -1,0 +1,212 @@
+//! The world on rapier.
+
+use blueprints::{BlockIdx, Blueprint, Catalogue, Inventory, N_BLOCKS};
+use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::{EnvironmentConfig, EnvironmentConfigError};
+use crate::connections::{Connections, block_array};
+use crate::convert::to_pose;
+use crate::engine::Engine;
+use crate::env::{Env, ResetError, StepResult};
+use crate::grippers::Grippers;
+use crate::reset::{self, Layout};
+use crate::reward::{potential, reward};
+use crate::success::is_success;
+
+/// One world; cheap to step, so a thread drives many.
+pub struct World {
+    config: EnvironmentConfig,
+    engine: Engine,
+    connections: Connections,
+    grippers: Grippers,
+    blueprint: Blueprint,
+    scene: Scene,
+    potential: RewardTerms,
+    n_steps: u16,
+    /// Whether there is a sound state to go on from.
+    alive: bool,
+    /// Force of a heavy contact in N.
+    heavy_contact_n: f32,
+    half_diagonals_m: [f32; N_BLOCKS],
+}
+
+impl World {
+    /// A world that waits for its first [`Env::reset`]; until then its scene is empty and its steps are `Diverged`.
+    ///
+    /// # Errors
+    /// When a value of the configuration is out of range.
+    pub fn new(config: &EnvironmentConfig) -> Result<Self, EnvironmentConfigError> {
+        config.validate()?;
+        let inventory = Inventory::standard();
+        let cube_weight_n =
+            config.physics.density_kgpm3 * blueprints::UNIT_M.powi(3) * config.physics.gravity_mps2;
+        let mut world = Self {
+            engine: Engine::new(&config.physics, inventory),
+            connections: Connections::new(&config.magnets, &config.physics, inventory),
+            grippers: Grippers::new(config),
+            blueprint: initial_blueprint(),
+            scene: empty_scene(),
+            potential: RewardTerms::default(),
+            n_steps: 0,
+            alive: false,
+            heavy_contact_n: config.reward.heavy_contact_cube_weights * cube_weight_n,
+            half_diagonals_m: block_array(|block| nalgebra::Vector3::from(inventory.half_extents_m(block)).norm()),
+            config: config.clone(),
+        };
+        world.observe(0);
+        Ok(world)
+    }
+
+    /// The configuration that the world was made with.
+    pub fn config(&self) -> &EnvironmentConfig {
+        &self.config
+    }
+
+    /// Steps since the last reset.
+    pub fn n_steps(&self) -> u16 {
+        self.n_steps
+    }
+
+    fn place(&mut self, layout: &Layout) {
+        self.engine.reset(&layout.poses);
+        self.connections.clear();
+        self.grippers.clear();
+        for &joint in &layout.joints {
+            self.connections.insert_built(&mut self.engine, joint);
+        }
+    }
+
+    /// Runs the substeps of a control step; returns the number of heavy contacts in it.
+    fn run_substeps(&mut self) -> u8 {
+        let mut heavy = [0_u32; N_BLOCKS + 1];
+        for _ in 0..self.config.physics.n_substeps {
+            self.connections.attract(&mut self.engine);
+            self.grippers.drive(&mut self.engine, &self.connections);
+            self.engine.substep();
+            self.connections.strain(&mut self.engine);
+            self.engine.for_each_contact(self.heavy_contact_n, |bodies| {
+                let [low, high] = bodies.map(|body| body.map_or(N_BLOCKS, BlockIdx::get));
+                heavy[low.min(high)] |= 1 << low.max(high);
+            });
+        }
+        heavy.iter().map(|row| row.count_ones() as u8).sum()
+    }
+
+    /// Takes a new snapshot.
+    fn observe(&mut self, n_heavy_contacts: u8) {
+        for block in BlockIdx::all() {
+            let i = block.get();
+            let velocity = self.engine.velocity(block);
+            self.scene.blocks[i] = to_pose(&self.engine.pose(block));
+            self.scene.speeds_mps[i] = velocity.linear.norm() + velocity.angular.norm() * self.half_diagonals_m[i];
+        }
+        self.scene.joints = self.connections.joints();
+        self.scene.grippers = self.grippers.snapshot(&self.engine);
+        self.scene.n_heavy_contacts = n_heavy_contacts;
+    }
+
+    /// Whether all blocks are where a sound simulation can have them.
+    fn is_sound(&self) -> bool {
+        let limit = self.config.physics.runaway_m;
+        self.scene.blocks.iter().zip(&self.scene.speeds_mps).all(|(pose, speed)| {
+            let [x, y, z] = pose.position;
+            // A NaN fails the comparison.
+            x * x + y * y + z * z <= limit * limit && speed.is_finite() && pose.orientation.iter().all(|q| q.is_finite())
+        })
+    }
+}
+
+impl Env for World {
+    fn reset(&mut self, task: &Task, catalogue: &Catalogue) -> Result<(), ResetError> {
+        check_assignment(&task.assignment)?;
+        let find = |id| catalogue.get(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
+        let blueprint = find(&task.blueprint)?.permuted(&task.assignment);
+        let mut rng = ChaCha8Rng::seed_from_u64(task.seed);
+        let config = &self.config.reset;
+        let layout = match &task.start {
+            Start::Scattered => Some(reset::scattered(config, &mut rng)?),
+            Start::Prebuilt(id) => {
+                Some(reset::prebuilt(config, &find(id)?.permuted(&task.assignment), &mut rng)?)
+            }
+            Start::NearGoal { undone } => Some(reset::near_goal(config, &blueprint, *undone, &mut rng)?),
+            Start::AsItIs if !self.alive => return Err(ResetError::NothingToKeep),
+            Start::AsItIs => None,
+        };
+        match layout {
+            Some(layout) => self.place(&layout),
+            None => self.grippers.release(&mut self.engine),
+        }
+        self.blueprint = blueprint;
+        self.n_steps = 0;
+        self.alive = true;
+        self.observe(0);
+        self.potential = potential(&self.scene, &self.blueprint, &self.config.reward);
+        Ok(())
+    }
+
+    fn step(&mut self, action: &Action) -> StepResult {
+        let diverged = StepResult { reward: RewardTerms::default(), status: Status::Diverged };
+        self.n_steps = self.n_steps.saturating_add(1);
+        let chosen = action.choices.iter().flatten();
+        if !self.alive || chosen.copied().any(|b| action.moves[b.get()].iter().any(|x| !x.is_finite())) {
+            self.alive = false;
+            return diverged;
+        }
+        self.grippers.begin_step(&mut self.engine, action);
+        let n_heavy_contacts = self.run_substeps();
+        self.observe(n_heavy_contacts);
+        if !self.is_sound() {
+            self.alive = false;
+            return diverged;
+        }
+        let before = std::mem::replace(
+            &mut self.potential,
+            potential(&self.scene, &self.blueprint, &self.config.reward),
+        );
+        let status = if is_success(&self.scene, &self.blueprint, &self.config.success) {
+            Status::Success
+        } else if self.n_steps >= self.config.episode_steps {
+            Status::TimeLimit
+        } else {
+            Status::Running
+        };
+        StepResult { reward: reward(&before, &self.potential, &self.config.reward), status }
+    }
+
+    fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    fn blueprint(&self) -> &Blueprint {
+        &self.blueprint
+    }
+}
+
+fn check_assignment(assignment: &[BlockIdx; N_BLOCKS]) -> Result<(), ResetError> {
+    let inventory = Inventory::standard();
+    let mut taken = [false; N_BLOCKS];
+    for (block, &player) in BlockIdx::all().zip(assignment) {
+        let fits = inventory.type_idx(block) == inventory.type_idx(player);
+        if !fits || std::mem::replace(&mut taken[player.get()], true) {
+            return Err(ResetError::Assignment { block: block.into(), played_by: player.into() });
+        }
+    }
+    Ok(())
+}
+
+/// What the world shows as its goal before its first reset.
+fn initial_blueprint() -> Blueprint {
+    Catalogue::builtin().iter().next().expect("the built-in catalogue is not empty").clone()
+}
+
+fn empty_scene() -> Scene {
+    Scene {
+        blocks: [proto::Pose { position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }; N_BLOCKS],
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: vec![],
+        grippers: [None::<Gripper>; N_GRIPPERS],
+        n_heavy_contacts: 0,
+    }
+}
