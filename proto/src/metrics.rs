@@ -37,8 +37,12 @@ pub struct LearnerMetrics {
     pub policy_lag_mean: f64,
     /// Largest such lag in the batch, versions.
     pub policy_lag_max: u64,
-    /// Trajectories waiting in the mailbox.
+    /// Environment steps of the batch by lag: entry `i` counts those of lag `i`.
+    pub policy_lag_histogram: Vec<u64>,
+    /// Environment steps waiting in the mailbox.
     pub n_mailbox: u64,
+    /// Trajectories that grew too old while waiting in the mailbox, so far.
+    pub expired_total: u64,
     /// Numbers of the PPO update.
     pub ppo: PpoMetrics,
     /// Of the episodes that ended since the last report.
@@ -62,10 +66,17 @@ pub struct PpoMetrics {
     pub value_loss: f64,
     /// Entropy of the action distribution, nats.
     pub entropy: f64,
-    /// Estimate of KL(behavior ‖ current), nats.
+    /// Its part from the choice of blocks, nats.
+    pub entropy_blocks: f64,
+    /// Its part from the moves of the chosen blocks (expected over the choice), nats.
+    pub entropy_moves: f64,
+    /// Estimate of KL(reference ‖ current) over the last epoch, nats; see the learner's objective for the reference.
     pub approx_kl: f64,
-    /// Fraction of samples whose ratio was clipped, 0 to 1.
+    /// Fraction of samples whose ratio was clipped in the last epoch, 0 to 1.
     pub clip_fraction: f64,
+    /// (Σw)² / (n Σw²) of the importance weights of the policy before the update against those that acted, 0 to 1;
+    /// 1 without policy lag.
+    pub effective_sample_size: f64,
     /// 1 − Var(target − value) / Var(target) before the update; at most 1, 0 for a constant guess.
     pub explained_variance: f64,
     /// Norm of the gradient before clipping.
@@ -76,6 +87,10 @@ pub struct PpoMetrics {
     pub n_samples: u64,
     /// Gradient steps taken.
     pub n_gradient_steps: u64,
+    /// Gradient steps left out because the gradient was not finite.
+    pub n_skipped_steps: u64,
+    /// Epochs made; fewer than configured when the KL divergence grew too large.
+    pub n_epochs: u64,
     /// Mean of the value targets, reward units.
     pub value_mean: f64,
     /// Standard deviation of the value targets, reward units.
@@ -175,8 +190,12 @@ pub struct EvalBlueprint {
 pub struct EvalOutcome {
     /// Success rate and interval; diverged episodes count as failures.
     pub success: SuccessRate,
+    /// The same for successes that lasted: held for some steps in a row at low speed.
+    pub stable_success: SuccessRate,
     /// Mean steps of all episodes, 0 without any.
     pub mean_steps: f64,
+    /// Mean steps of the successful episodes; `null` without any.
+    pub mean_steps_to_success: Option<f64>,
     /// Mean undiscounted return by term, 0 without episodes.
     pub mean_return: RewardTerms,
     /// Episodes whose physics diverged.
@@ -194,25 +213,53 @@ pub struct EvalSummary {
     pub n_env_steps: u64,
     /// Duration of the evaluation, seconds.
     pub elapsed_s: f64,
+    /// Seed of the start states; passes with the same seed start from the same states.
+    pub seed: u64,
     /// All blueprints together.
     pub all: EvalGroup,
-    /// By split and number of blocks, in this order.
+    /// The paper's groups in its order; those of which no blueprint was judged are left out.
     pub groups: Vec<EvalGroup>,
+    /// Several goals in a row without a reset; `null` when that was not asked for.
+    pub reset_free: Option<EvalResetFree>,
     /// What the bus dropped.
     pub bus: BusCounts,
 }
 
-/// Blueprints of one split and size, or all.
+/// Blueprints that are reported together.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvalGroup {
-    /// Their split; `null` for all.
-    pub split: Option<Split>,
-    /// Their number of blocks; `null` for all.
-    pub n_blocks: Option<u64>,
+    /// `train 2-6`, `train 7-11`, `train 12-16`, `test 12-16`, `test special` or `all`.
+    pub name: String,
     /// How many blueprints.
     pub n_blueprints: u64,
     /// With actions sampled from the policy.
     pub sampled: EvalOutcome,
     /// With the most probable action.
     pub mode: EvalOutcome,
+}
+
+/// Goals one after the other in worlds that are not reset in between (paper, section "Reset-Free Evaluation").
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EvalResetFree {
+    /// Worlds.
+    pub n_runs: u64,
+    /// Goals in each.
+    pub n_goals: u64,
+    /// With actions sampled from the policy.
+    pub sampled: EvalRuns,
+    /// With the most probable action.
+    pub mode: EvalRuns,
+}
+
+/// Reset-free runs of one kind.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EvalRuns {
+    /// All goals of all runs.
+    pub outcome: EvalOutcome,
+    /// Successes at the first goal of a run, at the second, and so on; empty when these actions were not judged.
+    pub n_successes_by_goal: Vec<u64>,
+    /// Standard deviation over the runs of a run's success rate.
+    pub run_rate_std: f64,
+    /// Times that a world diverged and had to be reset after all.
+    pub n_forced_resets: u64,
 }
