@@ -46,6 +46,47 @@ fn fnv1a(bytes: &[u8]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::fnv1a;
+    use crate::{BlockIdx, Blueprint, Catalogue, CubeRotation, N_BLOCKS, Placement, Split};
+
+    fn turned(blueprint: &Blueprint, turn: CubeRotation) -> Blueprint {
+        let place = |p: &Placement| Placement {
+            center_half_units: turn.apply(p.center_half_units).map(|x| x + 7),
+            rotation: turn.compose(p.rotation),
+            ..*p
+        };
+        Blueprint { placements: blueprint.placements.iter().map(place).collect(), ..blueprint.clone() }
+    }
+
+    #[test]
+    fn turning_moving_and_renumbering_keep_the_hash() {
+        // Reverses the blocks inside each type: 4, 4, 2, 2, 2 and 2 of them.
+        let reversed: [u8; N_BLOCKS] = [3, 2, 1, 0, 7, 6, 5, 4, 9, 8, 11, 10, 13, 12, 15, 14];
+        let reversed = reversed.map(|i| BlockIdx::try_from(i).unwrap());
+        for blueprint in Catalogue::builtin().iter() {
+            let hash = blueprint.canonical_hash();
+            assert_eq!(blueprint.permuted(&reversed).canonical_hash(), hash, "{}", blueprint.id());
+            for turn in CubeRotation::all() {
+                assert_eq!(turned(blueprint, turn).canonical_hash(), hash, "{} {turn:?}", blueprint.id());
+            }
+        }
+    }
+
+    #[test]
+    fn a_mirror_image_has_another_hash() {
+        // A cube 0, a bar in +x of it, a longer bar in +y of it, and the same with +x and +y exchanged.
+        let bars = |x_first: bool| {
+            let at = |block: u8, center: [i32; 3]| Placement {
+                block: BlockIdx::try_from(block).unwrap(),
+                center_half_units: if x_first { center } else { [center[1], center[0], center[2]] },
+                rotation: CubeRotation::IDENTITY,
+            };
+            let placements = vec![at(0, [1, 1, 1]), at(1, [3, 1, 1]), at(2, [1, 3, 1]), at(3, [1, 5, 3])];
+            let id = "4_999".parse().unwrap();
+            Blueprint { id, split: Split::Train, title: String::new(), placements, links: Vec::new() }
+        };
+        assert_ne!(bars(true).canonical_hash(), bars(false).canonical_hash());
+        assert_eq!(bars(true).canonical_hash(), bars(true).canonical_hash());
+    }
 
     #[test]
     fn fnv1a_agrees_with_its_published_values() {

@@ -123,7 +123,7 @@ pub fn check_text(file: &str, text: &str) -> Report {
         run.record(Check::Connections, structure.connections());
         run.record(Check::Connected, structure.connected());
         run.record(Check::Stands, structure.stands());
-        blueprint = Some(structure.blueprint());
+        blueprint = run.first_error.is_none().then(|| structure.blueprint());
     }
     for check in Check::ALL.into_iter().take(Check::ALL.len() - 1).skip(run.results.len()) {
         run.results.push(CheckResult { check, outcome: Outcome::Skipped });
@@ -264,9 +264,9 @@ impl<'a> Structure<'a> {
                 }
             }
         }
-        (0..self.placements.len()).find(|i| !reached.contains(i)).map_or(Ok(()), |i| {
-            Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) })
-        })
+        (0..self.placements.len())
+            .find(|i| !reached.contains(i))
+            .map_or(Ok(()), |i| Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) }))
     }
 
     fn stands(&self) -> Result<(), BlueprintError> {
@@ -286,8 +286,9 @@ impl<'a> Structure<'a> {
             for b in &placements[i + 1..] {
                 let relative = RelativePlacement::between(a, b);
                 let n_pairs = self.inventory.magnet_pairs(a.block, b.block, relative).len();
-                // Overlapping blocks never get this far, so at most the 8 × 8 magnets of one face meet.
-                if let Some(n_magnet_pairs) = u8::try_from(n_pairs).ok().filter(|&n| n > 0) {
+                // Nothing overlaps here, so the magnets of one face at most meet: no more than 8 × 8.
+                let n_magnet_pairs = u8::try_from(n_pairs).unwrap_or(u8::MAX);
+                if n_magnet_pairs > 0 {
                     links.push(Link { a: a.block, b: b.block, relative, n_magnet_pairs });
                 }
             }

@@ -120,8 +120,7 @@ impl Draft {
                 let (x, y) = (parse_axis(x)?, parse_axis(y)?);
                 CubeRotation::from_images(x, y)
             });
-            let rotation =
-                rotation.ok_or(BlueprintError::BadAxes { block: block.name.clone(), axes: block.axes })?;
+            let rotation = rotation.ok_or(BlueprintError::BadAxes { block: block.name.clone(), axes: block.axes })?;
             blocks.push(DraftBlock { name: block.name, type_name: block.type_name, at: block.at, rotation });
         }
         let pairs = parse_pairs(raw.connections, &blocks)?;
@@ -186,10 +185,7 @@ impl std::fmt::Display for MagnetName {
     }
 }
 
-fn parse_pairs(
-    connections: Vec<RawConnection>,
-    blocks: &[DraftBlock],
-) -> Result<BTreeSet<NamedPair>, BlueprintError> {
+fn parse_pairs(connections: Vec<RawConnection>, blocks: &[DraftBlock]) -> Result<BTreeSet<NamedPair>, BlueprintError> {
     let find = |name: &str| {
         let position = blocks.iter().position(|block| block.name == name);
         position.ok_or_else(|| BlueprintError::UnknownBlock(name.to_owned()))
@@ -216,8 +212,7 @@ fn parse_pairs(
 
 fn move_to_origin(placements: &mut [Placement], inventory: &Inventory) {
     let corner = |p: &Placement, k: usize| p.center_half_units[k] - p.size_cells(inventory)[k];
-    let lowest: [i32; 3] =
-        std::array::from_fn(|k| placements.iter().map(|p| corner(p, k)).min().unwrap_or(0));
+    let lowest: [i32; 3] = std::array::from_fn(|k| placements.iter().map(|p| corner(p, k)).min().unwrap_or(0));
     for placement in placements {
         placement.center_half_units = std::array::from_fn(|k| placement.center_half_units[k] - lowest[k]);
     }

@@ -119,9 +119,8 @@ impl Inventory {
     /// # Panics
     /// Never in a build that passes the tests: the file is part of the program.
     pub fn standard() -> &'static Self {
-        static STANDARD: LazyLock<Inventory> = LazyLock::new(|| {
-            include_str!("../inventory.toml").parse().expect("the embedded inventory.toml is valid")
-        });
+        static STANDARD: LazyLock<Inventory> =
+            LazyLock::new(|| include_str!("../inventory.toml").parse().expect("the embedded inventory.toml is valid"));
         &STANDARD
     }
 

@@ -137,3 +137,102 @@ impl RelativePlacement {
         Self { offset_half_units: rotation.apply(self.offset_half_units).map(|x| -x), rotation }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn the_24_rotations_form_a_group() {
+        let all: Vec<_> = CubeRotation::all().collect();
+        let matrices: BTreeSet<_> = all.iter().map(|r| r.matrix()).collect();
+        assert_eq!(matrices.len(), 24);
+        for &a in &all {
+            assert_eq!(a.compose(CubeRotation::IDENTITY), a);
+            assert_eq!(CubeRotation::IDENTITY.compose(a), a);
+            assert_eq!(a.compose(a.inverse()), CubeRotation::IDENTITY);
+            for &b in &all {
+                let v = [1, 2, 3];
+                assert_eq!(a.compose(b).apply(v), a.apply(b.apply(v)));
+                for &c in &all {
+                    assert_eq!(a.compose(b).compose(c), a.compose(b.compose(c)));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_index_order_is_that_of_the_images_of_x_and_y() {
+        let check = |index: u8, x: [i32; 3], y: [i32; 3]| {
+            assert_eq!(CubeRotation::from_images(x, y), CubeRotation::try_from(index).ok(), "index {index}");
+        };
+        check(0, [1, 0, 0], [0, 1, 0]);
+        check(1, [1, 0, 0], [0, -1, 0]);
+        check(3, [1, 0, 0], [0, 0, -1]);
+        check(4, [-1, 0, 0], [0, 1, 0]);
+        check(8, [0, 1, 0], [1, 0, 0]);
+        check(23, [0, 0, -1], [0, -1, 0]);
+        assert_eq!(CubeRotation::from_images([1, 0, 0], [1, 0, 0]), None);
+        assert_eq!(CubeRotation::from_images([1, 1, 0], [0, 0, 1]), None);
+        assert_eq!(CubeRotation::try_from(24), Err(InvalidRotation(24)));
+    }
+
+    #[test]
+    fn the_quaternion_turns_like_the_matrix() {
+        for rotation in CubeRotation::all() {
+            let [x, y, z] = rotation.apply([1, 2, 3]).map(|x| x as f32);
+            let turned = rotation.quaternion() * Vector3::new(1.0, 2.0, 3.0);
+            assert!((turned - Vector3::new(x, y, z)).norm() < 1e-5, "{rotation:?}");
+        }
+    }
+
+    fn rotation() -> impl Strategy<Value = CubeRotation> {
+        (0_u8..24).prop_map(|index| CubeRotation::try_from(index).unwrap())
+    }
+
+    fn placement(block: u8) -> impl Strategy<Value = Placement> {
+        let block = crate::BlockIdx::try_from(block).unwrap();
+        (prop::array::uniform3(-20..20), rotation()).prop_map(move |(center_half_units, rotation)| Placement {
+            block,
+            center_half_units,
+            rotation,
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn nearest_undoes_a_small_turn(
+            rotation in rotation(),
+            axis in prop::array::uniform3(-1.0_f32..1.0),
+            angle in 0.0_f32..0.7,
+        ) {
+            let axis = Vector3::from(axis);
+            prop_assume!(axis.norm() > 0.1);
+            let turn = UnitQuaternion::from_scaled_axis(axis.normalize() * angle);
+            let (found, found_angle) = CubeRotation::nearest(&(rotation.quaternion() * turn));
+            // Rotations of the cube are at least π/2 apart, so below π/4 the answer is unique.
+            prop_assert_eq!(found, rotation);
+            prop_assert!((found_angle - angle).abs() < 1e-3);
+        }
+
+        #[test]
+        fn relative_placements_invert_and_follow_the_frame(
+            a in placement(0), b in placement(1), turn in rotation(),
+        ) {
+            let relative = RelativePlacement::between(&a, &b);
+            prop_assert_eq!(relative.inverse(), RelativePlacement::between(&b, &a));
+            prop_assert_eq!(relative.inverse().inverse(), relative);
+            let turned = |p: Placement| Placement {
+                center_half_units: turn.apply(p.center_half_units),
+                rotation: turn.compose(p.rotation),
+                ..p
+            };
+            prop_assert_eq!(RelativePlacement::between(&turned(a), &turned(b)), relative);
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! Blocks, magnets, the inventory and the target structures ("blueprints"), with no physics and no I/O in the math.
 //!
-//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`format`] and its [`error`]s → [`stance`] →
+//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`] →
 //! [`checks`] → the canonical hash → [`catalogue`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -18,5 +18,5 @@ pub mod stance;
 pub use blueprint::{Blueprint, BlueprintId, Link, Placement, Split};
 pub use catalogue::{Catalogue, CatalogueError};
 pub use error::{BlueprintError, BlueprintFileError};
-pub use inventory::{BlockIdx, BlockType, Inventory, Magnet, N_BLOCKS, Polarity, UNIT_M};
+pub use inventory::{BlockIdx, BlockType, Inventory, InventoryError, Magnet, N_BLOCKS, Polarity, UNIT_M};
 pub use lattice::{CubeRotation, RelativePlacement};

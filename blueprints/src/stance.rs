@@ -22,9 +22,10 @@ pub fn stance(placements: &[Placement], inventory: &Inventory) -> Stance {
         f64::from(sum) / cells.len() as f64 + 0.5
     };
     let center_u = [mean(0), mean(1)];
-    let corners = cells.iter().filter(|cell| cell[2] == 0).flat_map(|&[x, y, _]| {
-        [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]]
-    });
+    let corners = cells
+        .iter()
+        .filter(|cell| cell[2] == 0)
+        .flat_map(|&[x, y, _]| [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]]);
     let hull = convex_hull(corners.collect());
     let margin_u = (0..hull.len())
         .map(|i| distance_inside(hull[i], hull[(i + 1) % hull.len()], center_u))

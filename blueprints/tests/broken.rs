@@ -1,0 +1,174 @@
+//! Every kind of broken file gets its own error, with the culprit in it.
+
+use blueprints::checks::{Check, Outcome, check_text};
+use proptest::prelude::*;
+
+const GOOD: &str = r#"
+id = "3_000"
+split = "train"
+title = "corner"
+provenance = "drawn for a test"
+
+blocks = [
+    { name = "bar", type = "3x1x1", at = [0, 0, 0], axes = "+x +y" },
+    { name = "end", type = "1x1x1", at = [2, 0, 1], axes = "+x +y" },
+    { name = "top", type = "1x1x1", at = [2, 0, 2], axes = "+x +y" },
+]
+
+connections = [
+    { a = "bar", b = "end", magnets = ["+z(2,0,0) -z(0,0,0)"] },
+    { a = "end", b = "top", magnets = ["+z(0,0,0) -z(0,0,0)"] },
+]
+"#;
+
+#[test]
+fn the_unbroken_file_is_valid() {
+    let report = check_text("corner.toml", GOOD);
+    assert!(report.passed(), "{report:#?}");
+}
+
+#[test]
+fn the_drawing_is_turned_so_that_up_is_up() {
+    // The same three blocks drawn with their height along +x.
+    let lying = GOOD
+        .replace("provenance", "up = \"+x\"\nprovenance")
+        .replace("[0, 0, 0], axes = \"+x +y\"", "[0, 0, 0], axes = \"+y +z\"")
+        .replace("[2, 0, 1], axes = \"+x +y\"", "[1, 2, 0], axes = \"+y +z\"")
+        .replace("[2, 0, 2], axes = \"+x +y\"", "[2, 2, 0], axes = \"+y +z\"");
+    let turned = check_text("lying.toml", &lying).blueprint.expect("it stands once turned");
+    let upright = check_text("corner.toml", GOOD).blueprint.expect("it stands");
+    assert_eq!(turned.canonical_hash(), upright.canonical_hash());
+    let heights = turned.placements().iter().map(|p| p.center_half_units[2]);
+    assert!(heights.eq(upright.placements().iter().map(|p| p.center_half_units[2])));
+    let flat = lying.replace("up = \"+x\"\n", "");
+    assert!(check_text("flat.toml", &flat).passed(), "the same drawing with +z up lies on the ground");
+}
+
+/// Replaces `from` in the good file and expects `check` to fail first, with exactly `error`.
+fn check(from: &str, to: &str, failing: Check, error: &str) {
+    assert!(GOOD.contains(from), "the good file does not contain {from:?}");
+    let report = check_text("broken.toml", &GOOD.replacen(from, to, 1));
+    let first = report.results.iter().find(|result| result.outcome != Outcome::Passed);
+    let first = first.unwrap_or_else(|| panic!("{from:?} → {to:?} passed"));
+    assert_eq!((first.check, &first.outcome), (failing, &Outcome::Failed { error: error.to_owned() }));
+    let refused = report.blueprint.expect_err("a failed check refuses the file");
+    assert_eq!(refused.to_string(), format!("broken.toml: {error}"));
+}
+
+#[test]
+fn form_errors_name_the_line_or_the_word() {
+    let form = |from: &str, to: &str, error: &str| check(from, to, Check::Format, error);
+    form(
+        "title",
+        "colour",
+        "line 4: unknown field `colour`, expected one of `id`, `split`, `title`, `provenance`, `up`, `blocks`, \
+         `connections`",
+    );
+    form("split = \"train\"\n", "", "line 1: missing field `split`");
+    form("at = [2, 0, 1]", "at = [2, 0.5, 1]", "line 9: invalid type: floating point `0.5`, expected i32");
+    form("\"3_000\"", "\"4_000\"", "the id 4_000 promises 4 blocks, the file has 3");
+    form("\"corner\"", "\" \"", "field `title` is empty");
+    form("title", "up = \"z\"\ntitle", "up \"z\" is not one of +x, -x, +y, -y, +z, -z");
+    form("name = \"top\"", "name = \"end\"", "block name \"end\" is empty or used twice");
+    form(
+        "axes = \"+x +y\"",
+        "axes = \"+x -x\"",
+        "block \"bar\": axes \"+x -x\" are not two different axes like \"+x +y\"",
+    );
+    form("[2, 0, 1]", "[2, 0, 2000000000]", "block \"end\": cell [2, 0, 2000000000] is outside -64..=64");
+    form("b = \"end\"", "b = \"ned\"", "a connection names the block \"ned\", which the file does not have");
+    form("b = \"end\"", "b = \"bar\"", "block \"bar\" is connected to itself");
+    form("[\"+z(2,0,0) -z(0,0,0)\"]", "[]", "the connection of \"bar\" and \"end\" lists no magnets");
+    form(
+        "+z(2,0,0) -z(0,0,0)",
+        "+w(2,0,0) -z(0,0,0)",
+        "magnet pair \"+w(2,0,0) -z(0,0,0)\" is not of the form \"+z(0,0,0) -z(0,0,0)\"",
+    );
+    form(
+        "\"+z(2,0,0) -z(0,0,0)\"",
+        "\"+z(2,0,0) -z(0,0,0)\", \"+z(2,0,0) -z(0,0,0)\"",
+        "magnet pair \"+z(2,0,0) -z(0,0,0)\" of \"bar\" and \"end\" is listed twice",
+    );
+}
+
+#[test]
+fn structure_errors_name_the_blocks() {
+    check(
+        "\"3x1x1\"",
+        "\"5x1x1\"",
+        Check::Inventory,
+        "block \"bar\" has the unknown type \"5x1x1\"; the inventory has 1x1x1, 2x1x1, 3x1x1, 4x1x1, 2x2x1, 3x2x1",
+    );
+    check("[2, 0, 1]", "[2, 0, 0]", Check::Overlap, "blocks \"bar\" and \"end\" overlap in cell [2, 0, 0]");
+    check(
+        "[2, 0, 2], axes = \"+x +y\"",
+        "[2, 0, 2], axes = \"+x -y\"",
+        Check::Polarity,
+        "blocks \"end\" and \"top\" repel: like poles meet at [2.5, 0.5, 2.0] u, pair \"+z(0,0,0) +z(0,0,0)\"",
+    );
+    check(
+        "    { a = \"end\", b = \"top\", magnets = [\"+z(0,0,0) -z(0,0,0)\"] },\n",
+        "",
+        Check::Connections,
+        "blocks \"end\" and \"top\" also meet with the magnets \"+z(0,0,0) -z(0,0,0)\"; list the pair",
+    );
+    check(
+        "+z(2,0,0) -z(0,0,0)",
+        "+z(1,0,0) -z(0,0,0)",
+        Check::Connections,
+        "the magnets \"+z(1,0,0) -z(0,0,0)\" of blocks \"bar\" and \"end\" do not meet with opposite poles",
+    );
+}
+
+#[test]
+fn loose_and_tipping_structures_are_refused() {
+    // The top cube moved away loses its only pair: take the pair out too.
+    let loose = GOOD
+        .replace("at = [2, 0, 2]", "at = [2, 0, 5]")
+        .replace("    { a = \"end\", b = \"top\", magnets = [\"+z(0,0,0) -z(0,0,0)\"] },\n", "");
+    let error = check_text("loose.toml", &loose).blueprint.expect_err("it is in two pieces").to_string();
+    assert_eq!(error, "loose.toml: block \"top\" is not connected to \"bar\"");
+    // The bar as a jib over a cube at its end: centre at (2.5 + 1.5·3 + 2.5) / 5 = 1.9 along x, support from 2 to 3.
+    let tipping = GOOD
+        .replace("at = [0, 0, 0]", "at = [0, 0, 1]")
+        .replace("at = [2, 0, 1]", "at = [2, 0, 0]")
+        .replace("+z(2,0,0) -z(0,0,0)", "-z(2,0,0) +z(0,0,0)")
+        .replace(
+            "a = \"end\", b = \"top\", magnets = [\"+z(0,0,0)",
+            "a = \"bar\", b = \"top\", magnets = [\"+z(2,0,0)",
+        );
+    let error = check_text("tipping.toml", &tipping).blueprint.expect_err("it tips over").to_string();
+    let expected = "tipping.toml: the centre of mass at (1.90, 0.50) u has a support margin of -0.10 u, \
+                    less than 0.1 u";
+    assert_eq!(error, expected);
+}
+
+#[test]
+fn the_inventory_runs_out() {
+    let cube = |i: i32| format!("{{ name = \"c{i}\", type = \"3x1x1\", at = [0, 0, {i}], axes = \"+x +y\" }}, ");
+    let text = format!(
+        "id = \"3_000\"\nsplit = \"train\"\ntitle = \"pile\"\nprovenance = \"test\"\nblocks = [{}]\nconnections = []",
+        (0..3).map(cube).collect::<String>()
+    );
+    let report = check_text("pile.toml", &text);
+    let error = report.blueprint.expect_err("there are two bars").to_string();
+    assert_eq!(error, "pile.toml: block \"c2\" is one too many of type 3x1x1: the inventory has 2");
+    // What cannot be looked at without blocks is skipped, not passed.
+    let n_skipped = report.results.iter().filter(|r| r.outcome == Outcome::Skipped).count();
+    assert_eq!((report.results.len(), n_skipped), (Check::ALL.len() - 1, 5));
+}
+
+proptest! {
+    #[test]
+    fn no_text_panics(text in ".{0,200}") {
+        prop_assert!(!check_text("any.toml", &text).passed());
+    }
+
+    #[test]
+    fn no_damaged_file_panics(at in 0..GOOD.len(), with in "[ -~]{0,3}") {
+        let mut text = GOOD.to_owned();
+        text.replace_range(at..=at, &with);
+        let report = check_text("damaged.toml", &text);
+        prop_assert_eq!(report.passed(), report.blueprint.is_ok());
+    }
+}
