@@ -65,6 +65,11 @@ impl Connections {
         joints
     }
 
+    #[cfg(test)]
+    pub(crate) fn handle(&self, index: usize) -> JointHandle {
+        self.live[index].handle
+    }
+
     /// Whether two blocks hang together through connections.
     pub(crate) fn same_component(&self, a: BlockIdx, b: BlockIdx) -> bool {
         self.components[a.get()] == self.components[b.get()]
@@ -167,7 +172,7 @@ impl Connections {
         if pairs.is_empty() {
             return;
         }
-        // The joint acts at the middle of the magnets that meet, so that its torque is the one that they must carry.
+        // The joint acts at the middle of the magnets that meet.
         let magnets = inventory.magnets(joint.a);
         let sum: Vector3<f32> = pairs.iter().map(|&(m, _)| magnet_position_m(&magnets[m])).sum();
         let middle = sum / pairs.len() as f32;

@@ -149,8 +149,9 @@ impl Engine {
         Velocity { linear: from_rapier(body.linvel()), angular: from_rapier(body.angvel()) }
     }
 
-    pub(crate) fn mass_kg(&self, block: BlockIdx) -> f32 {
-        self.body(block).mass()
+    #[cfg(test)]
+    pub(crate) fn kinetic_energy_j(&self, block: BlockIdx) -> f32 {
+        self.body(block).kinetic_energy()
     }
 
     pub(crate) fn is_asleep(&self, block: BlockIdx) -> bool {
@@ -198,6 +199,9 @@ impl Engine {
     }
 
     /// Force (N) and torque (N·m) that the joint carried in the last substep.
+    ///
+    /// The solver makes the six rows of a joint independent of each other, so the torque is the one about the point
+    /// where force and torque decouple, not about the contact: a weight on a lever reads mostly as force.
     pub(crate) fn joint_load(&self, joint: JointHandle) -> (f32, f32) {
         let Some(joint) = self.now.joints.get(joint) else { return (0.0, 0.0) };
         let [fx, fy, fz, tx, ty, tz] = joint.impulses;

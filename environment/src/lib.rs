@@ -1,11 +1,13 @@
 //! The physical world of magnet blocks: initial states, steps, rewards and success.
 //!
 //! Reading order: [`env`] (what a world offers) → [`world`] → `reset`, `grippers`, `magnets`, `connections` (what happens
-//! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`config`].
+//! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`config`] → [`contract`]
+//! (checks for any environment).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod config;
+pub mod contract;
 pub mod env;
 pub mod reward;
 pub mod success;
@@ -16,6 +18,8 @@ mod convert;
 mod engine;
 mod grippers;
 mod magnets;
+#[cfg(test)]
+mod physics_tests;
 mod reset;
 
 pub use config::{EnvironmentConfig, EnvironmentConfigError};

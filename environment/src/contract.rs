@@ -1,0 +1,187 @@
+//! What every [`Env`] must do, as checks that any implementation's tests can run.
+//!
+//! Each function panics with what went wrong, like an assertion.
+
+use blueprints::{BlockIdx, Catalogue, N_BLOCKS};
+use proto::{Action, RewardTerms, Scene, Start, Status, Task};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::{ForcePenalty, RewardConfig};
+use crate::env::{Env, ResetError, StepResult};
+use crate::reset::sample_assignment;
+use crate::reward::potential;
+
+/// Steps of the episodes that the checks play.
+const N_STEPS: usize = 25;
+
+/// Runs all checks on environments from `make`, which must give each a time limit of `episode_steps` and rewards by
+/// `reward`.
+///
+/// # Panics
+/// When a check fails, or when `catalogue` is empty.
+pub fn check_all<E: Env>(make: impl Fn() -> E, catalogue: &Catalogue, reward: &RewardConfig, episode_steps: u16) {
+    for seed in 0..3 {
+        for task in tasks(catalogue, seed) {
+            check_repeatable(&make, catalogue, &task);
+            check_episode(&mut make(), catalogue, &task, reward);
+        }
+    }
+    let task = &tasks(catalogue, 3)[0];
+    check_time_limit(&mut make(), catalogue, task, episode_steps);
+    check_refusals(&mut make(), catalogue, task);
+    check_bad_action(&mut make(), catalogue, task);
+}
+
+/// A task of every kind of start, on a goal drawn from the catalogue.
+///
+/// # Panics
+/// When `catalogue` is empty.
+pub fn tasks(catalogue: &Catalogue, seed: u64) -> Vec<Task> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let blueprints: Vec<_> = catalogue.iter().collect();
+    assert!(!blueprints.is_empty(), "the catalogue is empty");
+    let mut draw = || blueprints[rng.random_range(0..blueprints.len())].id().clone();
+    let starts = [Start::Scattered, Start::Prebuilt(draw()), Start::NearGoal { undone: 1 }];
+    let goals = [draw(), draw(), draw()];
+    let task = |(blueprint, start)| Task { blueprint, assignment: sample_assignment(&mut rng), start, seed };
+    goals.into_iter().zip(starts).map(task).collect()
+}
+
+/// The same task and actions give the same scenes, rewards and ends: in a fresh environment, in another, and in one that
+/// has lived before.
+///
+/// # Panics
+/// When they differ in any bit.
+pub fn check_repeatable<E: Env>(make: impl Fn() -> E, catalogue: &Catalogue, task: &Task) {
+    let first = play(&mut make(), catalogue, task);
+    assert!(first == play(&mut make(), catalogue, task), "two fresh environments differ on {task:?}");
+    let mut used = make();
+    play(&mut used, catalogue, &Task { seed: task.seed + 1000, start: Start::Scattered, ..task.clone() });
+    assert!(first == play(&mut used, catalogue, task), "a reset environment differs from a fresh one on {task:?}");
+}
+
+/// Scenes are well-formed, grippers hold what was chosen, and the rewards sum to the difference of the potentials.
+///
+/// # Panics
+/// When one of these fails.
+pub fn check_episode<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task, config: &RewardConfig) {
+    env.reset(task, catalogue).expect("the task is valid");
+    assert_eq!(env.blueprint().id(), &task.blueprint);
+    check_scene(env.scene());
+    assert!(env.scene().grippers.iter().flatten().all(|g| g.held.is_none()), "a gripper holds before the first step");
+    let before = potential(env.scene(), env.blueprint(), config);
+    let mut sum = RewardTerms::default();
+    for action in actions(task.seed) {
+        let StepResult { reward, status } = env.step(&action);
+        if status == Status::Diverged {
+            assert_eq!(reward, RewardTerms::default(), "a diverged step has a reward");
+            return;
+        }
+        check_scene(env.scene());
+        assert!(reward.total().is_finite(), "reward {reward:?}");
+        for (a, b) in terms(&mut sum).into_iter().zip(terms(&mut reward.clone())) {
+            *a += *b;
+        }
+    }
+    let mut after = potential(env.scene(), env.blueprint(), config);
+    let mut before = before;
+    let names = ["connected", "wrong", "magnets", "blocks", "force"];
+    for (((name, sum), after), before) in names.iter().zip(terms(&mut sum)).zip(terms(&mut after)).zip(terms(&mut before)) {
+        if *name == "force" && config.force_penalty == ForcePenalty::PerStep {
+            continue;
+        }
+        let difference = *after - *before;
+        assert!((*sum - difference).abs() < 1e-3, "{name}: rewards sum to {sum}, the potential grew by {difference}");
+    }
+}
+
+/// An episode without success ends with [`Status::TimeLimit`] at exactly `episode_steps`.
+///
+/// # Panics
+/// When it does not.
+pub fn check_time_limit<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task, episode_steps: u16) {
+    env.reset(task, catalogue).expect("the task is valid");
+    let idle = Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] };
+    for step in 1..=episode_steps {
+        let wanted = if step == episode_steps { Status::TimeLimit } else { Status::Running };
+        assert_eq!(env.step(&idle).status, wanted, "step {step}");
+    }
+}
+
+/// Tasks that do not fit are refused, each with its own error, and leave the environment as it was.
+///
+/// # Panics
+/// When one is accepted, or changes the scene.
+pub fn check_refusals<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) {
+    let as_it_is = Task { start: Start::AsItIs, ..task.clone() };
+    assert_eq!(env.reset(&as_it_is, catalogue), Err(ResetError::NothingToKeep));
+    env.reset(task, catalogue).expect("the task is valid");
+    let before = env.scene().clone();
+    let unknown: blueprints::BlueprintId = "nowhere_2_999".parse().expect("it is an id");
+    let mut assignment = task.assignment;
+    assignment.swap(0, N_BLOCKS - 1);
+    for (task, refused) in [
+        (Task { blueprint: unknown.clone(), ..task.clone() }, "unknown goal"),
+        (Task { start: Start::Prebuilt(unknown), ..task.clone() }, "unknown start"),
+        (Task { assignment, ..task.clone() }, "blocks of two types swapped"),
+        (Task { start: Start::NearGoal { undone: 0 }, ..task.clone() }, "nothing undone"),
+        (Task { start: Start::NearGoal { undone: 16 }, ..task.clone() }, "more undone than there is"),
+    ] {
+        assert!(env.reset(&task, catalogue).is_err(), "accepted: {refused}");
+        assert!(*env.scene() == before, "changed by a refused task: {refused}");
+    }
+    assert_eq!(env.reset(&as_it_is, catalogue), Ok(()));
+    assert!(env.scene().blocks == before.blocks, "a start as it is moved blocks");
+}
+
+/// An action that is not finite ends the episode as diverged and nothing worse; the next reset mends it.
+///
+/// # Panics
+/// When it does not.
+pub fn check_bad_action<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) {
+    for bad in [f32::NAN, f32::INFINITY] {
+        env.reset(task, catalogue).expect("the task is valid");
+        let action = Action { choices: [BlockIdx::all().next(), None], moves: [[bad; 6]; N_BLOCKS] };
+        assert_eq!(env.step(&action).status, Status::Diverged);
+        check_scene(env.scene());
+    }
+    env.reset(task, catalogue).expect("a diverged environment can be reset");
+    check_scene(env.scene());
+}
+
+fn play<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) -> Vec<(Scene, Option<StepResult>)> {
+    env.reset(task, catalogue).expect("the task is valid");
+    let mut seen = vec![(env.scene().clone(), None)];
+    for action in actions(task.seed) {
+        let result = env.step(&action);
+        seen.push((env.scene().clone(), Some(result)));
+    }
+    seen
+}
+
+fn actions(seed: u64) -> Vec<Action> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let blocks: Vec<_> = BlockIdx::all().collect();
+    let mut action = || {
+        let choices = std::array::from_fn(|_| Some(blocks[rng.random_range(0..N_BLOCKS)]));
+        Action { choices, moves: std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.5..1.5))) }
+    };
+    (0..N_STEPS).map(|_| action()).collect()
+}
+
+fn check_scene(scene: &Scene) {
+    for (pose, speed) in scene.blocks.iter().zip(scene.speeds_mps) {
+        assert!(pose.position.iter().all(|x| x.is_finite()), "{pose:?}");
+        let norm: f32 = pose.orientation.iter().map(|q| q * q).sum();
+        assert!((norm - 1.0).abs() < 1e-3, "{pose:?} is not a rotation");
+        assert!(speed >= 0.0, "speed {speed}");
+    }
+    assert!(scene.joints.iter().all(|j| j.a < j.b), "a connection's blocks are in the wrong order");
+    let sorted = scene.joints.windows(2).all(|w| (w[0].a, w[0].b) < (w[1].a, w[1].b));
+    assert!(sorted, "connections are not sorted, or two join one pair: {:?}", scene.joints);
+}
+
+fn terms(t: &mut RewardTerms) -> [&mut f32; 5] {
+    [&mut t.connected, &mut t.wrong, &mut t.magnets, &mut t.blocks, &mut t.force]
+}

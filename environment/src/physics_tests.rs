@@ -1,0 +1,212 @@
+//! What the physics must do, measured on the engine itself.
+
+use blueprints::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use proto::{Action, Joint};
+
+use crate::config::EnvironmentConfig;
+use crate::connections::{Connections, block_array};
+use crate::engine::{Engine, Velocity};
+use crate::grippers::Grippers;
+
+/// The parts of a world, open for measuring.
+struct Rig {
+    engine: Engine,
+    connections: Connections,
+    grippers: Grippers,
+    config: EnvironmentConfig,
+}
+
+impl Rig {
+    /// The given blocks where they are said to be, all others far away on the ground.
+    fn new(config: EnvironmentConfig, placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
+        let mut poses = block_array(|block| {
+            let half_height = Inventory::standard().half_extents_m(block)[2];
+            Isometry3::translation(-3.0 + 0.5 * (block.get() % 4) as f32, -3.0 + 0.5 * (block.get() / 4) as f32, half_height)
+        });
+        for (block, pose) in placed {
+            poses[block.get()] = *pose;
+        }
+        let inventory = Inventory::standard();
+        let mut engine = Engine::new(&config.physics, inventory);
+        engine.reset(&poses);
+        let connections = Connections::new(&config.magnets, &config.physics, inventory);
+        let grippers = Grippers::new(&config);
+        Self { engine, connections, grippers, config }
+    }
+
+    fn weightless(placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
+        let mut config = EnvironmentConfig::default();
+        config.physics.gravity_mps2 = 0.0;
+        config.physics.damping_hz = 0.0;
+        Self::new(config, placed)
+    }
+
+    fn substep(&mut self) {
+        self.connections.attract(&mut self.engine);
+        self.grippers.drive(&mut self.engine, &self.connections);
+        self.engine.substep();
+        self.connections.strain(&mut self.engine);
+    }
+
+    fn step(&mut self, action: &Action) {
+        self.grippers.begin_step(&mut self.engine, action);
+        for _ in 0..self.config.physics.n_substeps {
+            self.substep();
+        }
+    }
+
+    fn kinetic_energy(&self, blocks: &[BlockIdx]) -> f32 {
+        blocks.iter().map(|&block| self.engine.kinetic_energy_j(block)).sum()
+    }
+
+    /// Greatest distance (m) and angle (rad) of a connected block from its place as seen from its neighbour.
+    fn worst_joint_error(&self) -> (f32, f32) {
+        self.connections.joints().iter().fold((0.0_f32, 0.0_f32), |(distance, angle), joint| {
+            let seen = self.engine.pose(joint.a).inv_mul(&self.engine.pose(joint.b));
+            let error = (seen.translation.vector - joint.relative.position_m()).norm();
+            (distance.max(error), angle.max(seen.rotation.angle_to(&joint.relative.rotation.quaternion())))
+        })
+    }
+}
+
+fn block(index: u8) -> BlockIdx {
+    BlockIdx::try_from(index).unwrap()
+}
+
+fn at(x: f32, y: f32, z: f32, yaw: f32) -> Isometry3<f32> {
+    Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw))
+}
+
+fn beside(a: u8, b: u8, offset_half_units: [i32; 3]) -> Joint {
+    let relative = RelativePlacement { offset_half_units, rotation: CubeRotation::IDENTITY };
+    Joint { a: block(a), b: block(b), relative }
+}
+
+#[test]
+fn opposite_magnets_at_2_cm_and_8_degrees_snap_and_like_poles_never() {
+    // Cubes on the ground, a gap of 2 cm between a +x face and a −x face, and between two +x faces.
+    let snaps = |yaw: f32| {
+        let mut rig = Rig::new(EnvironmentConfig::default(), &[(block(0), at(0.0, 0.0, 0.05, 0.0)), (block(1), at(0.12, 0.0, 0.05, yaw))]);
+        (0..100).for_each(|_| rig.substep());
+        let (distance, angle) = rig.worst_joint_error();
+        assert!(distance < 1e-3 && angle < 5e-3, "the snap left {distance} m and {angle} rad");
+        rig.connections.joints()
+    };
+    let eight = 8_f32.to_radians();
+    assert_eq!(snaps(eight), [beside(0, 1, [2, 0, 0])]);
+    assert_eq!(snaps(std::f32::consts::PI + eight), []);
+    assert_eq!(snaps(std::f32::consts::PI), []);
+}
+
+#[test]
+fn a_connection_breaks_at_the_force_that_the_rule_says() {
+    // Two cubes, two 2×1×1 and two 3×1×1 side by side in y meet with 1, 2 and 3 magnet pairs, so they hold 30, 60, 90 N.
+    for (a, b, n_pairs) in [(0, 1, 1), (4, 5, 2), (8, 9, 3)] {
+        let holds = |force: f32| {
+            let mut rig = Rig::weightless(&[(block(a), at(0.0, 0.0, 1.0, 0.0)), (block(b), at(0.0, 0.1, 1.0, 0.0))]);
+            rig.connections.insert_built(&mut rig.engine, beside(a, b, [0, 2, 0]));
+            for _ in 0..50 {
+                for (puller, sign) in [(a, -1.0), (b, 1.0)] {
+                    let impulse = Vector3::y() * (sign * force * rig.config.physics.substep_s());
+                    let center = rig.engine.pose(block(puller)).translation.vector;
+                    rig.engine.apply_impulse(block(puller), impulse, center);
+                }
+                rig.substep();
+            }
+            !rig.connections.joints().is_empty()
+        };
+        let strength = 30.0 * n_pairs as f32;
+        assert!(holds(0.95 * strength), "{n_pairs} pairs broke under 95 % of their strength");
+        assert!(!holds(1.05 * strength), "{n_pairs} pairs held 105 % of their strength");
+    }
+}
+
+#[test]
+fn a_hanging_block_loads_its_connection_with_its_weight() {
+    // A cube of 0.2 kg under a held one: 1.962 N.
+    let mut rig = Rig::new(
+        EnvironmentConfig::default(),
+        &[(block(0), at(0.0, 0.0, 1.0, 0.0)), (block(1), at(0.0, 0.0, 0.9, 0.0))],
+    );
+    rig.connections.insert_built(&mut rig.engine, beside(0, 1, [0, 0, -2]));
+    for _ in 0..100 {
+        // The upper cube alone is held, so the joint carries the other one.
+        rig.engine.set_gravity(block(0), false);
+        rig.engine.set_velocity(block(0), Velocity { linear: Vector3::zeros(), angular: Vector3::zeros() });
+        rig.engine.substep();
+    }
+    let (force, torque) = rig.engine.joint_load(rig.connections.handle(0));
+    assert!((force - 1.962).abs() < 0.05 && torque < 0.01, "{force} N, {torque} N·m");
+}
+
+#[test]
+fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
+    // All blocks end to end along x, 3.2 m long, held at the first block and then near the middle.
+    let half = |i: usize| i32::from(Inventory::standard().cells(BlockIdx::all().nth(i).unwrap())[0]);
+    let mut centers = vec![half(0)];
+    for i in 1..N_BLOCKS {
+        centers.push(centers[i - 1] + half(i - 1) + half(i));
+    }
+    for held in [0, 9] {
+        let placed: Vec<_> = BlockIdx::all()
+            .map(|b| (b, at((centers[b.get()] - centers[held]) as f32 * 0.05, 0.0, 1.5, 0.0)))
+            .collect();
+        let mut rig = Rig::new(EnvironmentConfig::default(), &placed);
+        for i in 1..N_BLOCKS {
+            let joint = beside(i as u8 - 1, i as u8, [centers[i] - centers[i - 1], 0, 0]);
+            rig.connections.insert_built(&mut rig.engine, joint);
+        }
+        let mut action =
+            Action { choices: [Some(block(held as u8)), None], moves: [[0.0; 6]; N_BLOCKS] };
+        let mut worst = (0.0_f32, 0.0_f32);
+        for step in 0..40 {
+            // Turns about z at a quarter of full speed, one way and back, while it moves to and fro.
+            let sign = if (step / 10) % 2 == 0 { 1.0 } else { -1.0 };
+            action.moves[held] = [0.2 * sign, 0.1 * sign, 0.0, 0.0, 0.0, 0.25 * sign];
+            rig.step(&action);
+            let (distance, angle) = rig.worst_joint_error();
+            worst = (worst.0.max(distance), worst.1.max(angle));
+        }
+        assert_eq!(rig.connections.joints().len(), N_BLOCKS - 1, "the chain broke");
+        assert!(worst.0 < 0.005 && worst.1 < 0.03, "worst error {} m, {} rad", worst.0, worst.1);
+    }
+}
+
+#[test]
+fn a_snap_adds_no_energy_beyond_the_attraction() {
+    let blocks = [block(0), block(1)];
+    for (gap, yaw, approach) in [(0.029, 0.0, 0.0), (0.02, 0.14, 0.0), (0.035, 0.1, 0.0), (0.035, 0.0, 0.5), (0.02, 0.2, 1.0)] {
+        let mut rig = Rig::weightless(&[(block(0), at(0.0, 0.0, 1.0, 0.0)), (block(1), at(0.1 + gap, 0.0, 1.0, yaw))]);
+        let velocity = Velocity { linear: Vector3::new(-approach, 0.0, 0.0), angular: Vector3::zeros() };
+        rig.engine.set_velocity(block(1), velocity);
+        let before = rig.kinetic_energy(&blocks);
+        // The work of one pair from the gap to contact: ∫ 8 N (1 − x / 4 cm) dx.
+        let work = 8.0 * (gap - gap * gap / 0.08);
+        let mut most = 0.0_f32;
+        for _ in 0..100 {
+            rig.substep();
+            most = most.max(rig.kinetic_energy(&blocks));
+        }
+        let after = rig.kinetic_energy(&blocks);
+        assert_eq!(rig.connections.joints().len(), 1);
+        assert!(most <= before + work, "{most} J at the most, {before} J before, {work} J of work");
+    }
+}
+
+#[test]
+fn two_grippers_pull_a_pair_apart() {
+    let mut rig = Rig::new(EnvironmentConfig::default(), &[(block(0), at(0.0, 0.0, 0.5, 0.0)), (block(1), at(0.1, 0.0, 0.5, 0.0))]);
+    rig.connections.insert_built(&mut rig.engine, beside(0, 1, [2, 0, 0]));
+    let mut action = Action { choices: [Some(block(0)), Some(block(1))], moves: [[0.0; 6]; N_BLOCKS] };
+    // Held still by both, it stays where it is.
+    (0..10).for_each(|_| rig.step(&action));
+    assert!((rig.engine.pose(block(0)).translation.vector - Vector3::new(0.0, 0.0, 0.5)).norm() < 0.002);
+    assert_eq!(rig.connections.joints().len(), 1);
+    action.moves[0][0] = -0.3;
+    action.moves[1][0] = 0.3;
+    (0..5).for_each(|_| rig.step(&action));
+    assert!(rig.connections.joints().is_empty());
+    let gap = rig.engine.pose(block(1)).translation.x - rig.engine.pose(block(0)).translation.x;
+    assert!(gap > 0.2, "they are only {gap} m apart");
+}

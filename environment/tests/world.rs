@@ -1,0 +1,258 @@
+//! The world through its public face.
+
+use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS};
+use environment::config::{ForcePenalty, RewardConfig, SuccessConfig};
+use environment::reward::potential;
+use environment::success::is_success;
+use environment::{Env, EnvironmentConfig, StableSuccess, World, contract};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use proptest::prelude::*;
+use proto::{Action, Joint, Pose, RewardTerms, Scene, Start, Status, Task};
+
+fn task(blueprint: &Blueprint, start: Start, seed: u64) -> Task {
+    let assignment = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
+    Task { blueprint: blueprint.id().clone(), assignment, start, seed }
+}
+
+fn idle() -> Action {
+    Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] }
+}
+
+fn world(change: impl Fn(&mut EnvironmentConfig)) -> World {
+    let mut config = EnvironmentConfig::default();
+    change(&mut config);
+    World::new(&config).unwrap()
+}
+
+fn block(index: u8) -> BlockIdx {
+    BlockIdx::try_from(index).unwrap()
+}
+
+/// The goal as it should be; unused blocks lie far away.
+fn goal_scene(blueprint: &Blueprint) -> Scene {
+    let pose = |block: BlockIdx| match blueprint.placement(block) {
+        Some(placement) => {
+            let q = placement.rotation.quaternion();
+            Pose { position: placement.position_m().into(), orientation: [q.i, q.j, q.k, q.w] }
+        }
+        None => Pose { position: [2.0, 0.3 * block.get() as f32 - 2.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] },
+    };
+    Scene {
+        blocks: std::array::from_fn(|i| pose(block(i as u8))),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: blueprint.links().iter().map(|l| Joint { a: l.a, b: l.b, relative: l.relative }).collect(),
+        grippers: [None, None],
+        n_heavy_contacts: 0,
+    }
+}
+
+/// The scene turned by `yaw` about z and then shifted.
+fn moved(scene: &Scene, yaw: f32, x: f32, y: f32) -> Scene {
+    let frame = Isometry3::from_parts(
+        Translation3::new(x, y, 0.0),
+        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
+    );
+    let shift = |pose: &Pose| {
+        let [i, j, k, w] = pose.orientation;
+        let rotation = frame.rotation * UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
+        let position = frame.rotation * Vector3::from(pose.position) + frame.translation.vector;
+        Pose { position: position.into(), orientation: [rotation.i, rotation.j, rotation.k, rotation.w] }
+    };
+    Scene { blocks: scene.blocks.each_ref().map(shift), ..scene.clone() }
+}
+
+fn as_array(t: &RewardTerms) -> [f32; 5] {
+    [t.connected, t.wrong, t.magnets, t.blocks, t.force]
+}
+
+#[test]
+fn the_world_keeps_the_contract() {
+    for (n_grippers, transition_delay_steps) in [(2, 0), (1, 2)] {
+        let make = || {
+            world(|c| {
+                c.n_grippers = n_grippers;
+                c.transition_delay_steps = transition_delay_steps;
+                c.episode_steps = 30;
+            })
+        };
+        contract::check_all(make, Catalogue::builtin(), &RewardConfig::default(), 30);
+    }
+}
+
+#[test]
+fn the_goal_pose_is_a_success_with_the_full_potential_for_every_blueprint() {
+    for blueprint in Catalogue::builtin().iter() {
+        let scene = goal_scene(blueprint);
+        assert!(is_success(&scene, blueprint, &SuccessConfig::default()), "{}", blueprint.id());
+        let terms = potential(&scene, blueprint, &RewardConfig::default());
+        let n = blueprint.links().len() as f32;
+        for (term, wanted) in as_array(&terms).into_iter().zip([n, 0.0, 0.5 * n, 0.5 * n, 0.0]) {
+            assert!((term - wanted).abs() < 1e-3 * n, "{}: {terms:?} with {n} pairs", blueprint.id());
+        }
+        let mut stranger = scene.clone();
+        stranger.joints.remove(0);
+        assert!(!is_success(&stranger, blueprint, &SuccessConfig::default()), "{} lacks one", blueprint.id());
+    }
+}
+
+#[test]
+fn a_built_goal_stands_in_physics_for_every_blueprint() {
+    let config = EnvironmentConfig::default();
+    let mut world = World::new(&config).unwrap();
+    for blueprint in Catalogue::builtin().iter() {
+        let start = Start::Prebuilt(blueprint.id().clone());
+        world.reset(&task(blueprint, start, 1), Catalogue::builtin()).unwrap();
+        let mut stable = StableSuccess::default();
+        let mut is_stable = false;
+        for _ in 0..10 {
+            assert_eq!(world.step(&idle()).status, Status::Success, "{}", blueprint.id());
+            is_stable = stable.observe(world.scene(), world.blueprint(), &config.success);
+        }
+        assert!(is_stable, "{} does not come to rest: {:?}", blueprint.id(), world.scene().speeds_mps);
+    }
+}
+
+#[test]
+fn a_near_goal_start_lacks_what_was_taken_off() {
+    for blueprint in Catalogue::builtin().iter() {
+        let mut world = world(|_| ());
+        for undone in 1..blueprint.n_blocks().min(4) as u8 {
+            for seed in 0..5 {
+                let near = task(blueprint, Start::NearGoal { undone }, seed);
+                world.reset(&near, Catalogue::builtin()).unwrap();
+                let loose = |p: &&blueprints::Placement| {
+                    world.scene().joints.iter().all(|j| j.a != p.block && j.b != p.block)
+                };
+                let n_loose = blueprint.placements().iter().filter(loose).count();
+                // A single block that is left has no connection either.
+                let all_but_one = usize::from(undone) + 1 == blueprint.n_blocks();
+                assert_eq!(n_loose, usize::from(undone) + usize::from(all_but_one), "{}", blueprint.id());
+                assert_ne!(world.step(&idle()).status, Status::Success);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_scattered_start_stays_as_it_is() {
+    let goal = Catalogue::builtin().iter().next().unwrap();
+    for seed in 0..30 {
+        let mut world = world(|_| ());
+        world.reset(&task(goal, Start::Scattered, seed), Catalogue::builtin()).unwrap();
+        let before = world.scene().blocks;
+        (0..10).for_each(|_| {
+            world.step(&idle());
+        });
+        assert!(world.scene().joints.is_empty(), "seed {seed}");
+        for (i, (old, new)) in before.iter().zip(&world.scene().blocks).enumerate() {
+            let moved = (Vector3::from(old.position) - Vector3::from(new.position)).norm();
+            assert!(moved < 0.005, "seed {seed}: block {i} moved by {moved} m");
+        }
+    }
+}
+
+#[test]
+fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
+    let goal = Catalogue::builtin().iter().next().unwrap();
+    let mut world = world(|_| ());
+    world.reset(&task(goal, Start::Scattered, 4), Catalogue::builtin()).unwrap();
+    let before = world.scene().blocks[0];
+    let [i, j, k, w] = before.orientation;
+    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
+    // Straight up at half of 3 m/s, written in the block's frame; an entry beyond 1 is clipped to 1.
+    let up = rotation.inverse() * Vector3::z() * 0.5;
+    let mut action = idle();
+    action.choices[0] = Some(block(0));
+    action.moves[0][..3].copy_from_slice(up.as_slice());
+    world.step(&action);
+    let risen = world.scene().blocks[0].position[2] - before.position[2];
+    // 0.15 m less half a percent of damping.
+    assert!((risen - 0.15).abs() < 0.003, "{risen} m");
+    let gripper = world.scene().grippers[0].unwrap();
+    assert_eq!(gripper.held, Some(block(0)));
+    assert!((Vector3::from(gripper.linear_velocity) - Vector3::z() * 1.5).norm() < 1e-4);
+}
+
+#[test]
+fn a_switch_disables_the_gripper_for_the_delay() {
+    let goal = Catalogue::builtin().iter().next().unwrap();
+    let mut world = world(|c| c.transition_delay_steps = 2);
+    world.reset(&task(goal, Start::Scattered, 4), Catalogue::builtin()).unwrap();
+    let held: Vec<_> = [0, 0, 1, 1, 1, 1]
+        .map(|b| {
+            world.step(&Action { choices: [Some(block(b)), None], ..idle() });
+            world.scene().grippers[0].unwrap().held.map(u8::from)
+        })
+        .into();
+    assert_eq!(held, [Some(0), Some(0), None, None, Some(1), Some(1)]);
+}
+
+#[test]
+fn a_single_gripper_world_ignores_the_second_choice() {
+    let goal = Catalogue::builtin().iter().next().unwrap();
+    let mut world = world(|c| c.n_grippers = 1);
+    world.reset(&task(goal, Start::Scattered, 4), Catalogue::builtin()).unwrap();
+    let before = world.scene().blocks[3].position;
+    world.step(&Action { choices: [None, Some(block(3))], moves: [[1.0; 6]; N_BLOCKS] });
+    assert_eq!(world.scene().grippers[1], None);
+    assert!((Vector3::from(before) - Vector3::from(world.scene().blocks[3].position)).norm() < 0.005);
+}
+
+#[test]
+fn the_force_penalty_is_refunded_unless_it_is_per_step() {
+    let (calm, hit) = (RewardTerms::default(), RewardTerms { force: -0.3, ..RewardTerms::default() });
+    let differenced = RewardConfig::default();
+    let per_step = RewardConfig { force_penalty: ForcePenalty::PerStep, ..RewardConfig::default() };
+    let forces = |config: &RewardConfig| {
+        [(&calm, &hit), (&hit, &hit), (&hit, &calm)].map(|(a, b)| environment::reward::reward(a, b, config).force)
+    };
+    assert_eq!(forces(&differenced), [-0.3, 0.0, 0.3]);
+    assert_eq!(forces(&per_step), [-0.3, -0.3, 0.0]);
+}
+
+#[test]
+fn a_shuffled_assignment_permutes_blocks_of_one_type() {
+    use rand_chacha::rand_core::SeedableRng;
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    let inventory = blueprints::Inventory::standard();
+    let mut moved = 0;
+    for _ in 0..100 {
+        let assignment = environment::sample_assignment(&mut rng);
+        let mut seen = assignment.to_vec();
+        seen.sort_unstable();
+        assert!(seen.into_iter().eq(BlockIdx::all()));
+        assert!(BlockIdx::all().all(|b| inventory.type_idx(b) == inventory.type_idx(assignment[b.get()])));
+        moved += usize::from(assignment[0] != block(0));
+    }
+    // Three of four draws give slot 0 to another cube.
+    assert!((60..90).contains(&moved), "{moved}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn potential_and_success_do_not_depend_on_yaw_and_place(
+        goal in 0_usize..1000, yaw in -3.2_f32..3.2, x in -1.0_f32..1.0, y in -1.0_f32..1.0, seed in 0_u64..1000,
+        built in any::<bool>(),
+    ) {
+        let all: Vec<_> = Catalogue::builtin().iter().collect();
+        let blueprint = all[goal % all.len()];
+        let scene = if built {
+            goal_scene(blueprint)
+        } else {
+            let mut world = world(|_| ());
+            world.reset(&task(blueprint, Start::Scattered, seed), Catalogue::builtin()).unwrap();
+            world.scene().clone()
+        };
+        let shifted = moved(&scene, yaw, x, y);
+        let config = RewardConfig::default();
+        let (here, there) = (potential(&scene, blueprint, &config), potential(&shifted, blueprint, &config));
+        for (a, b) in as_array(&here).into_iter().zip(as_array(&there)) {
+            prop_assert!((a - b).abs() < 2e-3 * blueprint.links().len() as f32, "{here:?} {there:?}");
+        }
+        let success = |s: &Scene| is_success(s, blueprint, &SuccessConfig::default());
+        prop_assert_eq!(success(&scene), success(&shifted));
+        prop_assert_eq!(success(&scene), built);
+    }
+}
