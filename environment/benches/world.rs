@@ -11,8 +11,8 @@ use proto::{Action, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-const N_STEPS: usize = 100;
-const N_ROUNDS: u64 = 20;
+const N_STEPS: usize = 1000;
+const N_ROUNDS: u64 = 5;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
@@ -51,15 +51,18 @@ fn settled(config: &EnvironmentConfig, seed: u64) -> f64 {
     })
 }
 
-/// Uniformly random blocks and moves; a world that diverges starts anew.
+/// Uniformly random blocks and moves in episodes of 100 steps.
 fn random(config: &EnvironmentConfig, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut world = start(config, two_blocks(), Start::Scattered, seed);
+    let mut n = 0;
     timed(N_STEPS, || {
         let block = |rng: &mut ChaCha8Rng| BlockIdx::try_from(rng.random_range(0..N_BLOCKS as u8)).unwrap();
         let choices = [Some(block(&mut rng)), Some(block(&mut rng))];
         let moves = std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0)));
-        if world.step(&Action { choices, moves }).status == Status::Diverged {
+        n += 1;
+        let status = world.step(&Action { choices, moves }).status;
+        if status == Status::Diverged || n % 100 == 0 {
             world = start(config, two_blocks(), Start::Scattered, seed);
         }
     })

@@ -188,7 +188,6 @@ fn a_snap_adds_no_energy_beyond_the_attraction() {
             rig.substep();
             most = most.max(rig.kinetic_energy(&blocks));
         }
-        let after = rig.kinetic_energy(&blocks);
         assert_eq!(rig.connections.joints().len(), 1);
         assert!(most <= before + work, "{most} J at the most, {before} J before, {work} J of work");
     }
