@@ -1,1 +1,24 @@
+//! From tasks to trajectories: steps many worlds with the newest weights and sends what the learner learns from.
+//!
+//! Reading order: [`config`] → [`task`] (what to build next) → [`segment`] (episodes cut into segments) → [`rollout`]
+//! (worlds and policy together, synchronously) → [`backlog`] → [`run()`] (threads and the bus).
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod backlog;
+pub mod config;
+pub mod rollout;
+mod run;
+pub mod segment;
+pub mod task;
+#[cfg(test)]
+mod toy;
+
+pub use backlog::Backlog;
+pub use config::{ActorConfig, ActorConfigError, FullBacklog};
+pub use environment::EnvironmentConfig;
+pub use policy::PolicyConfig;
+pub use rollout::{Rollout, RolloutCounters, RolloutError, RolloutSetup};
+pub use run::{ActorReport, run};
+pub use segment::{Identity, SegmentBuilder};
+pub use task::{FilterError, TaskConfig, TaskFilter, TaskSampler};

@@ -1,0 +1,352 @@
+//! The actor as a service: threads that step, tasks that send, and one that reports.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use blueprints::Catalogue;
+use environment::{EnvironmentConfig, World};
+use policy::PolicyConfig;
+use proto::bus::{Bus, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
+use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
+use proto::{ActorId, Refusal, Role, Trajectory, Weights, WeightsVersion, keys};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+use crate::backlog::Backlog;
+use crate::config::ActorConfig;
+use crate::rollout::{Rollout, RolloutCounters, RolloutSetup};
+use crate::segment::Identity;
+
+/// Attempts to send a segment that nobody answers.
+const MAX_ATTEMPTS: usize = 3;
+
+/// Pause before a learner whose mailbox is full, or a session that failed, is tried again.
+const RETRY_PAUSE: Duration = Duration::from_millis(50);
+
+/// What an actor did in its life.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ActorReport {
+    /// Of all threads.
+    pub counters: RolloutCounters,
+    /// Segments that the learner took.
+    pub n_trajectories_acked: u64,
+    /// Segments that nobody took, by reason.
+    pub dropped: ActorDrops,
+}
+
+/// Rolls out from the first weights until `shutdown`, then sends what is left as long as the configuration allows.
+///
+/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. `seed` determines tasks and
+/// actions; actors of one run need different ones.
+///
+/// # Errors
+/// When a configuration is invalid, the session fails at the start, the weights are of another network, or no task can be
+/// started.
+pub async fn run(
+    config: ActorConfig,
+    policy: PolicyConfig,
+    environment: EnvironmentConfig,
+    id: ActorId,
+    seed: u64,
+    bus: &Bus,
+    shutdown: CancellationToken,
+) -> anyhow::Result<ActorReport> {
+    config.validate().context("invalid actor configuration")?;
+    let _alive = bus.declare_alive(Role::Actor, id.as_str()).await?;
+    let subscriber = bus.weights_subscriber().await?;
+    let sender = bus.trajectory_sender(&id).await?;
+    let metrics = bus.metrics_publisher(&keys::metrics_actor(&id)).await?;
+    let mut weights = subscriber.watch();
+    tokio::select! {
+        () = shutdown.cancelled() => return Ok(ActorReport::default()),
+        first = weights.wait_for(Option::is_some) => { first.context("the bus closed before the first weights")?; }
+    }
+
+    let epoch = process_epoch_ms();
+    let shared = Arc::new(Shared {
+        backlog: Backlog::new(config.backlog_limit, config.full_backlog),
+        sender,
+        dropped: Mutex::default(),
+        n_acked: AtomicU64::new(0),
+        learner_version: AtomicU64::new(0),
+        progress: Mutex::new(vec![Progress::default(); config.n_threads]),
+        stop: shutdown.child_token(),
+        give_up: CancellationToken::new(),
+    });
+    let reporter = Reporter {
+        shared: shared.clone(),
+        bus: bus.clone(),
+        metrics,
+        id: id.clone(),
+        epoch,
+        n_worlds: (config.n_threads * config.n_worlds) as u64,
+        start: Instant::now(),
+    };
+    let reporting = tokio::spawn(reporter.run(Duration::from_millis(config.metrics_period_ms)));
+    let mut senders = JoinSet::new();
+    for _ in 0..config.n_outstanding {
+        senders.spawn(send_all(shared.clone()));
+    }
+    let mut thread_seeds = ChaCha8Rng::seed_from_u64(seed);
+    let mut threads = JoinSet::new();
+    for thread_idx in 0..config.n_threads {
+        let setup = RolloutSetup {
+            catalogue: Catalogue::builtin(),
+            policy: policy.clone(),
+            tasks: config.tasks.clone(),
+            segment_len: config.segment_len,
+            identity: Identity {
+                actor: id.clone(),
+                epoch,
+                first_seq: thread_idx as u64,
+                seq_step: config.n_threads as u64,
+            },
+            seed: thread_seeds.random(),
+        };
+        let (environment, weights, shared) = (environment.clone(), weights.clone(), shared.clone());
+        let n_worlds = config.n_worlds;
+        threads.spawn_blocking(move || step_worlds(setup, &environment, n_worlds, weights, &shared, thread_idx));
+    }
+
+    shared.stop_with_first(&mut threads).await?;
+    // Whatever came in after the senders ended is counted below.
+    let drained = tokio::time::timeout(Duration::from_millis(config.drain_timeout_ms), async {
+        while senders.join_next().await.is_some() {}
+    });
+    if drained.await.is_err() {
+        shared.give_up.cancel();
+        while senders.join_next().await.is_some() {}
+    }
+    let n_unsent = shared.backlog.clear();
+    shared.drops().no_learner_total += n_unsent;
+    reporting.await.context("the task that reports metrics failed")?;
+    let report = shared.report();
+    tracing::info!(actor = %id, env_steps = report.counters.n_env_steps, n_unsent, "actor ends");
+    Ok(report)
+}
+
+/// What threads and tasks have in common.
+struct Shared {
+    backlog: Backlog,
+    sender: TrajectorySender,
+    dropped: Mutex<ActorDrops>,
+    n_acked: AtomicU64,
+    /// The learner's weights as its last answer says.
+    learner_version: AtomicU64,
+    /// One for each thread.
+    progress: Mutex<Vec<Progress>>,
+    /// No more steps.
+    stop: CancellationToken,
+    /// No more attempts to send either.
+    give_up: CancellationToken,
+}
+
+/// How far a thread is.
+#[derive(Clone, Copy, Debug, Default)]
+struct Progress {
+    counters: RolloutCounters,
+    version: WeightsVersion,
+}
+
+impl Shared {
+    /// Waits for the stop or the first thread to end, then ends the others and closes the backlog.
+    async fn stop_with_first(&self, threads: &mut JoinSet<anyhow::Result<()>>) -> anyhow::Result<()> {
+        let mut outcome = Ok(());
+        loop {
+            let ended = tokio::select! {
+                ended = threads.join_next() => ended,
+                () = self.stop.cancelled(), if !self.backlog.is_closed() => {
+                    // Wakes threads that pause for room.
+                    self.backlog.close();
+                    continue;
+                }
+            };
+            let Some(ended) = ended else { break };
+            self.stop.cancel();
+            let ended = ended.context("a stepping thread panicked").and_then(|result| result);
+            outcome = outcome.and(ended);
+        }
+        self.backlog.close();
+        outcome
+    }
+
+    fn drops(&self) -> MutexGuard<'_, ActorDrops> {
+        self.dropped.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn progress(&self) -> MutexGuard<'_, Vec<Progress>> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Counts segments that found no room.
+    fn count_shed(&self, n_dropped: u64) {
+        if n_dropped > 0 && self.sender.learner_is_there() {
+            self.drops().full_total += n_dropped;
+        } else {
+            self.drops().no_learner_total += n_dropped;
+        }
+    }
+
+    fn report(&self) -> ActorReport {
+        let mut counters = RolloutCounters::default();
+        self.progress().iter().for_each(|progress| counters += progress.counters);
+        let mut dropped = *self.drops();
+        dropped.diverged_total = counters.n_diverged_episodes;
+        ActorReport { counters, n_trajectories_acked: self.n_acked.load(Ordering::Relaxed), dropped }
+    }
+}
+
+/// The life of a stepping thread.
+fn step_worlds(
+    setup: RolloutSetup<'static>,
+    environment: &EnvironmentConfig,
+    n_worlds: usize,
+    mut weights: watch::Receiver<Option<Arc<Weights>>>,
+    shared: &Shared,
+    thread_idx: usize,
+) -> anyhow::Result<()> {
+    let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(environment)).collect();
+    let first = weights.borrow_and_update().clone().context("there are no weights")?;
+    let mut rollout = Rollout::new(setup, worlds.context("invalid environment configuration")?, &first)?;
+    while !shared.stop.is_cancelled() {
+        if weights.has_changed().unwrap_or(false)
+            && let Some(newest) = weights.borrow_and_update().clone()
+        {
+            rollout.set_weights(&newest)?;
+        }
+        for segment in rollout.step()? {
+            shared.count_shed(shared.backlog.push(segment));
+        }
+        shared.progress()[thread_idx] = Progress { counters: rollout.counters(), version: rollout.version() };
+    }
+    Ok(())
+}
+
+/// Sends segments, oldest first, until the backlog is closed and empty.
+async fn send_all(shared: Arc<Shared>) {
+    while let Some(segment) = shared.backlog.pop().await {
+        let sent = tokio::select! {
+            () = shared.give_up.cancelled() => None,
+            sent = send(&shared, &segment) => Some(sent),
+        };
+        match sent {
+            Some(Sent::Done) => {}
+            Some(Sent::Busy) => {
+                shared.count_shed(shared.backlog.put_back(segment));
+                tokio::select! {
+                    () = tokio::time::sleep(RETRY_PAUSE) => {}
+                    () = shared.give_up.cancelled() => return,
+                }
+            }
+            Some(Sent::NobodyThere) => {
+                shared.count_shed(shared.backlog.put_back(segment));
+                tokio::select! {
+                    () = shared.sender.wait_for_learner() => {}
+                    () = shared.stop.cancelled() => return,
+                }
+            }
+            None => {
+                shared.count_shed(shared.backlog.put_back(segment));
+                return;
+            }
+        }
+    }
+}
+
+/// What became of an attempt.
+enum Sent {
+    /// Taken, or dropped and counted.
+    Done,
+    /// To be tried again soon.
+    Busy,
+    /// To be tried again when a learner is there.
+    NobodyThere,
+}
+
+async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
+    for _ in 0..MAX_ATTEMPTS {
+        match shared.sender.send(segment).await {
+            Ok(ack) => {
+                shared.n_acked.fetch_add(1, Ordering::Relaxed);
+                shared.learner_version.store(ack.weights_version.0, Ordering::Relaxed);
+                return Sent::Done;
+            }
+            Err(SendError::NoReply) => {}
+            Err(SendError::NoLearner) => return Sent::NobodyThere,
+            Err(SendError::Refused(Refusal::Full)) => return Sent::Busy,
+            Err(SendError::Refused(Refusal::Stale)) => {
+                shared.drops().stale_total += 1;
+                return Sent::Done;
+            }
+            Err(error) => {
+                tracing::warn!(seq = segment.seq, %error, "segment dropped");
+                let mut drops = shared.drops();
+                match error {
+                    SendError::Refused(_) => drops.invalid_total += 1,
+                    SendError::TooLarge { .. } => drops.too_large_total += 1,
+                    _ => drops.failed_total += 1,
+                }
+                return Sent::Done;
+            }
+        }
+    }
+    shared.drops().no_reply_total += 1;
+    Sent::Done
+}
+
+/// Puts the actor's metrics on the bus.
+struct Reporter {
+    shared: Arc<Shared>,
+    bus: Bus,
+    metrics: MetricsPublisher,
+    id: ActorId,
+    epoch: u64,
+    n_worlds: u64,
+    start: Instant,
+}
+
+impl Reporter {
+    async fn run(self, period: Duration) {
+        let mut last = (self.start, 0);
+        loop {
+            let more = tokio::select! {
+                () = tokio::time::sleep(period) => true,
+                () = self.shared.stop.cancelled() => false,
+            };
+            let (now, report) = (Instant::now(), self.shared.report());
+            let n_env_steps = report.counters.n_env_steps;
+            let env_steps_per_s = (n_env_steps - last.1) as f64 / (now - last.0).as_secs_f64().max(1e-9);
+            last = (now, n_env_steps);
+            // The oldest, so that a thread that hangs behind shows.
+            let weights_version = self.shared.progress().iter().map(|p| p.version).min().unwrap_or_default();
+            let learner_version = self.shared.learner_version.load(Ordering::Relaxed);
+            let metrics = ActorMetrics {
+                schema_version: METRICS_SCHEMA_VERSION,
+                actor: self.id.clone(),
+                epoch: self.epoch,
+                weights_version,
+                elapsed_s: (now - self.start).as_secs_f64(),
+                n_worlds: self.n_worlds,
+                n_env_steps,
+                env_steps_per_s,
+                n_episodes: report.counters.n_episodes,
+                policy_lag: learner_version.saturating_sub(weights_version.0),
+                n_trajectories_acked: report.n_trajectories_acked,
+                dropped: report.dropped,
+                learner_is_there: self.shared.sender.learner_is_there(),
+                bus: self.bus.counts(),
+            };
+            if let Err(error) = self.metrics.put(&metrics).await {
+                tracing::debug!(%error, "metrics not published");
+            }
+            if !more {
+                return;
+            }
+        }
+    }
+}

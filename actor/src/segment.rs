@@ -1,0 +1,130 @@
+//! Cuts one episode after the other into segments that can be learned from.
+
+use proto::{ActorId, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
+
+/// Who numbers the segments: with the actor's name and start time each number is unique.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// Name of the actor.
+    pub actor: ActorId,
+    /// Start time of the actor process, ms since 1970.
+    pub epoch: u64,
+    /// Number of the first segment.
+    pub first_seq: u64,
+    /// Distance between numbers, at least 1: as many as there are threads, so that they never share one.
+    pub seq_step: u64,
+}
+
+/// Collects the steps of one world's episodes.
+///
+/// A segment ends after `segment_len` steps or with its episode. Segments of an episode that were cut earlier are gone when
+/// it diverges: they ended in sound scenes and carry the value of those, so only the steps since the last cut are dropped.
+#[derive(Clone, Debug)]
+pub struct SegmentBuilder {
+    segment_len: usize,
+    task: Task,
+    transitions: Vec<Transition>,
+    /// Oldest weights among the collected steps.
+    oldest_version: Option<WeightsVersion>,
+    /// Index of the first collected step in its episode.
+    first_step: u16,
+    /// Of the whole episode so far.
+    episode_return: RewardTerms,
+}
+
+/// What a step completes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cut {
+    /// Nothing yet.
+    None,
+    /// A segment; its number, and its bootstrap value where [`needs_bootstrap`] says so, are still to be filled in.
+    Segment(Box<Trajectory>),
+    /// The episode diverged and this many steps of it were dropped.
+    Diverged {
+        /// Steps since the last cut, at least 1.
+        n_dropped_steps: u64,
+    },
+}
+
+/// Whether a segment ends in a state whose value counts: true after a cut and at the time limit, false after success.
+pub fn needs_bootstrap(status: Status) -> bool {
+    matches!(status, Status::Running | Status::TimeLimit)
+}
+
+impl SegmentBuilder {
+    /// A builder at the start of an episode of `task`; `segment_len` is in steps, at least 1.
+    pub fn new(segment_len: usize, task: Task) -> Self {
+        Self {
+            segment_len: segment_len.max(1),
+            task,
+            transitions: Vec::with_capacity(segment_len),
+            oldest_version: None,
+            first_step: 0,
+            episode_return: RewardTerms::default(),
+        }
+    }
+
+    /// The goal and start of the current episode.
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
+    /// Begins the next episode.
+    pub fn begin(&mut self, task: Task) {
+        *self = Self::new(self.segment_len, task);
+    }
+
+    /// Adds a step that led to `after` with `status`, acted by `version`.
+    ///
+    /// The segment that it may complete carries the name and epoch of `identity`, number 0 and bootstrap value 0.
+    pub fn push(
+        &mut self,
+        transition: Transition,
+        version: WeightsVersion,
+        after: &Scene,
+        status: Status,
+        identity: &Identity,
+    ) -> Cut {
+        add(&mut self.episode_return, &transition.reward);
+        self.transitions.push(transition);
+        let oldest = self.oldest_version.map_or(version, |oldest| oldest.min(version));
+        self.oldest_version = Some(oldest);
+        let n_collected = self.transitions.len();
+        match status {
+            Status::Diverged => {
+                self.transitions.clear();
+                return Cut::Diverged { n_dropped_steps: n_collected as u64 };
+            }
+            Status::Running if n_collected < self.segment_len => return Cut::None,
+            Status::Running | Status::Success | Status::TimeLimit => {}
+        }
+        let first_step = self.first_step;
+        let n_steps = first_step.saturating_add(u16::try_from(n_collected).unwrap_or(u16::MAX));
+        let ended = status != Status::Running;
+        let outcome = Outcome { success: status == Status::Success, n_steps, episode_return: self.episode_return };
+        let transitions = std::mem::replace(&mut self.transitions, Vec::with_capacity(self.segment_len));
+        self.oldest_version = None;
+        self.first_step = n_steps;
+        Cut::Segment(Box::new(Trajectory {
+            actor: identity.actor.clone(),
+            epoch: identity.epoch,
+            seq: 0,
+            weights_version: oldest,
+            task: self.task.clone(),
+            first_step,
+            transitions,
+            last_scene: after.clone(),
+            status,
+            bootstrap_value: 0.0,
+            outcome: ended.then_some(outcome),
+        }))
+    }
+}
+
+fn add(sum: &mut RewardTerms, terms: &RewardTerms) {
+    sum.connected += terms.connected;
+    sum.wrong += terms.wrong;
+    sum.magnets += terms.magnets;
+    sum.blocks += terms.blocks;
+    sum.force += terms.force;
+}

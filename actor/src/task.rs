@@ -1,0 +1,215 @@
+//! Which task comes next: the learner's probabilities, narrowed by a filter, and the mix of starts.
+
+use std::collections::BTreeMap;
+
+use blueprints::{BlockIdx, BlueprintId, Catalogue, N_BLOCKS, Split};
+use environment::sample_assignment;
+use proto::{Start, Task};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::config::{ActorConfigError, check};
+
+/// Which training blueprints are goals, and how their episodes begin.
+///
+/// What remains after the probabilities of `prebuilt` and `near_goal` starts scattered.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TaskConfig {
+    /// The goals. Default: all training blueprints.
+    pub filter: TaskFilter,
+    /// Probability that another training blueprint stands at the start, 0 to 1. Default 0.2 (paper, "Initial State").
+    pub prebuilt_probability: f64,
+    /// Probability that the goal stands but for some blocks, 0 to 1. Default 0 (an extension, not the paper's).
+    pub near_goal_probability: f64,
+    /// Fewest and most blocks taken off in a start near the goal, at least 1; the goal's size less one is the limit.
+    /// Default 1 and 2.
+    pub near_goal_undone: [u8; 2],
+    /// Lets equal blocks swap roles from episode to episode, since the policy sees slot numbers. Default true.
+    pub shuffle_blocks: bool,
+}
+
+/// A choice of training blueprints.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum TaskFilter {
+    /// All of the training split.
+    #[default]
+    All,
+    /// Those with a number of blocks in the range.
+    Sizes {
+        /// Fewest blocks.
+        min: usize,
+        /// Most blocks.
+        max: usize,
+    },
+    /// These, by id.
+    Blueprints(Vec<BlueprintId>),
+}
+
+/// Why a filter selects no goals.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FilterError {
+    /// An id that the training split does not have.
+    #[error("blueprint {0} is not in the training split of the catalogue")]
+    NotForTraining(BlueprintId),
+    /// Nothing remains.
+    #[error("no training blueprint has between {min} and {max} blocks")]
+    NoSuchSize {
+        /// Fewest blocks asked for.
+        min: usize,
+        /// Most blocks asked for.
+        max: usize,
+    },
+    /// Nothing was there.
+    #[error("the list of goals is empty")]
+    Empty,
+}
+
+/// Draws tasks.
+#[derive(Clone, Debug)]
+pub struct TaskSampler {
+    config: TaskConfig,
+    /// Goals in catalogue order with their number of blocks and their probability, which need not sum to 1.
+    goals: Vec<(BlueprintId, usize, f64)>,
+    /// What may stand at the start: the whole training split, whatever the filter.
+    prebuilt: Vec<BlueprintId>,
+}
+
+impl Default for TaskConfig {
+    fn default() -> Self {
+        Self {
+            filter: TaskFilter::All,
+            prebuilt_probability: 0.2,
+            near_goal_probability: 0.0,
+            near_goal_undone: [1, 2],
+            shuffle_blocks: true,
+        }
+    }
+}
+
+impl TaskConfig {
+    /// Checks the probabilities and the range of blocks taken off.
+    ///
+    /// # Errors
+    /// Names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), ActorConfigError> {
+        let (prebuilt, near) = (self.prebuilt_probability, self.near_goal_probability);
+        check("tasks.prebuilt_probability", prebuilt, (0.0..=1.0).contains(&prebuilt), "0 to 1")?;
+        check("tasks.near_goal_probability", near, (0.0..=1.0).contains(&near), "0 to 1")?;
+        let sum = prebuilt + near;
+        check("tasks.prebuilt_probability + tasks.near_goal_probability", sum, sum <= 1.0, "0 to 1")?;
+        let [low, high] = self.near_goal_undone;
+        let ok = 1 <= low && low <= high && usize::from(high) < N_BLOCKS;
+        check("tasks.near_goal_undone", self.near_goal_undone, ok, "two ascending numbers from 1 to 15")
+    }
+}
+
+impl TaskFilter {
+    /// The ids that the filter selects, sorted and unique.
+    ///
+    /// # Errors
+    /// When an id is not a training blueprint, or when nothing is selected.
+    pub fn select(&self, catalogue: &Catalogue) -> Result<Vec<BlueprintId>, FilterError> {
+        let training = catalogue.of_split(Split::Train);
+        let mut ids: Vec<BlueprintId> = match self {
+            Self::All => training.iter().map(|blueprint| blueprint.id().clone()).collect(),
+            Self::Sizes { min, max } => training
+                .iter()
+                .filter(|blueprint| (*min..=*max).contains(&blueprint.n_blocks()))
+                .map(|blueprint| blueprint.id().clone())
+                .collect(),
+            Self::Blueprints(ids) => {
+                let known = |id: &BlueprintId| training.iter().any(|blueprint| blueprint.id() == id);
+                if let Some(unknown) = ids.iter().find(|id| !known(id)) {
+                    return Err(FilterError::NotForTraining(unknown.clone()));
+                }
+                ids.clone()
+            }
+        };
+        ids.sort();
+        ids.dedup();
+        match (ids.is_empty(), self) {
+            (false, _) => Ok(ids),
+            (true, Self::Sizes { min, max }) => Err(FilterError::NoSuchSize { min: *min, max: *max }),
+            (true, _) => Err(FilterError::Empty),
+        }
+    }
+}
+
+impl TaskSampler {
+    /// A sampler that is uniform over the goals until it gets probabilities.
+    ///
+    /// # Errors
+    /// When the filter selects nothing or an unknown blueprint.
+    pub fn new(config: &TaskConfig, catalogue: &Catalogue) -> Result<Self, FilterError> {
+        let ids = config.filter.select(catalogue)?;
+        let goals =
+            ids.into_iter().filter_map(|id| catalogue.get(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
+        let prebuilt = catalogue.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
+        Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
+    }
+
+    /// The goals, in order.
+    pub fn goals(&self) -> impl Iterator<Item = &BlueprintId> {
+        self.goals.iter().map(|(id, ..)| id)
+    }
+
+    /// Takes over the learner's probabilities, restricted to the goals; uniform where they leave nothing.
+    pub fn set_probabilities(&mut self, probabilities: &BTreeMap<BlueprintId, f32>) {
+        for (id, _, probability) in &mut self.goals {
+            *probability = probabilities.get(id).map_or(0.0, |&p| f64::from(p)).max(0.0);
+        }
+        let total: f64 = self.goals.iter().map(|(.., probability)| probability).sum();
+        if !(total.is_finite() && total > 0.0) {
+            self.goals.iter_mut().for_each(|(.., probability)| *probability = 1.0);
+        }
+    }
+
+    /// Draws the next task.
+    pub fn sample(&self, rng: &mut ChaCha8Rng) -> Task {
+        let (blueprint, n_blocks) = self.draw_goal(rng);
+        let assignment = self.draw_assignment(rng);
+        let start = self.draw_start(blueprint, n_blocks, rng);
+        Task { blueprint: blueprint.clone(), assignment, start, seed: rng.random() }
+    }
+
+    fn draw_goal(&self, rng: &mut ChaCha8Rng) -> (&BlueprintId, usize) {
+        let total: f64 = self.goals.iter().map(|(.., probability)| probability).sum();
+        let mut rest = rng.random::<f64>() * total;
+        let drawn = self.goals.iter().find(|(.., probability)| {
+            rest -= probability;
+            rest < 0.0
+        });
+        // Rounding may leave a rest of about 0 behind the last goal that has a probability.
+        let last = self.goals.iter().rev().find(|(.., probability)| *probability > 0.0);
+        let (id, n_blocks, _) = drawn.or(last).expect("a sampler has at least one goal with a positive probability");
+        (id, *n_blocks)
+    }
+
+    fn draw_assignment(&self, rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
+        if self.config.shuffle_blocks {
+            return sample_assignment(rng);
+        }
+        let mut identity = BlockIdx::all();
+        std::array::from_fn(|_| identity.next().expect("there are as many indices as blocks"))
+    }
+
+    fn draw_start(&self, goal: &BlueprintId, n_blocks: usize, rng: &mut ChaCha8Rng) -> Start {
+        let u: f64 = rng.random();
+        if u < self.config.prebuilt_probability {
+            let others: Vec<&BlueprintId> = self.prebuilt.iter().filter(|id| *id != goal).collect();
+            if others.is_empty() {
+                return Start::Scattered;
+            }
+            return Start::Prebuilt(others[rng.random_range(0..others.len())].clone());
+        }
+        if u < self.config.prebuilt_probability + self.config.near_goal_probability {
+            let most = u8::try_from(n_blocks.saturating_sub(1)).unwrap_or(u8::MAX).max(1);
+            let [low, high] = self.config.near_goal_undone.map(|undone| undone.min(most));
+            return Start::NearGoal { undone: rng.random_range(low..=high) };
+        }
+        Start::Scattered
+    }
+}
