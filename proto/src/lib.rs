@@ -5,6 +5,9 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+#[cfg(test)]
+extern crate self as proto; // The samples of the integration tests serve the unit tests too.
+
 pub mod bus;
 pub mod codec;
 pub mod keys;

@@ -14,6 +14,7 @@ use crate::keys::{self, Role};
 #[derive(Debug)]
 pub struct AliveToken {
     _token: LivelinessToken,
+    _open: Bus,
 }
 
 /// Follows who of a role is alive.
@@ -21,6 +22,7 @@ pub struct AliveToken {
 pub struct AliveWatch {
     names: watch::Receiver<BTreeSet<String>>,
     _subscriber: Subscriber<()>,
+    _open: Bus,
 }
 
 impl Bus {
@@ -34,7 +36,7 @@ impl Bus {
         }
         let declared = self.session.liveliness().declare_token(keys::live(role, id)).await;
         let token = declared.map_err(BusError::during(format!("declaring {}", keys::live(role, id))))?;
-        Ok(AliveToken { _token: token })
+        Ok(AliveToken { _token: token, _open: self.clone() })
     }
 
     /// Follows who is alive in `role`, those included who were there before.
@@ -63,7 +65,7 @@ impl Bus {
             })
             .await
             .map_err(BusError::during(format!("watching {}", keys::live_all(role))))?;
-        Ok(AliveWatch { names, _subscriber: subscriber })
+        Ok(AliveWatch { names, _subscriber: subscriber, _open: self.clone() })
     }
 }
 

@@ -23,6 +23,7 @@ pub struct TrajectoryServer {
     counters: Arc<IngestCounters>,
     queryable: Queryable<()>,
     _worker: OwnedTask,
+    _open: Bus,
 }
 
 impl Bus {
@@ -65,7 +66,7 @@ impl Bus {
                 answer(&query, verdict, version);
             }
         });
-        Ok(TrajectoryServer { counters, queryable, _worker: worker })
+        Ok(TrajectoryServer { counters, queryable, _worker: worker, _open: self.clone() })
     }
 }
 

@@ -22,6 +22,7 @@ pub(super) struct Latest {
     value: Arc<Mutex<Option<ZBytes>>>,
     _queryable: Queryable<()>,
     _worker: OwnedTask,
+    _open: Bus,
 }
 
 impl Latest {
@@ -59,7 +60,7 @@ impl Latest {
                 });
             }
         });
-        Ok(Self { value, _queryable: queryable, _worker: worker })
+        Ok(Self { value, _queryable: queryable, _worker: worker, _open: bus.clone() })
     }
 
     pub(super) fn set(&self, value: ZBytes) {

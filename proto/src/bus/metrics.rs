@@ -30,6 +30,7 @@ pub struct MetricsPublisher {
 pub struct MetricsSubscriber {
     samples: mpsc::Receiver<MetricsSample>,
     _subscriber: Subscriber<()>,
+    _open: Bus,
 }
 
 /// One value of metrics.
@@ -88,7 +89,7 @@ impl Bus {
             })
             .await
             .map_err(failed())?;
-        Ok(MetricsSubscriber { samples, _subscriber: subscriber })
+        Ok(MetricsSubscriber { samples, _subscriber: subscriber, _open: self.clone() })
     }
 }
 

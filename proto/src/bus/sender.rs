@@ -9,7 +9,6 @@ use zenoh::pubsub::Publisher;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Querier};
 
-use super::counters::BusCounters;
 use super::matching::Matching;
 use super::{Bus, BusError, SendError};
 use crate::codec::{Ack, MAX_TRAJECTORY_BYTES, decode_ack, decode_refused, encode_trajectory};
@@ -34,7 +33,7 @@ struct Inner {
     learner_there: Matching,
     viewers: Arc<Publisher<'static>>,
     viewers_there: Matching,
-    counters: Arc<BusCounters>,
+    bus: Bus,
 }
 
 impl Bus {
@@ -67,7 +66,7 @@ impl Bus {
             viewers_there: Matching::of_publisher(viewers.clone()).await?,
             learner,
             viewers,
-            counters: self.counters.clone(),
+            bus: self.clone(),
         })))
     }
 }
@@ -87,7 +86,7 @@ impl TrajectorySender {
         }
         let payload = ZBytes::from(bytes);
         if self.0.viewers_there.is_matching() && self.0.viewers.put(payload.clone()).await.is_err() {
-            self.0.counters.views_failed.add_one();
+            self.0.bus.counters.views_failed.add_one();
         }
         if !self.0.learner_there.is_matching() {
             return Err(SendError::NoLearner);
@@ -124,13 +123,22 @@ impl TrajectorySender {
     /// Waits until a learner is there; returns at once when one is. Never returns after the session is closed: give
     /// up by dropping the future.
     pub async fn wait_for_learner(&self) {
-        if self.watch_learner().wait_for(|&there| there).await.is_err() {
-            std::future::pending::<()>().await;
-        }
+        wait_for(self.0.learner_there.watch()).await;
     }
 
     /// Whether somebody watches the actor's trajectories.
     pub fn viewers_are_there(&self) -> bool {
         self.0.viewers_there.is_matching()
+    }
+
+    /// Waits until somebody watches, like [`Self::wait_for_learner`].
+    pub async fn wait_for_viewer(&self) {
+        wait_for(self.0.viewers_there.watch()).await;
+    }
+}
+
+async fn wait_for(mut there: watch::Receiver<bool>) {
+    if there.wait_for(|&there| there).await.is_err() {
+        std::future::pending::<()>().await;
     }
 }

@@ -7,9 +7,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use super::counters::BusCounters;
 use super::{BusConfig, BusCounts, BusError};
 
-/// A session on the bus; clones share it.
+/// A session on the bus; clones share it, and whatever it makes keeps it open.
 ///
-/// Needs tokio's multi-thread runtime. Close it before the runtime ends.
+/// Needs tokio's multi-thread runtime. Close it before the runtime ends: others then see at once that it left.
 #[derive(Clone, Debug)]
 pub struct Bus {
     pub(super) session: zenoh::Session,

@@ -15,6 +15,7 @@ const QUEUE: usize = 64;
 pub struct TrajectoryViewer {
     trajectories: mpsc::Receiver<Trajectory>,
     _subscriber: Subscriber<()>,
+    _open: Bus,
 }
 
 impl Bus {
@@ -39,7 +40,7 @@ impl Bus {
             })
             .await
             .map_err(BusError::during(format!("watching {key}")))?;
-        Ok(TrajectoryViewer { trajectories, _subscriber: subscriber })
+        Ok(TrajectoryViewer { trajectories, _subscriber: subscriber, _open: self.clone() })
     }
 }
 

@@ -40,6 +40,7 @@ pub struct WeightsPublisher {
 pub struct WeightsSubscriber {
     weights: watch::Receiver<Option<Arc<Weights>>>,
     _worker: OwnedTask,
+    _open: Bus,
 }
 
 impl Bus {
@@ -84,7 +85,7 @@ impl Bus {
         let learner_there = Matching::of_querier(learner.clone()).await?;
         let (sender, weights) = watch::channel(None);
         let puller = Puller { learner, learner_there, notices, counters: self.counters.clone(), held: None, sender };
-        Ok(WeightsSubscriber { weights, _worker: OwnedTask::spawn(puller.run()) })
+        Ok(WeightsSubscriber { weights, _worker: OwnedTask::spawn(puller.run()), _open: self.clone() })
     }
 }
 

@@ -5,6 +5,8 @@ mod check;
 mod error;
 mod reply;
 mod scene;
+#[cfg(test)]
+mod tests;
 mod trajectory;
 mod weights;
 

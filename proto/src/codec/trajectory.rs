@@ -1,6 +1,6 @@
 //! Trajectories.
 
-use blueprints::{BlockIdx, N_BLOCKS};
+use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use prost::Message;
 
 use super::check::{array, block, blueprint_id, invalid, narrow, number, present};
@@ -147,17 +147,21 @@ fn task_from_wire(task: wire::Task) -> Result<Task, DecodeError> {
 }
 
 fn assignment_from_wire(bytes: &[u8]) -> Result<[BlockIdx; N_BLOCKS], DecodeError> {
-    let indices: [u8; N_BLOCKS] = array("task.assignment", bytes)?;
+    let field = "task.assignment";
+    let indices: [u8; N_BLOCKS] = array(field, bytes)?;
     let mut seen = [false; N_BLOCKS];
-    let mut blocks = Vec::with_capacity(N_BLOCKS);
-    for index in indices {
-        let block = block("task.assignment", index.into())?;
+    let mut assignment = Vec::with_capacity(N_BLOCKS);
+    for (index, role) in indices.into_iter().zip(BlockIdx::all()) {
+        let block = block(field, index.into())?;
         if std::mem::replace(&mut seen[block.get()], true) {
-            return Err(invalid("task.assignment", format!("block {index} twice"), "a permutation of 0..16"));
+            return Err(invalid(field, format!("block {index} twice"), "a permutation of 0..16"));
         }
-        blocks.push(block);
+        if !Inventory::standard().same_type(role).any(|other| other == block) {
+            return Err(invalid(field, format!("block {index} for block {}", role.get()), "a block of the same type"));
+        }
+        assignment.push(block);
     }
-    array("task.assignment", &blocks)
+    array(field, &assignment)
 }
 
 fn transition_to_wire(transition: &Transition) -> wire::Transition {

@@ -1,0 +1,46 @@
+//! The bytes of version 1, as committed. A change here means that old and new processes cannot talk.
+
+use super::samples;
+use crate::codec::*;
+use crate::{Start, WeightsVersion};
+
+const GOLDEN: &str = include_str!("../../../tests/golden/v1.txt");
+
+/// The line of one message; also checks that its bytes are read as the same value.
+#[track_caller]
+fn line<T: PartialEq + std::fmt::Debug>(
+    name: &str,
+    value: T,
+    encode: impl Fn(&T) -> Vec<u8>,
+    decode: impl Fn(&[u8]) -> Result<T, DecodeError>,
+) -> String {
+    let bytes = encode(&value);
+    assert_eq!(decode(&bytes).unwrap(), value);
+    let hex: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
+    format!("{name} {hex}\n")
+}
+
+#[test]
+fn the_bytes_are_those_committed() {
+    let mut near_goal = samples::one_gripper("actor-1", 3);
+    near_goal.task.start = Start::NearGoal { undone: 2 };
+    near_goal.transitions.truncate(1);
+    let version = WeightsVersion(300);
+    let refused = |refusal| Refused { refusal, weights_version: version };
+    let invalid = refused(Refusal::Invalid("seq is 1".into()));
+    let published = PublishedWeights { epoch: 77, weights: samples::weights(5) };
+    let notice = WeightsNotice { epoch: 77, version };
+    let lines = [
+        line("trajectory-running", samples::running("actor-1", 7), encode_trajectory, decode_trajectory),
+        line("trajectory-success", samples::successful("actor-1", 8), encode_trajectory, decode_trajectory),
+        line("trajectory-one-gripper", near_goal, encode_trajectory, decode_trajectory),
+        line("weights", published, |p| encode_weights(&p.weights, p.epoch), decode_weights),
+        line("notice", notice, |&n| encode_notice(n), decode_notice),
+        line("ack", Ack { weights_version: version }, |&a| encode_ack(a), decode_ack),
+        line("refusal-stale", refused(Refusal::Stale), encode_refused, decode_refused),
+        line("refusal-full", refused(Refusal::Full), encode_refused, decode_refused),
+        line("refusal-invalid", invalid, encode_refused, decode_refused),
+    ];
+    let now = lines.concat();
+    assert!(now == GOLDEN, "the bytes differ from tests/golden/v1.txt, they are now\n{now}");
+}

@@ -1,0 +1,7 @@
+//! What goes over the wire: golden bytes, round trips, every rule of decoding, and bytes from anybody.
+
+mod golden;
+mod properties;
+mod rules;
+#[path = "../../../tests/suite/samples.rs"]
+mod samples;

@@ -1,0 +1,162 @@
+//! Every rule of decoding has a message that breaks only it; the error names the field and the value.
+
+use prost::Message;
+
+use super::samples;
+use crate::codec::*;
+use crate::{Start, Status, Trajectory, Weights, wire};
+
+/// Breaks a rule that the plain type can break too.
+#[track_caller]
+fn check(change: impl Fn(&mut Trajectory), message: &str) {
+    let mut trajectory = samples::successful("actor-1", 1);
+    change(&mut trajectory);
+    let error = decode_trajectory(&encode_trajectory(&trajectory)).unwrap_err();
+    assert_eq!(error.to_string(), message);
+}
+
+/// Breaks a rule that only the wire type can break.
+#[track_caller]
+fn check_wire(change: impl Fn(&mut wire::Trajectory), message: &str) {
+    let bytes = encode_trajectory(&samples::successful("actor-1", 1));
+    let mut trajectory = wire::Trajectory::decode(bytes.as_slice()).unwrap();
+    change(&mut trajectory);
+    let error = decode_trajectory(&trajectory.encode_to_vec()).unwrap_err();
+    assert_eq!(error.to_string(), message);
+}
+
+fn first_scene(trajectory: &mut wire::Trajectory) -> &mut wire::Scene {
+    trajectory.transitions[0].scene.as_mut().unwrap()
+}
+
+fn first_joint(trajectory: &mut wire::Trajectory) -> &mut wire::Joint {
+    &mut first_scene(trajectory).joints[0]
+}
+
+fn task(trajectory: &mut wire::Trajectory) -> &mut wire::Task {
+    trajectory.task.as_mut().unwrap()
+}
+
+#[test]
+fn the_numbers_must_be_sane() {
+    let sane = "expected a number in −1e6..=1e6";
+    check(|t| t.transitions[1].value = f32::NAN, &format!("transition.value is NaN, {sane}"));
+    check(
+        |t| t.transitions[0].behavior_log_prob = f32::INFINITY,
+        &format!("transition.behavior_log_prob is inf, {sane}"),
+    );
+    check(|t| t.transitions[0].reward.wrong = f32::NAN, &format!("reward.wrong is NaN, {sane}"));
+    check(|t| t.transitions[0].action.moves[15][5] = 2e6, &format!("action.moves is 2000000, {sane}"));
+    check(|t| t.last_scene.blocks[3].position[2] = f32::NAN, &format!("scene.poses is NaN, {sane}"));
+    check(|t| t.last_scene.speeds_mps[0] = -1.0, "scene.speeds is -1, expected a number in 0..=1e6");
+    let long = "scene.poses is a quaternion of norm 1.1, expected a norm within 1e-3 of 1";
+    check(|t| t.last_scene.blocks[9].orientation = [1.1, 0.0, 0.0, 0.0], long);
+}
+
+#[test]
+fn the_lengths_must_be_right() {
+    check(|t| t.transitions.clear(), "transitions is 0 steps, expected 1 to 1000 steps");
+    check(
+        |t| t.transitions = vec![t.transitions[0].clone(); 1001],
+        "transitions is 1001 steps, expected 1 to 1000 steps",
+    );
+    check_wire(|t| first_scene(t).poses.truncate(111), "scene.poses is 111 values, expected 112 values");
+    check_wire(|t| first_scene(t).speeds.push(0.0), "scene.speeds is 17 values, expected 16 values");
+    check_wire(|t| first_joint(t).offset.clear(), "joint.offset is 0 values, expected 3 values");
+    check_wire(|t| task(t).assignment.truncate(15), "task.assignment is 15 values, expected 16 values");
+}
+
+#[test]
+fn the_scene_must_make_sense() {
+    check(
+        |t| t.last_scene.joints.swap(0, 1),
+        "scene.joints is (0, 5) before (0, 4), expected block pairs in rising order, each once",
+    );
+    check_wire(|t| first_joint(t).b = 16, "joint.b is 16, expected a block index in 0..16");
+    check_wire(|t| first_joint(t).b = 0, "joint.b is 0, expected a block index above joint.a");
+    check_wire(|t| first_joint(t).offset[1] = -9, "joint.offset is -9, expected a number in −8..=8");
+    check_wire(|t| first_joint(t).rotation = 24, "joint.rotation is 24, expected a number in 0..24");
+    check_wire(
+        |t| first_scene(t).n_heavy_contacts = 256,
+        "scene.n_heavy_contacts is 256, expected a number in 0..=255",
+    );
+    check_wire(|t| first_scene(t).gripper_0 = None, "scene.gripper_0 is missing");
+    check(
+        |t| t.last_scene.grippers[1] = None,
+        "scene.gripper_1 is [true, true], expected the same grippers in every scene",
+    );
+    check(
+        |t| t.transitions[0].action.choices[1] = None,
+        "action.choice is [true, false], expected a choice for exactly the grippers of the world",
+    );
+}
+
+#[test]
+fn the_ending_must_make_sense() {
+    let endings = "expected running, success or time limit";
+    check(|t| t.status = Status::Diverged, &format!("status is 0, {endings}"));
+    check_wire(|t| t.status = 9, &format!("status is 9, {endings}"));
+    check(|t| t.outcome = None, "outcome is missing");
+    check(|t| t.status = Status::Running, "outcome is present, expected none before the episode's end");
+    check(|t| t.bootstrap_value = 0.5, "bootstrap_value is 0.5, expected 0 after success");
+    check(
+        |t| t.outcome.as_mut().unwrap().success = false,
+        "outcome.success is false, expected true when the status is success",
+    );
+    check(|t| t.first_step = 1, "outcome.n_steps is 42, expected first_step plus the number of transitions");
+}
+
+#[test]
+fn the_names_must_be_valid() {
+    let actor = "expected 1 to 64 of a-z, 0-9 and -";
+    check_wire(|t| t.actor.clear(), &format!("actor is , {actor}"));
+    check_wire(|t| t.actor = "A/b".into(), &format!("actor is A/b, {actor}"));
+    check_wire(|t| t.actor = "x".repeat(1000), &format!("actor is {}, {actor}", "x".repeat(80)));
+    check_wire(
+        |t| task(t).blueprint = "no such id!".into(),
+        "task.blueprint is no such id!, expected the id of a blueprint",
+    );
+    check_wire(|t| task(t).start = None, "task.start is missing");
+    check(|t| t.task.start = Start::NearGoal { undone: 0 }, "task.start.undone is 0, expected a number in 1..=255");
+    check(
+        |t| t.task.assignment[2] = samples::block(3),
+        "task.assignment is block 3 twice, expected a permutation of 0..16",
+    );
+    check(
+        |t| t.task.assignment.swap(0, 15),
+        "task.assignment is block 15 for block 0, expected a block of the same type",
+    );
+}
+
+#[test]
+fn the_message_must_be_whole_and_of_this_version() {
+    check_wire(|t| t.protocol_version = 2, "protocol version 2 is not 1");
+    check_wire(|t| t.last_scene = None, "last_scene is missing");
+    let error = decode_trajectory(&vec![0; MAX_TRAJECTORY_BYTES + 1]).unwrap_err().to_string();
+    assert_eq!(error, "Trajectory of 8388609 bytes is larger than the limit of 8388608 bytes");
+    let error = decode_trajectory(b"\xff\xff").unwrap_err().to_string();
+    assert!(error.starts_with("not a lodestone.v1.Trajectory: "), "{error}");
+    assert_eq!(decode_ack(&[]).unwrap_err().to_string(), "protocol version 0 is not 1");
+    assert_eq!(decode_notice(&[]).unwrap_err().to_string(), "protocol version 0 is not 1");
+    assert_eq!(decode_refused(&[8, 1]).unwrap_err().to_string(), "refusal.reason is 0, expected a known reason");
+}
+
+#[test]
+fn the_weights_must_be_usable() {
+    #[track_caller]
+    fn check(change: impl Fn(&mut Weights), message: &str) {
+        let mut weights = samples::weights(1);
+        change(&mut weights);
+        assert_eq!(decode_weights(&encode_weights(&weights, 1)).unwrap_err().to_string(), message);
+    }
+    check(|w| w.parameters.clear(), "parameters is 0 values, expected 1 to 16777216 values");
+    check(|w| w.parameters[2] = f32::NEG_INFINITY, "parameters is -inf, expected finite numbers");
+    check(|w| w.normalisation.feature_std[0].push(1.0), "normalisation.std is 3 values, expected as many as the means");
+    check(|w| w.normalisation.feature_std[0][1] = 0.0, "normalisation.std is 0, expected a finite number above 0");
+    check(|w| w.normalisation.value_std = f32::NAN, "normalisation.value_std is NaN, expected a finite number above 0");
+    check(|w| w.task_probabilities.clear(), "task_probabilities is a sum of 0, expected a sum of 1");
+    check(
+        |w| *w.task_probabilities.values_mut().next().unwrap() = -0.5,
+        "task_probabilities.probability is -0.5, expected a number in 0..=1",
+    );
+}

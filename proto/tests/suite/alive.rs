@@ -1,0 +1,46 @@
+//! Who is there.
+
+use std::collections::BTreeSet;
+
+use proto::Role;
+
+use crate::cluster::{Cluster, until};
+
+fn names(names: &[&str]) -> BTreeSet<String> {
+    names.iter().map(|&name| name.to_owned()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn those_who_come_and_go_are_seen() {
+    let cluster = Cluster::start().await;
+    let (first, second) = (cluster.client().await, cluster.client().await);
+    let _first = first.declare_alive(Role::Actor, "a-1").await.unwrap();
+    let token = second.declare_alive(Role::Actor, "a-2").await.unwrap();
+    let _learner = second.declare_alive(Role::Learner, "main").await.unwrap();
+
+    // The watch begins after two of them came, and sees them.
+    let watch = cluster.client().await.alive(Role::Actor).await.unwrap();
+    let mut alive = watch.watch();
+    until("both actors", &mut alive, |a| *a == names(&["a-1", "a-2"])).await;
+    drop(token);
+    until("one that left", &mut alive, |a| *a == names(&["a-1"])).await;
+    let _token = second.declare_alive(Role::Actor, "a-3").await.unwrap();
+    until("a new one", &mut alive, |a| *a == names(&["a-1", "a-3"])).await;
+    second.close().await.unwrap();
+    until("one whose session closed", &mut alive, |a| *a == names(&["a-1"])).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_process_sees_its_own_parts() {
+    let cluster = Cluster::start().await;
+    let _token = cluster.router.declare_alive(Role::Evaluator, "e").await.unwrap();
+    let watch = cluster.router.alive(Role::Evaluator).await.unwrap();
+    until("the evaluator", &mut watch.watch(), |a| *a == names(&["e"])).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_name_must_fit_into_a_key() {
+    let cluster = Cluster::start().await;
+    let error = cluster.router.declare_alive(Role::Actor, "a/b").await.unwrap_err().to_string();
+    assert_eq!(error, r#"name "a/b" is not 1 to 64 characters of a-z, 0-9 and -"#);
+}

@@ -1,0 +1,11 @@
+//! The bus between real sessions: each test has its own router on a unix socket in a temporary folder.
+
+mod alive;
+mod cluster;
+mod learner_away;
+mod metrics;
+mod samples;
+mod strangers;
+mod trajectories;
+mod viewer;
+mod weights;
