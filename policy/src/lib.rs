@@ -1,1 +1,28 @@
+//! From a scene to an action: graph features, the network, the action distribution, and parameters as flat vectors.
+//!
+//! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`parameters`] → [`distribution`] →
+//! [`policy`] (inference) and [`loss_terms`] (the same distribution on tensors, for training).
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod batch;
+pub mod config;
+pub mod device;
+pub mod distribution;
+pub mod features;
+mod geometry;
+pub mod loss_terms;
+pub mod network;
+pub mod normalisation;
+pub mod parameters;
+pub mod policy;
+
+pub use batch::FeatureBatch;
+pub use config::{
+    BlockMask, EncoderConfig, FeatureConfig, GatConfig, JointForm, NetworkConfig, PolicyConfig, PolicyConfigError,
+    ResnetConfig, ScaleConfig,
+};
+pub use device::{DeviceError, DeviceKind};
+pub use features::FeatureSizes;
+pub use network::{BatchTensors, Network, NetworkOutput};
+pub use policy::{ActionMode, Decision, Policy, PolicyError};

@@ -1,0 +1,175 @@
+//! The distribution over actions of one scene, on slices: sampling, mode, log-probability, entropy.
+//!
+//! Each gripper chooses one of 16 blocks; each block has a Gaussian move with a diagonal covariance. What of it counts for
+//! the joint log-probability is a [`JointForm`]. [`crate::loss_terms`] says the same on tensors.
+
+use blueprints::{BlockIdx, N_BLOCKS};
+use proto::{Action, Move, N_GRIPPERS};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+
+use crate::config::JointForm;
+
+/// Logit of a block that may not be chosen.
+pub const MASKED_LOGIT: f32 = -1e9;
+
+/// ln(2π) / 2
+pub(crate) const HALF_LN_2PI: f32 = 0.918_938_5;
+
+/// The distribution for one scene with G grippers; borrows one row of the network's output.
+#[derive(Clone, Copy, Debug)]
+pub struct ActionDistribution<'a> {
+    logits: &'a [f32],
+    locs: &'a [f32],
+    scales: &'a [f32],
+    form: JointForm,
+}
+
+/// Entropy in nats by part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Entropy {
+    /// Σ over grippers of the entropy of the block choice.
+    pub blocks: f32,
+    /// Entropy of the moves that count in the joint form, expected over the block choice.
+    pub moves: f32,
+}
+
+impl<'a> ActionDistribution<'a> {
+    /// # Shapes
+    /// logits `[G, 16]` with masked blocks at [`MASKED_LOGIT`], locs and scales `[16, 6]`, scales above 0.
+    ///
+    /// # Panics
+    /// When a slice has another length, or G is not 1 or 2.
+    pub fn new(logits: &'a [f32], locs: &'a [f32], scales: &'a [f32], form: JointForm) -> Self {
+        let n_grippers = logits.len() / N_BLOCKS;
+        assert!(logits.len() == n_grippers * N_BLOCKS && (1..=N_GRIPPERS).contains(&n_grippers), "length of logits");
+        assert!(locs.len() == N_BLOCKS * 6 && scales.len() == N_BLOCKS * 6, "length of locs and scales");
+        Self { logits, locs, scales, form }
+    }
+
+    /// Draws blocks and the moves of all 16 blocks; always the same number of random numbers, whatever is chosen.
+    pub fn sample(&self, rng: &mut ChaCha8Rng) -> Action {
+        let mut choices = [None; N_GRIPPERS];
+        for (choice, logits) in choices.iter_mut().zip(self.logits.chunks_exact(N_BLOCKS)) {
+            *choice = Some(draw(&log_softmax(logits), rng.random()));
+        }
+        let moves = self.moves(|loc, scale| {
+            let noise: f32 = StandardNormal.sample(rng);
+            loc + scale * noise
+        });
+        Action { choices, moves }
+    }
+
+    /// The likeliest block of each gripper (the first of equals) and the mean moves.
+    pub fn mode(&self) -> Action {
+        let mut choices = [None; N_GRIPPERS];
+        for (choice, logits) in choices.iter_mut().zip(self.logits.chunks_exact(N_BLOCKS)) {
+            let better = |best: BlockIdx, b: BlockIdx| if logits[b.get()] > logits[best.get()] { b } else { best };
+            *choice = BlockIdx::all().reduce(better);
+        }
+        Action { choices, moves: self.moves(|loc, _| loc) }
+    }
+
+    /// Log-probability (density) of an action.
+    ///
+    /// A gripper beyond G does not count; a choice missing for a gripper within G gives −∞.
+    pub fn log_prob(&self, action: &Action) -> f32 {
+        let mut total = 0.0;
+        let mut counts = [0.0_f32; N_BLOCKS];
+        for (choice, logits) in action.choices.iter().zip(self.logits.chunks_exact(N_BLOCKS)) {
+            let Some(block) = choice else { return f32::NEG_INFINITY };
+            total += log_softmax(logits)[block.get()];
+            counts[block.get()] += 1.0;
+        }
+        for (b, count) in counts.iter().enumerate() {
+            let weight = match self.form {
+                JointForm::ChosenUnique => count.min(1.0),
+                JointForm::ChosenPerGripper => *count,
+                JointForm::Matrix => 1.0,
+            };
+            if weight > 0.0 {
+                total += weight * self.move_log_prob(b, &action.moves[b]);
+            }
+        }
+        total
+    }
+
+    /// Entropy of the choices, and of the moves expected over the choices.
+    pub fn entropy(&self) -> Entropy {
+        let log_probs: Vec<_> = self.logits.chunks_exact(N_BLOCKS).map(log_softmax).collect();
+        let blocks = log_probs.iter().flatten().map(|lp| -lp.exp() * lp).sum();
+        let moves = (0..N_BLOCKS)
+            .map(|b| {
+                let weight: f32 = match self.form {
+                    JointForm::ChosenUnique => 1.0 - log_probs.iter().map(|lp| 1.0 - lp[b].exp()).product::<f32>(),
+                    JointForm::ChosenPerGripper => log_probs.iter().map(|lp| lp[b].exp()).sum(),
+                    JointForm::Matrix => 1.0,
+                };
+                weight * self.move_entropy(b)
+            })
+            .sum();
+        Entropy { blocks, moves }
+    }
+
+    fn move_log_prob(&self, block: usize, value: &Move) -> f32 {
+        let at = block * 6;
+        let one = |k: usize| {
+            let scale = self.scales[at + k];
+            let z = (value[k] - self.locs[at + k]) / scale;
+            -0.5 * z * z - scale.ln() - HALF_LN_2PI
+        };
+        (0..6).map(one).sum()
+    }
+
+    fn move_entropy(&self, block: usize) -> f32 {
+        self.scales[block * 6..(block + 1) * 6].iter().map(|s| s.ln() + 0.5 + HALF_LN_2PI).sum()
+    }
+
+    fn moves(&self, mut entry: impl FnMut(f32, f32) -> f32) -> [Move; N_BLOCKS] {
+        let mut moves = [[0.0; 6]; N_BLOCKS];
+        for (b, row) in moves.iter_mut().enumerate() {
+            for (k, value) in row.iter_mut().enumerate() {
+                *value = entry(self.locs[b * 6 + k], self.scales[b * 6 + k]);
+            }
+        }
+        moves
+    }
+}
+
+/// Replaces the logits of blocks that may not be chosen.
+///
+/// # Shapes
+/// logits `[G, 16]`, allowed `[16]`.
+pub fn mask_logits(logits: &mut [f32], allowed: &[bool]) {
+    for row in logits.chunks_exact_mut(N_BLOCKS) {
+        for (logit, allowed) in row.iter_mut().zip(allowed) {
+            if !allowed {
+                *logit = MASKED_LOGIT;
+            }
+        }
+    }
+}
+
+fn log_softmax(logits: &[f32]) -> [f32; N_BLOCKS] {
+    let max = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let log_sum = logits.iter().map(|x| (x - max).exp()).sum::<f32>().ln();
+    std::array::from_fn(|b| logits[b] - max - log_sum)
+}
+
+/// The block whose share of [0, 1) holds `u`; rounding at the top end falls to the last block with any share.
+fn draw(log_probs: &[f32; N_BLOCKS], u: f32) -> BlockIdx {
+    let mut below = 0.0;
+    let mut last = None;
+    for block in BlockIdx::all() {
+        let p = log_probs[block.get()].exp();
+        below += p;
+        if p > 0.0 {
+            last = Some(block);
+            if u < below {
+                break;
+            }
+        }
+    }
+    last.expect("probabilities sum to 1, so one is above 0")
+}

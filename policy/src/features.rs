@@ -1,0 +1,256 @@
+//! What the policy sees: numbers for nodes, edges and globals from `(Scene, Blueprint)` (paper, appendix "Observation Space").
+//!
+//! Nothing depends on where the scene stands or which way it faces: vectors are in block frames and heights are the
+//! only absolute positions. A position or distance is divided by 0.5 m, a linear velocity by 3 m/s, an angular velocity
+//! by 6.28 rad/s, an angle by π, unless noted. Flags are the fields of [`FeatureConfig`]; an absent group shifts the
+//! ones after it down.
+//!
+//! **Node** of block i:
+//!
+//! | index | meaning | frame, unit | flag |
+//! |---|---|---|---|
+//! | 0 | height of its centre above the ground | world z, m / 0.5 | base |
+//! | 1, 2 | held by gripper 0, by gripper 1 in the last step | 0 or 1 | base |
+//! | 3–5 | the world's up axis | i, unit vector | `up_axis` |
+//! | 6 | belongs to the blueprint | 0 or 1 | `membership` |
+//! | 7–9 | half extents | i, m / 0.2 | `block_shape` |
+//!
+//! **Edge** from sender j to receiver i, all in i's frame; D is the pose of j relative to i in the blueprint. Entries 0–17
+//! and 24–35 are 0 when the blueprint lacks i or j, entries 0–8 also when it does not connect the two. 6-D orientations
+//! are the first two columns of a rotation matrix, first column first.
+//!
+//! | index | meaning | unit | flag |
+//! |---|---|---|---|
+//! | 0–2 | change in position of j's magnets that would align them with i's (mean over the pairs) | m / 0.5 | base |
+//! | 3–8 | rotation that would align them: D Cᵀ, C being j's current orientation relative to i | 6-D | base |
+//! | 9–11 | current minus wanted relative position of j | m / 0.5 | base |
+//! | 12–17 | current relative to wanted orientation: C Dᵀ | 6-D | base |
+//! | 18–20 | centre of j minus centre of i | m / 0.5 | base |
+//! | 21 | the two should be connected | 0 or 1 | base |
+//! | 22 | the two are connected (rightly or not) | 0 or 1 | base |
+//! | 23 | both belong to the blueprint | 0 or 1 | base |
+//! | 24–26 | move that i needs if j stays | m / 0.5 | `needed_moves` |
+//! | 27–29 | the same, each entry tanh(x / 6 cm) | – | `needed_moves` |
+//! | 30–32 | turn that i needs if j stays, rotation vector | rad / π | `needed_moves` |
+//! | 33–35 | the same, each entry tanh(x / 0.25 rad) | – | `needed_moves` |
+//!
+//! Edges come sender-major without self-edges: `for j in 0..16 { for i in 0..16 { if i != j } }`, 240 in all. The receiver
+//! gathers the messages and emits the move, in the same frame.
+//!
+//! **Globals**, one group of 25 per gripper, in order of grippers; all 0 for a gripper that the scene lacks:
+//!
+//! | index | meaning | frame, unit | flag |
+//! |---|---|---|---|
+//! | 0–2 | the world's up axis (orientation without its yaw) | gripper, unit vector | base |
+//! | 3–5 | commanded linear velocity of the last step | gripper, (m/s) / 3 | base |
+//! | 6–8 | commanded angular velocity of the last step | gripper, (rad/s) / 6.28 | base |
+//! | 9–24 | one-hot of the block held in the last step, all 0 when none | 0 or 1 | base |
+//!
+//! The network finds the one-hot in the last 16 entries of each group.
+
+use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
+use nalgebra::{Matrix3, Vector3};
+use proto::{Gripper, N_GRIPPERS, Scene};
+
+use crate::config::FeatureConfig;
+use crate::geometry::{Frame, rotation, rotation_vector};
+
+/// Number of directed edges between different blocks.
+pub const N_EDGES: usize = N_BLOCKS * (N_BLOCKS - 1);
+
+/// Scale of positions and distances, m.
+const POSITION_SCALE_M: f32 = 0.5;
+/// Scale of half extents, m.
+const EXTENT_SCALE_M: f32 = 0.2;
+/// Scale of linear velocities, m/s.
+const LINEAR_SCALE_MPS: f32 = 3.0;
+/// Scale of angular velocities, rad/s.
+const ANGULAR_SCALE_RADPS: f32 = 6.28;
+/// Fine scale of needed moves, m.
+const FINE_MOVE_M: f32 = 0.06;
+/// Fine scale of needed turns, rad.
+const FINE_TURN_RAD: f32 = 0.25;
+
+const BASE_NODE: usize = 3;
+const BASE_EDGE: usize = 24;
+const GRIPPER_PART: usize = 9 + N_BLOCKS;
+
+/// Lengths of the feature vectors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FeatureSizes {
+    /// Features of a node.
+    pub node: usize,
+    /// Features of an edge.
+    pub edge: usize,
+    /// Features of the whole scene.
+    pub global: usize,
+}
+
+impl FeatureSizes {
+    /// The lengths that a configuration gives; (3, 24, 50) for [`FeatureConfig::paper`].
+    pub fn new(config: &FeatureConfig) -> Self {
+        let on = |flag: bool, n: usize| if flag { n } else { 0 };
+        Self {
+            node: BASE_NODE + on(config.up_axis, 3) + on(config.membership, 1) + on(config.block_shape, 3),
+            edge: BASE_EDGE + on(config.needed_moves, 12),
+            global: usize::from(config.n_grippers) * GRIPPER_PART,
+        }
+    }
+}
+
+/// Writes the features of a scene; the module page lists them.
+///
+/// # Shapes
+/// nodes `[16, nd]`, edges `[240, ed]`, globals `[gd]`, row-major, sizes by [`FeatureSizes::new`].
+///
+/// # Panics
+/// When a slice has another length.
+pub fn write_features(
+    scene: &Scene,
+    blueprint: &Blueprint,
+    config: &FeatureConfig,
+    nodes: &mut [f32],
+    edges: &mut [f32],
+    globals: &mut [f32],
+) {
+    let sizes = FeatureSizes::new(config);
+    assert_eq!(nodes.len(), N_BLOCKS * sizes.node, "length of the node features");
+    assert_eq!(edges.len(), N_EDGES * sizes.edge, "length of the edge features");
+    assert_eq!(globals.len(), sizes.global, "length of the global features");
+    edges.fill(0.0);
+    let frames = scene.blocks.each_ref().map(Frame::new);
+    for (block, node) in BlockIdx::all().zip(nodes.chunks_exact_mut(sizes.node)) {
+        write_node(scene, blueprint, config, block, &frames[block.get()], &mut Writer::new(node));
+    }
+    write_edges(scene, blueprint, config, &frames, edges, sizes.edge);
+    for (gripper, part) in scene.grippers.iter().zip(globals.chunks_exact_mut(GRIPPER_PART)) {
+        write_gripper(gripper.as_ref(), part);
+    }
+}
+
+fn write_node(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig, block: BlockIdx, frame: &Frame, to: &mut Writer<'_>) {
+    to.number(frame.position.z / POSITION_SCALE_M);
+    for g in 0..N_GRIPPERS {
+        let held = scene.grippers[g].as_ref().and_then(|gripper| gripper.held);
+        to.bit(held == Some(block));
+    }
+    if config.up_axis {
+        to.vector(&up_axis(&frame.axes));
+    }
+    if config.membership {
+        to.bit(blueprint.contains(block));
+    }
+    if config.block_shape {
+        to.vector(&(Vector3::from(Inventory::standard().half_extents_m(block)) / EXTENT_SCALE_M));
+    }
+}
+
+fn write_edges(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig, frames: &[Frame; N_BLOCKS], edges: &mut [f32], ed: usize) {
+    let mut connected = [[false; N_BLOCKS]; N_BLOCKS];
+    for joint in &scene.joints {
+        let (a, b) = (joint.a.get(), joint.b.get());
+        connected[a][b] = true;
+        connected[b][a] = true;
+    }
+    let pairs = BlockIdx::all().flat_map(|j| BlockIdx::all().filter(move |i| *i != j).map(move |i| (j, i)));
+    for ((sender, receiver), edge) in pairs.zip(edges.chunks_exact_mut(ed)) {
+        let (to, from) = (&frames[receiver.get()], &frames[sender.get()]);
+        let offset = to.localise(&(from.position - to.position));
+        if let Some(wanted) = blueprint.relative(receiver, sender) {
+            let current = to.axes.tr_mul(&from.axes);
+            let wanted_rotation = matrix(wanted.rotation.matrix());
+            let wanted_offset = wanted.position_m();
+            if blueprint.link(receiver, sender).is_some() {
+                let magnets = mean_magnet(receiver, sender, wanted);
+                // Where the same magnets of j sit now, seen from i.
+                let now = offset + current * wanted_rotation.tr_mul(&(magnets - wanted_offset));
+                let mut writer = Writer::new(&mut edge[0..9]);
+                writer.vector(&((magnets - now) / POSITION_SCALE_M));
+                writer.two_columns(&(wanted_rotation * current.transpose()));
+                edge[21] = 1.0;
+            }
+            let mut writer = Writer::new(&mut edge[9..18]);
+            writer.vector(&((offset - wanted_offset) / POSITION_SCALE_M));
+            writer.two_columns(&(current * wanted_rotation.transpose()));
+            edge[23] = 1.0;
+            if config.needed_moves {
+                write_needed_move(&offset, &current, &wanted_offset, &wanted_rotation, &mut edge[24..36]);
+            }
+        }
+        Writer::new(&mut edge[18..21]).vector(&(offset / POSITION_SCALE_M));
+        edge[22] = f32::from(u8::from(connected[receiver.get()][sender.get()]));
+    }
+}
+
+/// The move that takes the receiver to its place beside a sender that stays, in the receiver's frame.
+fn write_needed_move(offset: &Vector3<f32>, current: &Matrix3<f32>, wanted_offset: &Vector3<f32>, wanted: &Matrix3<f32>, to: &mut [f32]) {
+    // In i's frame j sits at (offset, C); i is wanted at (m, T) with offset = m + T·wanted_offset and C = T·D.
+    let turn = current * wanted.transpose();
+    let shift = offset - turn * wanted_offset;
+    let turn = rotation_vector(&turn);
+    let mut writer = Writer::new(to);
+    writer.vector(&(shift / POSITION_SCALE_M));
+    writer.vector(&shift.map(|x| (x / FINE_MOVE_M).tanh()));
+    writer.vector(&(turn / std::f32::consts::PI));
+    writer.vector(&turn.map(|x| (x / FINE_TURN_RAD).tanh()));
+}
+
+/// Mean position in i's frame of the magnets of i that a right connection with j joins, m.
+fn mean_magnet(i: BlockIdx, j: BlockIdx, wanted: blueprints::RelativePlacement) -> Vector3<f32> {
+    let inventory = Inventory::standard();
+    let pairs = inventory.magnet_pairs(i, j, wanted);
+    let mut sum = Vector3::zeros();
+    for (magnet, _) in &pairs {
+        sum += Vector3::from(inventory.magnets(i)[*magnet].position_half_units.map(|x| x as f32));
+    }
+    sum * (blueprints::UNIT_M / 2.0 / pairs.len().max(1) as f32)
+}
+
+fn write_gripper(gripper: Option<&Gripper>, part: &mut [f32]) {
+    part.fill(0.0);
+    let Some(gripper) = gripper else { return };
+    let axes = rotation(gripper.orientation);
+    let mut writer = Writer::new(part);
+    writer.vector(&up_axis(&axes));
+    writer.vector(&(axes.tr_mul(&Vector3::from(gripper.linear_velocity)) / LINEAR_SCALE_MPS));
+    writer.vector(&(axes.tr_mul(&Vector3::from(gripper.angular_velocity)) / ANGULAR_SCALE_RADPS));
+    if let Some(block) = gripper.held {
+        part[9 + block.get()] = 1.0;
+    }
+}
+
+/// World z in the frame with the given axes: the third row.
+fn up_axis(axes: &Matrix3<f32>) -> Vector3<f32> {
+    axes.row(2).transpose()
+}
+
+fn matrix(rows: [[i32; 3]; 3]) -> Matrix3<f32> {
+    Matrix3::from_fn(|i, j| rows[i][j] as f32)
+}
+
+/// Fills a slice from the front.
+struct Writer<'a> {
+    rest: std::slice::IterMut<'a, f32>,
+}
+
+impl<'a> Writer<'a> {
+    fn new(slice: &'a mut [f32]) -> Self {
+        Self { rest: slice.iter_mut() }
+    }
+
+    fn number(&mut self, value: f32) {
+        *self.rest.next().expect("the sizes leave room for every feature") = value;
+    }
+
+    fn bit(&mut self, value: bool) {
+        self.number(f32::from(u8::from(value)));
+    }
+
+    fn vector(&mut self, v: &Vector3<f32>) {
+        v.iter().for_each(|x| self.number(*x));
+    }
+
+    fn two_columns(&mut self, m: &Matrix3<f32>) {
+        m.iter().take(6).for_each(|x| self.number(*x));
+    }
+}

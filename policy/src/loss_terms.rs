@@ -1,0 +1,114 @@
+//! The action distribution on tensors, for losses; the same numbers as [`crate::distribution`].
+
+use blueprints::N_BLOCKS;
+use burn::tensor::{Bool, Device, Tensor, TensorData, activation};
+use proto::Action;
+
+use crate::config::JointForm;
+use crate::distribution::{HALF_LN_2PI, MASKED_LOGIT};
+use crate::network::NetworkOutput;
+
+/// Entries of a move.
+const MOVE: usize = 6;
+
+/// Actions of a batch of B steps on a device, with G grippers.
+#[derive(Clone, Debug)]
+pub struct ActionTensors {
+    /// One-hot of each gripper's choice `[B, G, 16]`.
+    pub choices: Tensor<3>,
+    /// Moves `[B, 16, 6]`.
+    pub moves: Tensor<3>,
+}
+
+/// Entropy in nats by part, one value per step.
+#[derive(Clone, Debug)]
+pub struct EntropyTensors {
+    /// Σ over grippers of the entropy of the block choice, `[B]`.
+    pub blocks: Tensor<1>,
+    /// Entropy of the moves that count in the joint form, expected over the block choice, `[B]`.
+    pub moves: Tensor<1>,
+}
+
+impl ActionTensors {
+    /// Copies actions to a device. A missing choice becomes a row of zeros.
+    pub fn new<'a>(actions: impl ExactSizeIterator<Item = &'a Action>, n_grippers: usize, device: &Device) -> Self {
+        let b = actions.len();
+        let mut choices = vec![0.0_f32; b * n_grippers * N_BLOCKS];
+        let mut moves: Vec<f32> = Vec::with_capacity(b * N_BLOCKS * MOVE);
+        for (action, rows) in actions.zip(choices.chunks_exact_mut(n_grippers * N_BLOCKS)) {
+            for (choice, row) in action.choices.iter().zip(rows.chunks_exact_mut(N_BLOCKS)) {
+                if let Some(block) = choice {
+                    row[block.get()] = 1.0;
+                }
+            }
+            moves.extend(action.moves.iter().flatten());
+        }
+        Self {
+            choices: Tensor::from_data(TensorData::new(choices, [b, n_grippers, N_BLOCKS]), device),
+            moves: Tensor::from_data(TensorData::new(moves, [b, N_BLOCKS, MOVE]), device),
+        }
+    }
+}
+
+/// Sets the logits of blocks that may not be chosen to −1e9.
+///
+/// # Shapes
+/// logits `[B, G, 16]`, allowed `[B, 16]` row-major → `[B, G, 16]`
+pub fn mask_logits(logits: Tensor<3>, allowed: &[bool]) -> Tensor<3> {
+    let [b, g, n] = logits.dims();
+    let forbidden: Vec<bool> = allowed.iter().map(|allowed| !allowed).collect();
+    let mask = Tensor::<3, Bool>::from_data(TensorData::new(forbidden, [b, 1, n]), &logits.device());
+    logits.mask_fill(mask.expand([b, g, n]), MASKED_LOGIT)
+}
+
+/// Joint log-probability of the actions.
+///
+/// # Shapes
+/// → `[B]`
+pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm) -> Tensor<1> {
+    let choice = per_row(activation::log_softmax(output.logits.clone(), 2) * actions.choices.clone());
+    let z = (actions.moves.clone() - output.locs.clone()) / output.scales.clone();
+    let density = (z.powi_scalar(2).mul_scalar(-0.5) - output.scales.clone().log()).sub_scalar(HALF_LN_2PI);
+    let by_block = density.sum_dim(2).squeeze_dim::<2>(2);
+    let weighted = match form {
+        JointForm::Matrix => by_block,
+        JointForm::ChosenPerGripper => by_block * counts(&actions.choices),
+        JointForm::ChosenUnique => by_block * counts(&actions.choices).clamp_max(1.0),
+    };
+    choice + weighted.sum_dim(1).squeeze_dim(1)
+}
+
+/// Entropy of the choices, and of the moves expected over the choices.
+///
+/// # Shapes
+/// → `[B]` each
+pub fn entropy(output: &NetworkOutput, form: JointForm) -> EntropyTensors {
+    let log_probs = activation::log_softmax(output.logits.clone(), 2);
+    let probs = log_probs.clone().exp();
+    let blocks = per_row(probs.clone() * log_probs).neg();
+    let of_move = output.scales.clone().log().add_scalar(0.5 + HALF_LN_2PI).sum_dim(2).squeeze_dim::<2>(2);
+    let weighted = match form {
+        JointForm::Matrix => of_move,
+        JointForm::ChosenPerGripper => of_move * counts(&probs),
+        JointForm::ChosenUnique => {
+            let [b, g, n] = probs.dims();
+            // 1 − Π_g (1 − p_g): the probability that some gripper chooses the block.
+            let nobody = (0..g)
+                .map(|k| probs.clone().slice([0..b, k..k + 1, 0..n]).squeeze_dim::<2>(1).neg().add_scalar(1.0))
+                .reduce(|a, b| a * b)
+                .expect("there is at least one gripper");
+            of_move * nobody.neg().add_scalar(1.0)
+        }
+    };
+    EntropyTensors { blocks, moves: weighted.sum_dim(1).squeeze_dim(1) }
+}
+
+/// Sum over grippers: `[B, G, 16]` → `[B, 16]`.
+fn counts(choices: &Tensor<3>) -> Tensor<2> {
+    choices.clone().sum_dim(1).squeeze_dim(1)
+}
+
+/// Sum of everything but the batch: `[B, G, 16]` → `[B]`.
+fn per_row(x: Tensor<3>) -> Tensor<1> {
+    x.flatten::<2>(1, 2).sum_dim(1).squeeze_dim(1)
+}

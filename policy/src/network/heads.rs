@@ -1,0 +1,121 @@
+//! Policy and value heads (paper, sections "Policy" and "Critic" and the listing).
+
+use burn::module::Module;
+use burn::tensor::{Tensor, activation};
+
+use super::layers::{Builder, Linear, Projection};
+use crate::config::{NetworkConfig, ScaleConfig};
+use crate::features::FeatureSizes;
+use crate::parameters::Initialiser;
+
+/// Number of blocks.
+const N: usize = blueprints::N_BLOCKS;
+
+/// Entries of a move.
+const MOVE: usize = 6;
+
+/// From node and global vectors to the action distribution.
+#[derive(Module, Debug)]
+pub struct PolicyHead {
+    input_global: Projection,
+    act_loc: Linear,
+    act_scale: Linear,
+    grip_key: Projection,
+    block_key: Projection,
+    #[module(skip)]
+    scale: ScaleConfig,
+}
+
+/// From global vectors and the block choice to the value.
+#[derive(Module, Debug)]
+pub struct ValueHead {
+    input_global: Projection,
+    graph_global: Projection,
+    mlp: Vec<Linear>,
+}
+
+impl PolicyHead {
+    pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
+        let (width, grippers) = (config.width, usize::from(config.n_grippers));
+        let (init, small) = (Initialiser::HaikuLinear, Initialiser::FanIn(1e-4));
+        Self {
+            input_global: builder.projection("head.input_global", [sizes.global, width], init),
+            act_loc: builder.linear("head.act_loc", [width, MOVE], small),
+            act_scale: builder.linear("head.act_scale", [width, MOVE], small),
+            grip_key: builder.projection("head.grip_key", [2 * width, grippers * width], init),
+            block_key: builder.projection("head.block_key", [width + grippers, width], init),
+            scale: config.scale,
+        }
+    }
+
+    /// # Shapes
+    /// nodes `[B·16, w]`, global `[B, w]`, raw globals `[B, gd]` → locs and scales `[B, 16, 6]`, logits `[B, G, 16]`
+    pub fn forward(&self, nodes: &Tensor<2>, global: &Tensor<2>, raw: &Tensor<2>) -> (Tensor<3>, Tensor<3>, Tensor<3>) {
+        let [b, width] = global.dims();
+        let grippers = self.block_key.w.dims()[0] - width;
+        let locs = self.act_loc.forward(nodes.clone()).reshape([b, N, MOVE]);
+        let scales = self.scales(self.act_scale.forward(nodes.clone())).reshape([b, N, MOVE]);
+
+        let own = raw.clone().matmul(self.input_global.w.val());
+        let grip = Tensor::cat(vec![own, global.clone()], 1).matmul(self.grip_key.w.val());
+        let held = held_bits(raw, grippers).reshape([b * N, grippers]);
+        let keys = Tensor::cat(vec![nodes.clone(), held], 1).matmul(self.block_key.w.val()).reshape([b, N, width]);
+        let logits = grip.reshape([b, grippers, width]).matmul(keys.swap_dims(1, 2)).div_scalar((width as f32).sqrt());
+        (locs, scales, logits)
+    }
+
+    /// See [`ScaleConfig`].
+    fn scales(&self, x: Tensor<2>) -> Tensor<2> {
+        let s = softplus(x.add_scalar(self.scale.offset())).add_scalar(self.scale.floor);
+        match self.scale.max_std {
+            // The floor holds: tanh only lowers, and max_std is above it by validation.
+            Some(max) => s.div_scalar(max).tanh().mul_scalar(max).clamp_min(self.scale.floor),
+            None => s,
+        }
+    }
+}
+
+impl ValueHead {
+    pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
+        let (width, grippers) = (config.width, usize::from(config.n_grippers));
+        let init = Initialiser::HaikuLinear;
+        let mut widths = vec![2 * width + grippers * N];
+        widths.extend(&config.value_hidden);
+        widths.push(1);
+        Self {
+            input_global: builder.projection("value.input_global", [sizes.global, width], init),
+            graph_global: builder.projection("value.graph_global", [width, width], init),
+            mlp: builder.mlp("value.mlp", &widths),
+        }
+    }
+
+    /// No gradient flows into `logits`: the value shall not steer the choice of blocks (listing).
+    ///
+    /// # Shapes
+    /// global `[B, w]`, raw globals `[B, gd]`, logits `[B, G, 16]` → `[B]`
+    pub fn forward(&self, global: &Tensor<2>, raw: &Tensor<2>, logits: &Tensor<3>) -> Tensor<1> {
+        let choice = activation::softmax(logits.clone().detach(), 2).flatten::<2>(1, 2);
+        let own = raw.clone().matmul(self.input_global.w.val());
+        let graph = global.clone().matmul(self.graph_global.w.val());
+        let mut x = Tensor::cat(vec![own, graph, choice], 1);
+        for (j, layer) in self.mlp.iter().enumerate() {
+            x = layer.forward(if j == 0 { x } else { activation::relu(x) });
+        }
+        x.squeeze_dim(1)
+    }
+}
+
+/// Which gripper held which block: the last 16 entries of each gripper's part of the raw globals.
+///
+/// # Shapes
+/// `[B, gd]` → `[B, 16, G]`
+fn held_bits(raw: &Tensor<2>, grippers: usize) -> Tensor<3> {
+    let [b, gd] = raw.dims();
+    let part = gd / grippers;
+    raw.clone().reshape([b, grippers, part]).slice([0..b, 0..grippers, part - N..part]).swap_dims(1, 2)
+}
+
+/// ln(1 + eˣ) without overflow, as max(x, 0) + ln(1 + e^−|x|).
+fn softplus<const D: usize>(x: Tensor<D>) -> Tensor<D> {
+    activation::relu(x.clone()) + x.abs().neg().exp().log1p()
+}

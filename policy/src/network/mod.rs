@@ -1,0 +1,136 @@
+//! The network: an encoder, a policy head and a value head; shapes in [`BatchTensors`] and [`NetworkOutput`].
+
+mod gat;
+mod heads;
+mod layers;
+mod resnet;
+mod tensors;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+
+pub use gat::{FoldedGat, GatEncoder};
+pub use heads::{PolicyHead, ValueHead};
+pub use layers::{LayerNorm, Linear, Projection};
+pub use resnet::ResnetEncoder;
+pub use tensors::{BatchTensors, EdgeLayout};
+
+use crate::config::{EncoderConfig, NetworkConfig};
+use crate::features::FeatureSizes;
+use crate::parameters::{self, ParameterSpec};
+use layers::Builder;
+
+/// The actor-critic of the paper; one module for training and inference.
+#[derive(Module, Debug)]
+pub struct Network {
+    encoder: Encoder,
+    head: PolicyHead,
+    value: ValueHead,
+    #[module(skip)]
+    table: Vec<ParameterSpec>,
+    #[module(skip)]
+    layout: EdgeLayout,
+}
+
+/// One of the two encoders.
+#[derive(Module, Debug)]
+pub enum Encoder {
+    /// Graph attention, or equal weights.
+    Gat(GatEncoder),
+    /// The flat baseline.
+    Resnet(ResnetEncoder),
+}
+
+/// What the network says about a batch of B scenes with G grippers.
+#[derive(Clone, Debug)]
+pub struct NetworkOutput {
+    /// Means of the moves `[B, 16, 6]`, fractions of the speed limits.
+    pub locs: Tensor<3>,
+    /// Standard deviations of the moves `[B, 16, 6]`, above 0.
+    pub scales: Tensor<3>,
+    /// Logits of each gripper's choice `[B, G, 16]`, not masked.
+    pub logits: Tensor<3>,
+    /// Values `[B]`, in the unit of the value targets that trained it (normalised, see `Normalisation`).
+    pub values: Tensor<1>,
+}
+
+/// The part of a forward pass that depends on parameters alone; valid until they change.
+#[derive(Clone, Debug)]
+pub struct Folded(Option<FoldedGat>);
+
+impl Network {
+    /// A network with Haiku's initial values; the same seed gives the same values.
+    ///
+    /// On `device.autodiff()` its parameters are tracked for training. `config` must be valid.
+    pub fn init(config: &NetworkConfig, sizes: &FeatureSizes, seed: u64, device: &Device) -> Self {
+        let network = Self::zeros(config, sizes, device);
+        let values = parameters::initial_values(&network.table, seed);
+        parameters::load(network, &values).expect("the table lists every parameter once, with finite initial values")
+    }
+
+    fn zeros(config: &NetworkConfig, sizes: &FeatureSizes, device: &Device) -> Self {
+        let mut builder = Builder::new(device);
+        let encoder = match &config.encoder {
+            EncoderConfig::Gat(gat) => Encoder::Gat(GatEncoder::build(&mut builder, gat, config.width, sizes)),
+            EncoderConfig::Resnet(resnet) => Encoder::Resnet(ResnetEncoder::build(
+                &mut builder,
+                resnet,
+                config.width,
+                sizes,
+                config.n_edges(),
+            )),
+        };
+        let head = PolicyHead::build(&mut builder, config, sizes);
+        let value = ValueHead::build(&mut builder, config, sizes);
+        Self { encoder, head, value, table: builder.specs, layout: EdgeLayout::of(config) }
+    }
+
+    /// Name, shape and initialiser of every parameter, in the order of the flat vector.
+    pub fn table(&self) -> &[ParameterSpec] {
+        &self.table
+    }
+
+    /// Number of parameters; 1 238 157 with the paper's sizes.
+    pub fn n_parameters(&self) -> usize {
+        self.table.iter().map(ParameterSpec::len).sum()
+    }
+
+    /// How this network wants its edges, for [`BatchTensors::new`].
+    pub fn edge_layout(&self) -> EdgeLayout {
+        self.layout
+    }
+
+    /// Folds and runs the network, in one graph.
+    ///
+    /// # Shapes
+    /// As in [`BatchTensors`] and [`NetworkOutput`].
+    pub fn forward(&self, batch: &BatchTensors) -> NetworkOutput {
+        self.forward_folded(&self.fold(), batch)
+    }
+
+    /// The work that inference shares between batches.
+    pub fn fold(&self) -> Folded {
+        Folded(match &self.encoder {
+            Encoder::Gat(gat) => Some(gat.fold()),
+            Encoder::Resnet(_) => None,
+        })
+    }
+
+    /// Runs the network with `folded` from its present parameters.
+    ///
+    /// # Shapes
+    /// As in [`BatchTensors`] and [`NetworkOutput`].
+    ///
+    /// # Panics
+    /// When `folded` comes from a network with another encoder.
+    pub fn forward_folded(&self, folded: &Folded, batch: &BatchTensors) -> NetworkOutput {
+        let (nodes, global) = match (&self.encoder, &folded.0) {
+            (Encoder::Gat(gat), Some(folded)) => gat.forward(folded, batch),
+            (Encoder::Resnet(resnet), None) => resnet.forward(batch),
+            _ => panic!("folded weights of another encoder"),
+        };
+        let (locs, scales, logits) = self.head.forward(&nodes, &global, &batch.globals);
+        let values = self.value.forward(&global, &batch.globals, &logits);
+        NetworkOutput { locs, scales, logits, values }
+    }
+}

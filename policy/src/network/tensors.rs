@@ -1,0 +1,91 @@
+//! A batch of features on a device.
+
+use burn::tensor::{Device, Tensor, TensorData};
+
+use crate::batch::FeatureBatch;
+use crate::config::{EncoderConfig, NetworkConfig};
+
+/// Number of blocks.
+const N: usize = blueprints::N_BLOCKS;
+
+/// How edges are laid out on the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EdgeLayout {
+    /// `[B, 256, ed]`, receiver-major, zeros where a block would send to itself: what the graph encoder multiplies.
+    Dense,
+    /// `[B, E, ed]` in the order of [`FeatureBatch`].
+    Listed,
+}
+
+/// Network input for B scenes.
+#[derive(Clone, Debug)]
+pub struct BatchTensors {
+    /// `[B, 16, nd]`
+    pub nodes: Tensor<3>,
+    /// `[B, 256, ed]` or `[B, E, ed]`, see [`EdgeLayout`].
+    pub edges: Tensor<3>,
+    /// `[B, gd]`, gripper-major, each gripper's part ending with the one-hot of the block it held.
+    pub globals: Tensor<2>,
+}
+
+impl EdgeLayout {
+    /// The layout that a network with this configuration reads.
+    pub fn of(config: &NetworkConfig) -> Self {
+        match config.encoder {
+            EncoderConfig::Gat(_) => Self::Dense,
+            EncoderConfig::Resnet(_) => Self::Listed,
+        }
+    }
+}
+
+impl BatchTensors {
+    /// Copies a batch to a device.
+    pub fn new(batch: &FeatureBatch, layout: EdgeLayout, device: &Device) -> Self {
+        let b = batch.n;
+        let n_edges = if b == 0 { 0 } else { batch.edges.len() / b / batch.sizes.edge };
+        let edges = match layout {
+            EdgeLayout::Listed => tensor(batch.edges.clone(), [b, n_edges, batch.sizes.edge], device),
+            EdgeLayout::Dense => tensor(dense_edges(&batch.edges, b, batch.sizes.edge), [b, N * N, batch.sizes.edge], device),
+        };
+        Self {
+            nodes: tensor(batch.nodes.clone(), [b, N, batch.sizes.node], device),
+            edges,
+            globals: Tensor::from_data(TensorData::new(batch.globals.clone(), [b, batch.sizes.global]), device),
+        }
+    }
+}
+
+fn tensor(values: Vec<f32>, shape: [usize; 3], device: &Device) -> Tensor<3> {
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+/// Position of edge `sender → receiver` in a sender-major list with or without self-edges.
+///
+/// `None` for a self-edge in a list without them.
+pub(crate) fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> Option<usize> {
+    if self_edges {
+        return Some(sender * N + receiver);
+    }
+    (sender != receiver).then(|| sender * (N - 1) + receiver - usize::from(receiver > sender))
+}
+
+/// From sender-major lists of 240 or 256 edges to receiver-major 16×16.
+pub(crate) fn dense_edges(listed: &[f32], b: usize, ed: usize) -> Vec<f32> {
+    let mut dense = vec![0.0; b * N * N * ed];
+    if b == 0 {
+        return dense;
+    }
+    let per_scene = listed.len() / b;
+    let self_edges = per_scene == N * N * ed;
+    for (from, to) in listed.chunks_exact(per_scene).zip(dense.chunks_exact_mut(N * N * ed)) {
+        for receiver in 0..N {
+            for sender in 0..N {
+                if let Some(edge) = listed_index(sender, receiver, self_edges) {
+                    let at = (receiver * N + sender) * ed;
+                    to[at..at + ed].copy_from_slice(&from[edge * ed..(edge + 1) * ed]);
+                }
+            }
+        }
+    }
+    dense
+}

@@ -1,0 +1,183 @@
+//! Parameters as one flat vector in a documented order, and their initial values.
+//!
+//! The order is that of [`crate::Network`]'s [`table`](crate::Network::table): encoder (graph: `embed_node`,
+//! `embed_edge`, `embed_global`, then per layer `message`, `query`, `key`, `node_proj`, `ln_attn`, `mlp_node`, `ln_mlp`,
+//! `mlp_global`, `ln_global`; flat: `in`, the residual blocks, `to_nodes`, `to_global`), policy head, value head; a
+//! kernel before its bias, each row-major `[in, out]`. With attention off, `query` and `key` do not exist.
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Gradients, Tensor, TensorData};
+use rand_chacha::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::Network;
+
+/// Name, shape and initial values of one parameter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ParameterSpec {
+    /// For example `layer0.message.w`.
+    pub name: String,
+    /// `[in, out]` for kernels, `[out]` for the others.
+    pub shape: Vec<usize>,
+    /// How it begins.
+    pub initialiser: Initialiser,
+}
+
+/// Initial values of one parameter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Initialiser {
+    /// All the same.
+    Constant(f32),
+    /// Haiku's default for kernels: normal with σ = 1/√fan_in truncated at 2σ. Its variance is *not* corrected for the
+    /// truncation, so the values' standard deviation is 0.88 σ.
+    HaikuLinear,
+    /// Haiku's `VarianceScaling(scale)`: as [`Initialiser::HaikuLinear`] with σ = √(scale / fan_in), corrected for the truncation.
+    FanIn(f32),
+    /// Haiku's `VarianceScaling(scale, fan_out, uniform)`: uniform in ±√(3 · scale / fan_out).
+    UniformFanOut(f32),
+}
+
+/// Why a vector of parameters is refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ParameterError {
+    /// Not one value per parameter of the network.
+    #[error("{given} parameters given, the network has {expected}")]
+    Count {
+        /// Length of the vector.
+        given: usize,
+        /// Number of parameters.
+        expected: usize,
+    },
+    /// NaN or infinite.
+    #[error("parameter {index} is not finite")]
+    NotFinite {
+        /// Position in the flat vector.
+        index: usize,
+    },
+}
+
+impl ParameterSpec {
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// All parameters of `network`, in the order of its table.
+pub fn flatten(network: &Network) -> Vec<f32> {
+    let mut visitor = Flatten { values: Vec::with_capacity(network.n_parameters()) };
+    network.visit(&mut visitor);
+    visitor.values
+}
+
+/// The network with its parameters replaced.
+///
+/// # Errors
+/// When the number of values is wrong or one of them is not finite.
+pub fn load(network: Network, values: &[f32]) -> Result<Network, ParameterError> {
+    let expected = network.n_parameters();
+    if values.len() != expected {
+        return Err(ParameterError::Count { given: values.len(), expected });
+    }
+    if let Some(index) = values.iter().position(|x| !x.is_finite()) {
+        return Err(ParameterError::NotFinite { index });
+    }
+    Ok(network.map(&mut Load { values, at: 0 }))
+}
+
+/// Gradients of all parameters in the order of the table; 0 where the loss does not depend on one.
+///
+/// `network` must be the one whose forward pass made the loss.
+pub fn flatten_gradients(network: &Network, gradients: &mut Gradients) -> Vec<f32> {
+    let mut visitor = FlattenGradients { gradients, values: Vec::with_capacity(network.n_parameters()) };
+    network.visit(&mut visitor);
+    visitor.values
+}
+
+/// Initial values of the parameters in `table`, one stream of random numbers per call.
+pub fn initial_values(table: &[ParameterSpec], seed: u64) -> Vec<f32> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut values = Vec::with_capacity(table.iter().map(ParameterSpec::len).sum());
+    for spec in table {
+        let fan_in = spec.shape.first().copied().unwrap_or(1).max(1) as f32;
+        let fan_out = spec.shape.last().copied().unwrap_or(1).max(1) as f32;
+        for _ in 0..spec.len() {
+            values.push(match spec.initialiser {
+                Initialiser::Constant(x) => x,
+                Initialiser::HaikuLinear => truncated_normal(&mut rng) / fan_in.sqrt(),
+                Initialiser::FanIn(scale) => truncated_normal(&mut rng) * (scale / fan_in).sqrt() / TRUNCATED_STD,
+                Initialiser::UniformFanOut(scale) => {
+                    let limit = (3.0 * scale / fan_out).sqrt();
+                    rng.random_range(-limit..limit)
+                }
+            });
+        }
+    }
+    values
+}
+
+/// Standard deviation of a unit normal truncated at ±2.
+const TRUNCATED_STD: f32 = 0.879_625_7;
+
+fn truncated_normal(rng: &mut ChaCha8Rng) -> f32 {
+    loop {
+        let x: f32 = StandardNormal.sample(rng);
+        if x.abs() <= 2.0 {
+            return x;
+        }
+    }
+}
+
+struct Flatten {
+    values: Vec<f32>,
+}
+
+impl ModuleVisitor for Flatten {
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        append(&mut self.values, param.val());
+    }
+}
+
+struct FlattenGradients<'a> {
+    gradients: &'a mut Gradients,
+    values: Vec<f32>,
+}
+
+impl ModuleVisitor for FlattenGradients<'_> {
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        let tensor = param.val();
+        match tensor.grad_remove(self.gradients) {
+            Some(gradient) => append(&mut self.values, gradient),
+            None => self.values.resize(self.values.len() + tensor.shape().num_elements(), 0.0),
+        }
+    }
+}
+
+fn append<const D: usize>(values: &mut Vec<f32>, tensor: Tensor<D>) {
+    let data = tensor.into_data();
+    values.extend_from_slice(data.as_slice::<f32>().expect("all parameters are f32 tensors"));
+}
+
+struct Load<'a> {
+    values: &'a [f32],
+    at: usize,
+}
+
+impl ModuleMapper for Load<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        param.map(|old| {
+            let shape = old.shape();
+            let n = shape.num_elements();
+            let data = TensorData::new(self.values[self.at..self.at + n].to_vec(), shape);
+            self.at += n;
+            let tracked = old.is_require_grad();
+            Tensor::from_data(data, &old.device()).set_require_grad(tracked)
+        })
+    }
+}

@@ -1,0 +1,233 @@
+//! Inference: the newest weights, folded once, applied to batches of scenes.
+
+use burn::tensor::{Device, Tensor};
+use proto::{Action, Normalisation, Weights, WeightsVersion};
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::{BlockMask, PolicyConfig, PolicyConfigError};
+use crate::distribution::{ActionDistribution, mask_logits};
+use crate::network::{BatchTensors, Folded, Network};
+use crate::normalisation::normalise;
+use crate::parameters::{self, ParameterError};
+use crate::FeatureBatch;
+
+/// How actions are taken from the distribution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ActionMode {
+    /// Drawn at random.
+    Sampled,
+    /// The likeliest block and the mean moves.
+    Mode,
+}
+
+/// An action and what the policy thought of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decision {
+    /// What to do.
+    pub action: Action,
+    /// Its joint log-probability in the configured form.
+    pub log_prob: f32,
+    /// Value of the scene in reward units.
+    pub value: f32,
+}
+
+/// Why a policy or its weights are refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PolicyError {
+    /// The configuration is not valid.
+    #[error(transparent)]
+    Config(#[from] PolicyConfigError),
+    /// The weights belong to another network.
+    #[error("weights {version:?} are for network {given:016x}, this process runs {expected:016x}")]
+    OtherNetwork {
+        /// Version of the weights.
+        version: WeightsVersion,
+        /// Hash in the weights.
+        given: u64,
+        /// Hash of this policy's configuration.
+        expected: u64,
+    },
+    /// The parameters do not fit.
+    #[error("weights {version:?} do not fit")]
+    Parameters {
+        /// Version of the weights.
+        version: WeightsVersion,
+        /// What is wrong with them.
+        source: ParameterError,
+    },
+    /// The statistics do not fit.
+    #[error("weights {version:?} have normalisation {field} of length {given}, must be 0 or {expected}")]
+    NormalisationLength {
+        /// Version of the weights.
+        version: WeightsVersion,
+        /// Which statistics.
+        field: &'static str,
+        /// Their length.
+        given: usize,
+        /// Number of features.
+        expected: usize,
+    },
+    /// A statistic is not finite, or a standard deviation not above 0.
+    #[error("weights {version:?} have {field} = {value}, must be finite and, for a standard deviation, above 0")]
+    NormalisationValue {
+        /// Version of the weights.
+        version: WeightsVersion,
+        /// Which statistic.
+        field: &'static str,
+        /// The value.
+        value: f32,
+    },
+}
+
+/// A frozen policy on the CPU.
+#[derive(Debug)]
+pub struct Policy {
+    config: PolicyConfig,
+    network: Network,
+    folded: Folded,
+    normalisation: Normalisation,
+    version: Option<WeightsVersion>,
+    device: Device,
+}
+
+impl Policy {
+    /// An untrained policy; the parameters are those of seed 0 until [`Policy::load`].
+    ///
+    /// # Errors
+    /// When the configuration is not valid.
+    pub fn new(config: &PolicyConfig) -> Result<Self, PolicyError> {
+        config.validate()?;
+        let device = Device::flex();
+        let network = Network::init(&config.network, &config.sizes(), 0, &device);
+        let folded = network.fold();
+        let normalisation = Normalisation { value_std: 1.0, ..Normalisation::default() };
+        Ok(Self { config: config.clone(), network, folded, normalisation, version: None, device })
+    }
+
+    /// Version of the loaded weights; `None` before the first.
+    pub fn version(&self) -> Option<WeightsVersion> {
+        self.version
+    }
+
+    /// The configuration that it was made with.
+    pub fn config(&self) -> &PolicyConfig {
+        &self.config
+    }
+
+    /// An empty batch for [`Policy::act`].
+    pub fn batch(&self) -> FeatureBatch {
+        FeatureBatch::new(&self.config.features)
+    }
+
+    /// Takes over new weights; on an error the old ones stay.
+    ///
+    /// # Errors
+    /// When the weights are of another network, of the wrong length, or not finite.
+    pub fn load(&mut self, weights: &Weights) -> Result<(), PolicyError> {
+        let version = weights.version;
+        let expected = self.config.hash();
+        if weights.network_hash != expected {
+            return Err(PolicyError::OtherNetwork { version, given: weights.network_hash, expected });
+        }
+        self.check_normalisation(weights)?;
+        let network = parameters::load(self.network.clone(), &weights.parameters)
+            .map_err(|source| PolicyError::Parameters { version, source })?;
+        self.folded = network.fold();
+        self.network = network;
+        self.normalisation = weights.normalisation.clone();
+        self.version = Some(version);
+        Ok(())
+    }
+
+    /// Decides for every scene of the batch, in its order.
+    ///
+    /// `rngs` holds one generator per scene; they are not touched in [`ActionMode::Mode`].
+    ///
+    /// # Panics
+    /// When there are not as many generators as scenes, or the batch has other feature sizes.
+    pub fn act(&self, batch: &FeatureBatch, rngs: &mut [ChaCha8Rng], mode: ActionMode) -> Vec<Decision> {
+        assert_eq!(rngs.len(), batch.n, "one generator per scene");
+        let mut output = self.run(batch);
+        let per_scene = output.logits.len() / batch.n.max(1);
+        let mut decisions = Vec::with_capacity(batch.n);
+        for (row, rng) in rngs.iter_mut().enumerate() {
+            let logits = &mut output.logits[row * per_scene..(row + 1) * per_scene];
+            if self.config.mask == BlockMask::Blueprint {
+                mask_logits(logits, &batch.allowed[row * 16..(row + 1) * 16]);
+            }
+            let moves = row * 96..(row + 1) * 96;
+            let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
+            let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
+            let action = match mode {
+                ActionMode::Sampled => distribution.sample(rng),
+                ActionMode::Mode => distribution.mode(),
+            };
+            let log_prob = distribution.log_prob(&action);
+            decisions.push(Decision { action, log_prob, value: output.values[row] });
+        }
+        decisions
+    }
+
+    /// Values of all scenes of the batch, in reward units.
+    pub fn values(&self, batch: &FeatureBatch) -> Vec<f32> {
+        self.run(batch).values
+    }
+
+    fn run(&self, batch: &FeatureBatch) -> RawOutput {
+        if batch.n == 0 {
+            return RawOutput::default();
+        }
+        let mut batch = batch.clone();
+        normalise(&mut batch, &self.normalisation);
+        let tensors = BatchTensors::new(&batch, self.network.edge_layout(), &self.device);
+        let output = self.network.forward_folded(&self.folded, &tensors);
+        let Normalisation { value_mean, value_std, .. } = self.normalisation;
+        RawOutput {
+            locs: to_vec(output.locs),
+            scales: to_vec(output.scales),
+            logits: to_vec(output.logits),
+            values: to_vec(output.values).into_iter().map(|v| v * value_std + value_mean).collect(),
+        }
+    }
+
+    fn check_normalisation(&self, weights: &Weights) -> Result<(), PolicyError> {
+        let version = weights.version;
+        let sizes = self.config.sizes();
+        let n = &weights.normalisation;
+        for (k, expected) in [sizes.node, sizes.edge, sizes.global].into_iter().enumerate() {
+            for (field, values, given) in [
+                ("feature_mean", &n.feature_mean[k], n.feature_mean[k].len()),
+                ("feature_std", &n.feature_std[k], n.feature_std[k].len()),
+            ] {
+                if given != expected && (given != 0 || n.feature_mean[k].len() != n.feature_std[k].len()) {
+                    return Err(PolicyError::NormalisationLength { version, field, given, expected });
+                }
+                let valid = |x: &f32| x.is_finite() && (field == "feature_mean" || *x > 0.0);
+                if let Some(value) = values.iter().copied().find(|x| !valid(x)) {
+                    return Err(PolicyError::NormalisationValue { version, field, value });
+                }
+            }
+        }
+        for (field, value, valid) in [
+            ("value_mean", n.value_mean, n.value_mean.is_finite()),
+            ("value_std", n.value_std, n.value_std.is_finite() && n.value_std > 0.0),
+        ] {
+            if !valid {
+                return Err(PolicyError::NormalisationValue { version, field, value });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[derive(Default)]
+struct RawOutput {
+    locs: Vec<f32>,
+    scales: Vec<f32>,
+    logits: Vec<f32>,
+    values: Vec<f32>,
+}
+
+fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("the network computes in f32")
+}
