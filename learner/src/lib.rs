@@ -1,1 +1,34 @@
+//! Trajectories in, weights out: PPO with everything it needs to run for days.
+//!
+//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalisation`], [`curriculum`] → [`mailbox`] →
+//! [`batch`] → [`learner`] (the synchronous whole) → [`checkpoint`] → [`run`] (the service on the bus).
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod adam;
+pub mod batch;
+pub mod checkpoint;
+pub mod config;
+pub mod curriculum;
+pub mod episodes;
+#[cfg(test)]
+mod fixtures;
+pub mod gae;
+pub mod learner;
+pub mod loss;
+pub mod mailbox;
+pub mod metrics;
+pub mod normalisation;
+mod ppo;
+pub mod run;
+pub mod state;
+#[cfg(test)]
+mod tests;
+
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use config::{LearnerConfig, LearnerConfigError};
+pub use learner::{Learner, LearnerError, LearnerSetup};
+pub use mailbox::{Mailbox, MailboxCounts};
+pub use metrics::UpdateMetrics;
+pub use policy::device::{DeviceError, DeviceKind};
+pub use run::{LearnerReport, RunOptions, run};

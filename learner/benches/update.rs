@@ -1,0 +1,97 @@
+//! Time of a PPO update with the paper's network, in milliseconds a sample and epoch.
+//!
+//! Run on one core with `RAYON_NUM_THREADS=1 cargo bench -p learner`; the number of samples is the first argument that
+//! is a number, 1024 by default.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use blueprints::{BlockIdx, BlueprintId, Catalogue, N_BLOCKS};
+use learner::{DeviceKind, Learner, LearnerConfig, LearnerSetup};
+use policy::PolicyConfig;
+use proto::{Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Steps of a segment.
+const SEGMENT: usize = 32;
+
+fn main() {
+    let n_samples = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(1024);
+    let id = BlueprintId::try_from("2_000".to_owned()).unwrap();
+    let mut config = LearnerConfig { steps_per_update: n_samples, minibatch_size: 256, ..LearnerConfig::default() };
+    // All epochs are made, however far the policy moves on these random rewards.
+    config.optimizer.stop_kl = None;
+    let setup = LearnerSetup {
+        config,
+        policy: PolicyConfig::default(),
+        catalogue: Arc::new(Catalogue::builtin().clone()),
+        tasks: vec![id.clone()],
+        seed: 0,
+        device: DeviceKind::Cpu,
+    };
+    let n_epochs = setup.config.n_epochs;
+    let mut learner = Learner::new(setup).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    for round in 0..3 {
+        for _ in 0..n_samples.div_ceil(SEGMENT) {
+            learner.ingest(segment(&id, learner.version().0, &mut rng)).unwrap();
+        }
+        let start = Instant::now();
+        learner.update().unwrap();
+        let seconds = start.elapsed().as_secs_f64();
+        let per_sample = 1000.0 * seconds / (n_samples * n_epochs) as f64;
+        println!("round {round}: {seconds:.2} s, {per_sample:.3} ms a sample and epoch");
+    }
+}
+
+fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
+    let transitions = (0..SEGMENT)
+        .map(|_| Transition {
+            scene: scene(rng),
+            action: Action {
+                choices: [0; 2].map(|_| BlockIdx::try_from(rng.random_range(0..N_BLOCKS as u8)).ok()),
+                moves: std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))),
+            },
+            behavior_log_prob: -12.0,
+            value: 0.0,
+            reward: RewardTerms { blocks: rng.random_range(-0.1..0.1), ..RewardTerms::default() },
+        })
+        .collect();
+    let assignment: Vec<BlockIdx> = BlockIdx::all().collect();
+    let assignment = assignment.try_into().unwrap();
+    Trajectory {
+        actor: ActorId::try_from("bench".to_owned()).unwrap(),
+        epoch: 0,
+        seq: rng.random(),
+        weights_version: proto::WeightsVersion(version),
+        task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
+        first_step: 0,
+        transitions,
+        last_scene: scene(rng),
+        status: Status::Running,
+        bootstrap_value: 0.0,
+        outcome: None,
+    }
+}
+
+fn scene(rng: &mut ChaCha8Rng) -> Scene {
+    let gripper = Gripper {
+        held: None,
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        linear_velocity: [0.0; 3],
+        angular_velocity: [0.0; 3],
+    };
+    Scene {
+        blocks: std::array::from_fn(|_| Pose {
+            position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+        }),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(gripper); 2],
+        n_heavy_contacts: 0,
+    }
+}

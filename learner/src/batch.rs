@@ -1,0 +1,126 @@
+//! The trajectories of one update, laid out for the network: features are computed once and serve all epochs.
+
+use std::ops::Range;
+
+use blueprints::Catalogue;
+use policy::{FeatureBatch, PolicyConfig};
+use proto::{Action, Status, Trajectory, WeightsVersion};
+
+use crate::gae;
+use crate::mailbox::policy_lag;
+
+/// All samples of an update.
+///
+/// Rows `0..n_samples` of `features` are the scenes that were acted on, in the order of the segments; the rows after
+/// them are the last scenes of the segments.
+#[derive(Debug)]
+pub struct Batch {
+    /// Features of `n_samples + n_segments` scenes.
+    pub features: FeatureBatch,
+    /// Actions, one per sample.
+    pub actions: Vec<Action>,
+    /// Log-probabilities under the weights that acted, one per sample.
+    pub behavior_log_probs: Vec<f32>,
+    /// Rewards, one per sample.
+    pub rewards: Vec<f32>,
+    /// Runs of samples of one episode each.
+    pub segments: Vec<Segment>,
+}
+
+/// Consecutive samples of one episode.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Segment {
+    /// Which samples.
+    pub samples: Range<usize>,
+    /// How the episode stands after the last one.
+    pub status: Status,
+    /// Versions between the weights that acted and the newest.
+    pub policy_lag: u64,
+}
+
+impl Batch {
+    /// Computes the features of `trajectories` that wait for weights `version` to be updated. One whose blueprint is
+    /// not in the catalogue is left out (the mailbox refuses those).
+    pub fn new(
+        trajectories: Vec<Trajectory>,
+        version: WeightsVersion,
+        catalogue: &Catalogue,
+        policy: &PolicyConfig,
+    ) -> Self {
+        let mut batch = Self {
+            features: FeatureBatch::new(&policy.features),
+            actions: Vec::new(),
+            behavior_log_probs: Vec::new(),
+            rewards: Vec::new(),
+            segments: Vec::new(),
+        };
+        let mut last_scenes = Vec::new();
+        for trajectory in trajectories {
+            let Some(blueprint) = catalogue.get(&trajectory.task.blueprint) else { continue };
+            let blueprint = blueprint.permuted(&trajectory.task.assignment);
+            let policy_lag = policy_lag(version, &trajectory);
+            let first = batch.actions.len();
+            for transition in trajectory.transitions {
+                batch.features.push(&transition.scene, &blueprint);
+                batch.actions.push(transition.action);
+                batch.behavior_log_probs.push(transition.behavior_log_prob);
+                batch.rewards.push(transition.reward.total());
+            }
+            let samples = first..batch.actions.len();
+            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag });
+            last_scenes.push((trajectory.last_scene, blueprint));
+        }
+        for (scene, blueprint) in &last_scenes {
+            batch.features.push(scene, blueprint);
+        }
+        batch
+    }
+
+    /// Number of samples.
+    pub fn n_samples(&self) -> usize {
+        self.actions.len()
+    }
+
+    /// Advantages of all samples from `values` of all rows (both in reward units).
+    pub fn advantages(&self, values: &[f32], gamma: f32, lambda: f32) -> Vec<f32> {
+        let n_samples = self.n_samples();
+        let mut advantages = vec![0.0; n_samples];
+        for (segment, &last_value) in self.segments.iter().zip(&values[n_samples..]) {
+            let samples = segment.samples.clone();
+            let bootstrap = gae::bootstrap_value(segment.status, last_value);
+            let (rewards, values) = (&self.rewards[samples.clone()], &values[samples.clone()]);
+            gae::advantages(rewards, values, bootstrap, gamma, lambda, &mut advantages[samples]);
+        }
+        advantages
+    }
+
+    /// Samples by policy lag: entry `i` counts those of lag `i`.
+    pub fn lag_histogram(&self) -> Vec<u64> {
+        let longest = self.segments.iter().map(|s| s.policy_lag).max().unwrap_or(0);
+        let mut histogram = vec![0; longest as usize + 1];
+        for segment in &self.segments {
+            histogram[segment.policy_lag as usize] += segment.samples.len() as u64;
+        }
+        histogram
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::trajectory;
+
+    #[test]
+    fn segments_keep_to_themselves() {
+        let mut ended = trajectory(2, 3);
+        ended.status = Status::Success;
+        ended.transitions[1].reward.connected = 1.0;
+        let policy = PolicyConfig::default();
+        let batch = Batch::new(vec![ended, trajectory(3, 5)], WeightsVersion(5), Catalogue::builtin(), &policy);
+        assert_eq!((batch.n_samples(), batch.features.n), (5, 7));
+        assert_eq!(batch.lag_histogram(), [3, 0, 2]);
+        // γ = λ = 1, all values 0 but those of the last scenes: 7 (ignored: success) and 4.
+        let values = [0.0, 0.0, 0.0, 0.0, 0.0, 7.0, 4.0];
+        assert_eq!(batch.advantages(&values, 1.0, 1.0), [1.0, 1.0, 4.0, 4.0, 4.0]);
+    }
+}

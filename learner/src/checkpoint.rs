@@ -1,0 +1,234 @@
+//! Checkpoints: everything that a learner needs to go on as if it had never stopped.
+//!
+//! A checkpoint is a folder `step-<environment steps>` with
+//! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
+//! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
+//! - `mailbox.bin`: trajectories that waited, each as a little-endian u64 length and its wire form;
+//! - `model.json`: the policy's configuration, enough to act with the parameters;
+//! - `state.json`: the rest, and the length and FNV-1a hash of each of the files above.
+//!
+//! It is written under a temporary name, flushed to the disk and renamed, so that a folder of that name is whole. What
+//! was cut short all the same (a full disk, a copy that broke off) is told by the lengths and hashes.
+
+mod files;
+mod tensors;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use policy::PolicyConfig;
+use proto::codec::{decode_trajectory, encode_trajectory};
+use proto::{Trajectory, Weights};
+use serde::{Deserialize, Serialize};
+
+use crate::adam::Adam;
+use crate::state::LearnerState;
+use files::FileInfo;
+pub use tensors::ParameterInfo;
+
+const PARAMETERS: &str = "parameters.safetensors";
+const ADAM: &str = "adam.safetensors";
+const MAILBOX: &str = "mailbox.bin";
+const MODEL: &str = "model.json";
+const STATE: &str = "state.json";
+
+/// Version of the layout; raised when an older reader could not read it.
+const FORMAT_VERSION: u32 = 1;
+
+/// All of a learner at rest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// Counters, statistics, curriculum, random numbers.
+    pub state: LearnerState,
+    /// The policy's configuration.
+    pub model: PolicyConfig,
+    /// Names and shapes of the parameters in the order of `parameters`.
+    pub table: Vec<ParameterInfo>,
+    /// All parameters as one flat vector.
+    pub parameters: Vec<f32>,
+    /// The optimiser.
+    pub adam: Adam,
+    /// Trajectories that waited, oldest first.
+    pub mailbox: Vec<Trajectory>,
+}
+
+/// Why a checkpoint could not be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// The file system refused.
+    #[error("{action} {path}: {source}")]
+    Io {
+        /// What was being done.
+        action: &'static str,
+        /// With which file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A file is not what was written.
+    #[error("checkpoint file {path} is damaged: {reason}")]
+    Damaged {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// No folder `step-<n>` at all.
+    #[error("there is no checkpoint in {0}")]
+    Absent(PathBuf),
+    /// The checkpoint is of another network or catalogue than this learner's.
+    #[error("the checkpoint does not fit this learner: {0}")]
+    Mismatch(String),
+}
+
+/// A checkpoint that was found, and the newer ones that had to be passed over.
+#[derive(Debug)]
+pub struct Found {
+    /// Its folder.
+    pub path: PathBuf,
+    /// Its content.
+    pub checkpoint: Checkpoint,
+    /// Why each newer one was passed over, newest first.
+    pub passed_over: Vec<CheckpointError>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StateFile {
+    format_version: u32,
+    files: Vec<FileInfo>,
+    table: Vec<ParameterInfo>,
+    adam_steps: u64,
+    state: LearnerState,
+}
+
+impl Checkpoint {
+    /// Writes the folder `step-<n>` below `dir` and returns its path; one of that name is replaced.
+    ///
+    /// # Errors
+    /// When the file system refuses; an older checkpoint of the same name is then still there.
+    pub fn write(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
+        let path = dir.join(format!("step-{}", self.state.n_env_steps));
+        let temporary = dir.join(format!(".new-{}", self.state.n_env_steps));
+        fs::create_dir_all(dir).map_err(io("creating", dir))?;
+        files::remove(&temporary)?;
+        fs::create_dir(&temporary).map_err(io("creating", &temporary))?;
+        let mut files = Vec::new();
+        for (name, bytes) in [
+            (PARAMETERS, tensors::write(&self.table, &[("", &self.parameters)])?),
+            (ADAM, tensors::write(&self.table, &[("first.", &self.adam.first), ("second.", &self.adam.second)])?),
+            (MAILBOX, pack(&self.mailbox)),
+            (MODEL, json(&self.model)?),
+        ] {
+            files.push(files::write(&temporary, name, &bytes)?);
+        }
+        let state = StateFile {
+            format_version: FORMAT_VERSION,
+            files,
+            table: self.table.clone(),
+            adam_steps: self.adam.n_steps,
+            state: self.state.clone(),
+        };
+        files::write(&temporary, STATE, &json(&state)?)?;
+        files::sync_folder(&temporary)?;
+        files::replace(&temporary, &path)?;
+        files::sync_folder(dir)?;
+        Ok(path)
+    }
+
+    /// Reads the folder `path` as [`Checkpoint::write`] left it.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Damaged`] naming the file that is not as it was written, or what the file system says.
+    pub fn read(path: &Path) -> Result<Self, CheckpointError> {
+        let state: StateFile = parse(path, STATE, &files::read(path, STATE)?)?;
+        if state.format_version != FORMAT_VERSION {
+            let reason = format!("its format version is {}, this program reads {FORMAT_VERSION}", state.format_version);
+            return Err(damaged(path, STATE, reason));
+        }
+        let verified = |name| files::read_verified(path, name, &state.files);
+        let [parameters] = tensors::read(path, PARAMETERS, &verified(PARAMETERS)?, &state.table, [""])?;
+        let [first, second] = tensors::read(path, ADAM, &verified(ADAM)?, &state.table, ["first.", "second."])?;
+        let mailbox = unpack(path, &verified(MAILBOX)?)?;
+        let model = parse(path, MODEL, &verified(MODEL)?)?;
+        let adam = Adam { first, second, n_steps: state.adam_steps };
+        Ok(Self { state: state.state, model, table: state.table, parameters, adam, mailbox })
+    }
+
+    /// Reads the newest whole checkpoint below `dir`, or `dir` itself when it is one.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Absent`] when there is none; when all are damaged, the newest one's error.
+    pub fn read_latest(dir: &Path) -> Result<Found, CheckpointError> {
+        if dir.join(STATE).exists() {
+            return Ok(Found { path: dir.into(), checkpoint: Self::read(dir)?, passed_over: Vec::new() });
+        }
+        let mut passed_over = Vec::new();
+        for (_, path) in files::steps(dir)?.into_iter().rev() {
+            match Self::read(&path) {
+                Ok(checkpoint) => return Ok(Found { path, checkpoint, passed_over }),
+                Err(error) => {
+                    tracing::warn!(%error, "a checkpoint is unusable, trying the one before");
+                    passed_over.push(error);
+                }
+            }
+        }
+        Err(if passed_over.is_empty() { CheckpointError::Absent(dir.into()) } else { passed_over.swap_remove(0) })
+    }
+
+    /// The frozen policy, as it is sent to the actors.
+    pub fn weights(&self) -> Weights {
+        self.state.weights(self.model.hash(), self.parameters.clone())
+    }
+}
+
+/// Removes all but the `keep` newest checkpoints below `dir`, and what an interrupted write left.
+///
+/// # Errors
+/// When the file system refuses.
+pub fn prune(dir: &Path, keep: usize) -> Result<(), CheckpointError> {
+    let steps = files::steps(dir)?;
+    let n_old = steps.len().saturating_sub(keep);
+    for path in steps.into_values().take(n_old).chain(files::leftovers(dir)?) {
+        files::remove(&path)?;
+    }
+    Ok(())
+}
+
+/// For `map_err`: says what was being done when the file system refused.
+fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
+    move |source| CheckpointError::Io { action, path: path.into(), source }
+}
+
+fn damaged(folder: &Path, name: &str, reason: impl Into<String>) -> CheckpointError {
+    CheckpointError::Damaged { path: folder.join(name), reason: reason.into() }
+}
+
+fn json(value: &impl Serialize) -> Result<Vec<u8>, CheckpointError> {
+    serde_json::to_vec_pretty(value).map_err(|error| CheckpointError::Mismatch(error.to_string()))
+}
+
+fn parse<T: for<'de> Deserialize<'de>>(folder: &Path, name: &str, bytes: &[u8]) -> Result<T, CheckpointError> {
+    serde_json::from_slice(bytes).map_err(|error| damaged(folder, name, error.to_string()))
+}
+
+fn pack(trajectories: &[Trajectory]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for trajectory in trajectories {
+        let encoded = encode_trajectory(trajectory);
+        bytes.extend((encoded.len() as u64).to_le_bytes());
+        bytes.extend(encoded);
+    }
+    bytes
+}
+
+fn unpack(folder: &Path, mut bytes: &[u8]) -> Result<Vec<Trajectory>, CheckpointError> {
+    let mut trajectories = Vec::new();
+    while let Some((length, rest)) = bytes.split_first_chunk::<8>() {
+        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        let Some((message, rest)) = rest.split_at_checked(length) else { break };
+        trajectories.push(decode_trajectory(message).map_err(|error| damaged(folder, MAILBOX, error.to_string()))?);
+        bytes = rest;
+    }
+    if bytes.is_empty() { Ok(trajectories) } else { Err(damaged(folder, MAILBOX, "its last trajectory is cut short")) }
+}

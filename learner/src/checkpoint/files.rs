@@ -1,0 +1,111 @@
+//! The files of a checkpoint: written to the disk for good, and verified when read.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{CheckpointError, damaged, io};
+
+/// What a file must be to be whole.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FileInfo {
+    name: String,
+    n_bytes: u64,
+    /// FNV-1a over the bytes, as 16 hexadecimal digits.
+    fnv1a: String,
+}
+
+/// Writes a new file and waits until the disk has it.
+pub(super) fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<FileInfo, CheckpointError> {
+    let path = folder.join(name);
+    let mut file = File::create_new(&path).map_err(io("creating", &path))?;
+    file.write_all(bytes).map_err(io("writing", &path))?;
+    file.sync_all().map_err(io("flushing", &path))?;
+    Ok(FileInfo { name: name.to_owned(), n_bytes: bytes.len() as u64, fnv1a: hash(bytes) })
+}
+
+/// Reads a file.
+pub(super) fn read(folder: &Path, name: &str) -> Result<Vec<u8>, CheckpointError> {
+    let path = folder.join(name);
+    fs::read(&path).map_err(io("reading", &path))
+}
+
+/// Reads a file and holds it against its entry in `infos`.
+pub(super) fn read_verified(folder: &Path, name: &str, infos: &[FileInfo]) -> Result<Vec<u8>, CheckpointError> {
+    let Some(info) = infos.iter().find(|info| info.name == name) else {
+        return Err(damaged(folder, name, "the state file does not list it"));
+    };
+    let bytes = read(folder, name)?;
+    if bytes.len() as u64 != info.n_bytes {
+        return Err(damaged(folder, name, format!("it has {} bytes instead of {}", bytes.len(), info.n_bytes)));
+    }
+    let found = hash(&bytes);
+    if found != info.fnv1a {
+        return Err(damaged(folder, name, format!("its hash is {found} instead of {}", info.fnv1a)));
+    }
+    Ok(bytes)
+}
+
+/// Renames `new` to `path`, where a folder may stand.
+pub(super) fn replace(new: &Path, path: &Path) -> Result<(), CheckpointError> {
+    if path.exists() {
+        // A folder cannot be renamed onto a full one; the old one is moved aside first, never removed first.
+        let old = path.with_file_name(format!(".old-{}", path.file_name().unwrap_or_default().to_string_lossy()));
+        remove(&old)?;
+        fs::rename(path, &old).map_err(io("renaming", path))?;
+        fs::rename(new, path).map_err(io("renaming", new))?;
+        return remove(&old);
+    }
+    fs::rename(new, path).map_err(io("renaming", new))
+}
+
+/// Waits until the disk has the entries of a folder.
+pub(super) fn sync_folder(folder: &Path) -> Result<(), CheckpointError> {
+    File::open(folder).and_then(|file| file.sync_all()).map_err(io("flushing", folder))
+}
+
+/// Removes a folder if it is there.
+pub(super) fn remove(folder: &Path) -> Result<(), CheckpointError> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(io("removing", folder)(error)),
+        _ => Ok(()),
+    }
+}
+
+/// The folders `step-<n>` of `dir` by `n`; none when there is no `dir`.
+pub(super) fn steps(dir: &Path) -> Result<BTreeMap<u64, PathBuf>, CheckpointError> {
+    let step = |name: &str| name.strip_prefix("step-")?.parse().ok();
+    Ok(names(dir)?.into_iter().filter_map(|(name, path)| Some((step(&name)?, path))).collect())
+}
+
+/// The folders that an interrupted write left in `dir`.
+pub(super) fn leftovers(dir: &Path) -> Result<Vec<PathBuf>, CheckpointError> {
+    let is_leftover = |name: &str| name.starts_with(".new-") || name.starts_with(".old-step-");
+    Ok(names(dir)?.into_iter().filter(|(name, _)| is_leftover(name)).map(|(_, path)| path).collect())
+}
+
+fn names(dir: &Path) -> Result<Vec<(String, PathBuf)>, CheckpointError> {
+    let entries = match fs::read_dir(dir) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(io("listing", dir))?,
+    };
+    let mut names = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(io("listing", dir))?;
+        names.push((entry.file_name().to_string_lossy().into_owned(), entry.path()));
+    }
+    Ok(names)
+}
+
+/// FNV-1a, 64 bits: finds cuts and flipped bits; it is no protection against forgery.
+fn hash(bytes: &[u8]) -> String {
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    for &byte in bytes {
+        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+    }
+    format!("{hash:016x}")
+}

@@ -1,0 +1,70 @@
+//! Flat vectors ↔ safetensors files with one tensor per parameter.
+
+use std::path::Path;
+
+use safetensors::tensor::{Dtype, TensorView};
+use safetensors::{SafeTensors, serialize};
+use serde::{Deserialize, Serialize};
+
+use super::{CheckpointError, damaged};
+
+/// Name and shape of one parameter.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ParameterInfo {
+    /// Name, as in the policy's parameter table.
+    pub name: String,
+    /// Shape; kernels are `[in, out]`.
+    pub shape: Vec<usize>,
+}
+
+impl ParameterInfo {
+    /// Number of entries.
+    pub fn n_entries(&self) -> usize {
+        self.shape.iter().product()
+    }
+}
+
+/// Writes flat vectors that all follow `table`, each under its name prefix.
+pub(super) fn write(table: &[ParameterInfo], vectors: &[(&str, &[f32])]) -> Result<Vec<u8>, CheckpointError> {
+    let mismatch = |error: safetensors::SafeTensorError| CheckpointError::Mismatch(error.to_string());
+    let bytes: Vec<Vec<u8>> =
+        vectors.iter().map(|(_, values)| values.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();
+    let mut views = Vec::new();
+    for ((prefix, _), bytes) in vectors.iter().zip(&bytes) {
+        let mut rest = bytes.as_slice();
+        for info in table {
+            let Some((data, after)) = rest.split_at_checked(4 * info.n_entries()) else {
+                return Err(CheckpointError::Mismatch(format!("parameter {} has no values", info.name)));
+            };
+            rest = after;
+            let view = TensorView::new(Dtype::F32, info.shape.clone(), data).map_err(mismatch)?;
+            views.push((format!("{prefix}{}", info.name), view));
+        }
+    }
+    serialize(views, None).map_err(mismatch)
+}
+
+/// Reads the flat vectors of the given name prefixes.
+pub(super) fn read<const N: usize>(
+    folder: &Path,
+    file: &str,
+    bytes: &[u8],
+    table: &[ParameterInfo],
+    prefixes: [&str; N],
+) -> Result<[Vec<f32>; N], CheckpointError> {
+    let broken = |reason: String| damaged(folder, file, reason);
+    let tensors = SafeTensors::deserialize(bytes).map_err(|error| broken(error.to_string()))?;
+    let mut vectors = [const { Vec::new() }; N];
+    for (prefix, vector) in prefixes.iter().zip(&mut vectors) {
+        for info in table {
+            let name = format!("{prefix}{}", info.name);
+            let tensor = tensors.tensor(&name).map_err(|error| broken(error.to_string()))?;
+            if tensor.dtype() != Dtype::F32 || tensor.shape() != info.shape {
+                return Err(broken(format!("tensor {name} is {:?} {:?}", tensor.dtype(), tensor.shape())));
+            }
+            vector.extend(tensor.data().as_chunks::<4>().0.iter().map(|x| f32::from_le_bytes(*x)));
+        }
+    }
+    Ok(vectors)
+}

@@ -1,0 +1,373 @@
+//! All settings of the learner, with units, defaults and valid ranges.
+
+use serde::{Deserialize, Serialize};
+
+use crate::curriculum::CurriculumConfig;
+
+/// Settings of the learner. The defaults are those of published PPO practice on long-horizon manipulation.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LearnerConfig {
+    /// Environment steps that one update consumes; 256..=1048576, default 8192.
+    pub steps_per_update: usize,
+    /// Samples of one gradient step; 1..=`steps_per_update`, default 1024. The minibatches of an epoch are all of one
+    /// size, so they may be larger by a part of the remainder.
+    pub minibatch_size: usize,
+    /// Largest number of samples in one forward pass, so that activations stay in the cache; a minibatch is worked in
+    /// pieces of at most this size and their gradients are added; 1..=65536, default 256.
+    pub forward_size: usize,
+    /// Passes over a batch; 1..=32, default 3.
+    pub n_epochs: usize,
+    /// Discount per step γ; 0..=1, default 0.99.
+    pub gamma: f32,
+    /// GAE's λ; 0..=1, default 0.95.
+    pub lambda: f32,
+    /// PPO loss.
+    pub loss: LossConfig,
+    /// Gradient step.
+    pub optimizer: OptimizerConfig,
+    /// Statistics of features and value targets.
+    pub normalisation: NormalisationConfig,
+    /// Inbox of trajectories.
+    pub mailbox: MailboxConfig,
+    /// Which blueprints to train on.
+    pub curriculum: CurriculumConfig,
+    /// When to save and how many to keep.
+    pub checkpoints: CheckpointConfig,
+}
+
+/// The PPO objective.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LossConfig {
+    /// Probability ratios beyond 1 ± this are clipped; above 0, at most 1, default 0.2.
+    pub clip: f32,
+    /// Clip of the value's change in units of the normalised value; above 0; `None` (default) is off, as it hurts.
+    pub value_clip: Option<f32>,
+    /// Weight of the value loss; at least 0, default 0.5.
+    pub value_coefficient: f32,
+    /// Weight of the entropy of the block choice, nats; at least 0, default 0.005.
+    pub block_entropy: f32,
+    /// Weight of the expected entropy of the moves, nats; at least 0, default 0.0001.
+    pub move_entropy: f32,
+    /// What the ratio is taken against.
+    pub objective: Objective,
+    /// With the decoupled objective the importance weight of a sample is at most this; at least 1, default 2.
+    pub max_behavior_weight: f32,
+}
+
+/// What PPO's probability ratio is taken against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Objective {
+    /// The policy that acted.
+    Standard,
+    /// The policy at the start of the update; the policy that acted only weighs the sample (Hilton, Cobbe, Schulman,
+    /// "Batch size-invariance for policy optimization"). Equal to the standard one when the policy lag is 0.
+    Decoupled,
+}
+
+/// Adam with a learning rate that follows the KL divergence.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OptimizerConfig {
+    /// Learning rate at the start; above 0, default 3e-4.
+    pub learning_rate: f32,
+    /// Adapt the learning rate to the KL divergence; `None` keeps it fixed.
+    pub adaptive: Option<AdaptiveRate>,
+    /// Adam's ε, outside the square root; above 0, default 1e-5.
+    pub epsilon: f32,
+    /// Adam's β₁; 0..1, default 0.9.
+    pub beta1: f32,
+    /// Adam's β₂; 0..1, default 0.999.
+    pub beta2: f32,
+    /// Gradients with a larger global norm are scaled to it; above 0, default 0.5.
+    pub max_grad_norm: f32,
+    /// Ends an update after the epoch whose approximate KL divergence exceeds this; above 0, default 0.1; `None` is off.
+    pub stop_kl: Option<f32>,
+}
+
+/// Rule that keeps the policy's change per update in a band.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AdaptiveRate {
+    /// Below this KL divergence per update the rate grows; default 0.005.
+    pub low_kl: f32,
+    /// Above this KL divergence per update the rate shrinks; above `low_kl`, default 0.02.
+    pub high_kl: f32,
+    /// Factor of growth and shrinkage; above 1, default 1.5.
+    pub factor: f32,
+    /// Lowest rate; above 0, default 1e-5.
+    pub min: f32,
+    /// Highest rate; at least `min`, default 1e-3.
+    pub max: f32,
+}
+
+/// Running statistics.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NormalisationConfig {
+    /// Features are shifted and scaled by their running mean and deviation; default true.
+    pub features: bool,
+    /// Scenes after which the feature statistics no longer move; default 500 000.
+    pub feature_samples: u64,
+    /// The value head learns normalised targets; default true.
+    pub values: bool,
+    /// Weight of a new batch in the running statistics of the value targets; above 0, at most 1, default 0.1.
+    pub value_rate: f64,
+    /// Smallest deviation of value targets, reward units; above 0, default 0.01.
+    pub min_value_std: f32,
+}
+
+/// The inbox.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MailboxConfig {
+    /// Steps that may wait; at least `steps_per_update`, default 16384.
+    pub capacity_steps: usize,
+    /// Trajectories of weights older than this many versions are dropped; 0..=1000, default 4.
+    pub max_policy_lag: u64,
+}
+
+/// When checkpoints are written.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CheckpointConfig {
+    /// Updates between two checkpoints; at least 1, default 50.
+    pub every_updates: u64,
+    /// Newest checkpoints that stay on disk; at least 1, default 3.
+    pub keep: usize,
+}
+
+/// A setting outside its range.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("learner setting {field} is {value}, but must be {range}")]
+pub struct LearnerConfigError {
+    /// Path of the field below the learner's section.
+    pub field: &'static str,
+    /// The value found.
+    pub value: f64,
+    /// The valid range in words.
+    pub range: &'static str,
+}
+
+impl Default for LearnerConfig {
+    fn default() -> Self {
+        Self {
+            steps_per_update: 8192,
+            minibatch_size: 1024,
+            forward_size: 256,
+            n_epochs: 3,
+            gamma: 0.99,
+            lambda: 0.95,
+            loss: LossConfig::default(),
+            optimizer: OptimizerConfig::default(),
+            normalisation: NormalisationConfig::default(),
+            mailbox: MailboxConfig::default(),
+            curriculum: CurriculumConfig::default(),
+            checkpoints: CheckpointConfig::default(),
+        }
+    }
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self {
+            clip: 0.2,
+            value_clip: None,
+            value_coefficient: 0.5,
+            block_entropy: 0.005,
+            move_entropy: 1e-4,
+            objective: Objective::Decoupled,
+            max_behavior_weight: 2.0,
+        }
+    }
+}
+
+impl Default for OptimizerConfig {
+    fn default() -> Self {
+        Self {
+            learning_rate: 3e-4,
+            adaptive: Some(AdaptiveRate::default()),
+            epsilon: 1e-5,
+            beta1: 0.9,
+            beta2: 0.999,
+            max_grad_norm: 0.5,
+            stop_kl: Some(0.1),
+        }
+    }
+}
+
+impl Default for AdaptiveRate {
+    fn default() -> Self {
+        Self { low_kl: 0.005, high_kl: 0.02, factor: 1.5, min: 1e-5, max: 1e-3 }
+    }
+}
+
+impl Default for NormalisationConfig {
+    fn default() -> Self {
+        Self { features: true, feature_samples: 500_000, values: true, value_rate: 0.1, min_value_std: 0.01 }
+    }
+}
+
+impl Default for MailboxConfig {
+    fn default() -> Self {
+        Self { capacity_steps: 16384, max_policy_lag: 4 }
+    }
+}
+
+impl Default for CheckpointConfig {
+    fn default() -> Self {
+        Self { every_updates: 50, keep: 3 }
+    }
+}
+
+impl LearnerConfig {
+    /// Checks every field against its range.
+    ///
+    /// # Errors
+    /// The first field out of range, with its value and the range.
+    pub fn validate(&self) -> Result<(), LearnerConfigError> {
+        let (loss, optimizer, norm) = (&self.loss, &self.optimizer, &self.normalisation);
+        let int = |value: usize| value as f64;
+        check(
+            "steps_per_update",
+            int(self.steps_per_update),
+            (256.0..=1_048_576.0).contains(&int(self.steps_per_update)),
+            "in 256..=1048576",
+        )?;
+        check(
+            "minibatch_size",
+            int(self.minibatch_size),
+            (1..=self.steps_per_update).contains(&self.minibatch_size),
+            "in 1..=steps_per_update",
+        )?;
+        check("forward_size", int(self.forward_size), (1..=65536).contains(&self.forward_size), "in 1..=65536")?;
+        check("n_epochs", int(self.n_epochs), (1..=32).contains(&self.n_epochs), "in 1..=32")?;
+        check_unit("gamma", self.gamma)?;
+        check_unit("lambda", self.lambda)?;
+        check("loss.clip", loss.clip.into(), loss.clip > 0.0 && loss.clip <= 1.0, "above 0 and at most 1")?;
+        if let Some(clip) = loss.value_clip {
+            check_positive("loss.value_clip", clip)?;
+        }
+        check_at_least("loss.value_coefficient", loss.value_coefficient, 0.0, "at least 0")?;
+        check_at_least("loss.block_entropy", loss.block_entropy, 0.0, "at least 0")?;
+        check_at_least("loss.move_entropy", loss.move_entropy, 0.0, "at least 0")?;
+        check_at_least("loss.max_behavior_weight", loss.max_behavior_weight, 1.0, "at least 1")?;
+        check_positive("optimizer.learning_rate", optimizer.learning_rate)?;
+        check_positive("optimizer.epsilon", optimizer.epsilon)?;
+        check_decay("optimizer.beta1", optimizer.beta1)?;
+        check_decay("optimizer.beta2", optimizer.beta2)?;
+        check_positive("optimizer.max_grad_norm", optimizer.max_grad_norm)?;
+        if let Some(kl) = optimizer.stop_kl {
+            check_positive("optimizer.stop_kl", kl)?;
+        }
+        if let Some(adaptive) = &optimizer.adaptive {
+            adaptive.validate()?;
+        }
+        check_positive("normalisation.min_value_std", norm.min_value_std)?;
+        check(
+            "normalisation.value_rate",
+            norm.value_rate,
+            norm.value_rate > 0.0 && norm.value_rate <= 1.0,
+            "above 0 and at most 1",
+        )?;
+        let capacity = self.mailbox.capacity_steps;
+        check("mailbox.capacity_steps", int(capacity), capacity >= self.steps_per_update, "at least steps_per_update")?;
+        let lag = self.mailbox.max_policy_lag;
+        check("mailbox.max_policy_lag", lag as f64, lag <= 1000, "in 0..=1000")?;
+        self.curriculum.validate()?;
+        check(
+            "checkpoints.every_updates",
+            self.checkpoints.every_updates as f64,
+            self.checkpoints.every_updates >= 1,
+            "at least 1",
+        )?;
+        check("checkpoints.keep", int(self.checkpoints.keep), self.checkpoints.keep >= 1, "at least 1")
+    }
+}
+
+impl AdaptiveRate {
+    fn validate(&self) -> Result<(), LearnerConfigError> {
+        check_positive("optimizer.adaptive.low_kl", self.low_kl)?;
+        check("optimizer.adaptive.high_kl", self.high_kl.into(), self.high_kl > self.low_kl, "above low_kl")?;
+        check(
+            "optimizer.adaptive.factor",
+            self.factor.into(),
+            self.factor > 1.0 && self.factor.is_finite(),
+            "above 1",
+        )?;
+        check_positive("optimizer.adaptive.min", self.min)?;
+        check("optimizer.adaptive.max", self.max.into(), self.max >= self.min && self.max.is_finite(), "at least min")
+    }
+}
+
+/// Turns `ok` into an error that names the field. `NaN` must make `ok` false.
+pub(crate) fn check(field: &'static str, value: f64, ok: bool, range: &'static str) -> Result<(), LearnerConfigError> {
+    if ok { Ok(()) } else { Err(LearnerConfigError { field, value, range }) }
+}
+
+fn check_unit(field: &'static str, value: f32) -> Result<(), LearnerConfigError> {
+    check(field, value.into(), (0.0..=1.0).contains(&value), "in 0..=1")
+}
+
+fn check_decay(field: &'static str, value: f32) -> Result<(), LearnerConfigError> {
+    check(field, value.into(), (0.0..1.0).contains(&value), "at least 0 and below 1")
+}
+
+fn check_positive(field: &'static str, value: f32) -> Result<(), LearnerConfigError> {
+    check(field, value.into(), value > 0.0 && value.is_finite(), "above 0 and finite")
+}
+
+fn check_at_least(field: &'static str, value: f32, low: f32, range: &'static str) -> Result<(), LearnerConfigError> {
+    check(field, value.into(), value >= low && value.is_finite(), range)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_defaults_are_valid_and_survive_serialisation() {
+        let config = LearnerConfig::default();
+        config.validate().unwrap();
+        let text = serde_json::to_string(&config).unwrap();
+        assert_eq!(serde_json::from_str::<LearnerConfig>(&text).unwrap(), config);
+        assert_eq!(serde_json::from_str::<LearnerConfig>("{}").unwrap(), config);
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_named() {
+        let cases: [(fn(&mut LearnerConfig), &str); 9] = [
+            (|c| c.gamma = 1.5, "learner setting gamma is 1.5, but must be in 0..=1"),
+            (|c| c.lambda = f32::NAN, "learner setting lambda is NaN, but must be in 0..=1"),
+            (|c| c.n_epochs = 0, "learner setting n_epochs is 0, but must be in 1..=32"),
+            (
+                |c| c.minibatch_size = 9000,
+                "learner setting minibatch_size is 9000, but must be in 1..=steps_per_update",
+            ),
+            (|c| c.loss.clip = 0.0, "learner setting loss.clip is 0, but must be above 0 and at most 1"),
+            (|c| c.optimizer.beta1 = 1.0, "learner setting optimizer.beta1 is 1, but must be at least 0 and below 1"),
+            (
+                |c| c.mailbox.capacity_steps = 1,
+                "learner setting mailbox.capacity_steps is 1, but must be at least steps_per_update",
+            ),
+            (|c| c.checkpoints.keep = 0, "learner setting checkpoints.keep is 0, but must be at least 1"),
+            (
+                |c| c.optimizer.learning_rate = f32::INFINITY,
+                "learner setting optimizer.learning_rate is inf, but must be above 0 and finite",
+            ),
+        ];
+        for (spoil, message) in cases {
+            let mut config = LearnerConfig::default();
+            spoil(&mut config);
+            assert_eq!(config.validate().unwrap_err().to_string(), message);
+        }
+    }
+
+    #[test]
+    fn an_unknown_field_is_refused() {
+        let error = serde_json::from_str::<LearnerConfig>(r#"{"gama": 0.9}"#).unwrap_err().to_string();
+        assert!(error.contains("gama"), "{error}");
+    }
+}

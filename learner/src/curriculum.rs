@@ -1,0 +1,256 @@
+//! How likely each training blueprint is to be the next goal.
+
+use std::collections::BTreeMap;
+
+use blueprints::BlueprintId;
+use serde::{Deserialize, Serialize};
+
+use crate::config::{LearnerConfigError, check};
+
+/// The rule that turns successes into task probabilities.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum CurriculumConfig {
+    /// All training blueprints alike.
+    Uniform(UniformConfig),
+    /// The paper's: the less often one succeeds, the likelier (appendix "Curriculum").
+    Paper(PaperConfig),
+    /// Those that succeed about every other time are the likeliest: p(1 − p).
+    Learnability(LearnabilityConfig),
+}
+
+/// Settings of the uniform curriculum: none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct UniformConfig {}
+
+/// Settings of the paper's curriculum.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PaperConfig {
+    /// Weight of one episode in a blueprint's success rate; above 0, at most 1, default 0.2.
+    pub tau: f64,
+    /// Temperature of the softmax over failure rates; above 0, default 0.5.
+    pub temperature: f64,
+    /// All rates are multiplied by this once a batch, so that nothing is forgotten; above 0, at most 1, default 0.99.
+    pub decay: f64,
+    /// Finished episodes in a batch, which sets the strength of the decay; 1..=65536, default 64.
+    pub episodes_per_batch: usize,
+}
+
+/// Settings of the learnability curriculum.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LearnabilityConfig {
+    /// Weight of one episode in a blueprint's success rate; above 0, at most 1, default 0.05.
+    pub tau: f64,
+    /// Share of goals drawn from all blueprints alike; above 0, at most 1, default 0.15.
+    pub uniform: f64,
+    /// Finished episodes between two changes of the probabilities; 1..=65536, default 64.
+    pub episodes_per_batch: usize,
+}
+
+/// Success rates and probabilities of the training blueprints.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Curriculum {
+    config: CurriculumConfig,
+    tasks: BTreeMap<BlueprintId, TaskState>,
+    waiting: Vec<(BlueprintId, bool)>,
+}
+
+/// What the curriculum knows of one blueprint.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TaskState {
+    /// Running success rate, 0 for one never tried.
+    pub success_rate: f64,
+    /// Probability of being the next goal.
+    pub probability: f64,
+}
+
+impl Default for CurriculumConfig {
+    fn default() -> Self {
+        Self::Paper(PaperConfig::default())
+    }
+}
+
+impl Default for PaperConfig {
+    fn default() -> Self {
+        Self { tau: 0.2, temperature: 0.5, decay: 0.99, episodes_per_batch: 64 }
+    }
+}
+
+impl Default for LearnabilityConfig {
+    fn default() -> Self {
+        Self { tau: 0.05, uniform: 0.15, episodes_per_batch: 64 }
+    }
+}
+
+impl CurriculumConfig {
+    /// Checks the ranges of the chosen rule.
+    ///
+    /// # Errors
+    /// The first field out of range.
+    pub fn validate(&self) -> Result<(), LearnerConfigError> {
+        match self {
+            Self::Uniform(_) => Ok(()),
+            Self::Paper(paper) => {
+                check_share("curriculum.tau", paper.tau)?;
+                check_share("curriculum.decay", paper.decay)?;
+                let temperature = paper.temperature;
+                check("curriculum.temperature", temperature, temperature > 0.0 && temperature.is_finite(), "above 0")?;
+                check_batch(paper.episodes_per_batch)
+            }
+            Self::Learnability(learnability) => {
+                check_share("curriculum.tau", learnability.tau)?;
+                check_share("curriculum.uniform", learnability.uniform)?;
+                check_batch(learnability.episodes_per_batch)
+            }
+        }
+    }
+
+    fn episodes_per_batch(&self) -> usize {
+        match self {
+            Self::Uniform(_) => 1,
+            Self::Paper(paper) => paper.episodes_per_batch,
+            Self::Learnability(learnability) => learnability.episodes_per_batch,
+        }
+    }
+}
+
+impl Curriculum {
+    /// All of `tasks` equally likely, with success rates of 0.
+    pub fn new(config: CurriculumConfig, tasks: impl IntoIterator<Item = BlueprintId>) -> Self {
+        let mut tasks: BTreeMap<_, _> =
+            tasks.into_iter().map(|id| (id, TaskState { success_rate: 0.0, probability: 0.0 })).collect();
+        let share = 1.0 / tasks.len().max(1) as f64;
+        tasks.values_mut().for_each(|task| task.probability = share);
+        Self { config, tasks, waiting: Vec::new() }
+    }
+
+    /// The same success rates under other settings; the probabilities follow with the next batch.
+    #[must_use]
+    pub fn with_config(self, config: CurriculumConfig) -> Self {
+        Self { config, ..self }
+    }
+
+    /// Takes in one finished episode; every full batch of them moves the probabilities. Blueprints that are not in
+    /// training (such as those of an evaluation) are ignored.
+    pub fn record(&mut self, blueprint: &BlueprintId, success: bool) {
+        if self.tasks.contains_key(blueprint) {
+            self.waiting.push((blueprint.clone(), success));
+        }
+        if self.waiting.len() >= self.config.episodes_per_batch() {
+            let batch = std::mem::take(&mut self.waiting);
+            self.update(batch.iter().map(|(id, success)| (id, *success)));
+        }
+    }
+
+    /// One update with a batch of finished episodes, in order.
+    pub fn update<'a>(&mut self, batch: impl IntoIterator<Item = (&'a BlueprintId, bool)>) {
+        let tau = match &self.config {
+            CurriculumConfig::Uniform(_) => 0.05,
+            CurriculumConfig::Paper(paper) => paper.tau,
+            CurriculumConfig::Learnability(learnability) => learnability.tau,
+        };
+        for (id, success) in batch {
+            if let Some(task) = self.tasks.get_mut(id) {
+                // The listing writes success_rates[i] for an undefined i; the blueprint's own rate is meant.
+                task.success_rate = (1.0 - tau) * task.success_rate + tau * f64::from(u8::from(success));
+            }
+        }
+        match &self.config {
+            CurriculumConfig::Uniform(_) => {}
+            CurriculumConfig::Paper(paper) => {
+                self.tasks.values_mut().for_each(|task| task.success_rate *= paper.decay);
+                // Exponents are at most 1 / temperature apart from each other and at most 0, so nothing overflows.
+                set_probabilities(&mut self.tasks, |rate| (-rate / paper.temperature).exp());
+            }
+            CurriculumConfig::Learnability(learnability) => {
+                let total: f64 = self.tasks.values().map(|t| t.success_rate * (1.0 - t.success_rate)).sum();
+                let uniform = learnability.uniform / self.tasks.len().max(1) as f64;
+                // With nothing learnable yet, all are alike.
+                let share = |rate: f64| if total > 1e-9 { rate * (1.0 - rate) / total } else { 1.0 };
+                let weight = if total > 1e-9 { 1.0 - learnability.uniform } else { 0.0 };
+                set_probabilities(&mut self.tasks, |rate| uniform + weight * share(rate));
+            }
+        }
+    }
+
+    /// State of each training blueprint.
+    pub fn tasks(&self) -> &BTreeMap<BlueprintId, TaskState> {
+        &self.tasks
+    }
+
+    /// Probability of each training blueprint, as sent with the weights.
+    pub fn probabilities(&self) -> BTreeMap<BlueprintId, f32> {
+        self.tasks.iter().map(|(id, task)| (id.clone(), task.probability as f32)).collect()
+    }
+}
+
+fn set_probabilities(tasks: &mut BTreeMap<BlueprintId, TaskState>, weight: impl Fn(f64) -> f64) {
+    let total: f64 = tasks.values().map(|task| weight(task.success_rate)).sum();
+    tasks.values_mut().for_each(|task| task.probability = weight(task.success_rate) / total);
+}
+
+fn check_share(field: &'static str, value: f64) -> Result<(), LearnerConfigError> {
+    check(field, value, value > 0.0 && value <= 1.0, "above 0 and at most 1")
+}
+
+fn check_batch(episodes: usize) -> Result<(), LearnerConfigError> {
+    check("curriculum.episodes_per_batch", episodes as f64, (1..=65536).contains(&episodes), "in 1..=65536")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ids(n: usize) -> Vec<BlueprintId> {
+        (0..n).map(|i| BlueprintId::try_from(format!("2_{i:03}")).unwrap()).collect()
+    }
+
+    fn probabilities(curriculum: &Curriculum) -> Vec<f64> {
+        curriculum.tasks().values().map(|t| t.probability).collect()
+    }
+
+    #[test]
+    fn learnability_prefers_the_middling() {
+        let ids = ids(3);
+        let config = LearnabilityConfig { tau: 0.5, uniform: 0.3, episodes_per_batch: 2 };
+        let mut curriculum = Curriculum::new(CurriculumConfig::Learnability(config), ids.clone());
+        curriculum.update([]);
+        assert_eq!(probabilities(&curriculum), [1.0 / 3.0; 3]);
+        // Rates 0.5, 0 and 0: all learnability sits on the first, which gets 0.1 + 0.7.
+        curriculum.record(&ids[0], true);
+        curriculum.record(&ids[1], false);
+        for (p, expected) in probabilities(&curriculum).iter().zip([0.8, 0.1, 0.1]) {
+            assert!((p - expected).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_batch_counts_only_when_full_and_only_known_blueprints() {
+        let ids = ids(2);
+        let config = PaperConfig { episodes_per_batch: 2, ..PaperConfig::default() };
+        let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.clone());
+        let before = curriculum.tasks().clone();
+        curriculum.record(&ids[0], true);
+        curriculum.record(&BlueprintId::try_from("9_999".to_owned()).unwrap(), true);
+        assert_eq!(curriculum.tasks(), &before);
+        curriculum.record(&ids[1], false);
+        // 0.2 · 1 · 0.99 for the one that succeeded.
+        assert!((curriculum.tasks()[&ids[0]].success_rate - 0.198).abs() < 1e-12);
+        assert!(curriculum.tasks()[&ids[0]].probability < 0.5);
+    }
+
+    #[test]
+    fn every_kind_is_read_from_a_file() {
+        for (text, expected) in [
+            (r#"{"kind":"uniform"}"#, CurriculumConfig::Uniform(UniformConfig {})),
+            (r#"{"kind":"paper","tau":0.1}"#, CurriculumConfig::Paper(PaperConfig { tau: 0.1, ..Default::default() })),
+            (r#"{"kind":"learnability"}"#, CurriculumConfig::Learnability(LearnabilityConfig::default())),
+        ] {
+            assert_eq!(serde_json::from_str::<CurriculumConfig>(text).unwrap(), expected);
+        }
+        assert!(serde_json::from_str::<CurriculumConfig>(r#"{"kind":"paper","uniform":0.1}"#).is_err());
+    }
+}

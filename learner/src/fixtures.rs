@@ -1,0 +1,76 @@
+//! Synthetic trajectories for the unit tests.
+
+use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
+use proto::{
+    Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A blueprint of the built-in catalogue.
+pub(crate) fn blueprint_id() -> BlueprintId {
+    BlueprintId::try_from("2_000".to_owned()).unwrap()
+}
+
+/// A segment of `n_steps` steps that weights `version` acted: each in another scene, with no reward.
+pub(crate) fn trajectory(n_steps: usize, version: u64) -> Trajectory {
+    random_trajectory(n_steps, version, &mut ChaCha8Rng::seed_from_u64(version))
+}
+
+/// As [`trajectory`], with scenes and actions from `rng`.
+pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
+    let transitions = (0..n_steps)
+        .map(|_| Transition {
+            scene: scene(rng),
+            action: action(rng),
+            behavior_log_prob: -10.0,
+            value: 0.0,
+            reward: RewardTerms::default(),
+        })
+        .collect();
+    let assignment: Vec<BlockIdx> = BlockIdx::all().collect();
+    Trajectory {
+        actor: ActorId::try_from("fixture".to_owned()).unwrap(),
+        epoch: 0,
+        seq: rng.random(),
+        weights_version: WeightsVersion(version),
+        task: Task {
+            blueprint: blueprint_id(),
+            assignment: assignment.try_into().unwrap(),
+            start: Start::Scattered,
+            seed: 1,
+        },
+        first_step: 0,
+        transitions,
+        last_scene: scene(rng),
+        status: Status::Running,
+        bootstrap_value: 0.0,
+        outcome: None,
+    }
+}
+
+/// Blocks at random places on the ground, nothing held.
+pub(crate) fn scene(rng: &mut ChaCha8Rng) -> Scene {
+    let gripper = Gripper {
+        held: None,
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        linear_velocity: [0.0; 3],
+        angular_velocity: [0.0; 3],
+    };
+    Scene {
+        blocks: std::array::from_fn(|_| Pose {
+            position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+        }),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(gripper); 2],
+        n_heavy_contacts: 0,
+    }
+}
+
+fn action(rng: &mut ChaCha8Rng) -> Action {
+    let mut choice = || BlockIdx::try_from(rng.random_range(0..N_BLOCKS as u8)).ok();
+    let choices = [choice(), choice()];
+    Action { choices, moves: std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))) }
+}

@@ -1,0 +1,84 @@
+//! Generalised advantage estimation over one segment of an episode.
+
+use proto::Status;
+
+/// Advantages of a segment: `A_t = δ_t + γλ A_{t+1}` with `δ_t = r_t + γ v_{t+1} − v_t` and `A = 0` past the end
+/// (Schulman et al., "High-dimensional continuous control using generalized advantage estimation", eq. 16).
+///
+/// `bootstrap` is the value after the last step, see [`bootstrap_value`]. It alone tells a time limit or a cut from a
+/// true end: treating the limit as an end would teach the critic that long episodes are worthless.
+///
+/// # Shapes
+/// `rewards`, `values` and `advantages` have one entry per step, all in the same units.
+///
+/// # Panics
+/// When the lengths differ.
+pub fn advantages(rewards: &[f32], values: &[f32], bootstrap: f32, gamma: f32, lambda: f32, advantages: &mut [f32]) {
+    assert!(
+        rewards.len() == values.len() && rewards.len() == advantages.len(),
+        "one reward, value and advantage a step"
+    );
+    let mut next_value = bootstrap;
+    let mut next_advantage = 0.0;
+    for t in (0..rewards.len()).rev() {
+        let delta = rewards[t] + gamma * next_value - values[t];
+        next_advantage = delta + gamma * lambda * next_advantage;
+        advantages[t] = next_advantage;
+        next_value = values[t];
+    }
+}
+
+/// The value that follows a segment's last step: 0 after success, else the critic's value of the last scene.
+pub fn bootstrap_value(status: Status, last_value: f32) -> f32 {
+    match status {
+        Status::Success => 0.0,
+        Status::Running | Status::TimeLimit | Status::Diverged => last_value,
+    }
+}
+
+/// Shifts and scales to mean 0 and deviation 1: `(x − mean) / (population deviation + 1e-8)`.
+pub fn normalise(values: &mut [f32]) {
+    let n = values.len().max(1) as f64;
+    let mean = values.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
+    let variance = values.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / n;
+    let scale = 1.0 / (variance.sqrt() + 1e-8);
+    for x in values {
+        *x = ((f64::from(*x) - mean) * scale) as f32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_segment_worked_by_hand() {
+        // γ = 0.5, λ = 0.5. δ₁ = 2 + 0.5·4 − 2 = 2; δ₀ = 1 + 0.5·2 − 1 = 1; A₁ = 2; A₀ = 1 + 0.25·2 = 1.5.
+        let mut out = [0.0; 2];
+        advantages(&[1.0, 2.0], &[1.0, 2.0], 4.0, 0.5, 0.5, &mut out);
+        assert_eq!(out, [1.5, 2.0]);
+        // Success: δ₁ = 2 − 2 = 0, so A₁ = 0 and A₀ = 1.
+        advantages(&[1.0, 2.0], &[1.0, 2.0], bootstrap_value(Status::Success, 4.0), 0.5, 0.5, &mut out);
+        assert_eq!(out, [1.0, 0.0]);
+    }
+
+    #[test]
+    fn only_success_ends_the_value() {
+        for (status, expected) in [(Status::Success, 0.0), (Status::TimeLimit, 3.0), (Status::Running, 3.0)] {
+            assert_eq!(bootstrap_value(status, 3.0), expected, "{status:?}");
+        }
+    }
+
+    #[test]
+    fn normalised_values_have_mean_zero_and_deviation_one() {
+        // Mean 2, population deviation 1.
+        let mut values = [1.0, 3.0, 1.0, 3.0];
+        normalise(&mut values);
+        for (x, expected) in values.iter().zip([-1.0, 1.0, -1.0, 1.0]) {
+            assert!((x - expected).abs() < 1e-6);
+        }
+        let mut constant = [5.0; 3];
+        normalise(&mut constant);
+        assert_eq!(constant, [0.0; 3]);
+    }
+}

@@ -1,0 +1,261 @@
+//! The learner without any I/O: trajectories in, weights out.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use blueprints::{BlueprintId, Catalogue};
+use policy::PolicyConfig;
+use policy::device::{DeviceError, DeviceKind};
+use policy::normalisation::{FeatureMoments, normalise};
+use proto::{Normalisation, Refusal, Trajectory, Weights, WeightsVersion};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::adam::LearningRate;
+use crate::batch::Batch;
+use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
+use crate::config::{LearnerConfig, LearnerConfigError};
+use crate::curriculum::Curriculum;
+use crate::episodes::EpisodeTally;
+use crate::mailbox::{Mailbox, MailboxCounts};
+use crate::metrics::UpdateMetrics;
+use crate::normalisation::ValueStatistics;
+use crate::ppo::{Ppo, Progress};
+use crate::state::LearnerState;
+
+/// What a learner is made of.
+#[derive(Clone, Debug)]
+pub struct LearnerSetup {
+    /// Its own settings.
+    pub config: LearnerConfig,
+    /// The policy that all services share.
+    pub policy: PolicyConfig,
+    /// All blueprints that trajectories may name.
+    pub catalogue: Arc<Catalogue>,
+    /// Blueprints to train on, known to the catalogue.
+    pub tasks: Vec<BlueprintId>,
+    /// Determines the untrained parameters and the order of samples.
+    pub seed: u64,
+    /// Where gradients are computed.
+    pub device: DeviceKind,
+}
+
+/// Why a learner cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum LearnerError {
+    /// A setting of the learner is out of range.
+    #[error(transparent)]
+    Config(#[from] LearnerConfigError),
+    /// A setting of the policy is out of range.
+    #[error(transparent)]
+    Policy(#[from] policy::PolicyConfigError),
+    /// There is no such device.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+    /// Nothing to train on.
+    #[error("there is no training blueprint")]
+    NoTasks,
+    /// A training blueprint that nobody knows.
+    #[error("training blueprint {0} is not in the catalogue")]
+    UnknownTask(BlueprintId),
+    /// The checkpoint cannot be used.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+}
+
+/// Turns trajectories into weights. Synchronous and free of clocks: equal inputs in equal order give equal weights.
+#[derive(Debug)]
+pub struct Learner {
+    setup: LearnerSetup,
+    ppo: Ppo,
+    state: LearnerState,
+    mailbox: Arc<Mailbox>,
+}
+
+impl Learner {
+    /// An untrained learner.
+    ///
+    /// # Errors
+    /// A setting out of range, no or unknown training blueprints, or a device that cannot be opened.
+    pub fn new(setup: LearnerSetup) -> Result<Self, LearnerError> {
+        setup.config.validate()?;
+        setup.policy.validate()?;
+        if setup.tasks.is_empty() {
+            return Err(LearnerError::NoTasks);
+        }
+        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalogue.get(id).is_none()) {
+            return Err(LearnerError::UnknownTask(unknown.clone()));
+        }
+        let device = setup.device.open()?;
+        let state = LearnerState {
+            version: WeightsVersion(0),
+            n_env_steps: 0,
+            n_updates: 0,
+            n_episodes: 0,
+            learning_rate: LearningRate(setup.config.optimizer.learning_rate),
+            rng: ChaCha8Rng::seed_from_u64(setup.seed),
+            curriculum: Curriculum::new(setup.config.curriculum.clone(), setup.tasks.iter().cloned()),
+            features: FeatureMoments::default(),
+            n_feature_scenes: 0,
+            values: ValueStatistics::default(),
+            mailbox: MailboxCounts::default(),
+            normalisation: Normalisation { value_std: 1.0, ..Normalisation::default() },
+        };
+        let known: BTreeSet<_> = setup.catalogue.iter().map(|blueprint| blueprint.id().clone()).collect();
+        let n_grippers = usize::from(setup.policy.network.n_grippers);
+        let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), n_grippers, known));
+        Ok(Self { ppo: Ppo::new(&setup.policy, setup.seed, &device), state, mailbox, setup })
+    }
+
+    /// A learner that goes on where `checkpoint` was taken. The settings may have changed since, except those of the
+    /// network, its features and the training blueprints.
+    ///
+    /// # Errors
+    /// As [`Learner::new`], or [`CheckpointError::Mismatch`].
+    pub fn resume(setup: LearnerSetup, checkpoint: Checkpoint) -> Result<Self, LearnerError> {
+        let mut learner = Self::new(setup)?;
+        let mismatch = |reason: &str| Err(CheckpointError::Mismatch(reason.to_owned()).into());
+        if checkpoint.model.hash() != learner.setup.policy.hash() {
+            return mismatch("the network or its features are configured otherwise");
+        }
+        if checkpoint.table != learner.table() {
+            return mismatch("the network has other parameters");
+        }
+        let tasks = |state: &LearnerState| state.curriculum.tasks().keys().cloned().collect::<Vec<_>>();
+        if tasks(&checkpoint.state) != tasks(&learner.state) {
+            return mismatch("the training blueprints are others");
+        }
+        let n_parameters = learner.ppo.parameters().len();
+        if checkpoint.adam.first.len() != n_parameters || checkpoint.adam.second.len() != n_parameters {
+            return mismatch("the optimiser has other parameters");
+        }
+        if let Err(error) = learner.ppo.restore(checkpoint.parameters, checkpoint.adam) {
+            return mismatch(&error.to_string());
+        }
+        let Checkpoint { state, mailbox, .. } = checkpoint;
+        learner.mailbox.restore(state.version, state.mailbox, mailbox);
+        let curriculum = state.curriculum.with_config(learner.setup.config.curriculum.clone());
+        learner.state = LearnerState { curriculum, ..state };
+        Ok(learner)
+    }
+
+    /// Puts a trajectory into the mailbox.
+    ///
+    /// # Errors
+    /// Why it was refused; the mailbox counts it.
+    pub fn ingest(&self, trajectory: Trajectory) -> Result<(), Refusal> {
+        self.mailbox.push(trajectory)
+    }
+
+    /// The inbox, to be fed from other threads.
+    pub fn mailbox(&self) -> Arc<Mailbox> {
+        self.mailbox.clone()
+    }
+
+    /// Whether the mailbox holds enough for an update.
+    pub fn ready(&self) -> bool {
+        self.mailbox.n_steps() >= self.setup.config.steps_per_update
+    }
+
+    /// One PPO update with the oldest trajectories; `None` when there are not enough.
+    pub fn update(&mut self) -> Option<UpdateMetrics> {
+        let trajectories = self.mailbox.take(self.setup.config.steps_per_update);
+        if trajectories.is_empty() {
+            return None;
+        }
+        let tally = EpisodeTally::of(&trajectories);
+        for trajectory in &trajectories {
+            if let Some(outcome) = &trajectory.outcome {
+                self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
+            }
+        }
+        let mut batch = Batch::new(trajectories, self.state.version, &self.setup.catalogue, &self.setup.policy);
+        // The statistics are taken from raw features and take effect with the next weights.
+        let next = self.features_after(&batch);
+        normalise(&mut batch.features, &self.state.normalisation);
+        let config = &self.setup.config;
+        let mut progress = Progress {
+            rng: &mut self.state.rng,
+            learning_rate: &mut self.state.learning_rate,
+            values: &mut self.state.values,
+        };
+        let ppo = self.ppo.update(&batch, config, &mut progress);
+        self.adopt(next, batch.features.n);
+        self.state.version.0 += 1;
+        self.state.n_updates += 1;
+        self.state.n_env_steps += batch.n_samples() as u64;
+        self.state.n_episodes += tally.n_episodes();
+        self.mailbox.set_version(self.state.version);
+        Some(UpdateMetrics::new(&self.state, &batch, ppo, tally.metrics(), &self.mailbox))
+    }
+
+    /// The newest weights.
+    pub fn weights(&self) -> Weights {
+        self.state.weights(self.setup.policy.hash(), self.ppo.parameters().to_vec())
+    }
+
+    /// Version of the newest weights.
+    pub fn version(&self) -> WeightsVersion {
+        self.state.version
+    }
+
+    /// Updates made so far.
+    pub fn n_updates(&self) -> u64 {
+        self.state.n_updates
+    }
+
+    /// Environment steps consumed so far.
+    pub fn n_env_steps(&self) -> u64 {
+        self.state.n_env_steps
+    }
+
+    /// Everything needed to go on later.
+    pub fn checkpoint(&self) -> Checkpoint {
+        let (counts, mailbox) = self.mailbox.snapshot();
+        Checkpoint {
+            state: LearnerState { mailbox: counts, ..self.state.clone() },
+            model: self.setup.policy.clone(),
+            table: self.table(),
+            parameters: self.ppo.parameters().to_vec(),
+            adam: self.ppo.adam().clone(),
+            mailbox,
+        }
+    }
+
+    /// Writes a checkpoint below `dir` and returns its path; see [`Checkpoint::write`].
+    ///
+    /// # Errors
+    /// When the file system refuses.
+    pub fn save(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
+        self.checkpoint().write(dir)
+    }
+
+    fn table(&self) -> Vec<ParameterInfo> {
+        let specs = self.ppo.table().iter();
+        specs.map(|spec| ParameterInfo { name: spec.name.clone(), shape: spec.shape.clone() }).collect()
+    }
+
+    /// Feature statistics with a batch of raw features taken in; `None` when they no longer move.
+    fn features_after(&self, batch: &Batch) -> Option<FeatureMoments> {
+        let config = &self.setup.config.normalisation;
+        if !config.features || self.state.n_feature_scenes >= config.feature_samples {
+            return None;
+        }
+        let mut moments = self.state.features.clone();
+        moments.push(&batch.features);
+        Some(moments)
+    }
+
+    /// Puts the statistics in force for the weights about to be named.
+    fn adopt(&mut self, features: Option<FeatureMoments>, n_scenes: usize) {
+        let state = &mut self.state;
+        if let Some(features) = features {
+            features.freeze_into(&mut state.normalisation);
+            state.features = features;
+            state.n_feature_scenes += n_scenes as u64;
+        }
+        state.normalisation.value_mean = state.values.mean as f32;
+        state.normalisation.value_std = state.values.std as f32;
+    }
+}

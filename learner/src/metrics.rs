@@ -1,0 +1,68 @@
+//! What one update reports; [`crate::run`] adds times and the bus's counts.
+
+use std::collections::BTreeMap;
+
+use blueprints::BlueprintId;
+use proto::WeightsVersion;
+use proto::metrics::{EpisodeMetrics, PpoMetrics};
+use serde::Serialize;
+
+use crate::batch::Batch;
+use crate::mailbox::{Mailbox, MailboxCounts};
+use crate::state::LearnerState;
+
+/// Numbers of one update.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct UpdateMetrics {
+    /// Weights after the update.
+    pub weights_version: WeightsVersion,
+    /// Updates so far.
+    pub n_updates: u64,
+    /// Environment steps consumed so far.
+    pub n_env_steps: u64,
+    /// Episodes whose end was seen so far.
+    pub n_episodes: u64,
+    /// Mean lag of the batch's samples, versions.
+    pub policy_lag_mean: f64,
+    /// Largest lag in the batch, versions.
+    pub policy_lag_max: u64,
+    /// Samples of the batch by lag.
+    pub policy_lag_histogram: Vec<u64>,
+    /// Environment steps waiting in the mailbox.
+    pub n_mailbox: u64,
+    /// What became of the trajectories so far.
+    pub mailbox: MailboxCounts,
+    /// Numbers of the PPO update.
+    pub ppo: PpoMetrics,
+    /// Of the episodes that ended in the batch.
+    pub episodes: EpisodeMetrics,
+    /// Probability of each training blueprint.
+    pub task_probabilities: BTreeMap<BlueprintId, f32>,
+}
+
+impl UpdateMetrics {
+    pub(crate) fn new(
+        state: &LearnerState,
+        batch: &Batch,
+        ppo: PpoMetrics,
+        episodes: EpisodeMetrics,
+        mailbox: &Mailbox,
+    ) -> Self {
+        let histogram = batch.lag_histogram();
+        let total: u64 = histogram.iter().zip(0..).map(|(n, lag): (_, u64)| n * lag).sum();
+        Self {
+            weights_version: state.version,
+            n_updates: state.n_updates,
+            n_env_steps: state.n_env_steps,
+            n_episodes: state.n_episodes,
+            policy_lag_mean: total as f64 / batch.n_samples().max(1) as f64,
+            policy_lag_max: histogram.len() as u64 - 1,
+            policy_lag_histogram: histogram,
+            n_mailbox: mailbox.n_steps() as u64,
+            mailbox: mailbox.counts(),
+            ppo,
+            episodes,
+            task_probabilities: state.curriculum.probabilities(),
+        }
+    }
+}

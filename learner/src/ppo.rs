@@ -1,0 +1,276 @@
+//! One PPO update: advantages, epochs, minibatches, gradient steps.
+
+mod passes;
+
+use std::ops::Range;
+
+use burn::tensor::Device;
+use policy::parameters::{ParameterError, ParameterSpec};
+use policy::{Network, PolicyConfig};
+use proto::metrics::PpoMetrics;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+
+use crate::adam::{Adam, LearningRate, clip_global_norm};
+use crate::batch::Batch;
+use crate::config::{LearnerConfig, Objective};
+use crate::gae;
+use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
+use crate::normalisation::ValueStatistics;
+use passes::{Evaluation, LossSums, Targets};
+
+/// The network in training and its optimiser.
+#[derive(Debug)]
+pub(crate) struct Ppo {
+    policy: PolicyConfig,
+    device: Device,
+    tracked_device: Device,
+    /// On the differentiating device, for gradients.
+    tracked: Network,
+    /// On the plain device, for values and log-probabilities.
+    plain: Network,
+    /// The parameters of both, flat.
+    parameters: Vec<f32>,
+    adam: Adam,
+    value_head: ValueHead,
+}
+
+/// What an update moves besides the network.
+pub(crate) struct Progress<'a> {
+    /// Shuffles the samples.
+    pub(crate) rng: &'a mut ChaCha8Rng,
+    /// Follows the KL divergence.
+    pub(crate) learning_rate: &'a mut LearningRate,
+    /// Follows the value targets.
+    pub(crate) values: &'a mut ValueStatistics,
+}
+
+/// Where the last layer of the value head lies in the flat vector.
+#[derive(Clone, Debug)]
+struct ValueHead {
+    weights: Range<usize>,
+    bias: usize,
+}
+
+/// Sums over the gradient steps of an update.
+#[derive(Default)]
+struct Steps {
+    losses: LossSums,
+    n_samples: usize,
+    grad_norm: f64,
+    n_steps: u64,
+    n_skipped: u64,
+}
+
+impl Ppo {
+    /// An untrained network.
+    pub(crate) fn new(policy: &PolicyConfig, seed: u64, device: &Device) -> Self {
+        let sizes = policy.sizes();
+        let tracked_device = device.clone().autodiff();
+        let tracked = Network::init(&policy.network, &sizes, seed, &tracked_device);
+        let plain = Network::init(&policy.network, &sizes, seed, device);
+        let parameters = policy::parameters::flatten(&plain);
+        let adam = Adam::new(parameters.len());
+        let value_head = ValueHead::find(plain.table());
+        Self {
+            policy: policy.clone(),
+            device: device.clone(),
+            tracked_device,
+            tracked,
+            plain,
+            parameters,
+            adam,
+            value_head,
+        }
+    }
+
+    /// Takes on the parameters and moments of a checkpoint.
+    pub(crate) fn restore(&mut self, parameters: Vec<f32>, adam: Adam) -> Result<(), ParameterError> {
+        self.tracked = policy::parameters::load(self.tracked.clone(), &parameters)?;
+        self.plain = policy::parameters::load(self.plain.clone(), &parameters)?;
+        (self.parameters, self.adam) = (parameters, adam);
+        Ok(())
+    }
+
+    /// The parameters, flat.
+    pub(crate) fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+
+    /// The optimiser.
+    pub(crate) fn adam(&self) -> &Adam {
+        &self.adam
+    }
+
+    /// Names and shapes of the parameters.
+    pub(crate) fn table(&self) -> &[ParameterSpec] {
+        self.plain.table()
+    }
+
+    /// Learns from a batch whose features are normalised.
+    pub(crate) fn update(&mut self, batch: &Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> PpoMetrics {
+        let before = self.evaluate(batch, config.forward_size);
+        let values = in_reward_units(&before.values, progress.values);
+        let advantages = batch.advantages(&values, config.gamma, config.lambda);
+        let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
+        if config.normalisation.values && returns.iter().all(|x| x.is_finite()) {
+            let norm = &config.normalisation;
+            let next = progress.values.after(&returns, norm.value_rate, norm.min_value_std);
+            self.rescale_value_head(progress.values, &next);
+            *progress.values = next;
+        }
+        let (reference, weights) = match config.loss.objective {
+            Objective::Standard => (&batch.behavior_log_probs, vec![1.0; batch.n_samples()]),
+            Objective::Decoupled => {
+                let weights =
+                    behavior_weights(&before.log_probs, &batch.behavior_log_probs, config.loss.max_behavior_weight);
+                (&before.log_probs, weights)
+            }
+        };
+        let mut targets = Targets {
+            reference,
+            weights,
+            advantages,
+            old_values: normalised(&values[..batch.n_samples()], progress.values),
+            value_targets: normalised(&returns, progress.values),
+        };
+        gae::normalise(&mut targets.advantages);
+
+        let mut steps = Steps::default();
+        let mut moved = RatioStatistics::default();
+        let rate = *progress.learning_rate;
+        let mut n_epochs = 0;
+        for epoch in 0..config.n_epochs {
+            if epoch > 0 {
+                // The critic has changed, so the advantages are stale (Andrychowicz et al., "What matters in on-policy
+                // reinforcement learning", section 3.5).
+                self.refresh(batch, config, progress.values, &mut targets);
+            }
+            moved = self.epoch(batch, config, &targets, rate, progress.rng, &mut steps);
+            n_epochs += 1;
+            if config.optimizer.stop_kl.is_some_and(|limit| moved.approx_kl > f64::from(limit)) {
+                break;
+            }
+        }
+        if let Some(rule) = &config.optimizer.adaptive {
+            *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
+        }
+        let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;
+        PpoMetrics {
+            total_loss: mean(steps.losses.total(&config.loss)),
+            policy_loss: mean(steps.losses.policy),
+            value_loss: mean(steps.losses.value),
+            entropy: mean(steps.losses.blocks + steps.losses.moves),
+            entropy_blocks: mean(steps.losses.blocks),
+            entropy_moves: mean(steps.losses.moves),
+            approx_kl: moved.approx_kl,
+            clip_fraction: moved.clip_fraction,
+            effective_sample_size: effective_sample_size(&before.log_probs, &batch.behavior_log_probs),
+            explained_variance: explained_variance(&values[..batch.n_samples()], &returns),
+            grad_norm: steps.grad_norm / steps.n_steps.max(1) as f64,
+            learning_rate: f64::from(rate.0),
+            n_samples: batch.n_samples() as u64,
+            n_gradient_steps: steps.n_steps,
+            n_skipped_steps: steps.n_skipped,
+            n_epochs,
+            value_mean: progress.values.mean,
+            value_std: progress.values.std,
+        }
+    }
+
+    /// Goes over all samples once in random order.
+    fn epoch(
+        &mut self,
+        batch: &Batch,
+        config: &LearnerConfig,
+        targets: &Targets<'_>,
+        rate: LearningRate,
+        rng: &mut ChaCha8Rng,
+        steps: &mut Steps,
+    ) -> RatioStatistics {
+        let n_samples = batch.n_samples();
+        let mut order: Vec<usize> = (0..n_samples).collect();
+        order.shuffle(rng);
+        let mut log_probs = vec![0.0; n_samples];
+        let n_minibatches = (n_samples / config.minibatch_size).max(1);
+        for i in 0..n_minibatches {
+            let minibatch = &order[i * n_samples / n_minibatches..(i + 1) * n_samples / n_minibatches];
+            let mut gradient = vec![0.0; self.parameters.len()];
+            for samples in minibatch.chunks(config.forward_size) {
+                let share = 1.0 / minibatch.len() as f32;
+                let pass = self.gradient(batch, samples, targets, &config.loss, share);
+                gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += g);
+                samples.iter().zip(pass.log_probs).for_each(|(&sample, log_prob)| log_probs[sample] = log_prob);
+                steps.losses += pass.losses;
+            }
+            steps.n_samples += minibatch.len();
+            let norm = clip_global_norm(&mut gradient, config.optimizer.max_grad_norm);
+            if !norm.is_finite() {
+                // One bad gradient would spoil the moments for good.
+                tracing::warn!(norm, "a gradient is not finite, its step is left out");
+                steps.n_skipped += 1;
+                continue;
+            }
+            steps.grad_norm += f64::from(norm);
+            steps.n_steps += 1;
+            self.adam.step(&mut self.parameters, &gradient, rate, &config.optimizer);
+            self.load();
+        }
+        RatioStatistics::new(&log_probs, targets.reference, config.loss.clip)
+    }
+
+    /// Brings advantages and value targets up to date with the network.
+    fn refresh(&self, batch: &Batch, config: &LearnerConfig, statistics: &ValueStatistics, targets: &mut Targets<'_>) {
+        let Evaluation { values, .. } = self.evaluate(batch, config.forward_size);
+        let values = in_reward_units(&values, statistics);
+        let mut advantages = batch.advantages(&values, config.gamma, config.lambda);
+        let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
+        targets.value_targets = normalised(&returns, statistics);
+        gae::normalise(&mut advantages);
+        targets.advantages = advantages;
+    }
+
+    fn rescale_value_head(&mut self, from: &ValueStatistics, to: &ValueStatistics) {
+        let mut bias = self.parameters[self.value_head.bias];
+        from.rescale_head(to, &mut self.parameters[self.value_head.weights.clone()], &mut bias);
+        self.parameters[self.value_head.bias] = bias;
+        self.load();
+    }
+
+    /// Puts the flat parameters into both networks.
+    fn load(&mut self) {
+        let reason = "a finite step from finite parameters of the same number";
+        self.tracked = policy::parameters::load(self.tracked.clone(), &self.parameters).expect(reason);
+        self.plain = policy::parameters::load(self.plain.clone(), &self.parameters).expect(reason);
+    }
+}
+
+impl ValueHead {
+    /// The last kernel named `value.mlp.*` and its bias.
+    fn find(table: &[ParameterSpec]) -> Self {
+        let mut found = Self { weights: 0..0, bias: 0 };
+        let mut at = 0;
+        for spec in table {
+            let range = at..at + spec.len();
+            at = range.end;
+            if spec.name.starts_with("value.mlp.") {
+                if spec.name.ends_with(".w") {
+                    found.weights = range;
+                } else {
+                    found.bias = range.start;
+                }
+            }
+        }
+        found
+    }
+}
+
+fn in_reward_units(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
+    let (mean, std) = (statistics.mean as f32, statistics.std as f32);
+    values.iter().map(|v| std * v + mean).collect()
+}
+
+fn normalised(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
+    let (mean, std) = (statistics.mean as f32, statistics.std as f32);
+    values.iter().map(|v| (v - mean) / std).collect()
+}

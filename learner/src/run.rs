@@ -1,0 +1,252 @@
+//! The learner as a service: trajectories from the bus, updates on a thread of their own, weights and metrics to the bus.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use proto::bus::{Bus, BusCounts, IngestCounts, WeightsPublisher};
+use proto::metrics::{LearnerMetrics, METRICS_SCHEMA_VERSION};
+use proto::{Role, Weights, WeightsVersion, keys};
+use serde::Serialize;
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio_util::sync::CancellationToken;
+
+use crate::checkpoint::{self, Checkpoint};
+use crate::{Learner, LearnerSetup, MailboxCounts, UpdateMetrics};
+
+/// Folder of the checkpoints in the run's folder.
+pub const CHECKPOINTS: &str = "checkpoints";
+
+/// File of the metrics in the run's folder; one JSON object a line.
+pub const METRICS: &str = "metrics.jsonl";
+
+/// How long the updating thread waits for trajectories before it looks whether it should stop.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// What a run of the learner is told.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// What the learner is made of.
+    pub setup: LearnerSetup,
+    /// Folder of the run, for `checkpoints/` and `metrics.jsonl`.
+    pub run_dir: PathBuf,
+    /// A run's folder, its `checkpoints` or one checkpoint to go on from.
+    pub resume: Option<PathBuf>,
+    /// Environment steps after which the run is over; `None` runs until it is told to stop.
+    pub max_env_steps: Option<u64>,
+}
+
+/// How a run of the learner ended.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LearnerReport {
+    /// The newest weights.
+    pub weights_version: WeightsVersion,
+    /// Updates made, with those before a resumption.
+    pub n_updates: u64,
+    /// Environment steps consumed, with those before a resumption.
+    pub n_env_steps: u64,
+    /// What became of the trajectories.
+    pub mailbox: MailboxCounts,
+    /// The last checkpoint.
+    pub checkpoint: PathBuf,
+}
+
+/// What the updating thread hands to the bus.
+struct News {
+    weights: Arc<Weights>,
+    /// None for the weights that a run begins with.
+    metrics: Option<LearnerMetrics>,
+}
+
+/// Learns until `shutdown` or the configured number of steps, and saves.
+///
+/// # Errors
+/// When a setting is invalid, the checkpoint to go on from is unusable, the session fails, or the last checkpoint cannot
+/// be written.
+pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<LearnerReport> {
+    fs::create_dir_all(&options.run_dir).with_context(|| format!("creating {}", options.run_dir.display()))?;
+    let (setup, resume) = (options.setup.clone(), options.resume.clone());
+    let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref())).await??;
+
+    let _alive = bus.declare_alive(Role::Learner, "learner").await?;
+    let publisher = bus.weights_publisher().await?;
+    let metrics = bus.metrics_publisher(keys::METRICS_LEARNER).await?;
+    let (version, current_version) = watch::channel(learner.version());
+    let mailbox = learner.mailbox();
+    let server = Arc::new(bus.serve_trajectories(move |trajectory| mailbox.push(trajectory), current_version).await?);
+
+    let (news, mut arrivals) = mpsc::channel(2);
+    let (result, ended) = oneshot::channel();
+    let (counted, session) = (server.clone(), bus.clone());
+    let worker = Worker {
+        learner,
+        metrics: open_metrics(&options.run_dir)?,
+        options,
+        counts: Box::new(move || (counted.counts(), session.counts())),
+        news,
+        shutdown,
+        start: Instant::now(),
+    };
+    // A thread of its own, because an update computes for seconds and tokio's workers must stay free for the bus.
+    std::thread::Builder::new()
+        .name("learner".to_owned())
+        .spawn(move || result.send(worker.work()))
+        .context("starting the learner's thread")?;
+
+    while let Some(News { weights, metrics: numbers }) = arrivals.recv().await {
+        publish(&publisher, &version, weights).await?;
+        if let Some(numbers) = numbers {
+            metrics.put(&numbers).await?;
+        }
+    }
+    let report = ended.await.context("the learner's thread panicked")?;
+    if let Some(server) = Arc::into_inner(server) {
+        server.close().await?;
+    }
+    report
+}
+
+async fn publish(
+    publisher: &WeightsPublisher,
+    version: &watch::Sender<WeightsVersion>,
+    weights: Arc<Weights>,
+) -> anyhow::Result<()> {
+    let newest = weights.version;
+    publisher.publish(weights).await?;
+    version.send_replace(newest);
+    Ok(())
+}
+
+/// A new learner, or one that goes on from the newest whole checkpoint of `resume`.
+fn start(setup: LearnerSetup, resume: Option<&Path>) -> anyhow::Result<Learner> {
+    let Some(path) = resume else { return Ok(Learner::new(setup)?) };
+    let inside = path.join(CHECKPOINTS);
+    let found = Checkpoint::read_latest(if inside.is_dir() { &inside } else { path })
+        .with_context(|| format!("resuming from {}", path.display()))?;
+    tracing::info!(path = %found.path.display(), n_passed_over = found.passed_over.len(), "resuming");
+    Ok(Learner::resume(setup, found.checkpoint)?)
+}
+
+fn open_metrics(run_dir: &Path) -> anyhow::Result<File> {
+    let path = run_dir.join(METRICS);
+    let file = OpenOptions::new().create(true).append(true).open(&path);
+    file.with_context(|| format!("opening {}", path.display()))
+}
+
+/// The updating thread.
+struct Worker {
+    learner: Learner,
+    options: RunOptions,
+    metrics: File,
+    counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
+    news: mpsc::Sender<News>,
+    shutdown: CancellationToken,
+    start: Instant,
+}
+
+/// A line of `metrics.jsonl`.
+#[derive(Serialize)]
+struct Line<'a> {
+    /// Key of the metrics on the bus, without the run's prefix.
+    key: &'static str,
+    #[serde(flatten)]
+    metrics: &'a LearnerMetrics,
+}
+
+impl Worker {
+    fn work(mut self) -> anyhow::Result<LearnerReport> {
+        let checkpoints = self.options.run_dir.join(CHECKPOINTS);
+        let settings = self.options.setup.config.clone();
+        let mailbox = self.learner.mailbox();
+        let mut last_report = Instant::now();
+        let mut n_updates = 0;
+        // A closed channel means that the session failed; the run then ends with a checkpoint like any other.
+        let mut open = self.tell(None);
+        while open && !self.is_over() {
+            if !mailbox.wait(settings.steps_per_update, PATIENCE) {
+                continue;
+            }
+            let began = Instant::now();
+            let Some(update) = self.learner.update() else { continue };
+            let pace = Pace { update: began.elapsed(), since_last: last_report.elapsed() };
+            last_report = Instant::now();
+            let metrics = self.report(&update, &pace);
+            if let Err(error) = self.write(&metrics) {
+                tracing::warn!(%error, "metrics were not written");
+            }
+            open = self.tell(Some(metrics));
+            n_updates += 1;
+            if n_updates % settings.checkpoints.every_updates == 0 {
+                // A full disk must not end a run that could still be watched; the last checkpoint must succeed.
+                if let Err(error) = self.save(&checkpoints) {
+                    tracing::error!(%error, "no checkpoint was written");
+                }
+            }
+        }
+        let checkpoint = self.save(&checkpoints)?;
+        let weights_version = self.learner.version();
+        Ok(LearnerReport {
+            weights_version,
+            n_updates: self.learner.n_updates(),
+            n_env_steps: self.learner.n_env_steps(),
+            mailbox: mailbox.counts(),
+            checkpoint,
+        })
+    }
+
+    fn is_over(&self) -> bool {
+        let reached = self.options.max_env_steps.is_some_and(|max| self.learner.n_env_steps() >= max);
+        reached || self.shutdown.is_cancelled()
+    }
+
+    fn tell(&self, metrics: Option<LearnerMetrics>) -> bool {
+        self.news.blocking_send(News { weights: Arc::new(self.learner.weights()), metrics }).is_ok()
+    }
+
+    fn save(&self, checkpoints: &Path) -> Result<PathBuf, checkpoint::CheckpointError> {
+        let path = self.learner.save(checkpoints)?;
+        checkpoint::prune(checkpoints, self.options.setup.config.checkpoints.keep)?;
+        tracing::info!(path = %path.display(), "saved");
+        Ok(path)
+    }
+
+    fn write(&mut self, metrics: &LearnerMetrics) -> anyhow::Result<()> {
+        let mut line = serde_json::to_vec(&Line { key: keys::METRICS_LEARNER, metrics })?;
+        line.push(b'\n');
+        // One write a line, so that other writers of the file cannot come between.
+        Ok(self.metrics.write_all(&line)?)
+    }
+
+    fn report(&self, update: &UpdateMetrics, pace: &Pace) -> LearnerMetrics {
+        let (ingest, bus) = (self.counts)();
+        LearnerMetrics {
+            schema_version: METRICS_SCHEMA_VERSION,
+            weights_version: update.weights_version,
+            n_updates: update.n_updates,
+            n_env_steps: update.n_env_steps,
+            n_episodes: update.n_episodes,
+            elapsed_s: self.start.elapsed().as_secs_f64(),
+            env_steps_per_s: update.ppo.n_samples as f64 / pace.since_last.as_secs_f64().max(1e-9),
+            update_s: pace.update.as_secs_f64(),
+            policy_lag_mean: update.policy_lag_mean,
+            policy_lag_max: update.policy_lag_max,
+            policy_lag_histogram: update.policy_lag_histogram.clone(),
+            n_mailbox: update.n_mailbox,
+            expired_total: update.mailbox.expired_total,
+            ppo: update.ppo,
+            episodes: update.episodes.clone(),
+            ingest,
+            bus,
+            task_probabilities: update.task_probabilities.clone(),
+        }
+    }
+}
+
+/// Durations of an update.
+struct Pace {
+    update: Duration,
+    since_last: Duration,
+}

@@ -1,0 +1,66 @@
+//! The part of a learner that is neither network nor optimiser, and goes into `state.json`.
+
+use policy::normalisation::FeatureMoments;
+use proto::{Normalisation, Weights, WeightsVersion};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::adam::LearningRate;
+use crate::curriculum::Curriculum;
+use crate::mailbox::MailboxCounts;
+use crate::normalisation::ValueStatistics;
+
+/// Counters, statistics, curriculum and random numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LearnerState {
+    /// Weights that the parameters are.
+    pub version: WeightsVersion,
+    /// Environment steps consumed.
+    pub n_env_steps: u64,
+    /// Updates made.
+    pub n_updates: u64,
+    /// Episodes whose end was seen.
+    pub n_episodes: u64,
+    /// Learning rate of the next update.
+    pub learning_rate: LearningRate,
+    /// Shuffles the minibatches.
+    pub rng: ChaCha8Rng,
+    /// Task probabilities.
+    pub curriculum: Curriculum,
+    /// Statistics of node, edge and global features.
+    pub features: FeatureMoments,
+    /// Scenes in `features`.
+    pub n_feature_scenes: u64,
+    /// Statistics of the value targets.
+    pub values: ValueStatistics,
+    /// What became of the trajectories.
+    pub mailbox: MailboxCounts,
+    /// Normalisation that goes with the parameters.
+    #[serde(with = "NormalisationFields")]
+    pub normalisation: Normalisation,
+}
+
+impl LearnerState {
+    /// The frozen policy of these `parameters`.
+    pub(crate) fn weights(&self, network_hash: u64, parameters: Vec<f32>) -> Weights {
+        Weights {
+            version: self.version,
+            n_env_steps: self.n_env_steps,
+            network_hash,
+            parameters,
+            normalisation: self.normalisation.clone(),
+            task_probabilities: self.curriculum.probabilities(),
+        }
+    }
+}
+
+/// Serialises [`Normalisation`], which has a wire form of its own and no serde form.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "Normalisation", deny_unknown_fields)]
+struct NormalisationFields {
+    feature_mean: [Vec<f32>; 3],
+    feature_std: [Vec<f32>; 3],
+    value_mean: f32,
+    value_std: f32,
+}

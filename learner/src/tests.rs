@@ -1,0 +1,4 @@
+//! The learner as a whole, on synthetic trajectories.
+
+mod checkpoints;
+mod learning;

@@ -1,0 +1,113 @@
+//! Checkpoints: exact when whole, refused when not.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::learning::{bandit, feed, small_setup};
+use crate::checkpoint::{self, Checkpoint, CheckpointError};
+use crate::{Learner, LearnerError, LearnerSetup};
+
+/// `n` updates with trajectories that follow from `seed` and the learner's weights.
+fn train(setup: &LearnerSetup, learner: &mut Learner, n: u64) {
+    for _ in 0..n {
+        let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
+        // 40 more than an update takes, so that some always wait.
+        feed(learner, bandit(setup, &learner.weights(), 296, &mut rng));
+        learner.update().unwrap();
+    }
+}
+
+fn saved(dir: &Path, n: u64) -> (LearnerSetup, Learner, PathBuf) {
+    let setup = small_setup(4);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    train(&setup, &mut learner, n);
+    let path = learner.save(dir).unwrap();
+    (setup, learner, path)
+}
+
+#[test]
+fn a_resumed_learner_goes_on_bit_by_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    let (setup, mut learner, path) = saved(dir.path(), 2);
+    let found = Checkpoint::read_latest(dir.path()).unwrap();
+    assert_eq!((&found.path, found.passed_over.len()), (&path, 0));
+    assert_eq!(found.checkpoint, learner.checkpoint());
+    assert_eq!(found.checkpoint.weights(), learner.weights());
+    let mut resumed = Learner::resume(setup.clone(), found.checkpoint).unwrap();
+    train(&setup, &mut learner, 2);
+    train(&setup, &mut resumed, 2);
+    assert_eq!(resumed.checkpoint(), learner.checkpoint());
+    assert_eq!(resumed.weights(), learner.weights());
+}
+
+#[test]
+fn a_file_cut_short_at_any_length_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_, _, path) = saved(dir.path(), 1);
+    for name in ["parameters.safetensors", "adam.safetensors", "mailbox.bin", "model.json", "state.json"] {
+        let file = path.join(name);
+        let whole = fs::read(&file).unwrap();
+        for length in [0, 1, 7, 8, whole.len() / 3, whole.len() / 2, whole.len() - 9, whole.len() - 1] {
+            fs::write(&file, &whole[..length]).unwrap();
+            let error = Checkpoint::read(&path).unwrap_err();
+            assert!(
+                matches!(&error, CheckpointError::Damaged { path, .. } if path == &file),
+                "{name} {length}: {error}"
+            );
+            assert!(error.to_string().contains(name));
+        }
+        let mut flipped = whole.clone();
+        flipped[whole.len() / 2] ^= 1;
+        fs::write(&file, &flipped).unwrap();
+        assert!(Checkpoint::read(&path).is_err() || name == "state.json", "{name}");
+        fs::remove_file(&file).unwrap();
+        assert!(Checkpoint::read(&path).unwrap_err().to_string().contains(name));
+        fs::write(&file, &whole).unwrap();
+    }
+    Checkpoint::read(&path).unwrap();
+}
+
+#[test]
+fn the_one_before_a_damaged_checkpoint_is_found() {
+    let dir = tempfile::tempdir().unwrap();
+    let (setup, mut learner, older) = saved(dir.path(), 1);
+    train(&setup, &mut learner, 1);
+    let newer = learner.save(dir.path()).unwrap();
+    fs::write(newer.join("adam.safetensors"), b"short").unwrap();
+    let found = Checkpoint::read_latest(dir.path()).unwrap();
+    assert_eq!(found.path, older);
+    assert!(found.passed_over[0].to_string().contains("adam.safetensors"));
+    fs::remove_file(older.join("state.json")).unwrap();
+    assert!(Checkpoint::read_latest(dir.path()).unwrap_err().to_string().contains("adam.safetensors"));
+}
+
+#[test]
+fn the_oldest_and_unfinished_ones_are_removed() {
+    let dir = tempfile::tempdir().unwrap();
+    let (setup, mut learner, _) = saved(dir.path(), 1);
+    for _ in 0..3 {
+        train(&setup, &mut learner, 1);
+        learner.save(dir.path()).unwrap();
+    }
+    // Saving again replaces the one of the same step.
+    learner.save(dir.path()).unwrap();
+    fs::create_dir(dir.path().join(".new-99")).unwrap();
+    checkpoint::prune(dir.path(), 2).unwrap();
+    let mut names: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["step-1024", "step-768"]);
+}
+
+#[test]
+fn a_checkpoint_of_another_network_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut setup, learner, _) = saved(dir.path(), 1);
+    setup.policy.network.width = 32;
+    let error = Learner::resume(setup, learner.checkpoint()).unwrap_err();
+    assert!(matches!(error, LearnerError::Checkpoint(CheckpointError::Mismatch(_))), "{error}");
+    let empty = dir.path().join("nothing");
+    assert!(matches!(Checkpoint::read_latest(&empty), Err(CheckpointError::Absent(_))));
+}

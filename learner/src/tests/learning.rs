@@ -1,0 +1,139 @@
+//! Updates that must move the policy and the critic the right way.
+
+use std::sync::Arc;
+
+use blueprints::Catalogue;
+use policy::config::{EncoderConfig, GatConfig};
+use policy::device::DeviceKind;
+use policy::{ActionMode, FeatureBatch, NetworkConfig, Policy, PolicyConfig};
+use proto::{Outcome, RewardTerms, Status, Trajectory, Weights};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::LearnerConfig;
+use crate::fixtures::{blueprint_id, random_trajectory};
+use crate::{Learner, LearnerSetup};
+
+/// A network of the paper's kind that is small enough for a test in seconds.
+pub(super) fn small_setup(seed: u64) -> LearnerSetup {
+    let encoder =
+        EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 2, head_dim: 16, mlp_hidden: 32, ..Default::default() });
+    let network = NetworkConfig { encoder, width: 16, value_hidden: vec![32], ..NetworkConfig::default() };
+    let config =
+        LearnerConfig { steps_per_update: 256, minibatch_size: 64, forward_size: 64, ..LearnerConfig::default() };
+    LearnerSetup {
+        config,
+        policy: PolicyConfig { network, ..PolicyConfig::default() },
+        catalogue: Arc::new(Catalogue::builtin().clone()),
+        tasks: vec![blueprint_id()],
+        seed,
+        device: DeviceKind::Cpu,
+    }
+}
+
+/// One-step episodes in random scenes, acted by `weights`; the reward is 1 when gripper 0 chooses a block of the blueprint.
+pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mut ChaCha8Rng) -> Vec<Trajectory> {
+    let mut policy = Policy::new(&setup.policy).unwrap();
+    policy.load(weights).unwrap();
+    let mut trajectories: Vec<_> = (0..n).map(|_| random_trajectory(1, weights.version.0, rng)).collect();
+    let mut features = FeatureBatch::new(&setup.policy.features);
+    let blueprint = setup.catalogue.get(&blueprint_id()).unwrap();
+    trajectories.iter().for_each(|t| features.push(&t.transitions[0].scene, blueprint));
+    let mut rngs = vec![ChaCha8Rng::from_rng(rng); n];
+    for (i, action_rng) in rngs.iter_mut().enumerate() {
+        action_rng.set_stream(i as u64);
+    }
+    let decisions = policy.act(&features, &mut rngs, ActionMode::Sampled);
+    for (trajectory, decision) in trajectories.iter_mut().zip(decisions) {
+        let success = decision.action.choices[0].is_some_and(|block| blueprint.contains(block));
+        let reward = RewardTerms { connected: f32::from(u8::from(success)), ..RewardTerms::default() };
+        let step = &mut trajectory.transitions[0];
+        (step.action, step.behavior_log_prob, step.value) = (decision.action, decision.log_prob, decision.value);
+        step.reward = reward;
+        trajectory.status = if success { Status::Success } else { Status::TimeLimit };
+        trajectory.outcome = Some(Outcome { success, n_steps: 1, episode_return: reward });
+    }
+    trajectories
+}
+
+pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
+    trajectories.into_iter().for_each(|t| learner.ingest(t).unwrap());
+}
+
+#[test]
+fn a_rewarded_choice_becomes_likelier() {
+    let mut setup = small_setup(1);
+    setup.config.optimizer.learning_rate = 3e-3;
+    setup.config.optimizer.adaptive = None;
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let mut rates = Vec::new();
+    for _ in 0..12 {
+        let trajectories = bandit(&setup, &learner.weights(), 256, &mut rng);
+        feed(&learner, trajectories);
+        let metrics = learner.update().unwrap();
+        assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
+        rates.push(metrics.episodes.success.rate);
+    }
+    // By chance 2 in 16.
+    assert!(rates[0] < 0.3 && rates[11] > 0.8, "{rates:?}");
+}
+
+#[test]
+fn nothing_happens_before_the_batch_is_full() {
+    let setup = small_setup(1);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    feed(&learner, bandit(&setup, &learner.weights(), 255, &mut rng));
+    assert!(!learner.ready() && learner.update().is_none());
+    feed(&learner, bandit(&setup, &learner.weights(), 1, &mut rng));
+    assert!(learner.ready());
+    let metrics = learner.update().unwrap();
+    assert_eq!((metrics.n_env_steps, metrics.n_updates, metrics.n_episodes), (256, 1, 256));
+    assert_eq!(metrics.ppo.n_gradient_steps, 12);
+    assert_eq!(learner.weights().version, metrics.weights_version);
+}
+
+#[test]
+fn equal_seeds_give_equal_weights_and_others_do_not() {
+    let weights = |seed| {
+        let setup = small_setup(seed);
+        let mut learner = Learner::new(setup.clone()).unwrap();
+        let trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
+        feed(&learner, trajectories);
+        learner.update().unwrap();
+        learner.weights()
+    };
+    assert_eq!(weights(1), weights(1));
+    assert_ne!(weights(1).parameters, weights(2).parameters);
+}
+
+#[test]
+fn old_trajectories_show_in_lag_and_effective_sample_size() {
+    let mut setup = small_setup(1);
+    setup.config.optimizer.learning_rate = 3e-3;
+    setup.config.optimizer.adaptive = None;
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let first = learner.weights();
+    feed(&learner, bandit(&setup, &first, 256, &mut rng));
+    learner.update().unwrap();
+    feed(&learner, bandit(&setup, &first, 128, &mut rng));
+    feed(&learner, bandit(&setup, &learner.weights(), 128, &mut rng));
+    let metrics = learner.update().unwrap();
+    assert_eq!((metrics.policy_lag_mean, metrics.policy_lag_max), (0.5, 1));
+    assert_eq!(metrics.policy_lag_histogram, [128, 128]);
+    assert!(metrics.ppo.effective_sample_size < 0.999, "{metrics:?}");
+}
+
+#[test]
+fn a_step_that_is_not_finite_is_left_out() {
+    let setup = small_setup(1);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
+    trajectories[0].transitions[0].reward.blocks = f32::NAN;
+    feed(&learner, trajectories);
+    let metrics = learner.update().unwrap();
+    assert!(metrics.ppo.n_skipped_steps > 0);
+    assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
+}

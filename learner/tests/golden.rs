@@ -1,0 +1,250 @@
+//! Golden vectors of GAE, PPO losses, Adam and the curriculum, computed in float64 by an independent implementation.
+
+#![allow(clippy::unwrap_used)]
+
+use blueprints::{BlockIdx, BlueprintId};
+use burn::tensor::{Device, Tensor, TensorData};
+use learner::adam::{Adam, LearningRate, clip_global_norm};
+use learner::config::OptimizerConfig;
+use learner::curriculum::{Curriculum, CurriculumConfig, PaperConfig};
+use learner::gae;
+use learner::loss::{RatioStatistics, policy_loss, value_loss};
+use policy::JointForm;
+use policy::loss_terms::{self, ActionTensors};
+use policy::network::NetworkOutput;
+use proto::{Action, Status};
+use serde_json::Value;
+
+fn golden(name: &str) -> Value {
+    let path = format!("{}/tests/golden/{name}", env!("CARGO_MANIFEST_DIR"));
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// All numbers of a nested list, row-major.
+fn flat(value: &Value) -> Vec<f32> {
+    match value {
+        Value::Array(rows) => rows.iter().flat_map(flat).collect(),
+        number => vec![number.as_f64().unwrap() as f32],
+    }
+}
+
+fn close(name: &str, found: &[f32], expected: &[f32], tolerance: f32) {
+    assert_eq!(found.len(), expected.len(), "{name}");
+    let scale = expected.iter().fold(0.0f32, |max, x| max.max(x.abs()));
+    for (i, (x, y)) in found.iter().zip(expected).enumerate() {
+        assert!((x - y).abs() <= tolerance * scale, "{name}[{i}]: {x} instead of {y}");
+    }
+}
+
+#[test]
+fn gae_tells_a_time_limit_from_an_end() {
+    let golden = &golden("ppo.json")["gae"];
+    let (gamma, lambda) = (golden["gamma"].as_f64().unwrap() as f32, golden["lam"].as_f64().unwrap() as f32);
+    let (n_steps, n) = (golden["T"].as_u64().unwrap() as usize, golden["N"].as_u64().unwrap() as usize);
+    let column = |name: &str, j: usize| -> Vec<f32> { (0..n_steps).map(|t| flat(&golden[name][t][j])[0]).collect() };
+    let bit = |name: &str, t: usize, j: usize| golden[name][t][j].as_bool().unwrap();
+    for j in 0..n {
+        let (rewards, values, final_values) = (column("rewards", j), column("values", j), column("final_values", j));
+        let mut advantages = vec![0.0; n_steps];
+        let mut first = 0;
+        for t in 0..n_steps {
+            // The golden rule lets a true end win over a simultaneous time limit.
+            let status = match (bit("terminated", t, j), bit("truncated", t, j)) {
+                (true, _) => Status::Success,
+                (false, true) => Status::TimeLimit,
+                (false, false) => Status::Running,
+            };
+            if status == Status::Running && t + 1 < n_steps {
+                continue;
+            }
+            let last = if status == Status::Running { flat(&golden["bootstrap_value"][j])[0] } else { final_values[t] };
+            let segment = first..t + 1;
+            let (rewards, values) = (&rewards[segment.clone()], &values[segment.clone()]);
+            let bootstrap = gae::bootstrap_value(status, last);
+            gae::advantages(rewards, values, bootstrap, gamma, lambda, &mut advantages[segment]);
+            first = t + 1;
+        }
+        close("advantages", &advantages, &column("advantages", j), 1e-6);
+        let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
+        close("returns", &returns, &column("returns", j), 1e-6);
+    }
+}
+
+/// The golden batch on a differentiating device.
+struct Ppo {
+    golden: Value,
+    device: Device,
+}
+
+impl Ppo {
+    fn new() -> Self {
+        Self { golden: golden("ppo.json")["ppo"].take(), device: Device::flex().autodiff() }
+    }
+
+    fn vector(&self, value: &Value) -> Tensor<1> {
+        let values = flat(value);
+        let n = values.len();
+        Tensor::from_data(TensorData::new(values, [n]), &self.device)
+    }
+
+    fn cube(&self, value: &Value) -> Tensor<3> {
+        let rows = value.as_array().unwrap();
+        let shape = [rows.len(), rows[0].as_array().unwrap().len(), rows[0][0].as_array().unwrap().len()];
+        Tensor::from_data(TensorData::new(flat(value), shape), &self.device)
+    }
+
+    fn output(&self, which: &str) -> NetworkOutput {
+        let heads = &self.golden[which];
+        NetworkOutput {
+            locs: self.cube(&heads["locs"]).require_grad(),
+            scales: self.cube(&heads["scales"]).require_grad(),
+            logits: self.cube(&heads["grip_logits"]).require_grad(),
+            values: self.vector(&heads["value"]).require_grad(),
+        }
+    }
+
+    fn actions(&self) -> ActionTensors {
+        let blocks = self.golden["action"]["block"].as_array().unwrap();
+        let actions: Vec<Action> = (0..blocks.len())
+            .map(|b| {
+                let moves = flat(&self.golden["action"]["move_matrix_16x6"][b]);
+                Action {
+                    choices: std::array::from_fn(|g| BlockIdx::try_from(flat(&blocks[b][g])[0] as u8).ok()),
+                    moves: std::array::from_fn(|i| std::array::from_fn(|k| moves[6 * i + k])),
+                }
+            })
+            .collect();
+        ActionTensors::new(actions.iter(), 2, &self.device)
+    }
+}
+
+fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().unwrap()
+}
+
+#[test]
+fn policy_loss_and_its_gradients_in_the_forms_whose_move_is_shared() {
+    let ppo = Ppo::new();
+    let clip = ppo.golden["clip_eps"].as_f64().unwrap() as f32;
+    let mut advantages = flat(&ppo.golden["advantages"]);
+    gae::normalise(&mut advantages);
+    close("advantages", &advantages, &flat(&ppo.golden["advantages_normalised"]), 1e-6);
+    for (name, form) in [("chosen_unique", JointForm::ChosenUnique), ("matrix_all", JointForm::Matrix)] {
+        let expected = &ppo.golden["variants"][name];
+        let output = ppo.output("new");
+        let actions = ppo.actions();
+        let log_prob = loss_terms::log_prob(&output, &actions, form);
+        let old = loss_terms::log_prob(&ppo.output("old"), &actions, form).detach();
+        close(name, &to_vec(log_prob.clone()), &flat(&expected["logp"]), 2e-6);
+        close(name, &to_vec(old.clone()), &flat(&expected["logp_old"]), 2e-6);
+        let statistics = RatioStatistics::new(&to_vec(log_prob.clone()), &to_vec(old.clone()), clip);
+        assert_eq!(statistics.clip_fraction, expected["clip_fraction"].as_f64().unwrap(), "{name}");
+        assert!((statistics.approx_kl - expected["approx_kl_k3"].as_f64().unwrap()).abs() < 1e-4, "{name}");
+        let advantage = ppo.vector(&ppo.golden["advantages_normalised"]);
+        let ones = Tensor::ones([advantages.len()], &ppo.device);
+        let loss = policy_loss(log_prob, old, ones, advantage, clip);
+        close(name, &to_vec(loss.clone()), &flat(&expected["policy_loss_per_item"]), 1e-4);
+        let gradients = loss.mean().backward();
+        close(name, &to_vec(output.logits.grad(&gradients).unwrap()), &flat(&expected["grad_logits"]), 1e-4);
+        close(name, &to_vec(output.locs.grad(&gradients).unwrap()), &flat(&expected["grad_locs"]), 1e-4);
+        close(name, &to_vec(output.scales.grad(&gradients).unwrap()), &flat(&expected["grad_scales"]), 1e-4);
+    }
+}
+
+#[test]
+fn policy_loss_from_log_probabilities_in_every_form() {
+    let ppo = Ppo::new();
+    for name in ["chosen_per_gripper", "chosen_unique", "matrix_all"] {
+        let expected = &ppo.golden["variants"][name];
+        let log_prob = ppo.vector(&expected["logp"]);
+        let old = ppo.vector(&expected["logp_old"]);
+        let advantage = ppo.vector(&ppo.golden["advantages_normalised"]);
+        let ones = Tensor::ones([8], &ppo.device);
+        let loss = to_vec(policy_loss(log_prob, old, ones, advantage, 0.2).mean())[0];
+        assert!((f64::from(loss) - expected["policy_loss"].as_f64().unwrap()).abs() < 1e-4, "{name}: {loss}");
+    }
+}
+
+#[test]
+fn value_loss_with_and_without_clip() {
+    let ppo = Ppo::new();
+    let expected = &ppo.golden["value_loss"];
+    let (old, target) = (ppo.vector(&ppo.golden["old"]["value"]), ppo.vector(&ppo.golden["returns"]));
+    let value = ppo.output("new").values;
+    let unclipped = to_vec(value_loss(value.clone(), old.clone(), target.clone(), None).mean());
+    close("unclipped", &unclipped, &[expected["unclipped"].as_f64().unwrap() as f32], 1e-6);
+    let clipped = value_loss(value.clone(), old, target, Some(0.2));
+    close("clipped", &to_vec(clipped.clone()), &flat(&expected["clipped_per_item"]), 1e-6);
+    let gradients = clipped.mean().backward();
+    close("gradient", &to_vec(value.grad(&gradients).unwrap()), &flat(&expected["grad_value"]), 1e-5);
+}
+
+#[test]
+fn entropies_of_old_and_new() {
+    let ppo = Ppo::new();
+    for (which, name) in [("new", "entropy"), ("old", "old_entropy")] {
+        let (output, expected) = (ppo.output(which), &ppo.golden[name]);
+        for (form, moves) in [
+            (JointForm::ChosenPerGripper, "gaussian_expected_per_gripper"),
+            (JointForm::ChosenUnique, "gaussian_expected_unique"),
+            (JointForm::Matrix, "gaussian_all"),
+        ] {
+            let entropy = loss_terms::entropy(&output, form);
+            close(name, &to_vec(entropy.blocks), &flat(&expected["categorical"]), 1e-5);
+            close(moves, &to_vec(entropy.moves), &flat(&expected[moves]), 1e-5);
+        }
+    }
+}
+
+#[test]
+fn adam_after_clipping_by_global_norm() {
+    let golden = &golden("ppo.json")["adam_clip"];
+    let number = |name: &str| golden[name].as_f64().unwrap() as f32;
+    let config = OptimizerConfig {
+        beta1: number("b1"),
+        beta2: number("b2"),
+        epsilon: number("eps"),
+        ..OptimizerConfig::default()
+    };
+    let mut parameters = flat(&golden["w0"]);
+    let mut adam = Adam::new(parameters.len());
+    for (step, gradient) in golden["raw_grads"].as_array().unwrap().iter().enumerate() {
+        let mut gradient = flat(gradient);
+        clip_global_norm(&mut gradient, number("max_grad_norm"));
+        adam.step(&mut parameters, &gradient, LearningRate(number("lr")), &config);
+        close("parameters", &parameters, &flat(&golden["w_after"][step]), 5e-7);
+        close("first moment", &adam.first, &flat(&golden["m_after"][step]), 1e-5);
+        close("second moment", &adam.second, &flat(&golden["v_after"][step]), 1e-5);
+    }
+}
+
+#[test]
+fn the_papers_curriculum() {
+    let golden = golden("curriculum.json");
+    let number = |name: &str| golden[name].as_f64().unwrap();
+    let ids: Vec<BlueprintId> =
+        (0..golden["n"].as_u64().unwrap()).map(|i| BlueprintId::try_from(format!("2_{i:03}")).unwrap()).collect();
+    let config = PaperConfig {
+        tau: number("tau"),
+        temperature: number("temp"),
+        decay: number("decay"),
+        ..PaperConfig::default()
+    };
+    let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.clone());
+    for (k, update) in golden["updates"].as_array().unwrap().iter().enumerate() {
+        let indices = update["blueprint_indices"].as_array().unwrap().iter();
+        let successes = update["success"].as_array().unwrap().iter();
+        let batch: Vec<_> = indices
+            .zip(successes)
+            .map(|(i, success)| (&ids[i.as_u64().unwrap() as usize], success.as_u64() == Some(1)))
+            .collect();
+        curriculum.update(batch);
+        for (i, id) in ids.iter().enumerate() {
+            let task = &curriculum.tasks()[id];
+            for (found, name) in [(task.success_rate, "success_rates"), (task.probability, "probs")] {
+                let expected = update[name][i].as_f64().unwrap();
+                assert!((found - expected).abs() < 1e-12, "update {k}, {name}[{i}]: {found} instead of {expected}");
+            }
+        }
+    }
+}
