@@ -13,6 +13,11 @@ use rand_chacha::ChaCha8Rng;
 
 const N_STEPS: usize = 1000;
 const N_ROUNDS: u64 = 5;
+/// The block that is held, near the middle of the row.
+const HELD: usize = 9;
+
+/// Runs one round from a seed; returns control steps per CPU-second.
+type Case = fn(&EnvironmentConfig, u64) -> f64;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
@@ -22,8 +27,7 @@ fn main() {
         config.physics.n_substeps = 5;
         config.physics.substep_ms = 20.0;
     }
-    let cases: [(&str, fn(&EnvironmentConfig, u64) -> f64); 4] =
-        [("settled", settled), ("random", random), ("held", held), ("moved", moved)];
+    let cases: [(&str, Case); 4] = [("settled", settled), ("random", random), ("held", held), ("moved", moved)];
     let mut lines = vec![];
     let all = !cases.iter().any(|(name, _)| has(name));
     for (name, case) in cases.into_iter().filter(|(name, _)| all || has(name)) {
@@ -43,7 +47,7 @@ fn main() {
 
 /// All blocks at rest on the ground, nothing held.
 fn settled(config: &EnvironmentConfig, seed: u64) -> f64 {
-    let mut world = start(config, two_blocks(), Start::Scattered, seed);
+    let mut world = scattered(config, seed);
     (0..20).for_each(|_| {
         world.step(&idle());
     });
@@ -55,7 +59,7 @@ fn settled(config: &EnvironmentConfig, seed: u64) -> f64 {
 /// Uniformly random blocks and moves in episodes of 100 steps.
 fn random(config: &EnvironmentConfig, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut world = start(config, two_blocks(), Start::Scattered, seed);
+    let mut world = scattered(config, seed);
     let mut n = 0;
     timed(N_STEPS, || {
         let block = |rng: &mut ChaCha8Rng| BlockIdx::try_from(rng.random_range(0..N_BLOCKS as u8)).unwrap();
@@ -64,15 +68,15 @@ fn random(config: &EnvironmentConfig, seed: u64) -> f64 {
         n += 1;
         let status = world.step(&Action { choices, moves }).status;
         if status == Status::Diverged || n % 100 == 0 {
-            world = start(config, two_blocks(), Start::Scattered, seed);
+            world = scattered(config, seed);
         }
     })
 }
 
-/// A gripper keeps the largest structure of the catalogue in the air.
+/// A gripper keeps a row of all 16 blocks in the air, end to end as in the peer script.
 fn held(config: &EnvironmentConfig, seed: u64) -> f64 {
-    let mut world = lifted(config, seed);
-    let still = hold(&world, [0.0; 6]);
+    let (mut world, _) = lifted(config, seed);
+    let still = hold([0.0; 6]);
     timed(N_STEPS, || {
         world.step(&still);
     })
@@ -80,8 +84,9 @@ fn held(config: &EnvironmentConfig, seed: u64) -> f64 {
 
 /// A gripper swings it to and fro.
 fn moved(config: &EnvironmentConfig, seed: u64) -> f64 {
-    let mut world = lifted(config, seed);
-    let (there, back) = (hold(&world, [0.1, 0.1, 0.0, 0.0, 0.0, 0.2]), hold(&world, [-0.1, -0.1, 0.0, 0.0, 0.0, -0.2]));
+    let (mut world, up) = lifted(config, seed);
+    let velocity = |sign: f32| [0.0, 0.0, 0.0, 0.08 * sign * up.x, 0.08 * sign * up.y, 0.08 * sign * up.z];
+    let (there, back) = (hold(velocity(1.0)), hold(velocity(-1.0)));
     let mut n = 0;
     timed(N_STEPS, || {
         n += 1;
@@ -89,44 +94,68 @@ fn moved(config: &EnvironmentConfig, seed: u64) -> f64 {
     })
 }
 
-fn lifted(config: &EnvironmentConfig, seed: u64) -> World {
-    let largest = Catalogue::builtin().iter().max_by_key(|b| b.n_blocks()).unwrap();
-    let mut world = start(config, two_blocks(), Start::Prebuilt(largest.id().clone()), seed);
-    // Upwards as seen from the block that is held.
-    let q = world.scene().blocks[held_block(&world).get()].orientation;
+/// The row in the air, and the upward direction in the frame of the block that is held.
+fn lifted(config: &EnvironmentConfig, seed: u64) -> (World, nalgebra::Vector3<f32>) {
+    let row = row();
+    let catalogue = Catalogue::from_files([("16_999.toml", row.as_str())]).unwrap();
+    let goal = catalogue.iter().next().unwrap();
+    let mut world = World::new(config).unwrap();
+    let task = task(goal, Start::Prebuilt(goal.id().clone()), seed);
+    world.reset(&task, &catalogue).unwrap();
+    let q = world.scene().blocks[HELD].orientation;
     let rotation = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(q[3], q[0], q[1], q[2]));
-    let up = rotation.inverse() * nalgebra::Vector3::z() * 0.3;
-    let lift = hold(&world, [up.x, up.y, up.z, 0.0, 0.0, 0.0]);
+    let up = rotation.inverse() * nalgebra::Vector3::z();
+    let lift = hold([0.3 * up.x, 0.3 * up.y, 0.3 * up.z, 0.0, 0.0, 0.0]);
     (0..10).for_each(|_| {
         world.step(&lift);
     });
-    world
+    assert_eq!(world.scene().joints.len(), N_BLOCKS - 1, "the row came apart");
+    (world, up)
 }
 
-/// The block with the most connections.
-fn held_block(world: &World) -> BlockIdx {
-    let degree = |block: BlockIdx| world.scene().joints.iter().filter(|j| j.a == block || j.b == block).count();
-    BlockIdx::all().max_by_key(|&block| degree(block)).unwrap()
+/// A blueprint of all 16 blocks end to end along x.
+fn row() -> String {
+    let inventory = blueprints::Inventory::standard();
+    let (mut blocks, mut connections, mut x) = (vec![], vec![], 0);
+    for block in BlockIdx::all() {
+        let (i, cells) = (block.get(), inventory.cells(block));
+        let name = &inventory.block_type(block).name;
+        blocks.push(format!(r#"{{ name = "b{i}", type = "{name}", at = [{x}, 0, 0], axes = "+x +y" }}"#));
+        if let Some(last) = i.checked_sub(1).and_then(|last| BlockIdx::all().nth(last)) {
+            let before = inventory.cells(last);
+            let pairs: Vec<_> =
+                (0..before[1].min(cells[1])).map(|y| format!(r#""+x({},{y},0) -x(0,{y},0)""#, before[0] - 1)).collect();
+            let pairs = pairs.join(", ");
+            connections.push(format!(r#"{{ a = "b{}", b = "b{i}", magnets = [{pairs}] }}"#, last.get()));
+        }
+        x += u32::from(cells[0]);
+    }
+    format!(
+        "id = \"16_999\"\nsplit = \"train\"\ntitle = \"row\"\nprovenance = \"bench\"\nup = \"+z\"\n\
+         blocks = [{}]\nconnections = [{}]\n",
+        blocks.join(", "),
+        connections.join(", ")
+    )
 }
 
-fn hold(world: &World, velocity: [f32; 6]) -> Action {
-    Action { choices: [Some(held_block(world)), None], moves: [velocity; N_BLOCKS] }
+fn hold(velocity: [f32; 6]) -> Action {
+    Action { choices: [BlockIdx::all().nth(HELD), None], moves: [velocity; N_BLOCKS] }
 }
 
 fn idle() -> Action {
     Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] }
 }
 
-fn two_blocks() -> &'static Blueprint {
-    Catalogue::builtin().iter().min_by_key(|b| b.n_blocks()).unwrap()
+fn scattered(config: &EnvironmentConfig, seed: u64) -> World {
+    let goal = Catalogue::builtin().iter().next().unwrap();
+    let mut world = World::new(config).unwrap();
+    world.reset(&task(goal, Start::Scattered, seed), Catalogue::builtin()).unwrap();
+    world
 }
 
-fn start(config: &EnvironmentConfig, goal: &Blueprint, start: Start, seed: u64) -> World {
-    let mut world = World::new(config).unwrap();
+fn task(goal: &Blueprint, start: Start, seed: u64) -> Task {
     let assignment = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
-    let task = Task { blueprint: goal.id().clone(), assignment, start, seed };
-    world.reset(&task, Catalogue::builtin()).unwrap();
-    world
+    Task { blueprint: goal.id().clone(), assignment, start, seed }
 }
 
 /// Calls per CPU-second of this thread.

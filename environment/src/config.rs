@@ -42,6 +42,7 @@ pub struct EnvironmentConfig {
 }
 
 impl Default for EnvironmentConfig {
+    #[expect(clippy::approx_constant, reason = "a chosen speed limit, not one turn")]
     fn default() -> Self {
         Self {
             n_grippers: 2,
@@ -101,7 +102,7 @@ mod tests {
         );
         assert_eq!(
             message(|c| c.reset.yaw_noise_rad = -1.0),
-            "environment.reset.yaw_noise_rad is -1; it must be 0 to 3.1416"
+            "environment.reset.yaw_noise_rad is -1; it must be 0 to 3.2"
         );
     }
 }

@@ -179,8 +179,7 @@ impl Connections {
         let b_in_a = Isometry3::from_parts(joint.relative.position_m().into(), joint.relative.rotation.quaternion());
         let frame_a = Isometry3::translation(middle.x, middle.y, middle.z);
         let frame_b = b_in_a.inverse() * frame_a;
-        let frequency =
-            if snap_left > 0 { self.config.snap_frequency_hz } else { self.config.hold_frequency_hz };
+        let frequency = if snap_left > 0 { self.config.snap_frequency_hz } else { self.config.hold_frequency_hz };
         let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency);
         let n_strong_pairs = pairs.len().min(usize::from(self.config.break_max_pairs)) as f32;
         self.live.push(Connection { joint, handle, n_strong_pairs, snap_left, load: 0.0 });

@@ -87,7 +87,9 @@ pub fn check_episode<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task, co
     let mut after = potential(env.scene(), env.blueprint(), config);
     let mut before = before;
     let names = ["connected", "wrong", "magnets", "blocks", "force"];
-    for (((name, sum), after), before) in names.iter().zip(terms(&mut sum)).zip(terms(&mut after)).zip(terms(&mut before)) {
+    for (((name, sum), after), before) in
+        names.iter().zip(terms(&mut sum)).zip(terms(&mut after)).zip(terms(&mut before))
+    {
         if *name == "force" && config.force_penalty == ForcePenalty::PerStep {
             continue;
         }

@@ -32,8 +32,15 @@ pub(crate) struct MagnetPair {
 pub(crate) struct MagnetTable {
     half_extents: [Vector3<f32>; N_BLOCKS],
     radii: [f32; N_BLOCKS],
-    /// Magnets by face, +x −x +y −y +z −z, with the position in metres beside the one in half units.
-    faces: [[Vec<(Vector3<f32>, [i32; 3])>; 6]; N_BLOCKS],
+    /// Magnets by face, +x −x +y −y +z −z.
+    faces: [[Vec<LocalMagnet>; 6]; N_BLOCKS],
+}
+
+/// A magnet's position in its block's frame.
+#[derive(Clone, Copy)]
+struct LocalMagnet {
+    position_m: Vector3<f32>,
+    half_units: [i32; 3],
 }
 
 impl Frame {
@@ -50,14 +57,21 @@ impl MagnetTable {
             std::array::from_fn(|face| {
                 let on_face = |m: &&Magnet| face_of(m) == face;
                 let magnets = inventory.magnets(blocks[i]).iter().filter(on_face);
-                magnets.map(|m| (magnet_position_m(m), m.position_half_units)).collect()
+                magnets
+                    .map(|m| LocalMagnet { position_m: magnet_position_m(m), half_units: m.position_half_units })
+                    .collect()
             })
         });
         Self { half_extents, radii: half_extents.map(|h| h.norm()), faces }
     }
 
     /// Whether the two blocks' surfaces are possibly within `reach` metres; false is certain.
-    pub(crate) fn may_touch(&self, (a, frame_a): (BlockIdx, &Frame), (b, frame_b): (BlockIdx, &Frame), reach: f32) -> bool {
+    pub(crate) fn may_touch(
+        &self,
+        (a, frame_a): (BlockIdx, &Frame),
+        (b, frame_b): (BlockIdx, &Frame),
+        reach: f32,
+    ) -> bool {
         let between = frame_b.position - frame_a.position;
         let radii = self.radii[a.get()] + self.radii[b.get()] + reach;
         if between.norm_squared() > radii * radii {
@@ -90,16 +104,16 @@ impl MagnetTable {
                 continue;
             }
             for (face_a, face_b) in [(2 * k, 2 * j + 1), (2 * k + 1, 2 * j)] {
-                for &(position_b, local_b) in &self.faces[b.get()][face_b] {
-                    let seen_from_a = offset + relative * position_b;
-                    for &(position_a, local_a) in &self.faces[a.get()][face_a] {
-                        let distance_squared = (seen_from_a - position_a).norm_squared();
+                for magnet_b in &self.faces[b.get()][face_b] {
+                    let seen_from_a = offset + relative * magnet_b.position_m;
+                    for magnet_a in &self.faces[a.get()][face_a] {
+                        let distance_squared = (seen_from_a - magnet_a.position_m).norm_squared();
                         if distance_squared <= reach * reach {
                             f(MagnetPair {
-                                point_a: frame_a.position + frame_a.rotation * position_a,
+                                point_a: frame_a.position + frame_a.rotation * magnet_a.position_m,
                                 point_b: frame_a.position + frame_a.rotation * seen_from_a,
                                 distance: distance_squared.sqrt(),
-                                local: [local_a, local_b],
+                                local: [magnet_a.half_units, magnet_b.half_units],
                             });
                         }
                     }
@@ -111,7 +125,12 @@ impl MagnetTable {
 
 impl MagnetPair {
     /// The lattice pose of the second block seen from the first that brings this pair together, if it is near enough.
-    pub(crate) fn snap(&self, a: &Isometry3<f32>, b: &Isometry3<f32>, config: &MagnetConfig) -> Option<RelativePlacement> {
+    pub(crate) fn snap(
+        &self,
+        a: &Isometry3<f32>,
+        b: &Isometry3<f32>,
+        config: &MagnetConfig,
+    ) -> Option<RelativePlacement> {
         if self.distance > config.snap_gap_m {
             return None;
         }

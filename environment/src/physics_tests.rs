@@ -22,7 +22,11 @@ impl Rig {
     fn new(config: EnvironmentConfig, placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
         let mut poses = block_array(|block| {
             let half_height = Inventory::standard().half_extents_m(block)[2];
-            Isometry3::translation(-3.0 + 0.5 * (block.get() % 4) as f32, -3.0 + 0.5 * (block.get() / 4) as f32, half_height)
+            Isometry3::translation(
+                -3.0 + 0.5 * (block.get() % 4) as f32,
+                -3.0 + 0.5 * (block.get() / 4) as f32,
+                half_height,
+            )
         });
         for (block, pose) in placed {
             poses[block.get()] = *pose;
@@ -87,7 +91,10 @@ fn beside(a: u8, b: u8, offset_half_units: [i32; 3]) -> Joint {
 fn opposite_magnets_at_2_cm_and_8_degrees_snap_and_like_poles_never() {
     // Cubes on the ground, a gap of 2 cm between a +x face and a −x face, and between two +x faces.
     let snaps = |yaw: f32| {
-        let mut rig = Rig::new(EnvironmentConfig::default(), &[(block(0), at(0.0, 0.0, 0.05, 0.0)), (block(1), at(0.12, 0.0, 0.05, yaw))]);
+        let mut rig = Rig::new(
+            EnvironmentConfig::default(),
+            &[(block(0), at(0.0, 0.0, 0.05, 0.0)), (block(1), at(0.12, 0.0, 0.05, yaw))],
+        );
         (0..100).for_each(|_| rig.substep());
         let (distance, angle) = rig.worst_joint_error();
         assert!(distance < 1e-3 && angle < 5e-3, "the snap left {distance} m and {angle} rad");
@@ -149,16 +156,14 @@ fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
         centers.push(centers[i - 1] + half(i - 1) + half(i));
     }
     for held in [0, 9] {
-        let placed: Vec<_> = BlockIdx::all()
-            .map(|b| (b, at((centers[b.get()] - centers[held]) as f32 * 0.05, 0.0, 1.5, 0.0)))
-            .collect();
+        let placed: Vec<_> =
+            BlockIdx::all().map(|b| (b, at((centers[b.get()] - centers[held]) as f32 * 0.05, 0.0, 1.5, 0.0))).collect();
         let mut rig = Rig::new(EnvironmentConfig::default(), &placed);
         for i in 1..N_BLOCKS {
             let joint = beside(i as u8 - 1, i as u8, [centers[i] - centers[i - 1], 0, 0]);
             rig.connections.insert_built(&mut rig.engine, joint);
         }
-        let mut action =
-            Action { choices: [Some(block(held as u8)), None], moves: [[0.0; 6]; N_BLOCKS] };
+        let mut action = Action { choices: [Some(block(held as u8)), None], moves: [[0.0; 6]; N_BLOCKS] };
         let mut worst = (0.0_f32, 0.0_f32);
         for step in 0..40 {
             // Turns about z at a quarter of full speed, one way and back, while it moves to and fro.
@@ -176,7 +181,9 @@ fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
 #[test]
 fn a_snap_adds_no_energy_beyond_the_attraction() {
     let blocks = [block(0), block(1)];
-    for (gap, yaw, approach) in [(0.029, 0.0, 0.0), (0.02, 0.14, 0.0), (0.035, 0.1, 0.0), (0.035, 0.0, 0.5), (0.02, 0.2, 1.0)] {
+    for (gap, yaw, approach) in
+        [(0.029, 0.0, 0.0), (0.02, 0.14, 0.0), (0.035, 0.1, 0.0), (0.035, 0.0, 0.5), (0.02, 0.2, 1.0)]
+    {
         let mut rig = Rig::weightless(&[(block(0), at(0.0, 0.0, 1.0, 0.0)), (block(1), at(0.1 + gap, 0.0, 1.0, yaw))]);
         let velocity = Velocity { linear: Vector3::new(-approach, 0.0, 0.0), angular: Vector3::zeros() };
         rig.engine.set_velocity(block(1), velocity);
@@ -195,7 +202,10 @@ fn a_snap_adds_no_energy_beyond_the_attraction() {
 
 #[test]
 fn two_grippers_pull_a_pair_apart() {
-    let mut rig = Rig::new(EnvironmentConfig::default(), &[(block(0), at(0.0, 0.0, 0.5, 0.0)), (block(1), at(0.1, 0.0, 0.5, 0.0))]);
+    let mut rig = Rig::new(
+        EnvironmentConfig::default(),
+        &[(block(0), at(0.0, 0.0, 0.5, 0.0)), (block(1), at(0.1, 0.0, 0.5, 0.0))],
+    );
     rig.connections.insert_built(&mut rig.engine, beside(0, 1, [2, 0, 0]));
     let mut action = Action { choices: [Some(block(0)), Some(block(1))], moves: [[0.0; 6]; N_BLOCKS] };
     // Held still by both, it stays where it is.

@@ -87,9 +87,8 @@ pub(crate) fn near_goal(
         for placement in blueprint.placements().iter().filter(|p| !kept.contains(&p.block)) {
             // The structure is already there; its frame follows from any of its blocks.
             let anchor = blueprint.placement(kept[0])?;
-            let in_blueprint = |p: &blueprints::Placement| {
-                Isometry3::from_parts(p.position_m().into(), p.rotation.quaternion())
-            };
+            let in_blueprint =
+                |p: &blueprints::Placement| Isometry3::from_parts(p.position_m().into(), p.rotation.quaternion());
             let frame = draft.poses[anchor.block.get()]? * in_blueprint(anchor).inverse();
             put_beside(config, &mut draft, placement.block, &(frame * in_blueprint(placement)), rng)?;
         }

@@ -95,7 +95,8 @@ fn magnet_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit 
         let point_a = a.transform_point(&magnet_position_m(magnet_a).into());
         let point_b = b.transform_point(&magnet_position_m(magnet_b).into());
         sum.distance += (point_a - point_b).norm();
-        let normal = |rotation: &nalgebra::UnitQuaternion<f32>, n: [i32; 3]| rotation * Vector3::from(n.map(|x| x as f32));
+        let normal =
+            |rotation: &nalgebra::UnitQuaternion<f32>, n: [i32; 3]| rotation * Vector3::from(n.map(|x| x as f32));
         // Magnets that meet look at each other.
         sum.angle += normal(&a.rotation, magnet_a.normal).angle(&-normal(&b.rotation, magnet_b.normal));
     }

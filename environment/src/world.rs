@@ -40,8 +40,7 @@ impl World {
     pub fn new(config: &EnvironmentConfig) -> Result<Self, EnvironmentConfigError> {
         config.validate()?;
         let inventory = Inventory::standard();
-        let cube_weight_n =
-            config.physics.density_kgpm3 * blueprints::UNIT_M.powi(3) * config.physics.gravity_mps2;
+        let cube_weight_n = config.physics.density_kgpm3 * blueprints::UNIT_M.powi(3) * config.physics.gravity_mps2;
         let mut world = Self {
             engine: Engine::new(&config.physics, inventory),
             connections: Connections::new(&config.magnets, &config.physics, inventory),
@@ -113,7 +112,9 @@ impl World {
         self.scene.blocks.iter().zip(&self.scene.speeds_mps).all(|(pose, speed)| {
             let [x, y, z] = pose.position;
             // A NaN fails the comparison.
-            x * x + y * y + z * z <= limit * limit && speed.is_finite() && pose.orientation.iter().all(|q| q.is_finite())
+            x * x + y * y + z * z <= limit * limit
+                && speed.is_finite()
+                && pose.orientation.iter().all(|q| q.is_finite())
         })
     }
 }
@@ -127,9 +128,7 @@ impl Env for World {
         let config = &self.config.reset;
         let layout = match &task.start {
             Start::Scattered => Some(reset::scattered(config, &mut rng)?),
-            Start::Prebuilt(id) => {
-                Some(reset::prebuilt(config, &find(id)?.permuted(&task.assignment), &mut rng)?)
-            }
+            Start::Prebuilt(id) => Some(reset::prebuilt(config, &find(id)?.permuted(&task.assignment), &mut rng)?),
             Start::NearGoal { undone } => Some(reset::near_goal(config, &blueprint, *undone, &mut rng)?),
             Start::AsItIs if !self.alive => return Err(ResetError::NothingToKeep),
             Start::AsItIs => None,
@@ -161,10 +160,8 @@ impl Env for World {
             self.alive = false;
             return diverged;
         }
-        let before = std::mem::replace(
-            &mut self.potential,
-            potential(&self.scene, &self.blueprint, &self.config.reward),
-        );
+        let before =
+            std::mem::replace(&mut self.potential, potential(&self.scene, &self.blueprint, &self.config.reward));
         let status = if is_success(&self.scene, &self.blueprint, &self.config.success) {
             Status::Success
         } else if self.n_steps >= self.config.episode_steps {

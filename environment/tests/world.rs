@@ -1,5 +1,7 @@
 //! The world through its public face.
 
+#![allow(clippy::unwrap_used)]
+
 use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS};
 use environment::config::{ForcePenalty, RewardConfig, SuccessConfig};
 use environment::reward::potential;
@@ -48,10 +50,8 @@ fn goal_scene(blueprint: &Blueprint) -> Scene {
 
 /// The scene turned by `yaw` about z and then shifted.
 fn moved(scene: &Scene, yaw: f32, x: f32, y: f32) -> Scene {
-    let frame = Isometry3::from_parts(
-        Translation3::new(x, y, 0.0),
-        UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw),
-    );
+    let frame =
+        Isometry3::from_parts(Translation3::new(x, y, 0.0), UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw));
     let shift = |pose: &Pose| {
         let [i, j, k, w] = pose.orientation;
         let rotation = frame.rotation * UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
@@ -120,9 +120,8 @@ fn a_near_goal_start_lacks_what_was_taken_off() {
             for seed in 0..5 {
                 let near = task(blueprint, Start::NearGoal { undone }, seed);
                 world.reset(&near, Catalogue::builtin()).unwrap();
-                let loose = |p: &&blueprints::Placement| {
-                    world.scene().joints.iter().all(|j| j.a != p.block && j.b != p.block)
-                };
+                let loose =
+                    |p: &&blueprints::Placement| world.scene().joints.iter().all(|j| j.a != p.block && j.b != p.block);
                 let n_loose = blueprint.placements().iter().filter(loose).count();
                 // A single block that is left has no connection either.
                 let all_but_one = usize::from(undone) + 1 == blueprint.n_blocks();

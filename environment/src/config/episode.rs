@@ -21,7 +21,7 @@ pub struct ResetConfig {
     /// Near-goal starts: a block that was taken off lies with its centre at most this much farther from its place, in
     /// x and in y, than it must to be free, m, 0.01 to 1. Default 0.15.
     pub near_goal_m: f32,
-    /// Near-goal starts: it is turned by up to this much from its wanted yaw, rad, 0 to 3.1416. Default 0.3.
+    /// Near-goal starts: it is turned by up to this much from its wanted yaw, rad, 0 to 3.2. Default 0.3.
     pub yaw_noise_rad: f32,
 }
 
@@ -114,7 +114,7 @@ impl ResetConfig {
         check("reset.max_slenderness", self.max_slenderness, 1.0, 4.0)?;
         check("reset.structure_offset_m", self.structure_offset_m, 0.0, 1.0)?;
         check("reset.near_goal_m", self.near_goal_m, 0.01, 1.0)?;
-        check("reset.yaw_noise_rad", self.yaw_noise_rad, 0.0, 3.1416)
+        check("reset.yaw_noise_rad", self.yaw_noise_rad, 0.0, 3.2)
     }
 }
 

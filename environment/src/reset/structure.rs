@@ -42,8 +42,7 @@ pub(super) fn remaining_after(blueprint: &Blueprint, undone: u8, rng: &mut ChaCh
         let mut order = kept.clone();
         order.shuffle(rng);
         let without = |block: BlockIdx| kept.iter().copied().filter(|&b| b != block).collect::<Vec<_>>();
-        let mut choices: Vec<_> =
-            order.into_iter().map(without).filter(|rest| is_connected(blueprint, rest)).collect();
+        let mut choices: Vec<_> = order.into_iter().map(without).filter(|rest| is_connected(blueprint, rest)).collect();
         let standing = choices.iter().position(|rest| stands(blueprint, rest));
         // A connected structure always has a block whose loss leaves it connected.
         kept = choices.swap_remove(standing.unwrap_or(0));
