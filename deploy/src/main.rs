@@ -1,1 +1,21 @@
-fn main() {}
+//! Entry point of the program `lodestone`.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use deploy::cli::Cli;
+use deploy::live::Terminal;
+use deploy::{commands, telemetry};
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let terminal = Terminal::default();
+    telemetry::init(cli.log_format, &terminal);
+    match commands::execute(cli.command, &terminal) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            failure.exit_code()
+        }
+    }
+}

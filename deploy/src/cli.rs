@@ -1,0 +1,270 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use blueprints::Split;
+use clap::builder::PossibleValuesParser;
+use clap::{Args, Parser, Subcommand};
+
+use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
+use crate::run_dir::CONFIG_FILE;
+use crate::telemetry::LogFormat;
+
+/// Trains an agent to assemble magnet blocks into blueprints.
+#[derive(Debug, Parser)]
+#[command(name = "lodestone", version, max_term_width = 100, arg_required_else_help = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// How log lines look; RUST_LOG says which there are.
+    #[arg(long, global = true, value_enum, default_value_t, env = "LODESTONE_LOG_FORMAT")]
+    pub log_format: LogFormat,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Train with everything in this one process.
+    Train(TrainArgs),
+    /// Step worlds and send trajectories to the learner of a run.
+    Actor(MemberArgs),
+    /// Train on the trajectories of a run's actors.
+    Learner(LearnerArgs),
+    /// Judge the weights of a run as they come.
+    Evaluator(EvaluatorArgs),
+    /// Connect the processes of runs, and nothing else.
+    Router(RouterArgs),
+    /// Judge a checkpoint.
+    Eval(EvalArgs),
+    /// Look at blueprints.
+    #[command(subcommand)]
+    Blueprints(BlueprintsCommand),
+}
+
+/// Where the configuration comes from.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ConfigArgs {
+    /// Configuration file; keys that it lacks have their defaults.
+    #[arg(long, value_name = "FILE", env = "LODESTONE_CONFIG", conflicts_with = "preset")]
+    pub config: Option<PathBuf>,
+    /// Configuration that comes with the program [default: quickstart].
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
+    pub preset: Option<String>,
+    /// Set one key of the configuration, for example actor.n_worlds=16; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Seed of everything random.
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(i64).range(0..))]
+    pub seed: Option<i64>,
+    /// Where the network runs: cpu or gpu.
+    #[arg(long, value_name = "DEVICE", value_parser = PossibleValuesParser::new(["cpu", "gpu"]))]
+    pub device: Option<String>,
+    /// Name of the run; processes with the same name and router work together.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<String>,
+    /// Print the configuration that results and end.
+    #[arg(long)]
+    pub print_config: bool,
+}
+
+/// Arguments of `train`.
+#[derive(Debug, Args)]
+pub struct TrainArgs {
+    /// The configuration.
+    #[command(flatten)]
+    pub config: ConfigArgs,
+    /// The run.
+    #[command(flatten)]
+    pub run: RunArgs,
+    /// Threads that step worlds.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
+    pub actors: Option<i64>,
+    /// Let other processes join here, for example tcp/127.0.0.1:7447; may be repeated.
+    #[arg(long, value_name = "ENDPOINT")]
+    pub listen: Vec<String>,
+}
+
+/// What a learner writes and how long it goes on.
+#[derive(Clone, Debug, Default, Args)]
+pub struct RunArgs {
+    /// End after this many environment steps, those before a resume included.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..))]
+    pub steps: Option<i64>,
+    /// Folder for checkpoints and metrics [default: runs/<date>-<name>].
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
+    /// Continue the run in this folder, with its configuration.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["config", "preset"])]
+    pub resume: Option<PathBuf>,
+}
+
+/// Endpoints of a process that joins others.
+#[derive(Clone, Debug, Default, Args)]
+pub struct EndpointArgs {
+    /// Endpoint of the router, for example tcp/127.0.0.1:7447 or unixsock-stream//tmp/bus.sock; may be repeated.
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',')]
+    pub connect: Vec<String>,
+    /// Be a router oneself and listen here; may be repeated.
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',')]
+    pub listen: Vec<String>,
+}
+
+/// Arguments of a process that joins a run.
+#[derive(Debug, Args)]
+pub struct MemberArgs {
+    /// The configuration, which must be that of the learner.
+    #[command(flatten)]
+    pub config: ConfigArgs,
+    /// The bus.
+    #[command(flatten)]
+    pub endpoints: EndpointArgs,
+    /// Name among its kind: 1 to 64 characters of a-z, 0-9 and - [default: the process id].
+    #[arg(long, value_name = "ID", env = "LODESTONE_ID")]
+    pub id: Option<String>,
+}
+
+/// Arguments of `learner`.
+#[derive(Debug, Args)]
+pub struct LearnerArgs {
+    /// As for all members of a run.
+    #[command(flatten)]
+    pub member: MemberArgs,
+    /// The run.
+    #[command(flatten)]
+    pub run: RunArgs,
+}
+
+/// Arguments of `evaluator`.
+#[derive(Debug, Args)]
+pub struct EvaluatorArgs {
+    /// As for all members of a run.
+    #[command(flatten)]
+    pub member: MemberArgs,
+    /// Append reports to metrics.jsonl in this folder.
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
+}
+
+/// Arguments of `router`.
+#[derive(Debug, Args)]
+pub struct RouterArgs {
+    /// Where processes find it, for example tcp/0.0.0.0:7447; may be repeated.
+    #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_LISTEN", value_delimiter = ',')]
+    pub listen: Vec<String>,
+    /// Other routers to connect to; may be repeated.
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',')]
+    pub connect: Vec<String>,
+}
+
+/// Arguments of `eval`.
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// Folder of a run, for its newest checkpoint, or of one checkpoint.
+    #[arg(long, value_name = "DIR")]
+    pub checkpoint: PathBuf,
+    /// All of this part of the catalogue: train, test, test-literal, test-longest or test-tallest [default: what the run's
+    /// evaluator judges].
+    #[arg(long, value_name = "S")]
+    pub split: Option<Split>,
+    /// Episodes per blueprint and way of acting.
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub episodes: u32,
+    /// Print the report as JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What to do with blueprints.
+#[derive(Debug, Subcommand)]
+pub enum BlueprintsCommand {
+    /// List the catalogue, or that in a folder.
+    List(BlueprintsArgs),
+    /// Check blueprint files or folders of them, or the catalogue.
+    Check(BlueprintsArgs),
+}
+
+/// Arguments of `blueprints list` and `blueprints check`.
+#[derive(Debug, Args)]
+pub struct BlueprintsArgs {
+    /// Files or folders [default: the catalogue that comes with the program].
+    #[arg(value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl ConfigArgs {
+    /// The configuration of all layers, valid but for what later flags change.
+    ///
+    /// `resume` takes the place of the file; `flags` come last. The result is not validated.
+    ///
+    /// # Errors
+    /// Names file, variable or flag and what would be valid.
+    pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Config, ConfigError> {
+        let file = resume.map(|folder| folder.join(CONFIG_FILE)).or_else(|| self.config.clone());
+        let (text, origin) = match file {
+            Some(path) => {
+                let text = std::fs::read_to_string(&path)
+                    .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+                (text, path.display().to_string())
+            }
+            None => {
+                let preset = Preset::find(self.preset.as_deref().unwrap_or(DEFAULT_PRESET))?;
+                (preset.text.to_owned(), format!("preset {}", preset.name))
+            }
+        };
+        let mut overrides = Override::from_variables(std::env::vars());
+        for text in &self.set {
+            overrides.push(Override::parse(text)?);
+        }
+        overrides.extend(self.seed.map(|seed| Override::flag("--seed", "seed", seed)));
+        overrides.extend(self.device.clone().map(|device| Override::flag("--device", "device", device)));
+        overrides.extend(self.run.clone().map(|run| Override::flag("--run", "bus.run", run)));
+        overrides.extend(flags);
+        merge(&text, &origin, &overrides)
+    }
+}
+
+impl RunArgs {
+    /// The flags that change the configuration.
+    pub fn overrides(&self) -> Vec<Override> {
+        self.steps.map(|steps| Override::flag("--steps", "n_env_steps", steps)).into_iter().collect()
+    }
+}
+
+impl EndpointArgs {
+    /// The flags that change the configuration: whoever listens is a router, everyone else a client.
+    pub fn overrides(&self) -> Vec<Override> {
+        let mode = if self.listen.is_empty() { "client" } else { "router" };
+        let mut overrides = vec![Override::flag("--listen", "bus.mode", mode)];
+        if !self.connect.is_empty() {
+            overrides.push(Override::flag("--connect", "bus.connect", self.connect.clone()));
+        }
+        if !self.listen.is_empty() {
+            overrides.push(Override::flag("--listen", "bus.listen", self.listen.clone()));
+        }
+        overrides
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_contradicts_itself_nowhere() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn flags_win_over_the_preset() {
+        let flags = ["lodestone", "train", "--preset", "paper", "--seed", "7", "--steps", "1000"];
+        let Command::Train(args) = Cli::try_parse_from(flags).unwrap().command else { panic!("not train") };
+        let config = args.config.load(None, args.run.overrides()).unwrap();
+        assert_eq!((config.seed, config.n_env_steps, config.bus.run.as_str()), (7, 1000, "paper"));
+    }
+}

@@ -1,0 +1,109 @@
+//! `blueprints list` and `blueprints check`.
+
+use std::path::PathBuf;
+
+use blueprints::catalogue::{BUILTIN_FILES, read_files};
+use blueprints::checks::{CheckResult, Outcome, Report, check_all};
+use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
+use serde::Serialize;
+
+use crate::cli::{BlueprintsArgs, BlueprintsCommand};
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// A line of `blueprints list`.
+#[derive(Debug, Serialize)]
+struct Row<'a> {
+    id: &'a BlueprintId,
+    split: Split,
+    n_blocks: usize,
+    n_connections: usize,
+    title: &'a str,
+}
+
+/// An entry of `blueprints check --json`.
+#[derive(Debug, Serialize)]
+struct Verdict<'a> {
+    file: &'a str,
+    id: Option<&'a BlueprintId>,
+    passed: bool,
+    checks: &'a [CheckResult],
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When a file cannot be read, or a check fails.
+pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
+    match command {
+        BlueprintsCommand::List(args) => list(args, terminal),
+        BlueprintsCommand::Check(args) => check(args, terminal),
+    }
+}
+
+fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let loaded = args.paths.iter().map(|path| Catalogue::load(path)).collect::<Result<Vec<_>, _>>()?;
+    let catalogues = if loaded.is_empty() { std::slice::from_ref(Catalogue::builtin()) } else { &loaded };
+    let rows: Vec<Row<'_>> = catalogues.iter().flat_map(Catalogue::iter).map(row).collect();
+    if args.json {
+        terminal.print(&json(&rows));
+        return Ok(());
+    }
+    terminal.print(&format!("{:<16}{:<14}{:>7}{:>13}  title", "id", "split", "blocks", "connections"));
+    for row in &rows {
+        let (id, split) = (row.id.to_string(), row.split.to_string());
+        terminal.print(&format!("{id:<16}{split:<14}{:>7}{:>13}  {}", row.n_blocks, row.n_connections, row.title));
+    }
+    Ok(())
+}
+
+fn row(blueprint: &Blueprint) -> Row<'_> {
+    Row {
+        id: blueprint.id(),
+        split: blueprint.split(),
+        n_blocks: blueprint.n_blocks(),
+        n_connections: blueprint.links().len(),
+        title: blueprint.title(),
+    }
+}
+
+fn check(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let files = files(&args.paths)?;
+    let reports = check_all(files.iter().map(|(file, text)| (file.as_str(), text.as_str())));
+    if args.json {
+        let verdicts: Vec<Verdict<'_>> = reports.iter().map(verdict).collect();
+        terminal.print(&json(&verdicts));
+    } else {
+        reports.iter().for_each(|report| terminal.print(&line(report)));
+    }
+    let n_failed = reports.iter().filter(|report| !report.passed()).count();
+    match n_failed {
+        0 => Ok(()),
+        _ => Err(Failure::Blueprints { n_failed, n_files: reports.len() }),
+    }
+}
+
+/// The files of all paths, or those of the program.
+fn files(paths: &[PathBuf]) -> Result<Vec<(String, String)>, Failure> {
+    if paths.is_empty() {
+        return Ok(BUILTIN_FILES.iter().map(|(file, text)| ((*file).to_owned(), (*text).to_owned())).collect());
+    }
+    Ok(paths.iter().map(|path| read_files(path)).collect::<Result<Vec<_>, _>>()?.concat())
+}
+
+fn verdict(report: &Report) -> Verdict<'_> {
+    Verdict { file: &report.file, id: report.id.as_ref(), passed: report.passed(), checks: &report.results }
+}
+
+/// Whether all is well, else what is wrong.
+fn line(report: &Report) -> String {
+    let error = report.results.iter().find_map(|result| match &result.outcome {
+        Outcome::Failed { error } => Some(error),
+        Outcome::Passed | Outcome::Skipped => None,
+    });
+    format!("{}: {}", report.file, error.map_or("ok", String::as_str))
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string_pretty(value).expect("plain structs are JSON")
+}

@@ -1,0 +1,95 @@
+//! What the subcommands do.
+
+mod blueprints;
+mod eval;
+mod router;
+mod services;
+mod train;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use tokio_util::sync::CancellationToken;
+
+use crate::cli::{Command, ConfigArgs};
+use crate::config::{Config, Override};
+use crate::exit::Failure;
+use crate::live::Terminal;
+use crate::signals;
+
+/// Threads for the bus and the services' waiting; stepping and training have threads of their own.
+const N_RUNTIME_THREADS: usize = 2;
+
+/// Longest time that threads outside the runtime may take to end after everything else has.
+const LAST_THREADS: Duration = Duration::from_secs(10);
+
+/// Runs a subcommand to its end.
+///
+/// # Errors
+/// Says what failed; see [`Failure`] for the kinds.
+pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
+    match command {
+        Command::Blueprints(command) => blueprints::run(&command, terminal),
+        Command::Eval(args) => eval::run(&args, terminal),
+        Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
+        Command::Train(args) => {
+            let listen =
+                (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
+            let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));
+            let flags = args.run.overrides().into_iter().chain(listen).chain(actors).collect();
+            let Some(config) = configure(&args.config, args.run.resume.as_ref(), flags, terminal)? else {
+                return Ok(());
+            };
+            on_runtime(async |shutdown| train::run(&config, &args.run, terminal, shutdown).await)
+        }
+        Command::Actor(args) => {
+            let flags = args.endpoints.overrides();
+            let Some(config) = configure(&args.config, None, flags, terminal)? else { return Ok(()) };
+            on_runtime(async |shutdown| services::run_actor(&config, args.id.clone(), shutdown).await)
+        }
+        Command::Learner(args) => {
+            let flags = [args.member.endpoints.overrides(), args.run.overrides()].concat();
+            let Some(config) = configure(&args.member.config, args.run.resume.as_ref(), flags, terminal)? else {
+                return Ok(());
+            };
+            on_runtime(async |shutdown| services::run_learner(&config, &args.run, terminal, shutdown).await)
+        }
+        Command::Evaluator(args) => {
+            let flags = args.member.endpoints.overrides();
+            let Some(config) = configure(&args.member.config, None, flags, terminal)? else { return Ok(()) };
+            on_runtime(async |shutdown| services::run_evaluator(&config, &args, terminal, shutdown).await)
+        }
+    }
+}
+
+/// The valid configuration, or `None` after printing it when that was asked for.
+fn configure(
+    args: &ConfigArgs,
+    resume: Option<&PathBuf>,
+    flags: Vec<Override>,
+    terminal: &Terminal,
+) -> Result<Option<Config>, Failure> {
+    let config = args.load(resume, flags)?;
+    config.validate()?;
+    if args.print_config {
+        terminal.print(&config.to_toml());
+        return Ok(None);
+    }
+    Ok(Some(config))
+}
+
+/// Runs `command` on a runtime, with a token that the first signal cancels.
+fn on_runtime(command: impl AsyncFnOnce(CancellationToken) -> Result<(), Failure>) -> Result<(), Failure> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(N_RUNTIME_THREADS)
+        .enable_all()
+        .build()
+        .map_err(|error| Failure::Service(error.into()))?;
+    let ended = runtime.block_on(async {
+        let shutdown = CancellationToken::new();
+        signals::cancel_on_signal(shutdown.clone())?;
+        command(shutdown).await
+    });
+    runtime.shutdown_timeout(LAST_THREADS);
+    ended
+}

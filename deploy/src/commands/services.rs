@@ -1,0 +1,138 @@
+//! The services as processes of their own, and as parts of `train`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use blueprints::Catalogue;
+use evaluator::{EvalReport, EvaluatorSetup};
+use learner::run::METRICS;
+use learner::{LearnerSetup, RunOptions};
+use proto::ActorId;
+use proto::bus::Bus;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use crate::cli::{EvaluatorArgs, RunArgs};
+use crate::config::{Config, ConfigError};
+use crate::exit::Failure;
+use crate::live::{self, Terminal};
+use crate::run_dir::RunDir;
+
+/// Runs `actor`.
+pub(super) async fn run_actor(config: &Config, id: Option<String>, shutdown: CancellationToken) -> Result<(), Failure> {
+    let id = actor_id(id)?;
+    on_bus(config, async |bus| actor(config.clone(), id, bus, shutdown).await).await
+}
+
+/// Runs `learner`.
+pub(super) async fn run_learner(
+    config: &Config,
+    args: &RunArgs,
+    terminal: &Terminal,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let setup = learner_setup(config)?;
+    let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
+    terminal.print(&format!("everything goes to {}", run_dir.path().display()));
+    let options = run_options(setup, config, &run_dir, args.resume.clone());
+    on_bus(config, async |bus| learner(options, bus, shutdown).await).await
+}
+
+/// Runs `evaluator`, which prints its reports.
+pub(super) async fn run_evaluator(
+    config: &Config,
+    args: &EvaluatorArgs,
+    terminal: &Terminal,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let id = args.member.id.clone().unwrap_or_else(|| format!("evaluator-{}", std::process::id()));
+    let setup = evaluator_setup(config, id, args.run_dir.as_deref());
+    let (reports, judged) = watch::channel(None);
+    let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
+    let ended = on_bus(config, async |bus| evaluator(setup, reports, bus, shutdown).await).await;
+    shown.await.map_err(|panic| Failure::Service(panic.into()))?;
+    ended
+}
+
+/// Joins the bus for as long as `service` runs.
+async fn on_bus(config: &Config, service: impl AsyncFnOnce(Bus) -> Result<(), Failure>) -> Result<(), Failure> {
+    let bus = Bus::open(&config.bus).await?;
+    let ended = service(bus.clone()).await;
+    bus.close().await?;
+    ended
+}
+
+/// An actor's life; its seed differs from that of others of the same run.
+pub(super) async fn actor(config: Config, id: ActorId, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
+    let seed = config.seed ^ fnv1a64(id.as_str());
+    actor::run(config.actor, config.policy, config.environment, id, seed, &bus, shutdown).await?;
+    Ok(())
+}
+
+/// A learner's life.
+pub(super) async fn learner(options: RunOptions, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
+    learner::run(options, &bus, shutdown).await?;
+    Ok(())
+}
+
+/// An evaluator's life.
+pub(super) async fn evaluator(
+    setup: EvaluatorSetup,
+    reports: watch::Sender<Option<Arc<EvalReport>>>,
+    bus: Bus,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    evaluator::run(setup, &bus, reports, shutdown).await?;
+    Ok(())
+}
+
+/// What an evaluator needs; its reports are appended to the metrics in `run_dir`.
+pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path>) -> EvaluatorSetup {
+    EvaluatorSetup {
+        config: config.evaluator.clone(),
+        policy: config.policy.clone(),
+        environment: config.environment.clone(),
+        id,
+        seed: config.seed,
+        history: run_dir.map(|folder| folder.join(METRICS)),
+    }
+}
+
+/// What a learner is made of; says why the device or the choice of goals cannot be used before anything is written.
+pub(super) fn learner_setup(config: &Config) -> Result<LearnerSetup, Failure> {
+    config.device.open().map_err(|error| invalid("device", error))?;
+    let catalogue = Catalogue::builtin();
+    let tasks = config.actor.tasks.filter.select(catalogue).map_err(|error| invalid("actor.tasks.filter", error))?;
+    Ok(LearnerSetup {
+        config: config.learner.clone(),
+        policy: config.policy.clone(),
+        catalogue: catalogue.clone().into(),
+        tasks,
+        seed: config.seed,
+        device: config.device,
+    })
+}
+
+/// What a learner is told of this run.
+pub(super) fn run_options(
+    setup: LearnerSetup,
+    config: &Config,
+    run_dir: &RunDir,
+    resume: Option<PathBuf>,
+) -> RunOptions {
+    RunOptions { setup, run_dir: run_dir.path().to_owned(), resume, max_env_steps: Some(config.n_env_steps) }
+}
+
+fn actor_id(id: Option<String>) -> Result<ActorId, Failure> {
+    let id = id.unwrap_or_else(|| format!("actor-{}", std::process::id()));
+    ActorId::try_from(id).map_err(|error| Failure::Usage(format!("--id: {error}")))
+}
+
+fn invalid(origin: &str, message: impl std::fmt::Display) -> Failure {
+    ConfigError::Invalid { origin: origin.to_owned(), message: message.to_string() }.into()
+}
+
+/// FNV-1a, which is the same in every process and version.
+fn fnv1a64(text: &str) -> u64 {
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}

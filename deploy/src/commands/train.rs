@@ -1,0 +1,85 @@
+//! `train`: learner, actors and evaluator in this process, on a bus of its own.
+
+use proto::ActorId;
+use proto::bus::Bus;
+use proto::keys::{METRICS_LEARNER, Role};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+use super::services;
+use crate::cli::RunArgs;
+use crate::config::Config;
+use crate::exit::Failure;
+use crate::live::{self, Terminal};
+use crate::run_dir::RunDir;
+
+/// Name of the actor and the evaluator of this process, beside which others may join.
+const LOCAL: &str = "local";
+
+/// Trains until the number of steps is reached, a service fails, or `shutdown`.
+///
+/// # Errors
+/// The first failure of a service, after all others were stopped and the learner has saved.
+pub(super) async fn run(
+    config: &Config,
+    args: &RunArgs,
+    terminal: &Terminal,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let setup = services::learner_setup(config)?;
+    let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
+    terminal.print(&introduction(config, args, &run_dir));
+    let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
+    let bus = Bus::open(&config.bus).await?;
+    let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
+    let actors = bus.alive(Role::Actor).await?;
+    let learning = tokio::spawn(live::show_learning(metrics, actors, terminal.clone(), config.n_env_steps));
+    let (reports, judged) = watch::channel(None);
+    let judging = tokio::spawn(live::show_reports(judged, terminal.clone()));
+
+    let mut running = JoinSet::new();
+    let options = services::run_options(setup, config, &run_dir, args.resume.clone());
+    let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
+    running.spawn(services::learner(options, bus.clone(), shutdown.clone()));
+    running.spawn(services::actor(config.clone(), id, bus.clone(), shutdown.clone()));
+    running.spawn(services::evaluator(evaluator, reports, bus.clone(), shutdown.clone()));
+    let mut ended = Ok(());
+    while let Some(service) = running.join_next().await {
+        // Whoever ends, well or not, ends the run: the others have nothing to do without it.
+        shutdown.cancel();
+        let result = service.map_err(|panic| Failure::Service(panic.into())).flatten();
+        ended = ended.and(result);
+    }
+    bus.close().await?;
+    for shown in [learning, judging] {
+        shown.await.map_err(|panic| Failure::Service(panic.into()))?;
+    }
+    ended?;
+    terminal.print(&farewell(&run_dir));
+    Ok(())
+}
+
+fn introduction(config: &Config, args: &RunArgs, run_dir: &RunDir) -> String {
+    let (actor, path) = (&config.actor, run_dir.path().display());
+    let how = if args.resume.is_some() { "continuing" } else { "training" };
+    let listening = match &config.bus.listen[..] {
+        [] => String::new(),
+        endpoints => format!("\nothers can join at {}, run `{}`", endpoints.join(" and "), config.bus.run),
+    };
+    format!(
+        "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}\n\
+         everything goes to {path}; Ctrl-C saves and ends{listening}",
+        config.bus.run, config.n_env_steps, actor.n_threads, actor.n_worlds, config.seed,
+    )
+}
+
+fn farewell(run_dir: &RunDir) -> String {
+    let path = run_dir.path().display();
+    // As it was called, so that the lines can be pasted.
+    let program = std::env::args().next().unwrap_or_else(|| "lodestone".to_owned());
+    format!(
+        "\nsaved in {path}\n  judge it: {program} eval --checkpoint {path}\n  \
+         carry on: {program} train --resume {path} --steps N"
+    )
+}

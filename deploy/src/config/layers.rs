@@ -1,0 +1,205 @@
+//! The layers over a file: variables and flags, each of which sets one key.
+
+use super::{Config, ConfigError, Preset};
+
+/// Begins the name of every variable that sets a key.
+const PREFIX: &str = "LODESTONE_";
+
+/// One key set from outside the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Override {
+    /// The variable or flag, for messages.
+    pub origin: String,
+    /// The key with its sections, for example `["learner", "gamma"]`.
+    pub path: Vec<String>,
+    /// The value.
+    pub value: toml::Value,
+}
+
+impl Override {
+    /// A flag that stands for the dotted key `path`.
+    pub fn flag(flag: &str, path: &str, value: impl Into<toml::Value>) -> Self {
+        Self { origin: flag.to_owned(), path: path.split('.').map(str::to_owned).collect(), value: value.into() }
+    }
+
+    /// `KEY=VALUE` as given to `--set`; the value is TOML, or a string where it is none.
+    ///
+    /// # Errors
+    /// When there is no `=` or nothing before it.
+    pub fn parse(text: &str) -> Result<Self, ConfigError> {
+        let origin = format!("--set {text}");
+        match text.split_once('=') {
+            Some((key, value)) if !key.trim().is_empty() => {
+                Ok(Self { value: parse_value(value), ..Self::flag(&origin, key.trim(), "") })
+            }
+            _ => Err(ConfigError::Value { origin, message: "expected KEY=VALUE, for example seed=7".to_owned() }),
+        }
+    }
+
+    /// The overrides among these variables, in the order of their names.
+    ///
+    /// `LODESTONE_LEARNER__GAMMA` sets `learner.gamma`. Only names with two underscores between section and key count,
+    /// and `LODESTONE_SEED`, `LODESTONE_RUN` and `LODESTONE_DEVICE`: Kubernetes puts variables such as
+    /// `LODESTONE_PORT_7447_TCP` into every container beside a service of our name, which must not be taken for settings.
+    pub fn from_variables(variables: impl IntoIterator<Item = (String, String)>) -> Vec<Self> {
+        let mut overrides: Vec<Self> = variables
+            .into_iter()
+            .filter_map(|(name, value)| {
+                let key = name.strip_prefix(PREFIX)?.to_ascii_lowercase();
+                let counts = key.contains("__") || ["seed", "run", "device"].contains(&key.as_str());
+                counts.then(|| Self {
+                    path: key.split("__").map(str::to_owned).collect(),
+                    value: parse_value(&value),
+                    origin: name,
+                })
+            })
+            .collect();
+        overrides.sort_by(|a, b| a.origin.cmp(&b.origin));
+        overrides
+    }
+
+    /// Sets the key in `table`, whose other keys stay.
+    fn apply(&self, table: &mut toml::Table) -> Result<(), ConfigError> {
+        let Some((key, sections)) = self.path.split_last() else { return Ok(()) };
+        let mut table = table;
+        for section in sections {
+            let entry = table.entry(section).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+            let message = format!("`{section}` is a value, not a section");
+            table = entry.as_table_mut().ok_or_else(|| ConfigError::Value { origin: self.origin.clone(), message })?;
+        }
+        table.insert(key.clone(), self.value.clone());
+        Ok(())
+    }
+}
+
+/// Puts `overrides` over the file `text`, in their order.
+///
+/// # Errors
+/// Names the file with its line, or the variable or flag, that has an unknown key or a value of the wrong type.
+pub fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, ConfigError> {
+    let mut table = with_base(text, origin)?;
+    let mut config = to_config(&table, origin)?;
+    for layer in overrides {
+        layer.apply(&mut table)?;
+        // One at a time, so that an error can be laid at the right door.
+        config = to_config(&table, &layer.origin)?;
+    }
+    Ok(config)
+}
+
+/// The keys of the file `text` over those of its base.
+fn with_base(text: &str, origin: &str) -> Result<toml::Table, ConfigError> {
+    let refused = |error: toml::de::Error| ConfigError::from_toml(&error, Some(text), origin);
+    // Read as a configuration first, only because such an error knows its line.
+    let file: Config = toml::from_str(text).map_err(refused)?;
+    let mut keys: toml::Table = toml::from_str(text).map_err(refused)?;
+    keys.remove("base");
+    match file.base {
+        None => Ok(keys),
+        Some(base) => {
+            let preset = Preset::find(&base)?;
+            let mut table = with_base(preset.text, preset.name)?;
+            put_over(&mut table, keys);
+            Ok(table)
+        }
+    }
+}
+
+/// Replaces single keys; of a choice by `kind`, other kinds' keys go.
+fn put_over(table: &mut toml::Table, keys: toml::Table) {
+    for (key, value) in keys {
+        match (table.get_mut(&key), value) {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new)) if old.get("kind") == new.get("kind") => {
+                put_over(old, new);
+            }
+            (_, value) => {
+                table.insert(key, value);
+            }
+        }
+    }
+}
+
+fn to_config(table: &toml::Table, origin: &str) -> Result<Config, ConfigError> {
+    table.clone().try_into().map_err(|error| ConfigError::from_toml(&error, None, origin))
+}
+
+fn parse_value(text: &str) -> toml::Value {
+    let parsed: Result<toml::Table, _> = toml::from_str(&format!("value = {text}"));
+    parsed
+        .ok()
+        .and_then(|mut table| table.remove("value"))
+        .unwrap_or_else(|| toml::Value::String(text.trim().to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_toml_or_else_strings() {
+        for (text, expected) in [
+            ("3", toml::Value::Integer(3)),
+            ("1e-3", toml::Value::Float(1e-3)),
+            ("true", toml::Value::Boolean(true)),
+            ("\"3\"", toml::Value::String("3".into())),
+            ("tcp/127.0.0.1:7447", toml::Value::String("tcp/127.0.0.1:7447".into())),
+        ] {
+            assert_eq!(parse_value(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn later_layers_win() {
+        let environment = Override::from_variables([("LODESTONE_SEED".to_owned(), "2".to_owned())]);
+        assert_eq!(merge("seed = 1", "file", &[]).unwrap().seed, 1);
+        assert_eq!(merge("seed = 1", "file", &environment).unwrap().seed, 2);
+        let all = [environment, vec![Override::flag("--seed", "seed", 3)]].concat();
+        assert_eq!(merge("seed = 1", "file", &all).unwrap().seed, 3);
+    }
+
+    #[test]
+    fn a_file_is_put_over_its_base() {
+        let paper = merge("base = \"paper\"", "file", &[]).unwrap();
+        let config = merge("base = \"paper\"\n[actor]\nn_worlds = 3", "file", &[]).unwrap();
+        assert_eq!(config.actor.n_worlds, 3);
+        assert_eq!((config.policy, config.learner), (paper.policy, paper.learner));
+        let unknown = merge("base = \"papr\"", "file", &[]).unwrap_err().to_string();
+        assert!(unknown.starts_with("there is no preset `papr`; did you mean `paper`?"), "{unknown}");
+    }
+
+    #[test]
+    fn only_variables_that_look_like_keys_count() {
+        let variables = [
+            ("LODESTONE_PORT_7447_TCP", "tcp://10.0.0.1:7447"),
+            ("LODESTONE_GOLDEN_DIR", "golden"),
+            ("LODESTONE_ACTOR__N_WORLDS", "8"),
+            ("HOME", "/"),
+        ];
+        let overrides = Override::from_variables(variables.map(|(name, value)| (name.to_owned(), value.to_owned())));
+        assert_eq!(overrides.len(), 1);
+        assert_eq!(overrides[0].path, ["actor", "n_worlds"]);
+        assert_eq!(merge("", "defaults", &overrides).unwrap().actor.n_worlds, 8);
+    }
+
+    #[test]
+    fn errors_name_the_layer_and_the_nearest_key() {
+        let message = |text: &str, set: &str| {
+            let overrides = Override::parse(set).map(|layer| vec![layer]);
+            overrides.and_then(|overrides| merge(text, "my.toml", &overrides)).unwrap_err().to_string()
+        };
+        for (text, set, expected) in [
+            (
+                "seed = 1\n\n[actor]\nn_wrlds = 3",
+                "seed=1",
+                "my.toml:4: unknown key `n_wrlds`; did you mean `n_worlds`?",
+            ),
+            ("", "actor.n_wrlds=3", "--set actor.n_wrlds=3: unknown key `n_wrlds`; did you mean `n_worlds`?"),
+            ("seed = 1", "seed.x=3", "--set seed.x=3: `seed` is a value, not a section"),
+            ("", "seed", "--set seed: expected KEY=VALUE, for example seed=7"),
+        ] {
+            assert_eq!(message(text, set), expected);
+        }
+        let wrong_type = message("", "seed=abc");
+        assert!(wrong_type.starts_with("--set seed=abc: invalid type: string \"abc\", expected u64"), "{wrong_type}");
+    }
+}

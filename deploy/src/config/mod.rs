@@ -1,0 +1,118 @@
+//! The configuration: one tree, shaped like the crates, each of which owns, documents and checks its section.
+//!
+//! Layers, each over the one before: defaults, a preset or file, `LODESTONE_*` variables, flags. Unknown keys are refused.
+
+mod error;
+mod layers;
+mod presets;
+
+use actor::{ActorConfig, EnvironmentConfig, PolicyConfig};
+use evaluator::EvaluatorConfig;
+use learner::{DeviceKind, LearnerConfig};
+use proto::bus::BusConfig;
+use serde::{Deserialize, Serialize};
+
+pub use error::ConfigError;
+pub use layers::{Override, merge};
+pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
+
+/// Largest seed: TOML's integers are signed.
+const MAX_SEED: u64 = i64::MAX as u64;
+
+/// Everything that determines a run, but for the endpoints and folders of the machine it runs on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// In a file: the preset that the file's keys are put over. Default none: over the defaults.
+    #[serde(skip_serializing)]
+    pub base: Option<String>,
+    /// Determines weights, tasks, actions and evaluation episodes, 0 to 2⁶³ − 1. Default 1.
+    pub seed: u64,
+    /// `train` and `learner` end when they have consumed this many environment steps, at least 1. Default 10 000 000.
+    pub n_env_steps: u64,
+    /// Where the network runs. Default `cpu`.
+    pub device: DeviceKind,
+    /// How the processes of a run find each other.
+    pub bus: BusConfig,
+    /// The world.
+    pub environment: EnvironmentConfig,
+    /// Features, network and action distribution.
+    pub policy: PolicyConfig,
+    /// Rollouts.
+    pub actor: ActorConfig,
+    /// Training.
+    pub learner: LearnerConfig,
+    /// Evaluation.
+    pub evaluator: EvaluatorConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            base: None,
+            seed: 1,
+            n_env_steps: 10_000_000,
+            device: DeviceKind::default(),
+            bus: BusConfig::default(),
+            environment: EnvironmentConfig::default(),
+            policy: PolicyConfig::default(),
+            actor: ActorConfig::default(),
+            learner: LearnerConfig::default(),
+            evaluator: EvaluatorConfig::default(),
+        }
+    }
+}
+
+impl Config {
+    /// Reads a file's text; keys that neither it nor its base has are at their defaults. `origin` names it in errors.
+    ///
+    /// # Errors
+    /// Names the line of an unknown key, with the nearest one that exists, or of a value of the wrong type.
+    pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        merge(text, origin, &[])
+    }
+
+    /// The whole tree as a file, defaults included.
+    ///
+    /// # Panics
+    /// If a section has a type that TOML cannot express, which the tests exclude.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("every section consists of what TOML can express")
+    }
+
+    /// Checks every value, and what one section expects of another.
+    ///
+    /// # Errors
+    /// Names section and field, the value and the valid range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.check().map_err(|message| ConfigError::Invalid { origin: "configuration".to_owned(), message })
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.seed > MAX_SEED {
+            return Err(format!("seed is {}, valid is 0 to {MAX_SEED}", self.seed));
+        }
+        if self.n_env_steps == 0 {
+            return Err("n_env_steps is 0, valid is at least 1".to_owned());
+        }
+        section("bus", self.bus.validate())?;
+        section("environment", self.environment.validate())?;
+        section("policy", self.policy.validate())?;
+        section("actor", self.actor.validate())?;
+        section("learner", self.learner.validate())?;
+        section("evaluator", self.evaluator.validate())?;
+        let (worlds, network) = (self.environment.n_grippers, self.policy.network.n_grippers);
+        if worlds != network {
+            return Err(format!("environment.n_grippers is {worlds}, but policy.network.n_grippers is {network}"));
+        }
+        Ok(())
+    }
+}
+
+/// Puts the section's name before an error that does not begin with it.
+fn section<E: std::fmt::Display>(name: &str, checked: Result<(), E>) -> Result<(), String> {
+    checked.map_err(|error| {
+        let message = error.to_string();
+        if message.starts_with(name) { message } else { format!("{name}.{message}") }
+    })
+}

@@ -1,0 +1,75 @@
+//! How a command fails, and with which exit code.
+
+use std::process::ExitCode;
+
+use learner::{CheckpointError, LearnerError};
+use proto::bus::BusError;
+
+use crate::config::ConfigError;
+
+/// A failed command.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The command line contradicts itself in a way that the parser cannot see; code 2.
+    #[error("{0}")]
+    Usage(String),
+    /// The configuration cannot be used; code 64.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The bus cannot be opened, or was lost; code 65.
+    #[error("{0:#}")]
+    Bus(anyhow::Error),
+    /// Blueprint files cannot be read or make no catalogue; code 64.
+    #[error(transparent)]
+    Catalogue(#[from] blueprints::CatalogueError),
+    /// Blueprint files failed a check that was asked for; code 64.
+    #[error("{n_failed} of {n_files} blueprints failed a check")]
+    Blueprints {
+        /// Files with a failed check.
+        n_failed: usize,
+        /// Files checked.
+        n_files: usize,
+    },
+    /// A checkpoint or run directory cannot be read or written; code 66.
+    #[error("{0:#}")]
+    Checkpoint(anyhow::Error),
+    /// A service failed while it ran; code 1.
+    #[error("{0:#}")]
+    Service(anyhow::Error),
+}
+
+impl From<BusError> for Failure {
+    fn from(error: BusError) -> Self {
+        Self::Bus(error.into())
+    }
+}
+
+impl From<anyhow::Error> for Failure {
+    /// Finds out from the causes what kind of failure a service's error is.
+    fn from(error: anyhow::Error) -> Self {
+        let is_checkpoint = |cause: &(dyn std::error::Error + 'static)| {
+            let of_learner = cause.downcast_ref::<LearnerError>();
+            cause.is::<CheckpointError>() || matches!(of_learner, Some(LearnerError::Checkpoint(_)))
+        };
+        if error.chain().any(is_checkpoint) {
+            Self::Checkpoint(error)
+        } else if error.chain().any(|cause| cause.is::<BusError>()) {
+            Self::Bus(error)
+        } else {
+            Self::Service(error)
+        }
+    }
+}
+
+impl Failure {
+    /// The process's exit code.
+    pub fn exit_code(&self) -> ExitCode {
+        ExitCode::from(match self {
+            Self::Usage(_) => 2,
+            Self::Config(_) | Self::Catalogue(_) | Self::Blueprints { .. } => 64,
+            Self::Bus(_) => 65,
+            Self::Checkpoint(_) => 66,
+            Self::Service(_) => 1,
+        })
+    }
+}

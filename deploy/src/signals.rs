@@ -1,0 +1,35 @@
+//! SIGINT and SIGTERM: the first drains, the second ends at once.
+
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio_util::sync::CancellationToken;
+
+use crate::exit::Failure;
+
+/// Exit code of a process that a second signal ended, as shells report an interrupted one.
+const INTERRUPTED: i32 = 130;
+
+/// Cancels `shutdown` at the first signal from now on, and exits at the second.
+///
+/// # Errors
+/// When the process may not handle signals.
+pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
+    let handler = |kind| signal(kind).map_err(|error| Failure::Service(anyhow::Error::from(error)));
+    let (mut interrupt, mut terminate) = (handler(SignalKind::interrupt())?, handler(SignalKind::terminate())?);
+    tokio::spawn(async move {
+        any(&mut interrupt, &mut terminate).await;
+        tracing::info!("stopping: saving what there is, a second signal ends at once");
+        shutdown.cancel();
+        any(&mut interrupt, &mut terminate).await;
+        tracing::warn!("ended by a second signal");
+        #[expect(clippy::disallowed_methods, reason = "this is the way out when draining hangs")]
+        std::process::exit(INTERRUPTED);
+    });
+    Ok(())
+}
+
+async fn any(interrupt: &mut Signal, terminate: &mut Signal) {
+    tokio::select! {
+        _ = interrupt.recv() => {}
+        _ = terminate.recv() => {}
+    }
+}

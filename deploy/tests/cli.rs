@@ -1,0 +1,133 @@
+//! What the real program answers to wrong use: the culprit, what would be valid, and the exit code.
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// Runs `lodestone` in `folder` with nothing of ours in its environment but `variables`.
+fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
+    command.args(args).current_dir(folder);
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
+        command.env_remove(name);
+    }
+    command.envs(variables.iter().copied()).output().unwrap()
+}
+
+/// Expects the exit code and all of `words` on stderr.
+fn check_refused(args: &[&str], variables: &[(&str, &str)], file: Option<&str>, code: i32, words: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    if let Some(text) = file {
+        std::fs::write(folder.path().join("my.toml"), text).unwrap();
+    }
+    let output = lodestone(folder.path(), args, variables);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
+    for word in words {
+        assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
+    }
+    assert!(!folder.path().join("runs").exists(), "{args:?} left a run directory behind");
+}
+
+#[test]
+fn wrong_flags_are_named_with_what_is_valid() {
+    for (args, words) in [
+        (&["train", "--step", "5"][..], &["--step", "--steps"][..]),
+        (&["train", "--steps", "0"], &["--steps", "0 is not in 1.."]),
+        (&["train", "--steps", "many"], &["--steps", "many"]),
+        (&["train", "--actors", "65"], &["--actors", "65 is not in 1..=64"]),
+        (&["train", "--preset", "papr"], &["papr", "paper", "quickstart"]),
+        (&["train", "--device", "tpu"], &["--device", "tpu", "cpu", "gpu"]),
+        (&["train", "--preset", "paper", "--config", "my.toml"], &["--preset", "--config", "cannot be used with"]),
+        (&["eval"], &["--checkpoint"]),
+        (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),
+        (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=100000"]),
+        (&["router"], &["--listen"]),
+        (&["tarin"], &["tarin", "train"]),
+    ] {
+        check_refused(args, &[], None, 2, words);
+    }
+}
+
+#[test]
+fn wrong_configurations_are_named_with_what_is_valid() {
+    let with_file = &["train", "--config", "my.toml"][..];
+    for (args, file, words) in [
+        (with_file, None, &["my.toml", "cannot read"][..]),
+        (with_file, Some("seed = 1\n[actor]\nn_wolrds = 3"), &["my.toml:3", "n_wolrds", "did you mean `n_worlds`"]),
+        (with_file, Some("[actor]\nn_worlds = \"three\""), &["my.toml:2", "three"]),
+        (with_file, Some("seed = = 1"), &["my.toml:1"]),
+        (with_file, Some("[actor]\nn_worlds = 0"), &["actor.n_worlds is 0", "1 to 1024"]),
+        (with_file, Some("[learner]\ngamma = 1.5"), &["learner", "gamma", "1.5"]),
+        (
+            with_file,
+            Some("[environment]\nn_grippers = 1"),
+            &["environment.n_grippers is 1", "policy.network.n_grippers"],
+        ),
+        (with_file, Some("base = \"papr\""), &["papr", "did you mean `paper`"]),
+        (&["train", "--set", "actor.n_wolrds=3"], None, &["--set actor.n_wolrds=3", "did you mean `n_worlds`"]),
+        (&["train", "--set", "actor"], None, &["--set actor", "KEY=VALUE"]),
+        (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
+        (&["actor"], None, &["bus.connect is empty", "router"]),
+        (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
+        (&["blueprints", "list", "gone"], None, &["gone", "cannot read"]),
+    ] {
+        check_refused(args, &[], file, 64, words);
+    }
+}
+
+#[test]
+fn a_wrong_variable_is_named() {
+    let variables = [("LODESTONE_LEARNER__GAMA", "0.9")];
+    check_refused(&["train"], &variables, None, 64, &["LODESTONE_LEARNER__GAMA", "did you mean `gamma`"]);
+}
+
+#[test]
+fn a_missing_checkpoint_is_named() {
+    check_refused(&["eval", "--checkpoint", "gone"], &[], None, 66, &["gone"]);
+}
+
+#[test]
+fn an_endpoint_that_makes_no_sense_is_named() {
+    check_refused(&["router", "--listen", "nonsense"], &[], None, 65, &["nonsense"]);
+}
+
+#[cfg(not(feature = "gpu"))]
+#[test]
+fn a_gpu_that_is_not_built_in_is_refused_before_anything_starts() {
+    check_refused(&["train", "--device", "gpu"], &[], None, 64, &["no GPU backend", "--features gpu"]);
+}
+
+#[test]
+fn layers_are_put_over_each_other_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("my.toml"), "seed = 1\n[actor]\nn_worlds = 11\nsegment_len = 11").unwrap();
+    let variables = [("LODESTONE_ACTOR__N_WORLDS", "12"), ("LODESTONE_SEED", "12")];
+    let args = ["train", "--config", "my.toml", "--set", "actor.n_threads=13", "--seed", "13", "--print-config"];
+    let output = lodestone(folder.path(), &args, &variables);
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for line in ["seed = 13", "segment_len = 11", "n_worlds = 12", "n_threads = 13"] {
+        assert!(printed.lines().any(|printed| printed == line), "no {line:?} in {printed}");
+    }
+}
+
+#[test]
+fn the_catalogue_is_listed_and_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let listed = lodestone(folder.path(), &["blueprints", "list", "--json"], &[]);
+    let rows: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
+    let is_two_block = |row: &&serde_json::Value| row["n_blocks"] == 2 && row["split"] == "train";
+    assert_eq!(rows.as_array().unwrap().iter().filter(is_two_block).count(), 14);
+    let checked = lodestone(folder.path(), &["blueprints", "check"], &[]);
+    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
+}
+
+#[test]
+fn a_bad_blueprint_is_told_apart_from_good_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("2_099.toml"), "id = 3").unwrap();
+    let output = lodestone(folder.path(), &["blueprints", "check", "2_099.toml"], &[]);
+    assert_eq!(output.status.code(), Some(64));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("2_099.toml: line 1"));
+}
