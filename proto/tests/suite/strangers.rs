@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use proto::bus::SendError;
-use proto::{Refusal, codec};
+use proto::{Refusal, WeightsVersion, codec};
 use zenoh::Wait;
 
 use crate::cluster::{Cluster, Learner, within};
@@ -48,26 +48,37 @@ async fn garbage_to_the_weights_is_refused() {
 async fn false_notices_and_weights_are_ignored() {
     let cluster = Cluster::start().await;
     let stranger = cluster.stranger().await;
+    let (answered, mut answers) = tokio::sync::mpsc::unbounded_channel();
     let impostor = stranger
         .declare_queryable("lodestone/default/weights/latest")
-        .callback(|query| drop(query.reply("lodestone/default/weights/latest", "no weights").wait()))
+        .callback(move |query| {
+            answered.send(()).unwrap();
+            drop(query.reply("lodestone/default/weights/latest", "no weights").wait());
+        })
         .await
         .unwrap();
     let actor = cluster.client().await;
     let subscriber = actor.weights_subscriber().await.unwrap();
     let mut weights = subscriber.watch();
+    within("a pull", answers.recv()).await.unwrap();
+
     let notices = stranger.declare_publisher("lodestone/default/weights/version").await.unwrap();
     let matching = notices.matching_listener().await.unwrap();
     while !notices.matching_status().await.unwrap().matching() {
         within("a subscriber", matching.recv_async()).await.unwrap();
     }
     notices.put("no notice").await.unwrap();
+    let promise = codec::WeightsNotice { epoch: 1, version: WeightsVersion(u64::MAX) };
+    notices.put(codec::encode_notice(promise)).await.unwrap();
+    // The second pull comes after the first answer was judged.
+    within("another pull", answers.recv()).await.unwrap();
+    assert!(actor.counts().weights_invalid_total >= 1, "{:?}", actor.counts());
+    assert!(weights.borrow().is_none());
     impostor.undeclare().await.unwrap();
 
     let publisher = cluster.client().await.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(samples::weights(3))).await.unwrap();
     until_version(&mut weights, 3).await;
-    assert!(actor.counts().weights_invalid_total >= 1, "{:?}", actor.counts());
 }
 
 #[tokio::test(flavor = "multi_thread")]
