@@ -124,3 +124,82 @@ impl Backlog {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use proto::{Status, WeightsVersion};
+
+    use super::*;
+    use crate::segment::{Cut, SegmentBuilder};
+    use crate::toy;
+
+    fn segment(seq: u64) -> Trajectory {
+        let mut rollout = SegmentBuilder::new(1, toy::task());
+        let transition = proto::Transition {
+            scene: toy::scene(),
+            action: proto::Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
+            behavior_log_prob: 0.0,
+            value: 0.0,
+            reward: Default::default(),
+        };
+        let cut = rollout.push(transition, WeightsVersion(0), &toy::scene(), Status::Running, &toy::identity());
+        let Cut::Segment(segment) = cut else { panic!("a segment of one step is complete") };
+        Trajectory { seq, ..*segment }
+    }
+
+    async fn drain(backlog: &Backlog) -> Vec<u64> {
+        backlog.close();
+        let mut seqs = Vec::new();
+        while let Some(segment) = backlog.pop().await {
+            seqs.push(segment.seq);
+        }
+        seqs
+    }
+
+    #[tokio::test]
+    async fn the_newest_segments_are_kept_and_the_others_counted() {
+        let backlog = Backlog::new(3, FullBacklog::DropOldest);
+        let n_dropped: u64 = (0..5).map(|seq| backlog.push(segment(seq))).sum();
+        assert_eq!((n_dropped, backlog.len()), (2, 3));
+        // One that comes back is the oldest, so it is what goes when the place was taken meanwhile.
+        let taken = backlog.pop().await.unwrap();
+        assert_eq!((taken.seq, backlog.push(segment(5))), (2, 0));
+        assert_eq!(backlog.put_back(taken), 1);
+        assert_eq!(drain(&backlog).await, [3, 4, 5]);
+    }
+
+    #[tokio::test]
+    async fn a_segment_that_comes_back_is_sent_first() {
+        let backlog = Backlog::new(3, FullBacklog::DropOldest);
+        (0..3).for_each(|seq| assert_eq!(backlog.push(segment(seq)), 0));
+        let taken = backlog.pop().await.unwrap();
+        assert_eq!(backlog.put_back(taken), 0);
+        assert_eq!(drain(&backlog).await, [0, 1, 2]);
+    }
+
+    #[tokio::test]
+    async fn a_pausing_backlog_drops_nothing() {
+        let backlog = Arc::new(Backlog::new(2, FullBacklog::Pause));
+        let pushing = backlog.clone();
+        let thread = tokio::task::spawn_blocking(move || (0..20).map(|seq| pushing.push(segment(seq))).sum::<u64>());
+        let mut seqs = Vec::new();
+        while seqs.len() < 20 {
+            seqs.push(backlog.pop().await.unwrap().seq);
+        }
+        assert_eq!(thread.await.unwrap(), 0);
+        assert_eq!(seqs, (0..20).collect::<Vec<_>>());
+    }
+
+    #[tokio::test]
+    async fn closing_wakes_a_paused_thread() {
+        let backlog = Arc::new(Backlog::new(1, FullBacklog::Pause));
+        backlog.push(segment(0));
+        let pushing = backlog.clone();
+        let thread = tokio::task::spawn_blocking(move || pushing.push(segment(1)));
+        backlog.close();
+        thread.await.unwrap();
+        assert_eq!(drain(&backlog).await, [0, 1]);
+    }
+}

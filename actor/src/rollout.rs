@@ -257,3 +257,6 @@ fn start_episode<E: Env>(
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -350,3 +350,6 @@ impl Reporter {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

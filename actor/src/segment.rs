@@ -128,3 +128,68 @@ fn add(sum: &mut RewardTerms, terms: &RewardTerms) {
     sum.blocks += terms.blocks;
     sum.force += terms.force;
 }
+
+#[cfg(test)]
+mod tests {
+    use proto::Action;
+
+    use super::*;
+    use crate::toy;
+
+    fn transition(connected: f32) -> Transition {
+        Transition {
+            scene: toy::scene(),
+            action: Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
+            behavior_log_prob: -1.0,
+            value: 0.5,
+            reward: RewardTerms { connected, ..RewardTerms::default() },
+        }
+    }
+
+    /// Pushes steps `(reward, version, status)` into segments of 3 and lists what they complete.
+    fn cuts(steps: &[(f32, u64, Status)]) -> Vec<Cut> {
+        let mut builder = SegmentBuilder::new(3, toy::task());
+        let push = |&(reward, version, status): &(f32, u64, Status)| {
+            let version = WeightsVersion(version);
+            let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
+            if status != Status::Running {
+                builder.begin(toy::task());
+            }
+            cut
+        };
+        steps.iter().map(push).filter(|cut| *cut != Cut::None).collect()
+    }
+
+    #[test]
+    fn an_episode_of_four_steps_in_segments_of_three() {
+        use Status::{Running, Success};
+        let cuts =
+            cuts(&[(1.0, 5, Running), (2.0, 4, Running), (3.0, 6, Running), (4.0, 7, Success), (8.0, 8, Success)]);
+        let [Cut::Segment(first), Cut::Segment(second), Cut::Segment(third)] = &cuts[..] else { panic!("{cuts:?}") };
+        assert_eq!((first.first_step, first.transitions.len(), first.status), (0, 3, Running));
+        assert_eq!((first.outcome, first.weights_version), (None, WeightsVersion(4)));
+        assert_eq!((second.first_step, second.transitions.len(), second.status), (3, 1, Success));
+        assert_eq!(second.weights_version, WeightsVersion(7));
+        // The return of the whole episode: 1 + 2 + 3 + 4.
+        let outcome = second.outcome.unwrap();
+        assert_eq!((outcome.success, outcome.n_steps, outcome.episode_return.connected), (true, 4, 10.0));
+        // Nothing of one episode is left in the next.
+        let outcome = third.outcome.unwrap();
+        assert_eq!((third.first_step, outcome.n_steps, outcome.episode_return.connected), (0, 1, 8.0));
+    }
+
+    #[test]
+    fn a_diverged_episode_loses_what_was_not_cut_yet() {
+        use Status::{Diverged, Running};
+        let running = (1.0, 0, Running);
+        let cuts = cuts(&[running, running, running, running, (0.0, 0, Diverged)]);
+        assert!(matches!(&cuts[0], Cut::Segment(first) if first.transitions.len() == 3));
+        assert_eq!(cuts[1], Cut::Diverged { n_dropped_steps: 2 });
+    }
+
+    #[test]
+    fn only_success_ends_the_value() {
+        assert!(needs_bootstrap(Status::Running) && needs_bootstrap(Status::TimeLimit));
+        assert!(!needs_bootstrap(Status::Success));
+    }
+}

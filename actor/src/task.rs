@@ -145,8 +145,9 @@ impl TaskSampler {
     /// When the filter selects nothing or an unknown blueprint.
     pub fn new(config: &TaskConfig, catalogue: &Catalogue) -> Result<Self, FilterError> {
         let ids = config.filter.select(catalogue)?;
-        let goals =
-            ids.into_iter().filter_map(|id| catalogue.get(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
+        let goals = ids
+            .into_iter()
+            .filter_map(|id| catalogue.get(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
         let prebuilt = catalogue.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
         Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
     }
@@ -211,5 +212,110 @@ impl TaskSampler {
             return Start::NearGoal { undone: rng.random_range(low..=high) };
         }
         Start::Scattered
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::Inventory;
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::toy::id;
+
+    fn sampler(config: &TaskConfig) -> TaskSampler {
+        TaskSampler::new(config, Catalogue::builtin()).unwrap()
+    }
+
+    fn draw(sampler: &TaskSampler, n: usize) -> Vec<Task> {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        (0..n).map(|_| sampler.sample(&mut rng)).collect()
+    }
+
+    #[test]
+    fn filters_select_training_blueprints() {
+        let catalogue = Catalogue::builtin();
+        let n_training = catalogue.of_split(Split::Train).len();
+        assert_eq!(TaskFilter::All.select(catalogue).unwrap().len(), n_training);
+        let two = TaskFilter::Sizes { min: 2, max: 2 }.select(catalogue).unwrap();
+        assert!(!two.is_empty() && two.iter().all(|id| id.as_str().starts_with("2_")));
+        let named = TaskFilter::Blueprints(vec![id("3_000"), id("2_001"), id("3_000")]);
+        assert_eq!(named.select(catalogue).unwrap(), [id("2_001"), id("3_000")]);
+    }
+
+    #[test]
+    fn a_filter_that_selects_nothing_says_why() {
+        let table = [
+            (TaskFilter::Sizes { min: 17, max: 20 }, "no training blueprint has between 17 and 20 blocks"),
+            (TaskFilter::Blueprints(vec![]), "the list of goals is empty"),
+            (
+                TaskFilter::Blueprints(vec![id("2_000"), id("2_999")]),
+                "blueprint 2_999 is not in the training split of the catalogue",
+            ),
+        ];
+        for (filter, message) in table {
+            assert_eq!(filter.select(Catalogue::builtin()).unwrap_err().to_string(), message);
+        }
+    }
+
+    #[test]
+    fn probabilities_are_restricted_to_the_goals() {
+        let filter = TaskFilter::Blueprints(vec![id("2_000"), id("2_001"), id("2_002")]);
+        let mut sampler = sampler(&TaskConfig { filter, ..Default::default() });
+        let n_of = |sampler: &TaskSampler, name: &str| {
+            draw(sampler, 3000).iter().filter(|task| task.blueprint == id(name)).count() as f64
+        };
+        assert!((n_of(&sampler, "2_001") - 1000.0).abs() < 100.0, "uniform before any probabilities");
+        // Of 0.1 : 0.3 with 0.6 elsewhere, 2_000 gets a quarter.
+        let given = [("2_000", 0.1), ("2_001", 0.3), ("3_000", 0.6)].map(|(name, p)| (id(name), p));
+        sampler.set_probabilities(&BTreeMap::from(given));
+        assert!((n_of(&sampler, "2_000") - 750.0).abs() < 100.0);
+        assert_eq!(n_of(&sampler, "2_002"), 0.0);
+        sampler.set_probabilities(&BTreeMap::from([(id("3_000"), 1.0)]));
+        assert!((n_of(&sampler, "2_002") - 1000.0).abs() < 100.0, "uniform when nothing is left");
+    }
+
+    #[test]
+    fn starts_come_in_the_configured_mix() {
+        let config = TaskConfig {
+            filter: TaskFilter::Blueprints(vec![id("3_000")]),
+            prebuilt_probability: 0.25,
+            near_goal_probability: 0.5,
+            near_goal_undone: [1, 9],
+            ..Default::default()
+        };
+        let (mut n_prebuilt, mut n_near, mut undone_seen) = (0, 0, [0; 10]);
+        for task in draw(&sampler(&config), 4000) {
+            match task.start {
+                Start::Prebuilt(other) => {
+                    assert_ne!(other, task.blueprint);
+                    n_prebuilt += 1;
+                }
+                Start::NearGoal { undone } => {
+                    undone_seen[usize::from(undone)] += 1;
+                    n_near += 1;
+                }
+                Start::Scattered => {}
+                Start::AsItIs => panic!("training resets"),
+            }
+        }
+        assert!((n_prebuilt - 1000_i32).abs() < 120 && (n_near - 2000_i32).abs() < 150);
+        // Of three blocks at most two can be taken off.
+        assert!(undone_seen[1] > 100 && undone_seen[2] > 100);
+        assert_eq!(undone_seen[1] + undone_seen[2], n_near);
+    }
+
+    #[test]
+    fn assignments_permute_equal_blocks_only() {
+        let inventory = Inventory::standard();
+        let tasks = draw(&sampler(&TaskConfig::default()), 50);
+        for task in &tasks {
+            for block in BlockIdx::all() {
+                assert_eq!(inventory.cells(task.assignment[block.get()]), inventory.cells(block));
+            }
+        }
+        assert!(tasks.iter().any(|task| task.assignment != tasks[0].assignment));
+        let fixed = draw(&sampler(&TaskConfig { shuffle_blocks: false, ..Default::default() }), 2);
+        assert!(fixed.iter().all(|task| BlockIdx::all().all(|block| task.assignment[block.get()] == block)));
     }
 }

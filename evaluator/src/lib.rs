@@ -1,1 +1,25 @@
+//! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
+//!
+//! Reading order: [`config`] → [`report`] and [`group`] (what is counted) → `lanes` (worlds side by side) → [`episodes`] and
+//! [`reset_free`] (what is run) → [`table`] → [`run()`] (the service on the bus).
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod config;
+pub mod episodes;
+pub mod group;
+mod lanes;
+pub mod report;
+pub mod reset_free;
+mod run;
+mod schedule;
+pub mod table;
+
+pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection};
+pub use environment::EnvironmentConfig;
+pub use episodes::{EvalError, EvalSetup, evaluate};
+pub use group::Group;
+pub use policy::PolicyConfig;
+pub use report::{Acting, EvalReport};
+pub use run::{EvaluatorSetup, run};
+pub use table::{Detail, render};

@@ -1,0 +1,131 @@
+//! Rollouts of toy worlds whose endings are scripted.
+
+use proto::{Outcome, RewardTerms, WeightsVersion};
+
+use super::*;
+use crate::task::TaskFilter;
+use crate::toy::{self, Toy, id};
+
+/// Untrained values lie within a few standard deviations of the mean that the weights give, and these are 0.001.
+const VALUE: f32 = 5.0;
+
+fn rollout(scripts: &[&[Status]], seed: u64) -> Rollout<'static, Toy> {
+    let tasks = TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 3 }, ..Default::default() };
+    let setup = RolloutSetup {
+        catalogue: Catalogue::builtin(),
+        policy: toy::policy(),
+        tasks,
+        segment_len: 3,
+        identity: toy::identity(),
+        seed,
+    };
+    let worlds = scripts.iter().map(|script| Toy::new(script)).collect();
+    Rollout::new(setup, worlds, &toy::weights(0, VALUE)).unwrap()
+}
+
+fn run(rollout: &mut Rollout<'static, Toy>, n_steps: usize) -> Vec<Trajectory> {
+    (0..n_steps).flat_map(|_| rollout.step().unwrap()).collect()
+}
+
+fn is_near(value: f32, expected: f32) -> bool {
+    (value - expected).abs() < 0.1
+}
+
+#[test]
+fn bootstrap_values_after_a_cut_a_success_and_the_time_limit() {
+    use Status::{Running, Success, TimeLimit};
+    // Segments of 3: a cut, the end by success, an episode of 2 steps up to the time limit.
+    let script = [Running, Running, Running, Success, Running, TimeLimit];
+    let segments = run(&mut rollout(&[&script], 1), 6);
+    let [cut, success, time_limit] = &segments[..] else { panic!("{} segments", segments.len()) };
+    assert_eq!((cut.status, cut.outcome), (Running, None));
+    assert!(is_near(cut.bootstrap_value, VALUE), "{}", cut.bootstrap_value);
+    assert_eq!((success.status, success.bootstrap_value), (Success, 0.0));
+    assert!(is_near(time_limit.bootstrap_value, VALUE), "{}", time_limit.bootstrap_value);
+    // The script's rewards are 1 to 6.
+    let of_terms = |connected| RewardTerms { connected, ..RewardTerms::default() };
+    assert_eq!(success.outcome, Some(Outcome { success: true, n_steps: 4, episode_return: of_terms(10.0) }));
+    assert_eq!(time_limit.outcome, Some(Outcome { success: false, n_steps: 2, episode_return: of_terms(11.0) }));
+    // The last scene is the one before the reset, which the next segment begins with only within an episode.
+    assert_eq!(cut.last_scene, success.transitions[0].scene);
+    assert!(cut.transitions.iter().all(|step| is_near(step.value, VALUE) && step.behavior_log_prob.is_finite()));
+}
+
+#[test]
+fn segments_are_numbered_across_worlds_and_threads() {
+    let script = [Status::Running];
+    let segments = run(&mut rollout(&[&script, &script], 1), 6);
+    // The identity of the toy starts at 10 in steps of 2.
+    assert_eq!(segments.iter().map(|segment| segment.seq).collect::<Vec<_>>(), [10, 12, 14, 16]);
+    assert_eq!(segments.iter().map(|segment| segment.first_step).collect::<Vec<_>>(), [0, 0, 3, 3]);
+}
+
+#[test]
+fn diverged_episodes_are_dropped_and_counted() {
+    use Status::{Diverged, Running};
+    let mut rollout = rollout(&[&[Running, Running, Running, Running, Diverged]], 1);
+    let segments = run(&mut rollout, 10);
+    // Of each episode of 5 steps the first 3 were cut before it diverged.
+    assert_eq!(segments.len(), 2);
+    assert!(segments.iter().all(|segment| segment.status == Running && segment.first_step == 0));
+    let expected = RolloutCounters {
+        n_env_steps: 10,
+        n_segments: 2,
+        n_diverged_episodes: 2,
+        n_diverged_steps: 4,
+        ..Default::default()
+    };
+    assert_eq!(rollout.counters(), expected);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_segments() {
+    use Status::{Running, Success, TimeLimit};
+    let scripts: [&[Status]; 3] = [&[Running, TimeLimit], &[Running, Running, Success], &[Running]];
+    let segments = |seed| run(&mut rollout(&scripts, seed), 12);
+    assert_eq!(segments(1), segments(1));
+    assert_ne!(segments(1), segments(2));
+}
+
+#[test]
+fn a_restart_equals_a_fresh_rollout_but_for_the_numbers() {
+    let scripts: [&[Status]; 2] = [&[Status::Running, Status::TimeLimit], &[Status::Success]];
+    let mut used = rollout(&scripts, 1);
+    run(&mut used, 2);
+    used.restart(9).unwrap();
+    let n_before = used.counters().n_segments;
+    let mut again = run(&mut used, 2);
+    again.iter_mut().for_each(|segment| segment.seq -= 2 * n_before);
+    let actions = |segments: &[Trajectory]| -> Vec<_> {
+        segments.iter().flat_map(|s| &s.transitions).map(|t| t.action.choices).collect()
+    };
+    let fresh = run(&mut rollout(&scripts, 9), 2);
+    assert_eq!(actions(&again), actions(&fresh));
+    let tasks = |segments: &[Trajectory]| segments.iter().map(|s| (s.seq, s.task.clone())).collect::<Vec<_>>();
+    assert_eq!(tasks(&again), tasks(&fresh));
+}
+
+#[test]
+fn new_weights_act_from_the_next_step_and_move_the_tasks() {
+    let mut rollout = rollout(&[&[Status::Running, Status::TimeLimit]], 1);
+    run(&mut rollout, 1);
+    let mut weights = toy::weights(4, 2.0 * VALUE);
+    weights.task_probabilities = [(id("3_002"), 1.0)].into();
+    rollout.set_weights(&weights).unwrap();
+    let segments = run(&mut rollout, 3);
+    // The first episode began with version 0 and counts as its work; the later ones follow the new probabilities.
+    assert_eq!((segments[0].weights_version, rollout.version()), (WeightsVersion(0), WeightsVersion(4)));
+    assert!(is_near(segments[0].transitions[0].value, VALUE));
+    assert!(is_near(segments[0].transitions[1].value, 2.0 * VALUE));
+    assert!(is_near(segments[0].bootstrap_value, 2.0 * VALUE));
+    assert_eq!((segments[1].weights_version, &segments[1].task.blueprint), (WeightsVersion(4), &id("3_002")));
+}
+
+#[test]
+fn weights_of_another_network_are_refused_and_change_nothing() {
+    let mut rollout = rollout(&[&[Status::Running]], 1);
+    let weights = Weights { network_hash: 1, ..toy::weights(4, VALUE) };
+    let refused = rollout.set_weights(&weights);
+    assert!(matches!(refused, Err(RolloutError::Policy(PolicyError::OtherNetwork { .. }))), "{refused:?}");
+    assert_eq!(rollout.version(), WeightsVersion(0));
+}

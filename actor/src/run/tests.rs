@@ -1,0 +1,124 @@
+//! An actor on an isolated bus, with a learner that only counts.
+
+use std::collections::BTreeSet;
+
+use proto::Status;
+use tokio::sync::mpsc;
+
+use super::*;
+use crate::config::FullBacklog;
+use crate::task::{TaskConfig, TaskFilter};
+use crate::toy;
+
+fn config() -> ActorConfig {
+    ActorConfig {
+        n_threads: 2,
+        n_worlds: 2,
+        segment_len: 4,
+        tasks: TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 2 }, ..Default::default() },
+        metrics_period_ms: 50,
+        backlog_limit: 8,
+        full_backlog: FullBacklog::Pause,
+        ..Default::default()
+    }
+}
+
+/// Ends a test that waits for what does not come.
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(60), future).await.expect("it takes a moment only")
+}
+
+struct Actor {
+    bus: Bus,
+    shutdown: CancellationToken,
+    task: tokio::task::JoinHandle<anyhow::Result<ActorReport>>,
+    _dir: tempfile::TempDir,
+}
+
+impl Actor {
+    async fn start(config: ActorConfig) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let bus = Bus::isolated(dir.path()).await.unwrap();
+        let shutdown = CancellationToken::new();
+        let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
+        let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
+        let id = toy::identity().actor;
+        let task =
+            tokio::spawn(async move { run(config, toy::policy(), environment, id, 1, &its_bus, its_shutdown).await });
+        Self { bus, shutdown, task, _dir: dir }
+    }
+
+    async fn stop(self) -> ActorReport {
+        self.shutdown.cancel();
+        let report = within(self.task).await.unwrap().unwrap();
+        self.bus.close().await.unwrap();
+        report
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_segment_is_acknowledged_or_counted() {
+    let actor = Actor::start(config()).await;
+    let (taken, mut received) = mpsc::unbounded_channel();
+    let (_version, current_version) = watch::channel(WeightsVersion(3));
+    let handler = move |trajectory: Trajectory| {
+        if trajectory.seq % 5 == 4 { Err(Refusal::Stale) } else { taken.send(trajectory).map_err(|_| Refusal::Full) }
+    };
+    let server = actor.bus.serve_trajectories(handler, current_version).await.unwrap();
+    let mut metrics = actor.bus.metrics_subscriber("actor/toy").await.unwrap();
+    let publisher = actor.bus.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(toy::weights(3, 1.0))).await.unwrap();
+
+    let mut names = BTreeSet::new();
+    let mut taken = Vec::new();
+    while taken.len() < 40 {
+        taken.push(within(received.recv()).await.unwrap());
+    }
+    let sample = within(metrics.recv()).await.unwrap();
+    let said: ActorMetrics = serde_json::from_value(sample.value).unwrap();
+    assert_eq!((said.n_worlds, said.actor.as_str()), (4, "toy"));
+
+    let report = actor.stop().await;
+    while let Ok(trajectory) = received.try_recv() {
+        taken.push(trajectory);
+    }
+    assert!(taken.iter().all(|trajectory| names.insert(trajectory.seq)), "numbers are unique across threads");
+    assert!(taken.iter().all(|trajectory| trajectory.weights_version == WeightsVersion(3)));
+    assert!(taken.iter().any(|trajectory| trajectory.status == Status::TimeLimit));
+    assert_eq!(report.n_trajectories_acked, taken.len() as u64);
+    assert_eq!(report.n_trajectories_acked, server.counts().accepted_total);
+    let ActorDrops { stale_total, no_learner_total, .. } = report.dropped;
+    assert!(stale_total > 0);
+    assert_eq!(report.counters.n_segments, report.n_trajectories_acked + stale_total + no_learner_total);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_a_learner_it_steps_on_and_counts_what_it_drops() {
+    let actor = Actor::start(ActorConfig { full_backlog: FullBacklog::DropOldest, ..config() }).await;
+    let mut metrics = actor.bus.metrics_subscriber("actor/toy").await.unwrap();
+    let publisher = actor.bus.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(toy::weights(0, 1.0))).await.unwrap();
+    loop {
+        let sample = within(metrics.recv()).await.unwrap();
+        let said: ActorMetrics = serde_json::from_value(sample.value).unwrap();
+        if said.dropped.no_learner_total > 10 {
+            assert!(!said.learner_is_there);
+            break;
+        }
+    }
+    let report = actor.stop().await;
+    assert_eq!(report.n_trajectories_acked, 0);
+    assert_eq!(report.dropped.no_learner_total, report.counters.n_segments);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn it_waits_for_the_first_weights_and_refuses_other_networks() {
+    let actor = Actor::start(config()).await;
+    let publisher = actor.bus.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(Weights { network_hash: 1, ..toy::weights(0, 1.0) })).await.unwrap();
+    let error = within(actor.task).await.unwrap().unwrap_err();
+    assert!(format!("{error:#}").contains("are for network 0000000000000001"), "{error:#}");
+
+    let actor = Actor::start(config()).await;
+    assert_eq!(actor.stop().await, ActorReport::default());
+}

@@ -1,0 +1,106 @@
+//! A world without physics for tests: nothing moves, and a script says how each step ends.
+
+use blueprints::{Blueprint, BlueprintId, Catalogue, N_BLOCKS};
+use environment::{Env, ResetError, StepResult};
+use policy::{EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig};
+use proto::{
+    Action, ActorId, Gripper, Normalisation, Pose, RewardTerms, Scene, Start, Status, Task, Weights, WeightsVersion,
+};
+
+use crate::segment::Identity;
+
+/// Ends each step as the script says, over and over; step `k` of the script gives the reward `k + 1` for connections.
+pub(crate) struct Toy {
+    script: Vec<Status>,
+    n_steps: usize,
+    scene: Scene,
+    blueprint: Blueprint,
+    /// Tasks that were started.
+    pub(crate) tasks: Vec<Task>,
+}
+
+impl Toy {
+    pub(crate) fn new(script: &[Status]) -> Self {
+        let blueprint = Catalogue::builtin().get(&id("2_000")).unwrap().clone();
+        Self { script: script.to_vec(), n_steps: 0, scene: scene(), blueprint, tasks: Vec::new() }
+    }
+}
+
+impl Env for Toy {
+    fn reset(&mut self, task: &Task, catalogue: &Catalogue) -> Result<(), ResetError> {
+        let unknown = || ResetError::UnknownBlueprint(task.blueprint.clone());
+        self.blueprint = catalogue.get(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
+        self.tasks.push(task.clone());
+        Ok(())
+    }
+
+    fn step(&mut self, action: &Action) -> StepResult {
+        let at = self.n_steps % self.script.len();
+        self.n_steps += 1;
+        // The scene remembers what was done, so that different actions show in later scenes.
+        self.scene.blocks[0].position[0] = action.moves[0][0];
+        let reward = RewardTerms { connected: (at + 1) as f32, ..RewardTerms::default() };
+        StepResult { reward, status: self.script[at] }
+    }
+
+    fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    fn blueprint(&self) -> &Blueprint {
+        &self.blueprint
+    }
+}
+
+pub(crate) fn id(name: &str) -> BlueprintId {
+    BlueprintId::try_from(name.to_owned()).unwrap()
+}
+
+/// Blocks in a row, one metre apart.
+pub(crate) fn scene() -> Scene {
+    let gripper = Gripper {
+        held: None,
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        linear_velocity: [0.0; 3],
+        angular_velocity: [0.0; 3],
+    };
+    Scene {
+        blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] }),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(gripper), Some(gripper)],
+        n_heavy_contacts: 0,
+    }
+}
+
+pub(crate) fn task() -> Task {
+    let mut blocks = blueprints::BlockIdx::all();
+    let assignment = std::array::from_fn(|_| blocks.next().unwrap());
+    Task { blueprint: id("2_000"), assignment, start: Start::Scattered, seed: 5 }
+}
+
+pub(crate) fn identity() -> Identity {
+    Identity { actor: ActorId::try_from("toy".to_owned()).unwrap(), epoch: 1, first_seq: 10, seq_step: 2 }
+}
+
+/// A network small enough for tests.
+pub(crate) fn policy() -> PolicyConfig {
+    let encoder =
+        EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
+    let network = NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
+    PolicyConfig { network, ..Default::default() }
+}
+
+/// Untrained weights whose values are `value` on average and whose only task is `2_000`.
+pub(crate) fn weights(version: u64, value: f32) -> Weights {
+    let config = policy();
+    let network = Network::init(&config.network, &config.sizes(), 1, &policy::DeviceKind::Cpu.open().unwrap());
+    Weights {
+        version: WeightsVersion(version),
+        n_env_steps: 0,
+        network_hash: config.hash(),
+        parameters: policy::parameters::flatten(&network),
+        normalisation: Normalisation { value_mean: value, value_std: 1e-3, ..Normalisation::default() },
+        task_probabilities: [(id("2_000"), 1.0)].into(),
+    }
+}

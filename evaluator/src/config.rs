@@ -1,0 +1,233 @@
+//! Settings of an evaluator.
+
+use blueprints::{Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
+use serde::{Deserialize, Serialize};
+
+use crate::report::Acting;
+
+/// When, on what and how weights are judged.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EvaluatorConfig {
+    /// How far apart passes are. Default: 10 minutes (paper, "Performance Evaluation").
+    pub every: Every,
+    /// Which blueprints.
+    pub selection: Selection,
+    /// How episodes are run.
+    pub episodes: EpisodeConfig,
+    /// Goals in a row without a reset, after the episodes; absent means none. Default: absent.
+    pub reset_free: Option<ResetFreeConfig>,
+}
+
+/// The distance between the starts of two passes; a pass that takes longer is followed by the next at once.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Every {
+    /// Minutes of wall time, 0 to 10 000.
+    Minutes(f64),
+    /// Environment steps that the learner consumed, at least 1.
+    Steps(u64),
+    /// Weights versions, at least 1.
+    Versions(u64),
+}
+
+/// A choice of blueprints from the catalogue.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Selection {
+    /// The splits, none twice. Default: all.
+    pub splits: Vec<Split>,
+    /// Fewest and most blocks, 1 to 16. Default 1 and 16.
+    pub sizes: [usize; 2],
+    /// These only, when it is not empty. Default: empty.
+    pub blueprints: Vec<BlueprintId>,
+}
+
+/// How the episodes of a pass are run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EpisodeConfig {
+    /// Episodes for each blueprint and way of acting, 1 to 10 000. Default 40 (paper).
+    pub n_episodes: u32,
+    /// Ways of acting, none twice, at least one. Default: both.
+    pub acting: Vec<Acting>,
+    /// Threads, 1 to 64. Default 1, so that training loses at most one core while a pass runs.
+    pub n_threads: usize,
+    /// Worlds of a thread; each step is one forward pass over them. 1 to 1024. Default 20.
+    pub n_worlds: usize,
+}
+
+/// Runs over several goals in a world that is never reset (paper, "Reset-Free Evaluation").
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ResetFreeConfig {
+    /// Number of runs, 1 to 10 000. Default 50 (paper).
+    pub n_runs: u32,
+    /// Goals of a run, 1 to 1000. Default 10 (paper).
+    pub n_goals: u32,
+    /// Fewest blocks of a goal, 1 to 16; goals are training blueprints. Default 12 (paper).
+    pub min_blocks: usize,
+}
+
+/// A setting that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EvaluatorConfigError {
+    /// Outside its range.
+    #[error("{field} is {value}, valid is {valid}")]
+    OutOfRange {
+        /// Path of the field.
+        field: &'static str,
+        /// The value that was given.
+        value: String,
+        /// What may be given.
+        valid: &'static str,
+    },
+    /// A blueprint that the catalogue does not have.
+    #[error("the catalogue has no blueprint {0}")]
+    UnknownBlueprint(BlueprintId),
+    /// No blueprint is left to judge.
+    #[error("the selection of splits, sizes and blueprints leaves nothing to evaluate")]
+    NothingSelected,
+}
+
+impl Default for EvaluatorConfig {
+    fn default() -> Self {
+        Self {
+            every: Every::Minutes(10.0),
+            selection: Selection::default(),
+            episodes: EpisodeConfig::default(),
+            reset_free: None,
+        }
+    }
+}
+
+impl Default for Selection {
+    fn default() -> Self {
+        Self { splits: Split::ALL.to_vec(), sizes: [1, N_BLOCKS], blueprints: Vec::new() }
+    }
+}
+
+impl Default for EpisodeConfig {
+    fn default() -> Self {
+        Self { n_episodes: 40, acting: vec![Acting::Mode, Acting::Sampled], n_threads: 1, n_worlds: 20 }
+    }
+}
+
+impl Default for ResetFreeConfig {
+    fn default() -> Self {
+        Self { n_runs: 50, n_goals: 10, min_blocks: 12 }
+    }
+}
+
+impl EvaluatorConfig {
+    /// Checks every field against its documented range.
+    ///
+    /// # Errors
+    /// Names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), EvaluatorConfigError> {
+        match self.every {
+            Every::Minutes(minutes) => {
+                check("every.minutes", minutes, (0.0..=10_000.0).contains(&minutes), "0 to 10000")?;
+            }
+            Every::Steps(steps) => check("every.steps", steps, steps >= 1, "at least 1")?,
+            Every::Versions(versions) => check("every.versions", versions, versions >= 1, "at least 1")?,
+        }
+        let [low, high] = self.selection.sizes;
+        let sizes_ok = 1 <= low && low <= high && high <= N_BLOCKS;
+        check("selection.sizes", self.selection.sizes, sizes_ok, "two ascending numbers from 1 to 16")?;
+        self.episodes.validate()?;
+        self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)
+    }
+}
+
+impl Selection {
+    /// The selected blueprints in the catalogue's order.
+    ///
+    /// # Errors
+    /// When a named blueprint is unknown or nothing is selected.
+    pub fn select<'c>(&self, catalogue: &'c Catalogue) -> Result<Vec<&'c Blueprint>, EvaluatorConfigError> {
+        if let Some(unknown) = self.blueprints.iter().find(|id| catalogue.get(id).is_none()) {
+            return Err(EvaluatorConfigError::UnknownBlueprint(unknown.clone()));
+        }
+        let wanted = |blueprint: &&Blueprint| {
+            self.splits.contains(&blueprint.split())
+                && (self.sizes[0]..=self.sizes[1]).contains(&blueprint.n_blocks())
+                && (self.blueprints.is_empty() || self.blueprints.contains(blueprint.id()))
+        };
+        let selected: Vec<&Blueprint> = catalogue.iter().filter(wanted).collect();
+        if selected.is_empty() { Err(EvaluatorConfigError::NothingSelected) } else { Ok(selected) }
+    }
+}
+
+impl EpisodeConfig {
+    /// Checks every field against its documented range.
+    ///
+    /// # Errors
+    /// Names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), EvaluatorConfigError> {
+        check("episodes.n_episodes", self.n_episodes, (1..=10_000).contains(&self.n_episodes), "1 to 10000")?;
+        let distinct = match self.acting[..] {
+            [] => false,
+            [_] => true,
+            [a, b] => a != b,
+            _ => false,
+        };
+        check("episodes.acting", &self.acting, distinct, "\"mode\", \"sampled\" or both")?;
+        check("episodes.n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1 to 64")?;
+        check("episodes.n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1 to 1024")
+    }
+}
+
+impl ResetFreeConfig {
+    fn validate(&self) -> Result<(), EvaluatorConfigError> {
+        check("reset_free.n_runs", self.n_runs, (1..=10_000).contains(&self.n_runs), "1 to 10000")?;
+        check("reset_free.n_goals", self.n_goals, (1..=1000).contains(&self.n_goals), "1 to 1000")?;
+        check("reset_free.min_blocks", self.min_blocks, (1..=N_BLOCKS).contains(&self.min_blocks), "1 to 16")
+    }
+}
+
+fn check<T: std::fmt::Debug>(
+    field: &'static str,
+    value: T,
+    ok: bool,
+    valid: &'static str,
+) -> Result<(), EvaluatorConfigError> {
+    if ok { Ok(()) } else { Err(EvaluatorConfigError::OutOfRange { field, value: format!("{value:?}"), valid }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_defaults_are_valid() {
+        assert_eq!(EvaluatorConfig::default().validate(), Ok(()));
+        assert_eq!(ResetFreeConfig::default().validate(), Ok(()));
+    }
+
+    #[test]
+    fn an_error_names_field_value_and_range() {
+        let twice = EpisodeConfig { acting: vec![Acting::Mode, Acting::Mode], ..Default::default() };
+        let table = [
+            (EvaluatorConfig { every: Every::Steps(0), ..Default::default() }, "every.steps is 0, valid is at least 1"),
+            (
+                EvaluatorConfig { every: Every::Minutes(f64::NAN), ..Default::default() },
+                "every.minutes is NaN, valid is 0 to 10000",
+            ),
+            (
+                EvaluatorConfig { episodes: twice, ..Default::default() },
+                "episodes.acting is [Mode, Mode], valid is \"mode\", \"sampled\" or both",
+            ),
+            (
+                EvaluatorConfig {
+                    reset_free: Some(ResetFreeConfig { min_blocks: 17, ..Default::default() }),
+                    ..Default::default()
+                },
+                "reset_free.min_blocks is 17, valid is 1 to 16",
+            ),
+        ];
+        for (config, message) in table {
+            assert_eq!(config.validate().unwrap_err().to_string(), message);
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! The evaluation itself: a frozen policy, blueprints, episodes with fixed seeds.
+
+use blueprints::{Blueprint, BlueprintId, Catalogue};
+use environment::{EnvironmentConfig, EnvironmentConfigError, ResetError, World};
+use policy::{Policy, PolicyConfig, PolicyError};
+use proto::{Start, Weights};
+
+use crate::config::{EpisodeConfig, ResetFreeConfig};
+use crate::lanes::{Job, Played, Rules, run_lanes};
+use crate::report::{Acting, EvalReport, Judged};
+use crate::reset_free;
+
+/// All that an evaluation needs besides weights and blueprints.
+#[derive(Clone, Debug)]
+pub struct EvalSetup<'c> {
+    /// Where blueprints come from.
+    pub catalogue: &'c Catalogue,
+    /// The policy; it must be the learner's.
+    pub policy: PolicyConfig,
+    /// The world.
+    pub environment: EnvironmentConfig,
+    /// How episodes are run.
+    pub episodes: EpisodeConfig,
+    /// Reset-free runs as well, when given.
+    pub reset_free: Option<ResetFreeConfig>,
+    /// Seed of start states and sampled actions: passes with the same seed can be compared episode by episode.
+    pub seed: u64,
+}
+
+/// Why an evaluation has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum EvalError {
+    /// The policy cannot be made or refuses the weights.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// The world cannot be made.
+    #[error(transparent)]
+    Environment(#[from] EnvironmentConfigError),
+    /// A start state cannot be made.
+    #[error("an episode of blueprint {blueprint} cannot be started")]
+    Reset {
+        /// The goal.
+        blueprint: BlueprintId,
+        /// Why.
+        source: ResetError,
+    },
+    /// No training blueprint is large enough for the reset-free runs.
+    #[error("no training blueprint has {min_blocks} blocks or more for the reset-free runs")]
+    NoGoals {
+        /// As configured.
+        min_blocks: usize,
+    },
+    /// The caller asked for the end.
+    #[error("the evaluation was interrupted")]
+    Interrupted,
+}
+
+/// Judges `weights` on `blueprints`: `n_episodes` from scattered starts for each, once for each way of acting, and then
+/// the reset-free runs if the setup has any.
+///
+/// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or the
+/// way of acting. An episode that ends in success goes on for up to 10 steps with the grippers holding still, in which
+/// the success can prove stable. The report's duration is left at 0. `keep_going` is asked at every step.
+///
+/// # Errors
+/// When the weights do not fit, an episode cannot be started, or `keep_going` says no.
+pub fn evaluate(
+    setup: &EvalSetup<'_>,
+    weights: &Weights,
+    blueprints: &[&Blueprint],
+    keep_going: &(dyn Fn() -> bool + Sync),
+) -> Result<EvalReport, EvalError> {
+    let n_episodes = u64::from(setup.episodes.n_episodes);
+    let lane = |blueprint, episode_idx| vec![Job::new(blueprint, Start::Scattered, setup.seed, episode_idx)];
+    let lanes: Vec<Vec<Job>> = blueprints
+        .iter()
+        .flat_map(|&blueprint| (0..n_episodes).map(move |episode_idx| lane(blueprint, episode_idx)))
+        .collect();
+    let mut episodes = Vec::new();
+    for &acting in &setup.episodes.acting {
+        let played = run_all(setup, weights, &lanes, acting, keep_going)?;
+        episodes.extend(played.into_iter().flatten().map(|played| played.episode));
+    }
+    let judged = Judged { weights_version: weights.version, n_env_steps: weights.n_env_steps, seed: setup.seed };
+    let mut report = EvalReport::new(judged, &episodes);
+    if let Some(config) = &setup.reset_free {
+        report.summary.reset_free = Some(reset_free::evaluate(setup, config, weights, keep_going)?);
+    }
+    Ok(report)
+}
+
+/// Shares the lanes out among threads; the results have the shape of `lanes`.
+pub(crate) fn run_all(
+    setup: &EvalSetup<'_>,
+    weights: &Weights,
+    lanes: &[Vec<Job>],
+    acting: Acting,
+    keep_going: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<Vec<Played>>, EvalError> {
+    let share = |lanes: &[Vec<Job>]| -> Result<Vec<Vec<Played>>, EvalError> {
+        let mut policy = Policy::new(&setup.policy)?;
+        policy.load(weights)?;
+        let n_worlds = setup.episodes.n_worlds.min(lanes.len());
+        let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&setup.environment)).collect();
+        let success = &setup.environment.success;
+        let rules = Rules { catalogue: setup.catalogue, policy: &policy, acting, success, keep_going };
+        run_lanes(&rules, worlds?, lanes)
+    };
+    let n_threads = setup.episodes.n_threads.max(1);
+    if n_threads == 1 {
+        return share(lanes);
+    }
+    let shares = lanes.chunks(lanes.len().div_ceil(n_threads).max(1));
+    std::thread::scope(|scope| {
+        let share = &share;
+        let threads: Vec<_> = shares.map(|lanes| scope.spawn(move || share(lanes))).collect();
+        let mut played = Vec::with_capacity(lanes.len());
+        for thread in threads {
+            played.extend(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
+        }
+        Ok(played)
+    })
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

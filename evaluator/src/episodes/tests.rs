@@ -1,0 +1,88 @@
+//! Evaluations of untrained weights in real worlds.
+
+use blueprints::Split;
+use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig};
+use proto::{Normalisation, WeightsVersion};
+
+use super::*;
+
+/// A network small enough for tests and short episodes.
+pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
+    let encoder =
+        EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
+    let network = NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
+    EvalSetup {
+        catalogue: Catalogue::builtin(),
+        policy: PolicyConfig { network, ..Default::default() },
+        environment: EnvironmentConfig { episode_steps: 8, ..Default::default() },
+        episodes,
+        reset_free: None,
+        seed: 3,
+    }
+}
+
+pub(crate) fn weights(setup: &EvalSetup<'_>) -> Weights {
+    let device = DeviceKind::Cpu.open().unwrap();
+    let network = Network::init(&setup.policy.network, &setup.policy.sizes(), 1, &device);
+    Weights {
+        version: WeightsVersion(2),
+        n_env_steps: 77,
+        network_hash: setup.policy.hash(),
+        parameters: policy::parameters::flatten(&network),
+        normalisation: Normalisation { value_std: 1.0, ..Normalisation::default() },
+        task_probabilities: [(blueprints(1)[0].id().clone(), 1.0)].into(),
+    }
+}
+
+fn blueprints(n: usize) -> Vec<&'static Blueprint> {
+    Catalogue::builtin().of_split(Split::Train)[..n].to_vec()
+}
+
+fn report(setup: &EvalSetup<'_>, n_blueprints: usize) -> EvalReport {
+    evaluate(setup, &weights(setup), &blueprints(n_blueprints), &|| true).unwrap()
+}
+
+#[test]
+fn the_same_weights_get_the_same_report() {
+    let setup = small_setup(EpisodeConfig { n_episodes: 3, n_worlds: 4, ..Default::default() });
+    let first = report(&setup, 2);
+    assert_eq!(first, report(&setup, 2));
+    let summary = &first.summary;
+    assert_eq!((summary.weights_version, summary.n_env_steps, summary.seed), (WeightsVersion(2), 77, 3));
+    let n_episodes = [summary.all.mode.success.n_episodes, summary.all.sampled.success.n_episodes];
+    assert_eq!((n_episodes, first.blueprints.len()), ([6, 6], 2));
+}
+
+#[test]
+fn an_episode_is_the_same_whatever_runs_beside_it() {
+    let alone = small_setup(EpisodeConfig { n_episodes: 2, n_worlds: 1, ..Default::default() });
+    let crowded = small_setup(EpisodeConfig { n_episodes: 2, n_worlds: 3, n_threads: 2, ..Default::default() });
+    let (alone, crowded) = (report(&alone, 1), report(&crowded, 3));
+    let (alone, crowded) = (&alone.blueprints[0], &crowded.blueprints[0]);
+    assert_eq!(alone.blueprint, crowded.blueprint);
+    assert_eq!(alone.sampled.mean_steps, crowded.sampled.mean_steps);
+    // Sums in another order may round differently, but not more.
+    let difference = alone.sampled.mean_return.total() - crowded.sampled.mean_return.total();
+    assert!(difference.abs() < 1e-3, "{difference}");
+}
+
+#[test]
+fn weights_of_another_network_are_refused() {
+    let setup = small_setup(EpisodeConfig { n_episodes: 1, ..Default::default() });
+    let other = Weights { network_hash: 1, ..weights(&setup) };
+    let result = evaluate(&setup, &other, &blueprints(1), &|| true);
+    assert!(matches!(result, Err(EvalError::Policy(PolicyError::OtherNetwork { .. }))));
+}
+
+#[test]
+fn reset_free_runs_count_every_goal() {
+    let mut setup = small_setup(EpisodeConfig { n_episodes: 1, acting: vec![Acting::Mode], ..Default::default() });
+    setup.reset_free = Some(ResetFreeConfig { n_runs: 2, n_goals: 3, min_blocks: 12 });
+    let runs = report(&setup, 1).summary.reset_free.unwrap();
+    assert_eq!((runs.n_runs, runs.n_goals), (2, 3));
+    assert_eq!((runs.mode.outcome.success.n_episodes, runs.mode.n_successes_by_goal.len()), (6, 3));
+    assert_eq!(runs.sampled.outcome.success.n_episodes, 0);
+    setup.reset_free = Some(ResetFreeConfig { min_blocks: 17, ..Default::default() });
+    let result = evaluate(&setup, &weights(&setup), &blueprints(1), &|| true);
+    assert_eq!(result.unwrap_err().to_string(), "no training blueprint has 17 blocks or more for the reset-free runs");
+}

@@ -1,0 +1,69 @@
+//! The groups of blueprints that the paper reports.
+
+use blueprints::Split;
+
+/// A column of the paper's table of ablations; the order is the paper's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Group {
+    /// Training blueprints of 2 to 6 blocks.
+    Train2To6,
+    /// Training blueprints of 7 to 11 blocks.
+    Train7To11,
+    /// Training blueprints of 12 to 16 blocks.
+    Train12To16,
+    /// Held-out blueprints of 12 to 16 blocks in the style of training.
+    Test12To16,
+    /// Held-out literal, longest and tallest blueprints.
+    TestSpecial,
+}
+
+impl Group {
+    /// The group of a blueprint of `n_blocks` blocks; `None` for a size that the paper does not report.
+    pub fn of(split: Split, n_blocks: usize) -> Option<Self> {
+        match (split, n_blocks) {
+            (Split::Train, 2..=6) => Some(Self::Train2To6),
+            (Split::Train, 7..=11) => Some(Self::Train7To11),
+            (Split::Train, 12..=16) => Some(Self::Train12To16),
+            (Split::Test, 12..=16) => Some(Self::Test12To16),
+            (Split::TestLiteral | Split::TestLongest | Split::TestTallest, _) => Some(Self::TestSpecial),
+            (Split::Train | Split::Test, _) => None,
+        }
+    }
+
+    /// The name as it stands in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Train2To6 => "train 2-6",
+            Self::Train7To11 => "train 7-11",
+            Self::Train12To16 => "train 12-16",
+            Self::Test12To16 => "test 12-16",
+            Self::TestSpecial => "test special",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn borders_of_the_groups() {
+        let table = [
+            (Split::Train, 1, None),
+            (Split::Train, 2, Some(Group::Train2To6)),
+            (Split::Train, 6, Some(Group::Train2To6)),
+            (Split::Train, 7, Some(Group::Train7To11)),
+            (Split::Train, 11, Some(Group::Train7To11)),
+            (Split::Train, 12, Some(Group::Train12To16)),
+            (Split::Train, 16, Some(Group::Train12To16)),
+            (Split::Test, 11, None),
+            (Split::Test, 16, Some(Group::Test12To16)),
+            (Split::TestLiteral, 10, Some(Group::TestSpecial)),
+            (Split::TestLongest, 12, Some(Group::TestSpecial)),
+            (Split::TestTallest, 16, Some(Group::TestSpecial)),
+        ];
+        for (split, n_blocks, group) in table {
+            assert_eq!(Group::of(split, n_blocks), group, "{split:?} {n_blocks}");
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! Runs many short sequences of episodes side by side: one forward pass moves all worlds.
+
+use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
+use environment::config::SuccessConfig;
+use environment::{Env, ResetError, StableSuccess, sample_assignment};
+use policy::{ActionMode, Policy};
+use proto::{Action, RewardTerms, Start, Status, Task};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::episodes::EvalError;
+use crate::report::{Acting, End, Episode};
+
+/// Steps in which a success can prove stable while the grippers hold still.
+const SETTLE_STEPS: usize = 10;
+
+/// Seeds that are tried for a start state before the episode is given up; blocks may find no room.
+const MAX_RESETS: u64 = 16;
+
+/// An episode to be run.
+#[derive(Clone, Debug)]
+pub(crate) struct Job {
+    task: Task,
+    split: Split,
+    n_blocks: usize,
+}
+
+/// An episode that was run.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Played {
+    pub(crate) episode: Episode,
+    /// It should have gone on in the world as it was, but that had diverged.
+    pub(crate) forced_reset: bool,
+}
+
+/// What all worlds of a thread have in common.
+pub(crate) struct Rules<'a> {
+    pub(crate) catalogue: &'a Catalogue,
+    pub(crate) policy: &'a Policy,
+    pub(crate) acting: Acting,
+    pub(crate) success: &'a SuccessConfig,
+    pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
+}
+
+impl Job {
+    /// Episode `episode_idx` of a goal; only these and `seed` determine it.
+    pub(crate) fn new(blueprint: &Blueprint, start: Start, seed: u64, episode_idx: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(mix(seed, blueprint.id(), episode_idx));
+        let assignment = sample_assignment(&mut rng);
+        let task = Task { blueprint: blueprint.id().clone(), assignment, start, seed: rng.random() };
+        Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
+    }
+
+    #[cfg(test)]
+    pub(crate) fn task(&self) -> &Task {
+        &self.task
+    }
+}
+
+/// Runs each lane's jobs one after the other in one world; worlds take the next lane when theirs is over.
+///
+/// The results have the shape of `lanes`.
+pub(crate) fn run_lanes<E: Env>(
+    rules: &Rules<'_>,
+    worlds: Vec<E>,
+    lanes: &[Vec<Job>],
+) -> Result<Vec<Vec<Played>>, EvalError> {
+    let mut results: Vec<Vec<Played>> = lanes.iter().map(|lane| Vec::with_capacity(lane.len())).collect();
+    let mut waiting = lanes.iter().enumerate().filter(|(_, lane)| !lane.is_empty());
+    let mut seats: Vec<Seat<'_, E>> = Vec::new();
+    let mut rngs: Vec<ChaCha8Rng> = Vec::new();
+    for env in worlds {
+        let Some(lane) = waiting.next() else { break };
+        let (seat, rng) = Seat::begin(rules, env, lane)?;
+        seats.push(seat);
+        rngs.push(rng);
+    }
+    let mode = match rules.acting {
+        Acting::Mode => ActionMode::Mode,
+        Acting::Sampled => ActionMode::Sampled,
+    };
+    let mut batch = rules.policy.batch();
+    while !seats.is_empty() {
+        if !(rules.keep_going)() {
+            return Err(EvalError::Interrupted);
+        }
+        batch.clear();
+        seats.iter().for_each(|seat| batch.push(seat.env.scene(), seat.env.blueprint()));
+        let decisions = rules.policy.act(&batch, &mut rngs, mode);
+        let mut done = Vec::new();
+        for (seat_idx, decision) in decisions.into_iter().enumerate() {
+            let seat = &mut seats[seat_idx];
+            let Some(played) = seat.step(rules, &decision.action) else { continue };
+            let played_of_lane = &mut results[seat.lane_idx];
+            played_of_lane.push(played);
+            let next_job = lanes[seat.lane_idx].get(played_of_lane.len());
+            let next = next_job
+                .map(|job| (seat.lane_idx, job))
+                .or_else(|| waiting.next().and_then(|(lane_idx, lane)| lane.first().map(|job| (lane_idx, job))));
+            match next {
+                Some((lane_idx, job)) => rngs[seat_idx] = seat.start(rules, lane_idx, job)?,
+                None => done.push(seat_idx),
+            }
+        }
+        for seat_idx in done.into_iter().rev() {
+            seats.remove(seat_idx);
+            rngs.remove(seat_idx);
+        }
+    }
+    Ok(results)
+}
+
+/// A world and its current episode.
+struct Seat<'a, E> {
+    env: E,
+    lane_idx: usize,
+    job: &'a Job,
+    forced_reset: bool,
+    n_steps: u32,
+    episode_return: RewardTerms,
+}
+
+impl<'a, E: Env> Seat<'a, E> {
+    fn begin(
+        rules: &Rules<'_>,
+        env: E,
+        (lane_idx, lane): (usize, &'a Vec<Job>),
+    ) -> Result<(Self, ChaCha8Rng), EvalError> {
+        let job = &lane[0];
+        let episode_return = RewardTerms::default();
+        let mut seat = Self { env, lane_idx, job, forced_reset: false, n_steps: 0, episode_return };
+        let rng = seat.start(rules, lane_idx, job)?;
+        Ok((seat, rng))
+    }
+
+    /// Starts an episode and returns the generator of its actions.
+    fn start(&mut self, rules: &Rules<'_>, lane_idx: usize, job: &'a Job) -> Result<ChaCha8Rng, EvalError> {
+        let mut task = job.task.clone();
+        let mut n_tried = 0;
+        self.forced_reset = false;
+        while let Err(source) = self.env.reset(&task, rules.catalogue) {
+            match source {
+                ResetError::NothingToKeep if task.start == Start::AsItIs => {
+                    task.start = Start::Scattered;
+                    self.forced_reset = true;
+                }
+                ResetError::NoRoom(_) if n_tried < MAX_RESETS => {
+                    n_tried += 1;
+                    task.seed = task.seed.wrapping_add(1);
+                }
+                source => return Err(EvalError::Reset { blueprint: task.blueprint, source }),
+            }
+        }
+        (self.lane_idx, self.job, self.n_steps) = (lane_idx, job, 0);
+        self.episode_return = RewardTerms::default();
+        // Stream 0 of the seed belongs to the world.
+        let mut rng = ChaCha8Rng::seed_from_u64(job.task.seed);
+        rng.set_stream(1);
+        Ok(rng)
+    }
+
+    /// One step; the episode if that ended it.
+    fn step(&mut self, rules: &Rules<'_>, action: &Action) -> Option<Played> {
+        let result = self.env.step(action);
+        self.n_steps += 1;
+        self.episode_return = sum(&self.episode_return, &result.reward);
+        let end = match result.status {
+            Status::Running => return None,
+            Status::Success => End::Success { stable: self.settles(rules, action) },
+            Status::TimeLimit => End::TimeLimit,
+            Status::Diverged => End::Diverged,
+        };
+        let episode = Episode {
+            blueprint: self.job.task.blueprint.clone(),
+            split: self.job.split,
+            n_blocks: self.job.n_blocks,
+            acting: rules.acting,
+            end,
+            n_steps: self.n_steps,
+            episode_return: self.episode_return,
+        };
+        Some(Played { episode, forced_reset: self.forced_reset })
+    }
+
+    /// Whether a success proves stable while the grippers hold the last chosen blocks still.
+    fn settles(&mut self, rules: &Rules<'_>, last: &Action) -> bool {
+        let still = Action { choices: last.choices, moves: [[0.0; 6]; blueprints::N_BLOCKS] };
+        let mut stable = StableSuccess::default();
+        (0..SETTLE_STEPS).any(|_| {
+            let holds = stable.observe(self.env.scene(), self.env.blueprint(), rules.success);
+            holds || {
+                self.env.step(&still);
+                false
+            }
+        })
+    }
+}
+
+fn sum(a: &RewardTerms, b: &RewardTerms) -> RewardTerms {
+    RewardTerms {
+        connected: a.connected + b.connected,
+        wrong: a.wrong + b.wrong,
+        magnets: a.magnets + b.magnets,
+        blocks: a.blocks + b.blocks,
+        force: a.force + b.force,
+    }
+}
+
+/// One number from all that names an episode (FNV-1a, 64 bits).
+fn mix(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
+    let bytes = seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests;

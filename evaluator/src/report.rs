@@ -1,0 +1,206 @@
+//! From finished episodes to numbers per blueprint and per group.
+
+use std::collections::BTreeMap;
+
+use blueprints::{BlueprintId, Split};
+use proto::bus::BusCounts;
+use proto::metrics::{EvalBlueprint, EvalGroup, EvalOutcome, EvalSummary, METRICS_SCHEMA_VERSION};
+use proto::wilson::SuccessRate;
+use proto::{RewardTerms, WeightsVersion};
+use serde::{Deserialize, Serialize};
+
+use crate::group::Group;
+
+/// How actions are taken from the policy's distribution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Acting {
+    /// The most probable action: what the policy can do.
+    Mode,
+    /// A sample, as in training: its noise alone can undo a snap, so this understates a policy.
+    Sampled,
+}
+
+/// One finished episode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Episode {
+    /// The goal.
+    pub blueprint: BlueprintId,
+    /// The goal's split.
+    pub split: Split,
+    /// The goal's number of blocks.
+    pub n_blocks: usize,
+    /// How actions were taken.
+    pub acting: Acting,
+    /// How it ended.
+    pub end: End,
+    /// Steps until it ended, at least 1.
+    pub n_steps: u32,
+    /// Undiscounted return by term.
+    pub episode_return: RewardTerms,
+}
+
+/// The end of an episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The blueprint stands.
+    Success {
+        /// Whether it still stood some steps later, as the environment's rule of stable success asks.
+        stable: bool,
+    },
+    /// The time limit came first.
+    TimeLimit,
+    /// The physics left the rails; counts as a failure.
+    Diverged,
+}
+
+/// What one pass over frozen weights found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvalReport {
+    /// All blueprints, groups and reset-free runs.
+    pub summary: EvalSummary,
+    /// Each blueprint, ordered by split, size and id.
+    pub blueprints: Vec<EvalBlueprint>,
+}
+
+/// The weights that a report is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Judged {
+    /// Which weights.
+    pub weights_version: WeightsVersion,
+    /// Environment steps that they had learned from.
+    pub n_env_steps: u64,
+    /// Seed of the start states.
+    pub seed: u64,
+}
+
+impl EvalReport {
+    /// Sorts episodes into blueprints and groups; the duration and the counts of the bus are left at 0.
+    pub fn new(judged: Judged, episodes: &[Episode]) -> Self {
+        let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&Episode>> = BTreeMap::new();
+        let mut by_group: BTreeMap<Group, Vec<&Episode>> = BTreeMap::new();
+        for episode in episodes {
+            let key = (episode.split, episode.n_blocks, &episode.blueprint);
+            by_blueprint.entry(key).or_default().push(episode);
+            if let Some(group) = Group::of(episode.split, episode.n_blocks) {
+                by_group.entry(group).or_default().push(episode);
+            }
+        }
+        let blueprint =
+            |((split, n_blocks, id), episodes): ((Split, usize, &BlueprintId), Vec<&Episode>)| EvalBlueprint {
+                schema_version: METRICS_SCHEMA_VERSION,
+                weights_version: judged.weights_version,
+                n_env_steps: judged.n_env_steps,
+                blueprint: id.clone(),
+                split,
+                n_blocks: n_blocks as u64,
+                sampled: outcome(&episodes, Acting::Sampled),
+                mode: outcome(&episodes, Acting::Mode),
+            };
+        let summary = EvalSummary {
+            schema_version: METRICS_SCHEMA_VERSION,
+            weights_version: judged.weights_version,
+            n_env_steps: judged.n_env_steps,
+            elapsed_s: 0.0,
+            seed: judged.seed,
+            all: score_group("all", &episodes.iter().collect::<Vec<_>>()),
+            groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),
+            reset_free: None,
+            bus: BusCounts::default(),
+        };
+        Self { summary, blueprints: by_blueprint.into_iter().map(blueprint).collect() }
+    }
+}
+
+/// Success, steps and return of those episodes in which actions were taken so.
+pub fn outcome(episodes: &[&Episode], acting: Acting) -> EvalOutcome {
+    let (mut n_episodes, mut n_successes, mut n_stable, mut n_diverged) = (0_u64, 0_u64, 0_u64, 0_u64);
+    let (mut n_steps, mut n_steps_to_success) = (0_u64, 0_u64);
+    let mut sum = [0.0_f64; 5];
+    for episode in episodes.iter().filter(|episode| episode.acting == acting) {
+        n_episodes += 1;
+        n_steps += u64::from(episode.n_steps);
+        match episode.end {
+            End::Success { stable } => {
+                n_successes += 1;
+                n_stable += u64::from(stable);
+                n_steps_to_success += u64::from(episode.n_steps);
+            }
+            End::TimeLimit => {}
+            End::Diverged => n_diverged += 1,
+        }
+        let RewardTerms { connected, wrong, magnets, blocks, force } = episode.episode_return;
+        sum.iter_mut().zip([connected, wrong, magnets, blocks, force]).for_each(|(s, x)| *s += f64::from(x));
+    }
+    let n = n_episodes.max(1) as f64;
+    let [connected, wrong, magnets, blocks, force] = sum.map(|s| (s / n) as f32);
+    EvalOutcome {
+        success: SuccessRate::new(n_successes, n_episodes),
+        stable_success: SuccessRate::new(n_stable, n_episodes),
+        mean_steps: n_steps as f64 / n,
+        mean_steps_to_success: (n_successes > 0).then(|| n_steps_to_success as f64 / n_successes as f64),
+        mean_return: RewardTerms { connected, wrong, magnets, blocks, force },
+        n_diverged,
+    }
+}
+
+fn score_group(name: &str, episodes: &[&Episode]) -> EvalGroup {
+    let mut ids: Vec<&BlueprintId> = episodes.iter().map(|episode| &episode.blueprint).collect();
+    ids.sort();
+    ids.dedup();
+    EvalGroup {
+        name: name.to_owned(),
+        n_blueprints: ids.len() as u64,
+        sampled: outcome(episodes, Acting::Sampled),
+        mode: outcome(episodes, Acting::Mode),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn episode(id: &str, split: Split, n_blocks: usize, acting: Acting, end: End, n_steps: u32) -> Episode {
+        let episode_return = RewardTerms { connected: 1.0, wrong: -0.5, ..RewardTerms::default() };
+        let blueprint = BlueprintId::try_from(id.to_owned()).unwrap();
+        Episode { blueprint, split, n_blocks, acting, end, n_steps, episode_return }
+    }
+
+    #[test]
+    fn a_hand_worked_outcome() {
+        let steady = End::Success { stable: true };
+        let shaky = End::Success { stable: false };
+        let episodes = [
+            episode("2_000", Split::Train, 2, Acting::Mode, steady, 10),
+            episode("2_000", Split::Train, 2, Acting::Mode, shaky, 20),
+            episode("2_000", Split::Train, 2, Acting::Mode, End::TimeLimit, 100),
+            episode("2_000", Split::Train, 2, Acting::Mode, End::Diverged, 30),
+            episode("2_000", Split::Train, 2, Acting::Sampled, End::TimeLimit, 100),
+        ];
+        let found = outcome(&episodes.iter().collect::<Vec<_>>(), Acting::Mode);
+        assert_eq!((found.success.n_successes, found.success.n_episodes, found.success.rate), (2, 4, 0.5));
+        assert_eq!((found.stable_success.n_successes, found.n_diverged), (1, 1));
+        assert_eq!((found.mean_steps, found.mean_steps_to_success), (40.0, Some(15.0)));
+        assert_eq!((found.mean_return.connected, found.mean_return.wrong), (1.0, -0.5));
+    }
+
+    #[test]
+    fn episodes_are_sorted_into_blueprints_and_groups() {
+        let success = End::Success { stable: true };
+        let episodes = [
+            episode("10_000", Split::Train, 10, Acting::Mode, End::TimeLimit, 100),
+            episode("3_000", Split::Train, 3, Acting::Mode, success, 5),
+            episode("2_000", Split::Train, 2, Acting::Mode, End::TimeLimit, 100),
+            episode("2_000", Split::Train, 2, Acting::Sampled, success, 9),
+        ];
+        let judged = Judged { weights_version: WeightsVersion(7), n_env_steps: 11, seed: 3 };
+        let report = EvalReport::new(judged, &episodes);
+        let ids: Vec<&str> = report.blueprints.iter().map(|score| score.blueprint.as_str()).collect();
+        assert_eq!(ids, ["2_000", "3_000", "10_000"]);
+        let groups: Vec<_> =
+            report.summary.groups.iter().map(|g| (g.name.as_str(), g.n_blueprints, g.mode.success.rate)).collect();
+        assert_eq!(groups, [("train 2-6", 2, 0.5), ("train 7-11", 1, 0.0)]);
+        let all = &report.summary.all;
+        assert_eq!((all.n_blueprints, all.mode.success.n_episodes, all.sampled.success.n_episodes), (3, 3, 1));
+    }
+}

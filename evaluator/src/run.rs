@@ -1,0 +1,197 @@
+//! The evaluator as a service: judges weights as they come and tells the bus, a file and the caller.
+
+use std::collections::BTreeMap;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context;
+use blueprints::{Blueprint, BlueprintId, Catalogue};
+use environment::EnvironmentConfig;
+use policy::PolicyConfig;
+use proto::bus::{Bus, MetricsPublisher};
+use proto::{Role, Weights, keys};
+use serde::Serialize;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use crate::config::EvaluatorConfig;
+use crate::episodes::{EvalError, EvalSetup, evaluate};
+use crate::report::EvalReport;
+use crate::schedule::{Due, LastPass, due};
+
+/// What an evaluator process needs besides the bus.
+#[derive(Clone, Debug)]
+pub struct EvaluatorSetup {
+    /// When, on what and how.
+    pub config: EvaluatorConfig,
+    /// The policy; it must be the learner's.
+    pub policy: PolicyConfig,
+    /// The world.
+    pub environment: EnvironmentConfig,
+    /// Name among the living: 1 to 64 characters of `a-z`, `0-9`, `-`.
+    pub id: String,
+    /// Seed of start states and sampled actions.
+    pub seed: u64,
+    /// File to which each report is appended as lines of JSON, `metrics.jsonl` in a run's folder; none writes nothing.
+    pub history: Option<PathBuf>,
+}
+
+/// Judges the newest weights whenever a pass is due, the first ones at once, until `shutdown`; a pass under way is then
+/// given up. Returns the number of passes.
+///
+/// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the history file, and into
+/// `reports`, which may have no receiver. Passes run on threads of their own, and weights that come meanwhile wait.
+///
+/// # Errors
+/// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be started, or
+/// the history cannot be written.
+pub async fn run(
+    setup: EvaluatorSetup,
+    bus: &Bus,
+    reports: watch::Sender<Option<Arc<EvalReport>>>,
+    shutdown: CancellationToken,
+) -> anyhow::Result<u64> {
+    setup.config.validate().context("invalid evaluator configuration")?;
+    let catalogue = Catalogue::builtin();
+    let selected = setup.config.selection.select(catalogue)?;
+    let _alive = bus.declare_alive(Role::Evaluator, &setup.id).await?;
+    let subscriber = bus.weights_subscriber().await?;
+    let mut publishers = Publishers::new(bus).await?;
+    let mut weights = subscriber.watch();
+    let mut last: Option<(Instant, Arc<Weights>)> = None;
+    let mut n_passes = 0;
+    loop {
+        let newest = tokio::select! {
+            () = shutdown.cancelled() => return Ok(n_passes),
+            newest = next_due(&setup, &mut weights, last.as_ref()) => newest?,
+        };
+        let start = Instant::now();
+        last = Some((start, newest.clone()));
+        let mut report = match judge(&setup, catalogue, selected.clone(), newest, &shutdown).await? {
+            Err(EvalError::Interrupted) => return Ok(n_passes),
+            report => report?,
+        };
+        report.summary.elapsed_s = start.elapsed().as_secs_f64();
+        report.summary.bus = bus.counts();
+        n_passes += 1;
+        if let Some(history) = &setup.history {
+            append(history, &report).with_context(|| format!("cannot write {}", history.display()))?;
+        }
+        publishers.publish(&report).await?;
+        reports.send_replace(Some(Arc::new(report)));
+    }
+}
+
+/// Waits for weights that are to be judged.
+async fn next_due(
+    setup: &EvaluatorSetup,
+    weights: &mut watch::Receiver<Option<Arc<Weights>>>,
+    last: Option<&(Instant, Arc<Weights>)>,
+) -> anyhow::Result<Arc<Weights>> {
+    loop {
+        let newest = weights.borrow_and_update().clone();
+        let rest = match newest {
+            None => None,
+            Some(newest) => {
+                let last = last.map(|(start, weights)| LastPass {
+                    version: weights.version,
+                    n_env_steps: weights.n_env_steps,
+                    elapsed: start.elapsed(),
+                });
+                match due(setup.config.every, last, &newest) {
+                    Due::Now => return Ok(newest),
+                    Due::After(rest) => Some(rest),
+                    Due::WithNewer => None,
+                }
+            }
+        };
+        tokio::select! {
+            changed = weights.changed() => changed.context("the bus closed")?,
+            () = tokio::time::sleep(rest.unwrap_or_default()), if rest.is_some() => {}
+        }
+    }
+}
+
+/// One pass on a thread of its own.
+async fn judge(
+    setup: &EvaluatorSetup,
+    catalogue: &'static Catalogue,
+    selected: Vec<&'static Blueprint>,
+    weights: Arc<Weights>,
+    shutdown: &CancellationToken,
+) -> anyhow::Result<Result<EvalReport, EvalError>> {
+    let eval_setup = EvalSetup {
+        catalogue,
+        policy: setup.policy.clone(),
+        environment: setup.environment.clone(),
+        episodes: setup.config.episodes.clone(),
+        reset_free: setup.config.reset_free.clone(),
+        seed: setup.seed,
+    };
+    let shutdown = shutdown.clone();
+    let pass =
+        tokio::task::spawn_blocking(move || evaluate(&eval_setup, &weights, &selected, &|| !shutdown.is_cancelled()));
+    pass.await.context("the evaluating thread panicked")
+}
+
+/// A line of the history.
+#[derive(Serialize)]
+struct Line<'a, M> {
+    /// Key of the metrics on the bus after `metrics/`.
+    key: String,
+    #[serde(flatten)]
+    metrics: &'a M,
+}
+
+/// Appends a line for the summary and one for each blueprint, in one write because others append to the same file.
+fn append(path: &Path, report: &EvalReport) -> anyhow::Result<()> {
+    let mut lines = String::new();
+    let mut push = |line: String| {
+        lines.push_str(&line);
+        lines.push('\n');
+    };
+    let key = keys::METRICS_EVAL_SUMMARY.to_owned();
+    push(serde_json::to_string(&Line { key, metrics: &report.summary })?);
+    for score in &report.blueprints {
+        let key = keys::metrics_eval(score.split, &score.blueprint);
+        push(serde_json::to_string(&Line { key, metrics: score })?);
+    }
+    let mut file = OpenOptions::new().create(true).append(true).open(path)?;
+    file.write_all(lines.as_bytes())?;
+    Ok(())
+}
+
+/// The keys that reports go to.
+struct Publishers<'b> {
+    bus: &'b Bus,
+    summary: MetricsPublisher,
+    blueprints: BTreeMap<BlueprintId, MetricsPublisher>,
+}
+
+impl<'b> Publishers<'b> {
+    async fn new(bus: &'b Bus) -> anyhow::Result<Self> {
+        let summary = bus.metrics_publisher(keys::METRICS_EVAL_SUMMARY).await?;
+        Ok(Self { bus, summary, blueprints: BTreeMap::new() })
+    }
+
+    async fn publish(&mut self, report: &EvalReport) -> anyhow::Result<()> {
+        for score in &report.blueprints {
+            if !self.blueprints.contains_key(&score.blueprint) {
+                let publisher = self.bus.metrics_publisher(&keys::metrics_eval(score.split, &score.blueprint)).await?;
+                self.blueprints.insert(score.blueprint.clone(), publisher);
+            }
+            if let Some(publisher) = self.blueprints.get(&score.blueprint) {
+                publisher.put(score).await?;
+            }
+        }
+        // Last, so that whoever waits for the summary finds its blueprints there.
+        self.summary.put(&report.summary).await?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

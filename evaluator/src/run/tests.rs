@@ -1,0 +1,68 @@
+//! An evaluator on an isolated bus.
+
+use std::time::Duration;
+
+use proto::WeightsVersion;
+use proto::metrics::{EvalBlueprint, EvalSummary};
+
+use super::*;
+use crate::config::{EpisodeConfig, Every, Selection};
+use crate::episodes::tests::{small_setup, weights};
+
+/// Ends a test that waits for what does not come.
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(120), future).await.expect("it takes a moment only")
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn reports_reach_the_bus_the_file_and_the_caller() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let episodes = EpisodeConfig { n_episodes: 1, ..Default::default() };
+    let small = small_setup(episodes.clone());
+    let selection = Selection { sizes: [2, 2], ..Default::default() };
+    let n_selected = selection.select(Catalogue::builtin()).unwrap().len();
+    let history = dir.path().join("metrics.jsonl");
+    let setup = EvaluatorSetup {
+        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None },
+        policy: small.policy.clone(),
+        environment: small.environment.clone(),
+        id: "judge".to_owned(),
+        seed: 3,
+        history: Some(history.clone()),
+    };
+    let (reports, mut seen) = watch::channel(None);
+    let shutdown = CancellationToken::new();
+    let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
+    let service = tokio::spawn(async move { run(setup, &its_bus, reports, its_shutdown).await });
+
+    let publisher = bus.weights_publisher().await.unwrap();
+    let untrained = weights(&small);
+    publisher.publish(Arc::new(untrained.clone())).await.unwrap();
+    let report = within(seen.wait_for(Option::is_some)).await.unwrap().clone().unwrap();
+    assert_eq!(report.summary.weights_version, untrained.version);
+    assert_eq!(report.blueprints.len(), n_selected);
+
+    // Two versions later nothing is due, five later it is.
+    for passed in [2, 5] {
+        let version = WeightsVersion(untrained.version.0 + passed);
+        publisher.publish(Arc::new(Weights { version, ..untrained.clone() })).await.unwrap();
+    }
+    let is_later = |report: &Option<Arc<EvalReport>>| {
+        report.as_ref().is_some_and(|report| report.summary.weights_version.0 == untrained.version.0 + 5)
+    };
+    within(seen.wait_for(is_later)).await.unwrap();
+    shutdown.cancel();
+    assert_eq!(within(service).await.unwrap().unwrap(), 2);
+
+    let text = std::fs::read_to_string(&history).unwrap();
+    let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 2 * (1 + n_selected));
+    assert_eq!(lines[0]["key"], "eval/summary");
+    let summary: EvalSummary = serde_json::from_value(lines[0].clone()).unwrap();
+    assert_eq!(summary, report.summary);
+    let first: EvalBlueprint = serde_json::from_value(lines[1].clone()).unwrap();
+    assert_eq!(first, report.blueprints[0]);
+    assert_eq!(lines[1]["key"], format!("eval/train/{}", first.blueprint));
+    bus.close().await.unwrap();
+}

@@ -1,0 +1,94 @@
+//! When the next pass is due.
+
+use std::time::Duration;
+
+use proto::{Weights, WeightsVersion};
+
+use crate::config::Every;
+
+/// The start of the last pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct LastPass {
+    /// Weights that it judged.
+    pub(crate) version: WeightsVersion,
+    /// Environment steps that they had learned from.
+    pub(crate) n_env_steps: u64,
+    /// Time since it began.
+    pub(crate) elapsed: Duration,
+}
+
+/// When weights are to be judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Due {
+    /// Right away.
+    Now,
+    /// After this time, or when there are newer weights by then.
+    After(Duration),
+    /// When there are newer weights.
+    WithNewer,
+}
+
+/// When `newest` are to be judged after `last`.
+///
+/// The first weights are due at once, the same ones never again. A version or a count of steps that has gone back belongs
+/// to a learner that resumed from a checkpoint, whose weights count as new ones.
+pub(crate) fn due(every: Every, last: Option<LastPass>, newest: &Weights) -> Due {
+    let Some(last) = last else { return Due::Now };
+    let far_enough = |passed: Option<u64>, step: u64| match passed {
+        Some(passed) if passed < step => Due::WithNewer,
+        _ => Due::Now,
+    };
+    if newest.version == last.version && newest.n_env_steps == last.n_env_steps {
+        return Due::WithNewer;
+    }
+    match every {
+        Every::Minutes(minutes) => {
+            let period = Duration::from_secs_f64(60.0 * minutes);
+            match period.checked_sub(last.elapsed) {
+                None | Some(Duration::ZERO) => Due::Now,
+                Some(rest) => Due::After(rest),
+            }
+        }
+        Every::Steps(steps) => far_enough(newest.n_env_steps.checked_sub(last.n_env_steps), steps),
+        Every::Versions(versions) => far_enough(newest.version.0.checked_sub(last.version.0), versions),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn weights(version: u64, n_env_steps: u64) -> Weights {
+        Weights {
+            version: WeightsVersion(version),
+            n_env_steps,
+            network_hash: 0,
+            parameters: Vec::new(),
+            normalisation: Default::default(),
+            task_probabilities: Default::default(),
+        }
+    }
+
+    #[test]
+    fn passes_are_as_far_apart_as_configured() {
+        let secs = Duration::from_secs;
+        let last = |version, n_env_steps, seconds| {
+            Some(LastPass { version: WeightsVersion(version), n_env_steps, elapsed: secs(seconds) })
+        };
+        let table = [
+            (Every::Minutes(10.0), None, weights(0, 0), Due::Now),
+            (Every::Minutes(10.0), last(3, 30, 60), weights(3, 30), Due::WithNewer),
+            (Every::Minutes(10.0), last(3, 30, 60), weights(4, 40), Due::After(secs(540))),
+            (Every::Minutes(10.0), last(3, 30, 600), weights(4, 40), Due::Now),
+            (Every::Minutes(10.0), last(3, 30, 999), weights(4, 40), Due::Now),
+            (Every::Steps(100), last(3, 30, 0), weights(9, 129), Due::WithNewer),
+            (Every::Steps(100), last(3, 30, 0), weights(9, 130), Due::Now),
+            (Every::Versions(5), last(3, 30, 0), weights(7, 70), Due::WithNewer),
+            (Every::Versions(5), last(3, 30, 0), weights(8, 80), Due::Now),
+            (Every::Versions(5), last(30, 300, 0), weights(25, 250), Due::Now),
+        ];
+        for (every, last, newest, expected) in table {
+            assert_eq!(due(every, last, &newest), expected, "{every:?} {last:?}");
+        }
+    }
+}

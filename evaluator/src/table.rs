@@ -1,0 +1,114 @@
+//! A report as plain text for a terminal.
+
+use std::fmt::{Arguments, Write};
+
+use proto::metrics::EvalOutcome;
+
+use crate::report::EvalReport;
+
+/// How much of a report the text shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// Lines for groups only.
+    Groups,
+    /// Lines for each blueprint as well.
+    Blueprints,
+}
+
+/// The report as lines of at most 90 characters, each ended by a line break.
+///
+/// Rates are in percent, with Wilson's 95 % interval for success. `stable` is the rate of stable success, `steps` the
+/// mean number of steps of the successful episodes, `return` the mean undiscounted return of all.
+pub fn render(report: &EvalReport, detail: Detail) -> String {
+    let summary = &report.summary;
+    let mut text = format!("weights {} after {} environment steps\n", summary.weights_version.0, summary.n_env_steps);
+    header(&mut text, "group (blueprints)");
+    for group in summary.groups.iter().chain([&summary.all]) {
+        let name = format!("{} ({})", group.name, group.n_blueprints);
+        lines(&mut text, &name, &group.mode, &group.sampled);
+    }
+    if let Some(runs) = &summary.reset_free {
+        let name = format!("reset-free ({} x {})", runs.n_runs, runs.n_goals);
+        lines(&mut text, &name, &runs.mode.outcome, &runs.sampled.outcome);
+    }
+    if detail == Detail::Blueprints {
+        header(&mut text, "blueprint");
+        for score in &report.blueprints {
+            let name = format!("{} {}", score.split, score.blueprint);
+            lines(&mut text, &name, &score.mode, &score.sampled);
+        }
+    }
+    text
+}
+
+fn header(text: &mut String, what: &str) {
+    let columns = ("actions", "episodes", "%", "interval", "stable", "steps", "return");
+    let (actions, episodes, rate, interval, stable, steps, episode_return) = columns;
+    push_line(
+        text,
+        format_args!(
+            "{what:<24} {actions:<8} {episodes:>8} {rate:>6} {interval:^15} {stable:>6} {steps:>6} {episode_return:>7}"
+        ),
+    );
+}
+
+/// A line for each way of acting that was judged.
+fn lines(text: &mut String, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
+    for (acting, outcome) in [("mode", mode), ("sampled", sampled)] {
+        let n_episodes = outcome.success.n_episodes;
+        if n_episodes == 0 {
+            continue;
+        }
+        let rate = 100.0 * outcome.success.rate;
+        let (low, high) = (100.0 * outcome.success.wilson_low, 100.0 * outcome.success.wilson_high);
+        let stable = 100.0 * outcome.stable_success.rate;
+        let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
+        let mean_return = outcome.mean_return.total();
+        push_line(
+            text,
+            format_args!(
+                "{name:<24} {acting:<8} {n_episodes:>8} {rate:>6.1} {low:>6.1} - {high:<6.1} {stable:>6.1} {steps:>6} \
+                 {mean_return:>7.2}"
+            ),
+        );
+    }
+}
+
+fn push_line(text: &mut String, line: Arguments<'_>) {
+    writeln!(text, "{line}").expect("writing to a string does not fail");
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::{BlueprintId, Split};
+    use proto::{RewardTerms, WeightsVersion};
+
+    use super::*;
+    use crate::report::{Acting, End, Episode, Judged};
+
+    #[test]
+    fn the_table_shows_what_was_judged() {
+        // 1 of 2: the interval is 1/2 ± z/2 / √(2 + z²) = 1/2 ± 0.979982 / √5.841459 = 0.0945 to 0.9055.
+        let ends = [(End::Success { stable: true }, 8), (End::TimeLimit, 100)];
+        let episodes = ends.map(|(end, n_steps)| Episode {
+            blueprint: BlueprintId::try_from("2_003".to_owned()).unwrap(),
+            split: Split::Train,
+            n_blocks: 2,
+            acting: Acting::Mode,
+            end,
+            n_steps,
+            episode_return: RewardTerms { connected: 1.0, wrong: -0.25, ..RewardTerms::default() },
+        });
+        let judged = Judged { weights_version: WeightsVersion(4), n_env_steps: 8192, seed: 0 };
+        let text = render(&EvalReport::new(judged, &episodes), Detail::Blueprints);
+        let expected = "\
+weights 4 after 8192 environment steps
+group (blueprints)       actions  episodes      %    interval     stable  steps  return
+train 2-6 (1)            mode            2   50.0    9.5 - 90.5     50.0    8.0    0.75
+all (1)                  mode            2   50.0    9.5 - 90.5     50.0    8.0    0.75
+blueprint                actions  episodes      %    interval     stable  steps  return
+train 2_003              mode            2   50.0    9.5 - 90.5     50.0    8.0    0.75
+";
+        assert_eq!(text, expected);
+    }
+}
