@@ -34,8 +34,8 @@ impl Backlog {
 
     /// Adds the newest segment.
     ///
-    /// When it is full, this drops the oldest, or blocks the thread until there is room or it is closed. Returns how many
-    /// segments were dropped.
+    /// When it is full, this drops the oldest, or blocks the thread until there is room or it is closed. Returns how
+    /// many segments were dropped.
     pub fn push(&self, segment: Trajectory) -> u64 {
         let mut state = self.lock();
         while self.when_full == FullBacklog::Pause && !state.closed && state.segments.len() >= self.limit {
@@ -50,7 +50,8 @@ impl Backlog {
 
     /// Puts a segment back that could not be sent; it is the oldest again and the first to go when there is no room.
     ///
-    /// A pausing backlog drops nothing and exceeds its limit by what the senders had taken. Returns how many were dropped.
+    /// A pausing backlog drops nothing and exceeds its limit by what the senders had taken. Returns how many were
+    /// dropped.
     pub fn put_back(&self, segment: Trajectory) -> u64 {
         let mut state = self.lock();
         state.segments.push_front(segment);

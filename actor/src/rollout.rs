@@ -155,7 +155,8 @@ impl<'c, E: Env> Rollout<'c, E> {
         let decisions = self.policy.act(&self.batch, &mut self.action_rngs, ActionMode::Sampled);
 
         let mut finished: Vec<Trajectory> = Vec::new();
-        // From here on the batch takes the scenes whose value a finished segment needs; this is the place of each in it.
+        // From here on the batch takes the scenes whose value a finished segment needs; this is the place of each in
+        // it.
         self.batch.clear();
         let mut unvalued: Vec<usize> = Vec::new();
         for (seat, decision) in self.seats.iter_mut().zip(decisions) {

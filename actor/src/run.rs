@@ -45,8 +45,8 @@ pub struct ActorReport {
 /// actions; actors of one run need different ones.
 ///
 /// # Errors
-/// When a configuration is invalid, the session fails at the start, the weights are of another network, or no task can be
-/// started.
+/// When a configuration is invalid, the session fails at the start, the weights are of another network, or no task can
+/// be started.
 pub async fn run(
     config: ActorConfig,
     policy: PolicyConfig,

@@ -17,8 +17,9 @@ pub struct Identity {
 
 /// Collects the steps of one world's episodes.
 ///
-/// A segment ends after `segment_len` steps or with its episode. Segments of an episode that were cut earlier are gone when
-/// it diverges: they ended in sound scenes and carry the value of those, so only the steps since the last cut are dropped.
+/// A segment ends after `segment_len` steps or with its episode. Segments of an episode that were cut earlier are gone
+/// when it diverges: they ended in sound scenes and carry the value of those, so only the steps since the last cut are
+/// dropped.
 #[derive(Clone, Debug)]
 pub struct SegmentBuilder {
     segment_len: usize,

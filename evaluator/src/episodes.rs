@@ -58,9 +58,9 @@ pub enum EvalError {
 /// Judges `weights` on `blueprints`: `n_episodes` from scattered starts for each, once for each way of acting, and then
 /// the reset-free runs if the setup has any.
 ///
-/// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or the
-/// way of acting. An episode that ends in success goes on for up to 10 steps with the grippers holding still, in which
-/// the success can prove stable. The report's duration is left at 0. `keep_going` is asked at every step.
+/// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or
+/// the way of acting. An episode that ends in success goes on for up to 10 steps with the grippers holding still, in
+/// which the success can prove stable. The report's duration is left at 0. `keep_going` is asked at every step.
 ///
 /// # Errors
 /// When the weights do not fit, an episode cannot be started, or `keep_going` says no.

@@ -11,8 +11,8 @@ use crate::episodes::{EvalError, EvalSetup, run_all};
 use crate::lanes::{Job, Played};
 use crate::report::{Acting, End, Episode, outcome};
 
-/// Judges `weights` on runs over several goals: a run begins scattered, and each goal begins where the last one ended, by
-/// success or at the time limit. Goals are training blueprints of some size, never the same twice in a row.
+/// Judges `weights` on runs over several goals: a run begins scattered, and each goal begins where the last one ended,
+/// by success or at the time limit. Goals are training blueprints of some size, never the same twice in a row.
 ///
 /// A world that diverged is reset and the reset is counted. Runs depend on the setup's seed only.
 ///

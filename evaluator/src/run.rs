@@ -46,8 +46,8 @@ pub struct EvaluatorSetup {
 /// `reports`, which may have no receiver. Passes run on threads of their own, and weights that come meanwhile wait.
 ///
 /// # Errors
-/// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be started, or
-/// the history cannot be written.
+/// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
+/// started, or the history cannot be written.
 pub async fn run(
     setup: EvaluatorSetup,
     bus: &Bus,

@@ -30,8 +30,8 @@ pub(crate) enum Due {
 
 /// When `newest` are to be judged after `last`.
 ///
-/// The first weights are due at once, the same ones never again. A version or a count of steps that has gone back belongs
-/// to a learner that resumed from a checkpoint, whose weights count as new ones.
+/// The first weights are due at once, the same ones never again. A version or a count of steps that has gone back
+/// belongs to a learner that resumed from a checkpoint, whose weights count as new ones.
 pub(crate) fn due(every: Every, last: Option<LastPass>, newest: &Weights) -> Due {
     let Some(last) = last else { return Due::Now };
     let far_enough = |passed: Option<u64>, step: u64| match passed {
