@@ -66,7 +66,7 @@ impl PolicyHead {
 
     /// See [`ScaleConfig`].
     fn scales(&self, x: Tensor<2>) -> Tensor<2> {
-        let s = softplus(x.add_scalar(self.scale.offset())).add_scalar(self.scale.floor);
+        let s = activation::softplus(x.add_scalar(self.scale.offset()), 1.0).add_scalar(self.scale.floor);
         match self.scale.max_std {
             // The floor holds: tanh only lowers, and max_std is above it by validation.
             Some(max) => s.div_scalar(max).tanh().mul_scalar(max).clamp_min(self.scale.floor),
@@ -113,9 +113,4 @@ fn held_bits(raw: &Tensor<2>, grippers: usize) -> Tensor<3> {
     let [b, gd] = raw.dims();
     let part = gd / grippers;
     raw.clone().reshape([b, grippers, part]).slice([0..b, 0..grippers, part - N..part]).swap_dims(1, 2)
-}
-
-/// ln(1 + eˣ) without overflow, as max(x, 0) + ln(1 + e^−|x|).
-fn softplus<const D: usize>(x: Tensor<D>) -> Tensor<D> {
-    activation::relu(x.clone()) + x.abs().neg().exp().log1p()
 }

@@ -13,7 +13,7 @@ pub use gat::{FoldedGat, GatEncoder};
 pub use heads::{PolicyHead, ValueHead};
 pub use layers::{LayerNorm, Linear, Projection};
 pub use resnet::ResnetEncoder;
-pub use tensors::{BatchTensors, EdgeLayout};
+pub use tensors::{BatchTensors, EdgeLayout, dense_edges};
 
 use crate::config::{EncoderConfig, NetworkConfig};
 use crate::features::FeatureSizes;

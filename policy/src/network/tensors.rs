@@ -62,15 +62,18 @@ fn tensor(values: Vec<f32>, shape: [usize; 3], device: &Device) -> Tensor<3> {
 /// Position of edge `sender → receiver` in a sender-major list with or without self-edges.
 ///
 /// `None` for a self-edge in a list without them.
-pub(crate) fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> Option<usize> {
+fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> Option<usize> {
     if self_edges {
         return Some(sender * N + receiver);
     }
     (sender != receiver).then(|| sender * (N - 1) + receiver - usize::from(receiver > sender))
 }
 
-/// From sender-major lists of 240 or 256 edges to receiver-major 16×16.
-pub(crate) fn dense_edges(listed: &[f32], b: usize, ed: usize) -> Vec<f32> {
+/// From sender-major lists of 240 or 256 edges to receiver-major 16×16, with zeros for edges that are not listed.
+///
+/// # Shapes
+/// `[b, 240, ed]` or `[b, 256, ed]` → `[b, 256, ed]`
+pub fn dense_edges(listed: &[f32], b: usize, ed: usize) -> Vec<f32> {
     let mut dense = vec![0.0; b * N * N * ed];
     if b == 0 {
         return dense;

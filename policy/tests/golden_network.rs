@@ -1,0 +1,264 @@
+//! The network against vectors made with the paper's own listing in `f64` (JAX, Haiku, jraph).
+//!
+//! Outputs agree within 2e-5 of the largest entry of their tensor. Of each gradient the file holds five numbers: `first`
+//! and `last` agree within 2e-5 of its largest entry; `l2`, `sum` and `dot` (with a fixed pseudo-random vector) within
+//! 2e-5 of `l2`, times √n for `sum` and `dot`, which is what n such errors can add up to at most. The value-only gradients
+//! come with fewer of the five.
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use common::{generate, golden_path, numbers, read_json, relative_error};
+use policy::network::{EdgeLayout, dense_edges};
+use policy::parameters::{self, ParameterSpec};
+use policy::{BatchTensors, EncoderConfig, FeatureSizes, GatConfig, Network, NetworkConfig, NetworkOutput, ResnetConfig};
+use serde_json::Value;
+
+const TOLERANCE: f64 = 2e-5;
+
+struct Golden {
+    json: Value,
+    seed: u64,
+    batch: usize,
+    n_edges: usize,
+    sizes: FeatureSizes,
+    config: NetworkConfig,
+}
+
+impl Golden {
+    fn read(path: &Path) -> Self {
+        let json = read_json(path);
+        let info = &json["info"];
+        let int = |key: &str| info[key].as_u64().unwrap() as usize;
+        let sizes = FeatureSizes { node: int("node_dim"), edge: int("edge_dim"), global: int("global_dim") };
+        let shapes = json["shapes"].as_object().unwrap();
+        let layers = |prefix: &str, suffix: &str| shapes.keys().filter(|k| k.starts_with(prefix) && k.ends_with(suffix)).count();
+        let encoder = match info["hidden"].as_u64() {
+            Some(hidden) => {
+                EncoderConfig::Resnet(ResnetConfig { hidden: hidden as usize, n_blocks: layers("resnet.block", "fc0.w") })
+            }
+            None => EncoderConfig::Gat(GatConfig {
+                attention: shapes.contains_key("layer0.query.w"),
+                self_edges: info["self_edges"].as_bool().unwrap(),
+                n_layers: layers("layer", "message.w"),
+                ..GatConfig::default()
+            }),
+        };
+        let config = NetworkConfig { encoder, ..NetworkConfig::default() };
+        let (seed, batch, n_edges) = (info["seed"].as_u64().unwrap(), int("batch"), int("n_edge"));
+        assert_eq!(config.n_edges(), n_edges);
+        Self { seed, batch, n_edges, sizes, config, json }
+    }
+
+    fn parameters(&self, table: &[ParameterSpec]) -> Vec<f32> {
+        let shapes: BTreeMap<&str, Vec<usize>> = self.json["shapes"]
+            .as_object()
+            .unwrap()
+            .iter()
+            .map(|(k, v)| (k.as_str(), numbers(v).iter().map(|x| *x as usize).collect()))
+            .collect();
+        let ours: BTreeMap<&str, Vec<usize>> = table.iter().map(|s| (s.name.as_str(), s.shape.clone())).collect();
+        assert_eq!(ours, shapes, "names and shapes of the parameters");
+        let mut values = Vec::new();
+        for spec in table {
+            let x = generate(&format!("param.{}", spec.name), self.seed, spec.len());
+            let gain = 0.5_f64.min(2.5 / (spec.shape[0] as f64).sqrt());
+            let made: Vec<f32> = x
+                .iter()
+                .map(|x| match spec.name.rsplit('.').next() {
+                    Some("w") => (gain * x) as f32,
+                    Some("scale") => (1.0 + 0.5 * x) as f32,
+                    _ => (0.5 * x) as f32,
+                })
+                .collect();
+            let check = &self.json["param_check"][&spec.name];
+            for (value, expected) in made.iter().zip(numbers(&check["first"])) {
+                assert_eq!(f64::from(*value), expected, "generator at {}", spec.name);
+            }
+            values.extend(made);
+        }
+        values
+    }
+
+    fn inputs(&self, layout: EdgeLayout, device: &Device) -> BatchTensors {
+        let FeatureSizes { node, edge, global } = self.sizes;
+        let b = self.batch;
+        let make = |name: &str, n: usize| -> Vec<f32> {
+            generate(name, self.seed, n).into_iter().map(|x| (1.5 * x) as f32).collect()
+        };
+        let mut globals = make("in.globals", b * global);
+        let half = global / 2;
+        for (k, part) in globals.chunks_exact_mut(half).enumerate() {
+            let (item, gripper) = (k / 2, k % 2);
+            let one_hot = &mut part[half - 16..];
+            one_hot.fill(0.0);
+            if (item, gripper) != (1, 1) {
+                one_hot[(3 * item + 5 * gripper + 1) % 16] = 1.0;
+            }
+        }
+        let nodes = make("in.nodes", b * 16 * node);
+        let listed = make("in.edges", b * self.n_edges * edge);
+        for (name, values) in [("nodes", &nodes), ("edges", &listed), ("globals", &globals)] {
+            for (value, expected) in values.iter().zip(numbers(&self.json["input_check"][name])) {
+                assert_eq!(f64::from(*value), expected, "generator at in.{name}");
+            }
+        }
+        let (edges, rows) = match layout {
+            EdgeLayout::Dense => (dense_edges(&listed, b, edge), 256),
+            EdgeLayout::Listed => (listed, self.n_edges),
+        };
+        BatchTensors {
+            nodes: Tensor::from_data(TensorData::new(nodes, [b, 16, node]), device).require_grad(),
+            edges: Tensor::from_data(TensorData::new(edges, [b, rows, edge]), device).require_grad(),
+            globals: Tensor::from_data(TensorData::new(globals, [b, global]), device).require_grad(),
+        }
+    }
+
+    /// Gradients of the inputs in the order of the golden file.
+    fn input_gradients(&self, inputs: &BatchTensors, layout: EdgeLayout, gradients: &mut Gradients) -> Vec<(String, Vec<f32>)> {
+        let edges = gradient(&inputs.edges, gradients);
+        let edges = match layout {
+            EdgeLayout::Dense => self.listed(&edges),
+            EdgeLayout::Listed => edges,
+        };
+        vec![
+            ("in.nodes".into(), gradient(&inputs.nodes, gradients)),
+            ("in.edges".into(), edges),
+            ("in.globals".into(), gradient(&inputs.globals, gradients)),
+        ]
+    }
+
+    /// From receiver-major 16×16 to the sender-major list.
+    fn listed(&self, dense: &[f32]) -> Vec<f32> {
+        let ed = self.sizes.edge;
+        let mut listed = Vec::new();
+        for scene in dense.chunks_exact(256 * ed) {
+            for s in 0..16 {
+                for r in (0..16).filter(|r| self.n_edges == 256 || *r != s) {
+                    listed.extend_from_slice(&scene[(r * 16 + s) * ed..(r * 16 + s + 1) * ed]);
+                }
+            }
+        }
+        listed
+    }
+
+    fn check_outputs(&self, output: &NetworkOutput) {
+        let outputs = &self.json["outputs"];
+        for (name, ours) in [
+            ("block_act_locs", values(&output.locs)),
+            ("block_act_scales", values(&output.scales)),
+            ("grip_logits", values(&output.logits)),
+            ("value", values(&output.values)),
+        ] {
+            let error = relative_error(&ours, &numbers(&outputs[name]));
+            assert!(error <= TOLERANCE, "{}: {name} is off by {error:e} of its largest entry", self.json["info"]["set"]);
+        }
+    }
+
+    fn check_gradients(&self, network: &Network, expected: &Value, inputs: &BatchTensors, loss: &Tensor<1>) {
+        let mut gradients = loss.backward();
+        let flat = parameters::flatten_gradients(network, &mut gradients);
+        let mut ours = self.input_gradients(inputs, network.edge_layout(), &mut gradients);
+        let mut at = 0;
+        for spec in network.table() {
+            ours.push((spec.name.clone(), flat[at..at + spec.len()].to_vec()));
+            at += spec.len();
+        }
+        // The value-only gradients are given for parameters alone.
+        ours.retain(|(name, _)| !name.starts_with("in.") || !expected[name].is_null());
+        assert_eq!(ours.len(), expected.as_object().unwrap().len());
+        for (name, ours) in ours {
+            self.check_gradient(&name, &ours, &expected[&name]);
+        }
+    }
+
+    fn check_gradient(&self, name: &str, ours: &[f32], expected: &Value) {
+        assert!(expected["l2"].is_f64(), "{name} lacks its gradient");
+        let ours: Vec<f64> = ours.iter().map(|x| f64::from(*x)).collect();
+        let direction = generate(&format!("dir.{name}"), self.seed, ours.len());
+        let largest = ours.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+        let l2 = expected["l2"].as_f64().unwrap();
+        let spread = l2 * (ours.len() as f64).sqrt();
+        for (key, value, scale) in [
+            ("l2", ours.iter().map(|x| x * x).sum::<f64>().sqrt(), l2),
+            ("sum", ours.iter().sum(), spread),
+            ("dot", ours.iter().zip(&direction).map(|(g, x)| g * x).sum(), spread),
+            ("first", ours[0], largest),
+            ("last", ours[ours.len() - 1], largest),
+        ] {
+            let Some(wanted) = expected[key].as_f64() else { continue };
+            let set = &self.json["info"]["set"];
+            assert!(
+                (value - wanted).abs() <= TOLERANCE * scale,
+                "{set}: {key} of the gradient of {name} is {value}, not {wanted}"
+            );
+        }
+    }
+}
+
+fn values<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
+    tensor.to_data().try_to_vec().unwrap()
+}
+
+fn gradient<const D: usize>(tensor: &Tensor<D>, gradients: &mut Gradients) -> Vec<f32> {
+    match tensor.grad_remove(gradients) {
+        Some(gradient) => values(&gradient),
+        None => vec![0.0; tensor.shape().num_elements()],
+    }
+}
+
+fn check(path: &Path) {
+    let golden = Golden::read(path);
+    let device = Device::flex().autodiff();
+    let network = Network::init(&golden.config, &golden.sizes, 0, &device);
+    let parameters = golden.parameters(network.table());
+    if let Some(n) = golden.json["info"]["params"].as_u64() {
+        assert_eq!(parameters.len() as u64, n);
+    }
+    let network = parameters::load(network, &parameters).unwrap();
+    assert_eq!(parameters::flatten(&network), parameters, "what goes in comes out");
+
+    let inputs = golden.inputs(network.edge_layout(), &device);
+    let output = network.forward(&inputs);
+    golden.check_outputs(&output);
+    let NetworkOutput { locs, scales, logits, values } = output;
+    let loss = values.sum() + logits.powi_scalar(2).sum() + locs.powi_scalar(2).sum() + scales.log().sum();
+    golden.check_gradients(&network, &golden.json["grads"], &inputs, &loss);
+
+    let value_only = &golden.json["grads_value_only"]["grads"];
+    if !value_only.is_null() {
+        let inputs = golden.inputs(network.edge_layout(), &device);
+        let loss = network.forward(&inputs).values.sum();
+        golden.check_gradients(&network, value_only, &inputs, &loss);
+    }
+}
+
+#[test]
+fn graph_attention_matches_the_listing() {
+    check(&golden_path("set_a_gat.compact.json"));
+}
+
+#[test]
+fn equal_weights_match_the_listing() {
+    check(&golden_path("set_d_noatt.compact.json"));
+}
+
+#[test]
+fn resnet_matches_the_listing() {
+    check(&golden_path("set_e_resnet_h128.compact.json"));
+}
+
+/// More files of the same kind, of any dimensions, from the folder named by `LODESTONE_GOLDEN_DIR`.
+#[test]
+fn every_set_in_the_given_folder_matches() {
+    let Some(folder) = std::env::var_os("LODESTONE_GOLDEN_DIR").map(PathBuf::from) else { return };
+    let entries = std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.to_string_lossy().ends_with(".compact.json"));
+    paths.sort();
+    assert!(!paths.is_empty(), "no *.compact.json in {}", folder.display());
+    paths.iter().for_each(|path| check(path));
+}
