@@ -1,5 +1,7 @@
 //! SIGINT and SIGTERM: the first drains, the second ends at once.
 
+use std::time::Duration;
+
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
@@ -7,6 +9,10 @@ use crate::exit::Failure;
 
 /// Exit code of a process that a second signal ended, as shells report an interrupted one.
 const INTERRUPTED: i32 = 130;
+
+/// Signals that come this soon after the first one belong to it: `timeout` and others send theirs to the process and again
+/// to its group.
+const ECHO: Duration = Duration::from_millis(500);
 
 /// Cancels `shutdown` at the first signal from now on, and exits at the second.
 ///
@@ -19,6 +25,12 @@ pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
         any(&mut interrupt, &mut terminate).await;
         tracing::info!("stopping: saving what there is, a second signal ends at once");
         shutdown.cancel();
+        let echoes = async {
+            loop {
+                any(&mut interrupt, &mut terminate).await;
+            }
+        };
+        let _: Result<(), _> = tokio::time::timeout(ECHO, echoes).await;
         any(&mut interrupt, &mut terminate).await;
         tracing::warn!("ended by a second signal");
         #[expect(clippy::disallowed_methods, reason = "this is the way out when draining hangs")]

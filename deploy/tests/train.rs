@@ -1,0 +1,92 @@
+//! A run of the real program: it trains, saves, can be judged and continued, and drains on a signal.
+#![allow(clippy::unwrap_used)]
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+/// Small enough for seconds: two updates of 256 steps, one blueprint to judge.
+const SMALL: [&str; 14] = [
+    "--set",
+    "learner.steps_per_update=256",
+    "--set",
+    "learner.n_epochs=1",
+    "--set",
+    "actor.n_worlds=8",
+    "--set",
+    "evaluator.selection.blueprints=[\"2_000\"]",
+    "--set",
+    "evaluator.episodes.n_episodes=2",
+    "--set",
+    "policy.network.width=16",
+    "--set",
+    "policy.network.value_hidden=[16]",
+];
+
+fn lodestone(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
+    command.current_dir(folder);
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
+        command.env_remove(name);
+    }
+    command
+}
+
+fn finished(command: &mut Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+/// Environment steps of the newest checkpoint of a run.
+fn n_saved_steps(run_dir: &Path) -> u64 {
+    let folders = std::fs::read_dir(run_dir.join("checkpoints")).unwrap();
+    let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());
+    names.filter_map(|name| name.strip_prefix("step-")?.parse().ok()).max().unwrap()
+}
+
+#[test]
+fn a_run_is_saved_judged_and_continued() {
+    let folder = tempfile::tempdir().unwrap();
+    let run_dir = folder.path().join("run");
+    let trained = finished(lodestone(folder.path()).args(["train", "--run-dir", "run", "--steps", "512"]).args(SMALL));
+    assert!(String::from_utf8_lossy(&trained.stdout).contains("eval --checkpoint run"));
+    let n_steps = n_saved_steps(&run_dir);
+    assert!(n_steps >= 512, "{n_steps}");
+    for file in ["config.toml", "meta.json", "metrics.jsonl"] {
+        assert!(run_dir.join(file).is_file(), "{file}");
+    }
+
+    let judged = finished(lodestone(folder.path()).args(["eval", "--checkpoint", "run", "--episodes", "2", "--json"]));
+    let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+    assert_eq!(report["summary"]["n_env_steps"], n_steps);
+
+    let goal = (n_steps + 256).to_string();
+    finished(lodestone(folder.path()).args(["train", "--resume", "run", "--steps", &goal]));
+    assert!(n_saved_steps(&run_dir) >= n_steps + 256);
+
+    let again = lodestone(folder.path()).args(["train", "--run-dir", "run"]).output().unwrap();
+    assert_eq!(again.status.code(), Some(2), "a run must not be overwritten");
+}
+
+#[test]
+fn a_signal_drains_and_saves() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = lodestone(folder.path())
+        .args(["train", "--run-dir", "run"])
+        .args(SMALL)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    // The learner's first line: everything is up and has learned.
+    lines.find(|line| line.as_ref().unwrap().contains("explained variance")).unwrap().unwrap();
+    let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    for line in lines {
+        line.unwrap();
+    }
+    assert!(child.wait().unwrap().success());
+    assert!(n_saved_steps(&folder.path().join("run")) >= 256);
+}
