@@ -1,5 +1,7 @@
 //! The bus between real sessions: each test has its own router on a unix socket in a temporary folder.
 
+#![allow(clippy::unwrap_used)]
+
 mod alive;
 mod cluster;
 mod learner_away;
