@@ -21,9 +21,7 @@ const SEGMENT: usize = 32;
 fn main() {
     let n_samples = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(1024);
     let id = BlueprintId::try_from("2_000".to_owned()).unwrap();
-    let mut config = LearnerConfig { steps_per_update: n_samples, minibatch_size: 256, ..LearnerConfig::default() };
-    // All epochs are made, however far the policy moves on these random rewards.
-    config.optimizer.stop_kl = None;
+    let config = LearnerConfig { steps_per_update: n_samples, minibatch_size: 256, ..LearnerConfig::default() };
     let setup = LearnerSetup {
         config,
         policy: PolicyConfig::default(),

@@ -73,18 +73,28 @@ pub enum Objective {
 pub struct OptimizerConfig {
     /// Learning rate at the start; above 0, default 3e-4.
     pub learning_rate: f32,
-    /// Adapt the learning rate to the KL divergence; `None` keeps it fixed.
-    pub adaptive: Option<AdaptiveRate>,
+    /// How the learning rate moves.
+    pub rate_rule: RateRule,
     /// Adam's ε, outside the square root; above 0, default 1e-5.
     pub epsilon: f32,
     /// Adam's β₁; 0..1, default 0.9.
-    pub beta1: f32,
+    pub beta1: f64,
     /// Adam's β₂; 0..1, default 0.999.
-    pub beta2: f32,
+    pub beta2: f64,
     /// Gradients with a larger global norm are scaled to it; above 0, default 0.5.
     pub max_grad_norm: f32,
-    /// Ends an update after the epoch whose approximate KL divergence exceeds this; above 0, default 0.1; `None` is off.
+    /// Ends an update after the epoch whose approximate KL divergence exceeds this; above 0; `None` (default) is off.
     pub stop_kl: Option<f32>,
+}
+
+/// How the learning rate moves from update to update.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+pub enum RateRule {
+    /// It stays as it is.
+    Fixed,
+    /// It follows the KL divergence of the updates.
+    Adaptive(AdaptiveRate),
 }
 
 /// Rule that keeps the policy's change per update in a band.
@@ -188,13 +198,19 @@ impl Default for OptimizerConfig {
     fn default() -> Self {
         Self {
             learning_rate: 3e-4,
-            adaptive: Some(AdaptiveRate::default()),
+            rate_rule: RateRule::default(),
             epsilon: 1e-5,
             beta1: 0.9,
             beta2: 0.999,
             max_grad_norm: 0.5,
-            stop_kl: Some(0.1),
+            stop_kl: None,
         }
+    }
+}
+
+impl Default for RateRule {
+    fn default() -> Self {
+        Self::Adaptive(AdaptiveRate::default())
     }
 }
 
@@ -262,7 +278,7 @@ impl LearnerConfig {
         if let Some(kl) = optimizer.stop_kl {
             check_positive("optimizer.stop_kl", kl)?;
         }
-        if let Some(adaptive) = &optimizer.adaptive {
+        if let RateRule::Adaptive(adaptive) = &optimizer.rate_rule {
             adaptive.validate()?;
         }
         check_positive("normalisation.min_value_std", norm.min_value_std)?;
@@ -289,16 +305,16 @@ impl LearnerConfig {
 
 impl AdaptiveRate {
     fn validate(&self) -> Result<(), LearnerConfigError> {
-        check_positive("optimizer.adaptive.low_kl", self.low_kl)?;
-        check("optimizer.adaptive.high_kl", self.high_kl.into(), self.high_kl > self.low_kl, "above low_kl")?;
+        check_positive("optimizer.rate_rule.low_kl", self.low_kl)?;
+        check("optimizer.rate_rule.high_kl", self.high_kl.into(), self.high_kl > self.low_kl, "above low_kl")?;
         check(
-            "optimizer.adaptive.factor",
+            "optimizer.rate_rule.factor",
             self.factor.into(),
             self.factor > 1.0 && self.factor.is_finite(),
             "above 1",
         )?;
-        check_positive("optimizer.adaptive.min", self.min)?;
-        check("optimizer.adaptive.max", self.max.into(), self.max >= self.min && self.max.is_finite(), "at least min")
+        check_positive("optimizer.rate_rule.min", self.min)?;
+        check("optimizer.rate_rule.max", self.max.into(), self.max >= self.min && self.max.is_finite(), "at least min")
     }
 }
 
@@ -311,8 +327,8 @@ fn check_unit(field: &'static str, value: f32) -> Result<(), LearnerConfigError>
     check(field, value.into(), (0.0..=1.0).contains(&value), "in 0..=1")
 }
 
-fn check_decay(field: &'static str, value: f32) -> Result<(), LearnerConfigError> {
-    check(field, value.into(), (0.0..1.0).contains(&value), "at least 0 and below 1")
+fn check_decay(field: &'static str, value: f64) -> Result<(), LearnerConfigError> {
+    check(field, value, (0.0..1.0).contains(&value), "at least 0 and below 1")
 }
 
 fn check_positive(field: &'static str, value: f32) -> Result<(), LearnerConfigError> {

@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
-use crate::config::{LearnerConfig, Objective};
+use crate::config::{LearnerConfig, Objective, RateRule};
 use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalisation::ValueStatistics;
@@ -152,7 +152,7 @@ impl Ppo {
                 break;
             }
         }
-        if let Some(rule) = &config.optimizer.adaptive {
+        if let RateRule::Adaptive(rule) = &config.optimizer.rate_rule {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
         let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;

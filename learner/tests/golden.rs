@@ -201,8 +201,8 @@ fn adam_after_clipping_by_global_norm() {
     let golden = &golden("ppo.json")["adam_clip"];
     let number = |name: &str| golden[name].as_f64().unwrap() as f32;
     let config = OptimizerConfig {
-        beta1: number("b1"),
-        beta2: number("b2"),
+        beta1: golden["b1"].as_f64().unwrap(),
+        beta2: golden["b2"].as_f64().unwrap(),
         epsilon: number("eps"),
         ..OptimizerConfig::default()
     };

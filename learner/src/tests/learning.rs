@@ -10,7 +10,7 @@ use proto::{Outcome, RewardTerms, Status, Trajectory, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::LearnerConfig;
+use crate::config::{LearnerConfig, RateRule};
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::{Learner, LearnerSetup};
 
@@ -64,7 +64,7 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
 fn a_rewarded_choice_becomes_likelier() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.adaptive = None;
+    setup.config.optimizer.rate_rule = RateRule::Fixed;
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let mut rates = Vec::new();
@@ -112,7 +112,7 @@ fn equal_seeds_give_equal_weights_and_others_do_not() {
 fn old_trajectories_show_in_lag_and_effective_sample_size() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.adaptive = None;
+    setup.config.optimizer.rate_rule = RateRule::Fixed;
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let first = learner.weights();

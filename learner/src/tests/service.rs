@@ -1,0 +1,86 @@
+//! The learner on a bus of its own.
+
+use std::path::Path;
+
+use proto::bus::{Bus, SendError};
+use proto::metrics::LearnerMetrics;
+use proto::{ActorId, Refusal, Weights};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use tokio_util::sync::CancellationToken;
+
+use super::learning::{bandit, small_setup};
+use crate::run::{CHECKPOINTS, METRICS};
+use crate::{Checkpoint, LearnerReport, LearnerSetup, RunOptions, run};
+
+/// Sends enough for one update by each of the next `n_updates` weights.
+async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
+    let actor = ActorId::try_from("fixture".to_owned()).unwrap();
+    let sender = bus.trajectory_sender(&actor).await.unwrap();
+    sender.wait_for_learner().await.unwrap();
+    let subscriber = bus.weights_subscriber().await.unwrap();
+    let mut watch = subscriber.watch();
+    let first = watch.wait_for(Option::is_some).await.unwrap().clone().unwrap();
+    let mut newest = first.clone();
+    for round in 1..=n_updates {
+        let mut rng = ChaCha8Rng::seed_from_u64(round);
+        for trajectory in bandit(setup, &newest, 256, &mut rng) {
+            sender.send(&trajectory).await.unwrap();
+        }
+        let next = first.version.0 + round;
+        let seen = watch.wait_for(|w| w.as_ref().is_some_and(|w| w.version.0 >= next)).await.unwrap();
+        newest = seen.clone().unwrap();
+    }
+    let mut unknown = bandit(setup, &newest, 1, &mut ChaCha8Rng::seed_from_u64(0)).remove(0);
+    unknown.task.blueprint = "16_404".parse().unwrap();
+    let refused = sender.send(&unknown).await.unwrap_err();
+    assert!(matches!(refused, SendError::Refused(Refusal::Invalid(_))), "{refused}");
+    (*newest).clone()
+}
+
+/// Runs a learner in `dir` until an actor has seen `n_updates` updates.
+async fn session(dir: &Path, bus: &Bus, resume: bool, n_updates: u64) -> (LearnerReport, Weights) {
+    let setup = small_setup(5);
+    let resume = resume.then(|| dir.to_owned());
+    let options = RunOptions { setup: setup.clone(), run_dir: dir.to_owned(), resume, max_env_steps: None };
+    let shutdown = CancellationToken::new();
+    let learning = tokio::spawn({
+        let (bus, shutdown) = (bus.clone(), shutdown.clone());
+        async move { run(options, &bus, shutdown).await }
+    });
+    let weights = act(bus, &setup, n_updates).await;
+    shutdown.cancel();
+    (learning.await.unwrap().unwrap(), weights)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_learns_reports_saves_and_is_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let run_dir = dir.path().join("run");
+    let (report, weights) = session(&run_dir, &bus, false, 2).await;
+    assert_eq!((report.n_updates, report.n_env_steps, report.weights_version), (2, 512, weights.version));
+    assert_eq!((report.mailbox.accepted_total, report.mailbox.invalid_total), (512, 1));
+    let found = Checkpoint::read_latest(&run_dir.join(CHECKPOINTS)).unwrap();
+    assert_eq!(found.checkpoint.weights(), weights);
+
+    let (report, weights) = session(&run_dir, &bus, true, 1).await;
+    assert_eq!((report.n_updates, report.n_env_steps, weights.version.0), (3, 768, 3));
+    let lines = std::fs::read_to_string(run_dir.join(METRICS)).unwrap();
+    let lines: Vec<LearnerMetrics> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.iter().map(|m| m.n_updates).collect::<Vec<_>>(), [1, 2, 3]);
+    assert_eq!(lines[1].episodes.success.n_episodes, 256);
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_ends_at_its_number_of_steps() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let options =
+        RunOptions { setup: small_setup(6), run_dir: dir.path().join("run"), resume: None, max_env_steps: Some(0) };
+    let report = run(options, &bus, CancellationToken::new()).await.unwrap();
+    assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
+    assert!(report.checkpoint.ends_with("checkpoints/step-0"));
+    bus.close().await.unwrap();
+}
