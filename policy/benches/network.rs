@@ -11,7 +11,8 @@ use policy::{BatchTensors, FeatureConfig, FeatureSizes, Network, NetworkConfig, 
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
-    let features = if arguments.iter().any(|a| a == "extended") { FeatureConfig::default() } else { FeatureConfig::paper() };
+    let features =
+        if arguments.iter().any(|a| a == "extended") { FeatureConfig::default() } else { FeatureConfig::paper() };
     let wanted = |kind: &str| arguments.is_empty() || arguments.iter().any(|a| a == kind || a == "extended");
     let sizes = FeatureSizes::new(&features);
     println!("features {}/{}/{}", sizes.node, sizes.edge, sizes.global);
@@ -44,7 +45,9 @@ fn update(sizes: &FeatureSizes, b: usize) {
     let batch = batch(sizes, b, &device);
     report("update", b, || {
         let output = network.forward(&batch);
-        let loss = output.values.sum() + output.logits.powi_scalar(2).sum() + output.locs.powi_scalar(2).sum()
+        let loss = output.values.sum()
+            + output.logits.powi_scalar(2).sum()
+            + output.locs.powi_scalar(2).sum()
             + output.scales.log().sum();
         let mut gradients = loss.backward();
         black_box(parameters::flatten_gradients(&network, &mut gradients));
@@ -82,11 +85,16 @@ fn report(name: &str, b: usize, mut work: impl FnMut()) {
     println!("{name} {b} {:.4} ms/sample {:.0} samples/s", best * 1e3, 1.0 / best);
 }
 
-/// Time that this thread spent on a CPU where the system tells (Linux), else wall time.
+/// Time that all threads spent on a CPU where the system tells (Linux), else wall time.
+///
+/// All threads count: batched products run on a worker of the thread pool even when the pool has only one.
 fn cpu_time() -> Duration {
-    let spent = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let nanoseconds = spent.and_then(|text| text.split(' ').next().and_then(|n| n.parse().ok()));
-    nanoseconds.map_or_else(|| START.with(Instant::elapsed), Duration::from_nanos)
+    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let spent = |path: std::path::PathBuf| -> Option<u64> {
+        std::fs::read_to_string(path.join("schedstat")).ok()?.split(' ').next()?.parse().ok()
+    };
+    let nanoseconds: Vec<u64> = tasks.filter_map(|task| spent(task.path())).collect();
+    if nanoseconds.is_empty() { START.with(Instant::elapsed) } else { Duration::from_nanos(nanoseconds.iter().sum()) }
 }
 
 thread_local! {

@@ -248,11 +248,7 @@ impl NetworkConfig {
     /// The first field that is out of range.
     pub fn validate(&self) -> Result<(), PolicyConfigError> {
         let count = |field, value: usize, min, max| {
-            if (min..=max).contains(&value) {
-                Ok(())
-            } else {
-                Err(PolicyConfigError::Count { field, value, min, max })
-            }
+            if (min..=max).contains(&value) { Ok(()) } else { Err(PolicyConfigError::Count { field, value, min, max }) }
         };
         count("network.n_grippers", usize::from(self.n_grippers), 1, 2)?;
         count("network.width", self.width, 1, 1024)?;

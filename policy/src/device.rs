@@ -43,7 +43,8 @@ fn open_gpu() -> Result<Device, DeviceError> {
     use std::sync::OnceLock;
     // The runtime of an adapter can be registered only once per process, so the first answer stands.
     static GPU: OnceLock<Result<Device, DeviceError>> = OnceLock::new();
-    GPU.get_or_init(|| Device::wgpu_options().init().map_err(|error| DeviceError::Unavailable(error.to_string()))).clone()
+    GPU.get_or_init(|| Device::wgpu_options().init().map_err(|error| DeviceError::Unavailable(error.to_string())))
+        .clone()
 }
 
 #[cfg(not(feature = "gpu"))]

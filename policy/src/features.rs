@@ -2,7 +2,7 @@
 //!
 //! Nothing depends on where the scene stands or which way it faces: vectors are in block frames and heights are the
 //! only absolute positions. A position or distance is divided by 0.5 m, a linear velocity by 3 m/s, an angular velocity
-//! by 6.28 rad/s, an angle by π, unless noted. Flags are the fields of [`FeatureConfig`]; an absent group shifts the
+//! by 2π rad/s, an angle by π, unless noted. Flags are the fields of [`FeatureConfig`]; an absent group shifts the
 //! ones after it down.
 //!
 //! **Node** of block i:
@@ -43,7 +43,7 @@
 //! |---|---|---|---|
 //! | 0–2 | the world's up axis (orientation without its yaw) | gripper, unit vector | base |
 //! | 3–5 | commanded linear velocity of the last step | gripper, (m/s) / 3 | base |
-//! | 6–8 | commanded angular velocity of the last step | gripper, (rad/s) / 6.28 | base |
+//! | 6–8 | commanded angular velocity of the last step | gripper, (rad/s) / 2π | base |
 //! | 9–24 | one-hot of the block held in the last step, all 0 when none | 0 or 1 | base |
 //!
 //! The network finds the one-hot in the last 16 entries of each group.
@@ -65,7 +65,7 @@ const EXTENT_SCALE_M: f32 = 0.2;
 /// Scale of linear velocities, m/s.
 const LINEAR_SCALE_MPS: f32 = 3.0;
 /// Scale of angular velocities, rad/s.
-const ANGULAR_SCALE_RADPS: f32 = 6.28;
+const ANGULAR_SCALE_RADPS: f32 = std::f32::consts::TAU;
 /// Fine scale of needed moves, m.
 const FINE_MOVE_M: f32 = 0.06;
 /// Fine scale of needed turns, rad.
@@ -128,7 +128,14 @@ pub fn write_features(
     }
 }
 
-fn write_node(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig, block: BlockIdx, frame: &Frame, to: &mut Writer<'_>) {
+fn write_node(
+    scene: &Scene,
+    blueprint: &Blueprint,
+    config: &FeatureConfig,
+    block: BlockIdx,
+    frame: &Frame,
+    to: &mut Writer<'_>,
+) {
     to.number(frame.position.z / POSITION_SCALE_M);
     for g in 0..N_GRIPPERS {
         let held = scene.grippers[g].as_ref().and_then(|gripper| gripper.held);
@@ -145,7 +152,14 @@ fn write_node(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig, bloc
     }
 }
 
-fn write_edges(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig, frames: &[Frame; N_BLOCKS], edges: &mut [f32], ed: usize) {
+fn write_edges(
+    scene: &Scene,
+    blueprint: &Blueprint,
+    config: &FeatureConfig,
+    frames: &[Frame; N_BLOCKS],
+    edges: &mut [f32],
+    ed: usize,
+) {
     let mut connected = [[false; N_BLOCKS]; N_BLOCKS];
     for joint in &scene.joints {
         let (a, b) = (joint.a.get(), joint.b.get());
@@ -183,7 +197,13 @@ fn write_edges(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig, fra
 }
 
 /// The move that takes the receiver to its place beside a sender that stays, in the receiver's frame.
-fn write_needed_move(offset: &Vector3<f32>, current: &Matrix3<f32>, wanted_offset: &Vector3<f32>, wanted: &Matrix3<f32>, to: &mut [f32]) {
+fn write_needed_move(
+    offset: &Vector3<f32>,
+    current: &Matrix3<f32>,
+    wanted_offset: &Vector3<f32>,
+    wanted: &Matrix3<f32>,
+    to: &mut [f32],
+) {
     // In i's frame j sits at (offset, C); i is wanted at (m, T) with offset = m + T·wanted_offset and C = T·D.
     let turn = current * wanted.transpose();
     let shift = offset - turn * wanted_offset;

@@ -63,7 +63,9 @@ mod tests {
 
     #[test]
     fn rotation_vectors_of_known_turns() {
-        for v in [[0.0, 0.0, 0.0], [0.1, -0.2, 0.3], [3.1, 0.0, 0.0], [0.0, -3.1, 0.1], [1.7, 1.7, -1.7], [1e-8, 0.0, 0.0]] {
+        for v in
+            [[0.0, 0.0, 0.0], [0.1, -0.2, 0.3], [3.1, 0.0, 0.0], [0.0, -3.1, 0.1], [1.7, 1.7, -1.7], [1e-8, 0.0, 0.0]]
+        {
             let v = Vector3::from(v);
             let m = *nalgebra::Rotation3::new(v).matrix();
             assert!((rotation_vector(&m) - v).norm() < 1e-5, "{v} gave {}", rotation_vector(&m));

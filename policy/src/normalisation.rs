@@ -32,7 +32,8 @@ struct Moments {
 impl FeatureMoments {
     /// Takes in a batch of features that are not normalised.
     pub fn push(&mut self, batch: &FeatureBatch) {
-        let values = [(&batch.nodes, batch.sizes.node), (&batch.edges, batch.sizes.edge), (&batch.globals, batch.sizes.global)];
+        let values =
+            [(&batch.nodes, batch.sizes.node), (&batch.edges, batch.sizes.edge), (&batch.globals, batch.sizes.global)];
         for (group, (values, width)) in self.groups.iter_mut().zip(values) {
             values.chunks_exact(width).for_each(|row| group.push(row));
         }

@@ -4,12 +4,12 @@ use burn::tensor::{Device, Tensor};
 use proto::{Action, Normalisation, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
+use crate::FeatureBatch;
 use crate::config::{BlockMask, PolicyConfig, PolicyConfigError};
 use crate::distribution::{ActionDistribution, mask_logits};
 use crate::network::{BatchTensors, Folded, Network};
 use crate::normalisation::normalise;
 use crate::parameters::{self, ParameterError};
-use crate::FeatureBatch;
 
 /// How actions are taken from the distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

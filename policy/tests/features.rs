@@ -1,5 +1,7 @@
 //! Feature vectors: hand-worked scenes, and what they must not depend on.
 
+#![allow(clippy::unwrap_used)]
+
 use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS, RelativePlacement};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use policy::{FeatureBatch, FeatureConfig, FeatureSizes};
@@ -68,7 +70,7 @@ fn nodes_and_globals_of_a_hand_made_scene() {
         held: BlockIdx::try_from(2).ok(),
         orientation: scene.blocks[2].orientation,
         linear_velocity: [0.0, 0.0, 1.5],
-        angular_velocity: [0.0, 3.14, 0.0],
+        angular_velocity: [0.0, std::f32::consts::PI, 0.0],
     });
     let batch = features(&scene, blueprint(0), &FeatureConfig::default());
     let node = &batch.nodes[2 * 10..3 * 10];
@@ -76,7 +78,7 @@ fn nodes_and_globals_of_a_hand_made_scene() {
     assert!(close(&node[0..6], &[0.5, 0.0, 1.0, 1.0, 0.0, 0.0]), "{node:?}");
     assert!(close(&node[7..10], &[0.25; 3]), "{node:?}");
     let second = &batch.globals[25..50];
-    // The world's z is the block's x, y stays y: 1.5 / 3 and 3.14 / 6.28.
+    // The world's z is the block's x, y stays y: 1.5 / 3 and π / 2π.
     assert!(close(&second[0..9], &[1.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.5, 0.0]), "{second:?}");
     assert_eq!(second[9..].iter().position(|x| *x == 1.0), Some(2));
     assert!(batch.globals[9..25].iter().all(|x| *x == 0.0), "gripper 0 holds nothing");
@@ -121,16 +123,18 @@ fn any_scene() -> impl Strategy<Value = Scene> {
         .prop_filter("not near zero", |(_, q)| q.iter().map(|x| x * x).sum::<f32>() > 0.1)
         .prop_map(|(position, q)| Pose { position, orientation: quaternion(q).coords.into() });
     let velocity = prop::array::uniform3(-3.0_f32..3.0);
-    (prop::collection::vec(pose, N_BLOCKS), velocity.clone(), velocity, 0..16_u8).prop_map(|(poses, linear, angular, held)| {
-        let mut scene = row_scene();
-        scene.blocks.copy_from_slice(&poses);
-        let gripper = scene.grippers[0].as_mut().unwrap();
-        gripper.held = BlockIdx::try_from(held).ok();
-        gripper.orientation = poses[usize::from(held)].orientation;
-        gripper.linear_velocity = linear;
-        gripper.angular_velocity = angular;
-        scene
-    })
+    (prop::collection::vec(pose, N_BLOCKS), velocity.clone(), velocity, 0..16_u8).prop_map(
+        |(poses, linear, angular, held)| {
+            let mut scene = row_scene();
+            scene.blocks.copy_from_slice(&poses);
+            let gripper = scene.grippers[0].as_mut().unwrap();
+            gripper.held = BlockIdx::try_from(held).ok();
+            gripper.orientation = poses[usize::from(held)].orientation;
+            gripper.linear_velocity = linear;
+            gripper.angular_velocity = angular;
+            scene
+        },
+    )
 }
 
 proptest! {

@@ -113,13 +113,17 @@ impl GatEncoder {
         let embed = self.embed_edge.w.val();
         // Rows of a two-part kernel by head: `[H, width, head_dim]`.
         let by_head = |w: Tensor<2>, part: usize| {
-            w.slice([part * width..(part + 1) * width]).reshape([width, n_heads, head_dim]).swap_dims(0, 1)
+            w.slice_dim(0, part * width..(part + 1) * width).reshape([width, n_heads, head_dim]).swap_dims(0, 1)
         };
         let attend = layer.query.as_ref().zip(layer.key.as_ref()).map(|(query, key)| {
             let key = by_head(key.w.val(), 0).div_scalar((head_dim as f32).sqrt());
-            let [to_node, to_edge] = [0, 1].map(|part| key.clone().matmul(by_head(query.w.val(), part).swap_dims(1, 2)));
+            let [to_node, to_edge] =
+                [0, 1].map(|part| key.clone().matmul(by_head(query.w.val(), part).swap_dims(1, 2)));
             let to_edge = to_edge.matmul(embed.clone().transpose().unsqueeze::<3>());
-            [to_node.swap_dims(0, 1).reshape([width, n_heads * width]), to_edge.swap_dims(0, 1).reshape([width, n_heads * ed])]
+            [
+                to_node.swap_dims(0, 1).reshape([width, n_heads * width]),
+                to_edge.swap_dims(0, 1).reshape([width, n_heads * ed]),
+            ]
         });
         let project = layer.node_proj.w.val().reshape([n_heads, head_dim, width]);
         let [from_nodes, from_embedded] =
@@ -134,7 +138,7 @@ impl GatEncoder {
             (from_nodes.sum_dim(0).squeeze_dim(0), from_edges.sum_dim(0).squeeze_dim(0))
         };
         let mlp = layer.mlp_node[0].w.val();
-        let mlp_node = [mlp.clone().slice([0..width]), mlp.slice([width..2 * width])];
+        let mlp_node = [mlp.clone().slice_dim(0, 0..width), mlp.slice_dim(0, width..2 * width)];
         FoldedLayer { attend, from_nodes, from_edges, constant, mlp_node }
     }
 

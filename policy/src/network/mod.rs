@@ -72,13 +72,9 @@ impl Network {
         let mut builder = Builder::new(device);
         let encoder = match &config.encoder {
             EncoderConfig::Gat(gat) => Encoder::Gat(GatEncoder::build(&mut builder, gat, config.width, sizes)),
-            EncoderConfig::Resnet(resnet) => Encoder::Resnet(ResnetEncoder::build(
-                &mut builder,
-                resnet,
-                config.width,
-                sizes,
-                config.n_edges(),
-            )),
+            EncoderConfig::Resnet(resnet) => {
+                Encoder::Resnet(ResnetEncoder::build(&mut builder, resnet, config.width, sizes, config.n_edges()))
+            }
         };
         let head = PolicyHead::build(&mut builder, config, sizes);
         let value = ValueHead::build(&mut builder, config, sizes);

@@ -42,10 +42,12 @@ impl BatchTensors {
     /// Copies a batch to a device.
     pub fn new(batch: &FeatureBatch, layout: EdgeLayout, device: &Device) -> Self {
         let b = batch.n;
-        let n_edges = if b == 0 { 0 } else { batch.edges.len() / b / batch.sizes.edge };
+        let n_edges = batch.edges.len().checked_div(b * batch.sizes.edge).unwrap_or(0);
         let edges = match layout {
             EdgeLayout::Listed => tensor(batch.edges.clone(), [b, n_edges, batch.sizes.edge], device),
-            EdgeLayout::Dense => tensor(dense_edges(&batch.edges, b, batch.sizes.edge), [b, N * N, batch.sizes.edge], device),
+            EdgeLayout::Dense => {
+                tensor(dense_edges(&batch.edges, b, batch.sizes.edge), [b, N * N, batch.sizes.edge], device)
+            }
         };
         Self {
             nodes: tensor(batch.nodes.clone(), [b, N, batch.sizes.node], device),

@@ -1,10 +1,8 @@
 //! The action distribution, slices and tensors, against vectors made with JAX in `f64`, and its sampling.
 
-mod common;
-
+use crate::common::{floats, golden_path, numbers, read_json, relative_error};
 use blueprints::{BlockIdx, N_BLOCKS};
 use burn::tensor::{Device, Tensor, TensorData};
-use common::{floats, golden_path, numbers, read_json, relative_error};
 use policy::distribution::{ActionDistribution, MASKED_LOGIT, mask_logits};
 use policy::loss_terms::{self, ActionTensors};
 use policy::{JointForm, NetworkOutput};
@@ -60,7 +58,12 @@ impl Heads {
 
     fn row(&self, item: usize, form: JointForm) -> ActionDistribution<'_> {
         let moves = item * 96..(item + 1) * 96;
-        ActionDistribution::new(&self.logits[item * 32..(item + 1) * 32], &self.locs[moves.clone()], &self.scales[moves], form)
+        ActionDistribution::new(
+            &self.logits[item * 32..(item + 1) * 32],
+            &self.locs[moves.clone()],
+            &self.scales[moves],
+            form,
+        )
     }
 
     fn tensors(&self, device: &Device) -> NetworkOutput {
@@ -91,12 +94,12 @@ fn log_probs_match_in_all_forms() {
         for (form, name) in FORMS {
             let expected = numbers(&golden["variants"][name][key]);
             let actions = actions(&golden, form);
-            let slices: Vec<f32> = (0..8)
-                .map(|i| actions.iter().map(|a| heads.row(i, form).log_prob(&a[i])).sum::<f32>() / 2.0)
-                .collect();
+            let slices: Vec<f32> =
+                (0..8).map(|i| actions.iter().map(|a| heads.row(i, form).log_prob(&a[i])).sum::<f32>() / 2.0).collect();
             assert!(relative_error(&slices, &expected) <= TOLERANCE, "{name} {key}: {slices:?}");
             let output = heads.tensors(&Device::flex());
-            let tensors = actions.map(|a| loss_terms::log_prob(&output, &ActionTensors::new(a.iter(), 2, &Device::flex()), form));
+            let tensors =
+                actions.map(|a| loss_terms::log_prob(&output, &ActionTensors::new(a.iter(), 2, &Device::flex()), form));
             let [a, b] = tensors;
             assert!(relative_error(&values((a + b) / 2.0), &expected) <= TOLERANCE, "{name} {key} on tensors");
         }
@@ -111,7 +114,8 @@ fn gradients_of_the_clipped_loss_match_in_all_forms() {
     let clip = golden["clip_eps"].as_f64().unwrap();
     for (form, name) in FORMS {
         let output = Heads::read(&golden["new"]).tensors(&device);
-        let [a, b] = actions(&golden, form).map(|a| loss_terms::log_prob(&output, &ActionTensors::new(a.iter(), 2, &device), form));
+        let [a, b] = actions(&golden, form)
+            .map(|a| loss_terms::log_prob(&output, &ActionTensors::new(a.iter(), 2, &device), form));
         let vector = |x: &[f32]| Tensor::<1>::from_data(TensorData::new(x.to_vec(), [8]), &device);
         let variant = &golden["variants"][name];
         let ratio = ((a + b) / 2.0 - vector(&floats(&variant["logp_old"]))).exp();

@@ -3,15 +3,13 @@
 //! The oracle is plain `f64` arithmetic over the flat parameters; the sizes are not the paper's, so that no two happen
 //! to be equal.
 
-mod common;
-
 use std::collections::BTreeMap;
 
+use crate::common::{generate, relative_error};
 use burn::tensor::{Device, Tensor, TensorData};
-use common::{generate, relative_error};
 use policy::network::{EdgeLayout, dense_edges};
-use policy::{BatchTensors, EncoderConfig, FeatureSizes, GatConfig, Network, NetworkConfig, ScaleConfig};
 use policy::parameters;
+use policy::{BatchTensors, EncoderConfig, FeatureSizes, GatConfig, Network, NetworkConfig, ScaleConfig};
 
 const N: usize = 16;
 
@@ -59,7 +57,13 @@ impl Oracle {
         self.linear(&format!("{name}.1"), &relu(&self.linear(&format!("{name}.0"), x)))
     }
 
-    fn node_update(&self, layer: &str, nodes: &[Vec<f64>], edges: &BTreeMap<(usize, usize), Vec<f64>>, r: usize) -> Vec<f64> {
+    fn node_update(
+        &self,
+        layer: &str,
+        nodes: &[Vec<f64>],
+        edges: &BTreeMap<(usize, usize), Vec<f64>>,
+        r: usize,
+    ) -> Vec<f64> {
         let (heads, dim) = (self.gat.n_heads, self.gat.head_dim);
         let senders: Vec<usize> = (0..N).filter(|s| edges.contains_key(&(*s, r))).collect();
         let input = |s: usize| [nodes[s].as_slice(), &edges[&(s, r)]].concat();
@@ -103,7 +107,8 @@ impl Oracle {
             global = self.layer_norm(&format!("{layer}.ln_global"), &add(&h, &global));
         }
         let locs: Vec<f64> = nodes.iter().flat_map(|n| self.linear("head.act_loc", n)).collect();
-        let scales = nodes.iter().flat_map(|n| self.linear("head.act_scale", n)).map(|x| x.exp().ln_1p() + 1e-6).collect();
+        let scales =
+            nodes.iter().flat_map(|n| self.linear("head.act_scale", n)).map(|x| x.exp().ln_1p() + 1e-6).collect();
         let logits = self.logits(&nodes, &global, raw);
         let choice: Vec<f64> = logits.chunks(N).flat_map(softmax).collect();
         let own = self.project("value.input_global", raw);

@@ -5,16 +5,16 @@
 //! 2e-5 of `l2`, times √n for `sum` and `dot`, which is what n such errors can add up to at most. The value-only gradients
 //! come with fewer of the five.
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use crate::common::{generate, golden_path, numbers, read_json, relative_error};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
-use common::{generate, golden_path, numbers, read_json, relative_error};
 use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters::{self, ParameterSpec};
-use policy::{BatchTensors, EncoderConfig, FeatureSizes, GatConfig, Network, NetworkConfig, NetworkOutput, ResnetConfig};
+use policy::{
+    BatchTensors, EncoderConfig, FeatureSizes, GatConfig, Network, NetworkConfig, NetworkOutput, ResnetConfig,
+};
 use serde_json::Value;
 
 const TOLERANCE: f64 = 2e-5;
@@ -35,11 +35,13 @@ impl Golden {
         let int = |key: &str| info[key].as_u64().unwrap() as usize;
         let sizes = FeatureSizes { node: int("node_dim"), edge: int("edge_dim"), global: int("global_dim") };
         let shapes = json["shapes"].as_object().unwrap();
-        let layers = |prefix: &str, suffix: &str| shapes.keys().filter(|k| k.starts_with(prefix) && k.ends_with(suffix)).count();
+        let layers =
+            |prefix: &str, suffix: &str| shapes.keys().filter(|k| k.starts_with(prefix) && k.ends_with(suffix)).count();
         let encoder = match info["hidden"].as_u64() {
-            Some(hidden) => {
-                EncoderConfig::Resnet(ResnetConfig { hidden: hidden as usize, n_blocks: layers("resnet.block", "fc0.w") })
-            }
+            Some(hidden) => EncoderConfig::Resnet(ResnetConfig {
+                hidden: hidden as usize,
+                n_blocks: layers("resnet.block", "fc0.w"),
+            }),
             None => EncoderConfig::Gat(GatConfig {
                 attention: shapes.contains_key("layer0.query.w"),
                 self_edges: info["self_edges"].as_bool().unwrap(),
@@ -118,7 +120,12 @@ impl Golden {
     }
 
     /// Gradients of the inputs in the order of the golden file.
-    fn input_gradients(&self, inputs: &BatchTensors, layout: EdgeLayout, gradients: &mut Gradients) -> Vec<(String, Vec<f32>)> {
+    fn input_gradients(
+        &self,
+        inputs: &BatchTensors,
+        layout: EdgeLayout,
+        gradients: &mut Gradients,
+    ) -> Vec<(String, Vec<f32>)> {
         let edges = gradient(&inputs.edges, gradients);
         let edges = match layout {
             EdgeLayout::Dense => self.listed(&edges),
@@ -154,7 +161,11 @@ impl Golden {
             ("value", values(&output.values)),
         ] {
             let error = relative_error(&ours, &numbers(&outputs[name]));
-            assert!(error <= TOLERANCE, "{}: {name} is off by {error:e} of its largest entry", self.json["info"]["set"]);
+            assert!(
+                error <= TOLERANCE,
+                "{}: {name} is off by {error:e} of its largest entry",
+                self.json["info"]["set"]
+            );
         }
     }
 

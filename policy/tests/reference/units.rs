@@ -1,10 +1,8 @@
 //! LayerNorm at small variances, the softplus and the log-softmax, against values and gradients made in `f64`.
 
-mod common;
-
+use crate::common::{floats, generate, golden_path, numbers, read_json, relative_error};
 use burn::module::Param;
 use burn::tensor::{Device, Tensor, TensorData, activation};
-use common::{floats, generate, golden_path, numbers, read_json, relative_error};
 use policy::network::LayerNorm;
 
 const TOLERANCE: f64 = 2e-5;
@@ -29,7 +27,8 @@ fn layer_norm_matches_at_every_variance() {
         let width = case["scale"].as_array().unwrap().len();
         let matrix = |key: &str| Tensor::<2>::from_data(TensorData::new(floats(&case[key]), [rows, width]), &device);
         let vector = |key: &str| Tensor::<1>::from_data(TensorData::new(floats(&case[key]), [width]), &device);
-        let layer = LayerNorm { scale: Param::from_tensor(vector("scale")), offset: Param::from_tensor(vector("offset")) };
+        let layer =
+            LayerNorm { scale: Param::from_tensor(vector("scale")), offset: Param::from_tensor(vector("offset")) };
         let x = matrix("x").require_grad();
         let y = layer.forward(x.clone());
         let gradients = (y.clone() * matrix("dy")).sum().backward();

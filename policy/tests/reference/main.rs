@@ -1,0 +1,10 @@
+//! The network and the action distribution against values from elsewhere: the files in `tests/golden`, made with the
+//! paper's listing in JAX, and a naive form of the graph encoder.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+mod distribution;
+mod naive;
+mod network;
+mod units;
