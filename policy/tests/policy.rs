@@ -1,0 +1,236 @@
+//! Inference: what is refused, what a decision depends on, and the initial values.
+
+#![allow(clippy::unwrap_used)]
+
+use std::collections::BTreeMap;
+
+use blueprints::{Blueprint, Catalogue, N_BLOCKS};
+use burn::tensor::Device;
+use policy::normalisation::FeatureMoments;
+use policy::parameters::{self, Initialiser};
+use policy::{
+    ActionMode, BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig,
+    ResnetConfig, ScaleConfig,
+};
+use proto::{Gripper, Normalisation, Pose, Scene, Weights, WeightsVersion};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A network small enough for a test that is not about its size.
+fn small() -> PolicyConfig {
+    let gat = GatConfig { n_layers: 1, n_heads: 2, head_dim: 8, mlp_hidden: 16, ..GatConfig::default() };
+    PolicyConfig {
+        network: NetworkConfig {
+            encoder: EncoderConfig::Gat(gat),
+            width: 8,
+            value_hidden: vec![16],
+            ..NetworkConfig::default()
+        },
+        ..PolicyConfig::default()
+    }
+}
+
+fn weights(config: &PolicyConfig, seed: u64) -> Weights {
+    let network = Network::init(&config.network, &config.sizes(), seed, &Device::flex());
+    Weights {
+        version: WeightsVersion(seed),
+        n_env_steps: 0,
+        network_hash: config.hash(),
+        parameters: parameters::flatten(&network),
+        normalisation: Normalisation { value_std: 1.0, ..Normalisation::default() },
+        task_probabilities: BTreeMap::new(),
+    }
+}
+
+fn blueprint() -> &'static Blueprint {
+    Catalogue::builtin().iter().next().unwrap()
+}
+
+fn scene(seed: u64) -> Scene {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let orientation = [0.0, 0.0, 0.0, 1.0];
+    let gripper = Gripper { held: None, orientation, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
+    Scene {
+        blocks: std::array::from_fn(|_| Pose {
+            position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
+            orientation,
+        }),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(gripper), Some(gripper)],
+        n_heavy_contacts: 0,
+    }
+}
+
+fn batch(config: &PolicyConfig, seeds: &[u64]) -> FeatureBatch {
+    let mut batch = FeatureBatch::new(&config.features);
+    seeds.iter().for_each(|seed| batch.push(&scene(*seed), blueprint()));
+    batch
+}
+
+fn rngs(seeds: &[u64]) -> Vec<ChaCha8Rng> {
+    seeds.iter().map(|seed| ChaCha8Rng::seed_from_u64(*seed)).collect()
+}
+
+#[test]
+fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
+    let config = small();
+    let mut policy = Policy::new(&config).unwrap();
+    policy.load(&weights(&config, 1)).unwrap();
+    let before = policy.values(&batch(&config, &[1, 2]));
+    type Spoil = fn(&mut Weights);
+    let cases: [(Spoil, &str); 6] = [
+        (|w| w.network_hash ^= 1, "this process runs"),
+        (|w| w.parameters.truncate(3), "do not fit"),
+        (|w| w.parameters[5] = f32::NAN, "do not fit"),
+        (|w| w.normalisation.feature_mean[0] = vec![0.0; 3], "of length 3, must be 0 or 10"),
+        (|w| w.normalisation.value_std = 0.0, "value_std = 0"),
+        (|w| w.normalisation.value_mean = f32::INFINITY, "value_mean = inf"),
+    ];
+    for (spoil, message) in cases {
+        let mut spoilt = weights(&config, 2);
+        spoil(&mut spoilt);
+        let error = policy.load(&spoilt).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+        assert_eq!(policy.version(), Some(WeightsVersion(1)));
+        assert_eq!(policy.values(&batch(&config, &[1, 2])), before);
+    }
+}
+
+#[test]
+fn a_decision_depends_on_its_own_scene_and_generator_alone() {
+    let config = small();
+    let mut policy = Policy::new(&config).unwrap();
+    policy.load(&weights(&config, 3)).unwrap();
+    let seeds = [4, 5, 6];
+    let together = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled);
+    for (seed, decision) in seeds.iter().zip(&together) {
+        let alone = &policy.act(&batch(&config, &[*seed]), &mut rngs(&[*seed]), ActionMode::Sampled)[0];
+        assert_eq!(alone.action.choices, decision.action.choices);
+        assert!((alone.log_prob - decision.log_prob).abs() < 1e-4);
+        assert!((alone.value - decision.value).abs() < 1e-5);
+    }
+    let mut generators = rngs(&seeds);
+    policy.act(&batch(&config, &seeds), &mut generators, ActionMode::Mode);
+    assert_eq!(generators, rngs(&seeds), "the mode draws nothing");
+    assert!(policy.act(&policy.batch(), &mut [], ActionMode::Sampled).is_empty());
+}
+
+#[test]
+fn the_mask_keeps_choices_in_the_blueprint() {
+    let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
+    let policy = Policy::new(&config).unwrap();
+    let seeds: Vec<u64> = (0..64).collect();
+    for decision in policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled) {
+        assert!(decision.action.choices.iter().flatten().all(|block| blueprint().contains(*block)));
+        assert!(decision.log_prob.is_finite());
+    }
+}
+
+#[test]
+fn values_come_back_in_reward_units() {
+    let config = small();
+    let mut policy = Policy::new(&config).unwrap();
+    let mut scaled = weights(&config, 1);
+    policy.load(&scaled).unwrap();
+    let raw = policy.values(&batch(&config, &[1]))[0];
+    scaled.normalisation.value_mean = -2.0;
+    scaled.normalisation.value_std = 3.0;
+    policy.load(&scaled).unwrap();
+    assert!((policy.values(&batch(&config, &[1]))[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
+}
+
+#[test]
+fn statistics_leave_bits_alone_and_centre_the_rest() {
+    let config = small();
+    let data = batch(&config, &(0..50).collect::<Vec<_>>());
+    let mut moments = FeatureMoments::default();
+    moments.push(&data);
+    let mut statistics = Normalisation { value_std: 1.0, ..Normalisation::default() };
+    moments.freeze_into(&mut statistics);
+    // Globals 9..25 are a one-hot, edge 23 is a bit; edge 18 is an offset.
+    assert_eq!((statistics.feature_mean[2][12], statistics.feature_std[2][12]), (0.0, 1.0));
+    assert_eq!((statistics.feature_mean[1][23], statistics.feature_std[1][23]), (0.0, 1.0));
+    let mut normalised = data.clone();
+    policy::normalisation::normalise(&mut normalised, &statistics);
+    let offsets: Vec<f32> = normalised.edges.chunks(data.sizes.edge).map(|edge| edge[18]).collect();
+    let mean = offsets.iter().sum::<f32>() / offsets.len() as f32;
+    let variance = offsets.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / offsets.len() as f32;
+    assert!(mean.abs() < 1e-3 && (variance - 1.0).abs() < 1e-2, "{mean} {variance}");
+    let mut scaled = weights(&config, 1);
+    scaled.normalisation = statistics;
+    Policy::new(&config).unwrap().load(&scaled).unwrap();
+}
+
+#[test]
+fn the_paper_network_has_its_size() {
+    let config = PolicyConfig { features: policy::FeatureConfig::paper(), ..PolicyConfig::default() };
+    assert_eq!(weights(&config, 0).parameters.len(), 1_238_157);
+}
+
+#[test]
+fn initial_values_follow_haiku() {
+    for encoder in [EncoderConfig::default(), EncoderConfig::Resnet(ResnetConfig { hidden: 96, n_blocks: 1 })] {
+        let config = NetworkConfig { encoder, ..NetworkConfig::default() };
+        let sizes = PolicyConfig::default().sizes();
+        let network = Network::init(&config, &sizes, 11, &Device::flex());
+        let values = parameters::flatten(&network);
+        assert_eq!(values, parameters::flatten(&Network::init(&config, &sizes, 11, &Device::flex())));
+        assert_ne!(values, parameters::flatten(&Network::init(&config, &sizes, 12, &Device::flex())));
+        let mut at = 0;
+        for spec in network.table() {
+            let part = &values[at..at + spec.len()];
+            at += spec.len();
+            let (fan_in, fan_out) = (spec.shape[0] as f32, spec.shape[spec.shape.len() - 1] as f32);
+            // A unit normal truncated at 2 has the standard deviation 0.8796.
+            let (std, limit) = match spec.initialiser {
+                Initialiser::Constant(x) => {
+                    assert!(part.iter().all(|y| *y == x), "{}", spec.name);
+                    continue;
+                }
+                Initialiser::HaikuLinear => (0.8796 / fan_in.sqrt(), 2.0 / fan_in.sqrt()),
+                Initialiser::FanIn(s) => ((s / fan_in).sqrt(), (s / fan_in).sqrt() * 2.0 / 0.8796),
+                Initialiser::UniformFanOut(s) => ((s / fan_out).sqrt(), (3.0 * s / fan_out).sqrt()),
+            };
+            let n = part.len() as f32;
+            let ours = (part.iter().map(|x| x * x).sum::<f32>() / n).sqrt();
+            assert!((ours / std - 1.0).abs() < 4.0 / n.sqrt(), "{}: {ours}, not {std}", spec.name);
+            assert!(part.iter().all(|x| x.abs() <= limit * 1.0001), "{}", spec.name);
+        }
+    }
+}
+
+#[test]
+fn the_initial_standard_deviation_is_as_configured() {
+    for (init_std, max_std, expected) in
+        [(None, None, 2.0_f32.ln()), (Some(0.5), None, 0.5), (Some(0.5), Some(1.0), 0.5), (Some(0.05), Some(0.3), 0.05)]
+    {
+        let mut config = small();
+        config.network.scale = ScaleConfig { init_std, max_std, ..ScaleConfig::default() };
+        config.validate().unwrap();
+        let policy = Policy::new(&config).unwrap();
+        let seeds: Vec<u64> = (0..200).collect();
+        let decisions = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled);
+        let squares: Vec<f32> =
+            decisions.iter().flat_map(|d| d.action.moves.into_iter().flatten()).map(|x| x * x).collect();
+        let std = (squares.iter().sum::<f32>() / squares.len() as f32).sqrt();
+        assert!((std / expected - 1.0).abs() < 0.03, "{std}, not {expected}");
+    }
+}
+
+#[test]
+fn bad_settings_name_the_field_and_the_range() {
+    type Spoil = fn(&mut PolicyConfig);
+    let cases: [(Spoil, &str); 5] = [
+        (|c| c.network.n_grippers = 3, "policy.network.n_grippers is 3, must be in 1..=2"),
+        (|c| c.network.width = 0, "policy.network.width is 0, must be in 1..=1024"),
+        (|c| c.features.n_grippers = 1, "policy.features.n_grippers is 1, must equal policy.network.n_grippers = 2"),
+        (|c| c.network.scale.max_std = Some(-1.0), "policy.network.scale.max_std is -1, must be in (0.000001, 10]"),
+        (|c| c.network.scale.init_std = Some(0.0), "policy.network.scale.init_std is 0, must be in (0.000001, 10)"),
+    ];
+    for (spoil, message) in cases {
+        let mut config = PolicyConfig::default();
+        spoil(&mut config);
+        assert_eq!(Policy::new(&config).unwrap_err().to_string(), message);
+    }
+}
