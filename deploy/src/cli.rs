@@ -91,7 +91,7 @@ pub struct RunArgs {
     /// End after this many environment steps, those before a resume included.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..))]
     pub steps: Option<i64>,
-    /// Folder for checkpoints and metrics [default: runs/<date>-<name>].
+    /// Folder for checkpoints and metrics [default: runs/DATE-NAME].
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
     /// Continue the run in this folder, with its configuration.
