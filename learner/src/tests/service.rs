@@ -17,14 +17,15 @@ use crate::{Checkpoint, LearnerReport, LearnerSetup, RunOptions, run};
 async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
     let actor = ActorId::try_from("fixture".to_owned()).unwrap();
     let sender = bus.trajectory_sender(&actor).await.unwrap();
-    sender.wait_for_learner().await.unwrap();
+    sender.wait_for_learner().await;
     let subscriber = bus.weights_subscriber().await.unwrap();
     let mut watch = subscriber.watch();
     let first = watch.wait_for(Option::is_some).await.unwrap().clone().unwrap();
     let mut newest = first.clone();
     for round in 1..=n_updates {
         let mut rng = ChaCha8Rng::seed_from_u64(round);
-        for trajectory in bandit(setup, &newest, 256, &mut rng) {
+        for (seq, mut trajectory) in (256 * round..).zip(bandit(setup, &newest, 256, &mut rng)) {
+            trajectory.seq = seq;
             sender.send(&trajectory).await.unwrap();
         }
         let next = first.version.0 + round;
@@ -32,6 +33,7 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
         newest = seen.clone().unwrap();
     }
     let mut unknown = bandit(setup, &newest, 1, &mut ChaCha8Rng::seed_from_u64(0)).remove(0);
+    unknown.seq = 256 * (n_updates + 1);
     unknown.task.blueprint = "16_404".parse().unwrap();
     let refused = sender.send(&unknown).await.unwrap_err();
     assert!(matches!(refused, SendError::Refused(Refusal::Invalid(_))), "{refused}");
