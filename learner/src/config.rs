@@ -354,7 +354,8 @@ mod tests {
 
     #[test]
     fn a_value_out_of_range_is_named() {
-        let cases: [(fn(&mut LearnerConfig), &str); 9] = [
+        type Spoil = fn(&mut LearnerConfig);
+        let cases: [(Spoil, &str); 9] = [
             (|c| c.gamma = 1.5, "learner setting gamma is 1.5, but must be in 0..=1"),
             (|c| c.lambda = f32::NAN, "learner setting lambda is NaN, but must be in 0..=1"),
             (|c| c.n_epochs = 0, "learner setting n_epochs is 0, but must be in 1..=32"),

@@ -47,7 +47,7 @@ fn gae_tells_a_time_limit_from_an_end() {
         let (rewards, values, final_values) = (column("rewards", j), column("values", j), column("final_values", j));
         let mut advantages = vec![0.0; n_steps];
         let mut first = 0;
-        for t in 0..n_steps {
+        for (t, &final_value) in final_values.iter().enumerate() {
             // The golden rule lets a true end win over a simultaneous time limit.
             let status = match (bit("terminated", t, j), bit("truncated", t, j)) {
                 (true, _) => Status::Success,
@@ -57,7 +57,7 @@ fn gae_tells_a_time_limit_from_an_end() {
             if status == Status::Running && t + 1 < n_steps {
                 continue;
             }
-            let last = if status == Status::Running { flat(&golden["bootstrap_value"][j])[0] } else { final_values[t] };
+            let last = if status == Status::Running { flat(&golden["bootstrap_value"][j])[0] } else { final_value };
             let segment = first..t + 1;
             let (rewards, values) = (&rewards[segment.clone()], &values[segment.clone()]);
             let bootstrap = gae::bootstrap_value(status, last);
