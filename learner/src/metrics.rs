@@ -1,4 +1,4 @@
-//! What one update reports; [`crate::run`] adds times and the bus's counts.
+//! What one update reports; [`mod@crate::run`] adds times and the bus's counts.
 
 use std::collections::BTreeMap;
 
