@@ -1,6 +1,6 @@
 //! The physical world of magnet blocks: initial states, steps, rewards and success.
 //!
-//! Reading order: [`env`] (what a world offers) → [`world`] → `reset`, `grippers`, `magnets`, `connections` (what happens
+//! Reading order: [`mod@env`] (what a world offers) → [`world`] → `reset`, `grippers`, `magnets`, `connections` (what happens
 //! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`config`] → [`contract`]
 //! (checks for any environment).
 
