@@ -159,6 +159,9 @@ fn append(path: &Path, report: &EvalReport) -> anyhow::Result<()> {
         let key = keys::metrics_eval(score.split, &score.blueprint);
         push(serde_json::to_string(&Line { key, metrics: score })?);
     }
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
     let mut file = OpenOptions::new().create(true).append(true).open(path)?;
     file.write_all(lines.as_bytes())?;
     Ok(())

@@ -1,0 +1,128 @@
+//! Router, learner, actors and evaluator as separate processes over TCP, killed and replaced while they work.
+#![allow(clippy::unwrap_used)]
+
+use std::io::{BufRead, BufReader};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+/// Small enough for seconds: updates of 256 steps, each of them saved.
+const SMALL: [&str; 16] = [
+    "--set",
+    "learner.steps_per_update=256",
+    "--set",
+    "learner.n_epochs=1",
+    "--set",
+    "learner.checkpoints.every_updates=1",
+    "--set",
+    "actor.n_worlds=8",
+    "--set",
+    "evaluator.selection.blueprints=[\"2_000\"]",
+    "--set",
+    "evaluator.episodes.n_episodes=2",
+    "--set",
+    "policy.network.width=16",
+    "--set",
+    "policy.network.value_hidden=[16]",
+];
+
+/// A process that does not outlive its test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only for a process that has ended already, which is what is wanted.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+struct Cluster {
+    folder: tempfile::TempDir,
+    endpoint: String,
+    _router: Process,
+}
+
+impl Cluster {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        // A port that was free a moment ago; members retry until the router listens there.
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let endpoint = format!("tcp/127.0.0.1:{port}");
+        let router = command(folder.path()).args(["router", "--listen", &endpoint]).spawn().unwrap();
+        Self { folder, endpoint, _router: Process(router) }
+    }
+
+    fn member(&self, role: &str, args: &[&str]) -> Process {
+        let mut command = command(self.folder.path());
+        command.args([role, "--connect", &self.endpoint]).args(args).args(if args.contains(&"--resume") {
+            &[]
+        } else {
+            &SMALL[..]
+        });
+        if role == "evaluator" {
+            command.stdout(Stdio::piped());
+        }
+        Process(command.spawn().unwrap())
+    }
+
+    /// Runs a learner until it has consumed `n_steps`; returns what the newest checkpoint holds.
+    fn learn(&self, source: [&str; 2], n_steps: u64) -> u64 {
+        let steps = n_steps.to_string();
+        let mut learner = self.member("learner", &[source[0], source[1], "--steps", &steps]);
+        let status = learner.0.wait().unwrap();
+        assert!(status.success(), "{status}");
+        let saved = self.n_saved_steps();
+        assert!(saved >= n_steps, "{saved} of {n_steps}");
+        saved
+    }
+
+    fn n_saved_steps(&self) -> u64 {
+        let folders = std::fs::read_dir(self.folder.path().join("run/checkpoints")).unwrap();
+        let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());
+        names.filter_map(|name| name.strip_prefix("step-")?.parse().ok()).max().unwrap()
+    }
+}
+
+fn command(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
+        command.env_remove(name);
+    }
+    command.current_dir(folder).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+#[test]
+fn actors_come_and_go_and_a_killed_learner_goes_on() {
+    let cluster = Cluster::start();
+    let mut first = cluster.member("actor", &["--id", "first"]);
+    let _second = cluster.member("actor", &["--id", "second"]);
+    let mut evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let saved = cluster.learn(["--run-dir", "run"], 512);
+
+    // `kill` is SIGKILL: the actor has no chance to say goodbye.
+    first.0.kill().unwrap();
+    first.0.wait().unwrap();
+    let _late = cluster.member("actor", &["--id", "late"]);
+    let saved = cluster.learn(["--resume", "run"], saved + 512);
+
+    // A learner without end, killed after it has saved twice.
+    let mut endless = command(cluster.folder.path())
+        .args(["learner", "--connect", &cluster.endpoint, "--resume", "run", "--steps", "1000000000"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .map(Process)
+        .unwrap();
+    let lines = BufReader::new(endless.0.stderr.take().unwrap()).lines();
+    assert_eq!(lines.filter(|line| line.as_ref().unwrap().contains("saved")).take(2).count(), 2);
+    endless.0.kill().unwrap();
+    endless.0.wait().unwrap();
+    let before = cluster.n_saved_steps();
+    assert!(before >= saved + 512, "{before}");
+    cluster.learn(["--resume", "run"], before + 256);
+    // The evaluator writes its history before it prints the first line of a report.
+    let report = BufReader::new(evaluator.0.stdout.take().unwrap()).lines().next().unwrap().unwrap();
+    assert!(report.starts_with("weights"), "{report}");
+    assert!(cluster.folder.path().join("judged/metrics.jsonl").is_file());
+}
