@@ -122,7 +122,8 @@ fn actors_come_and_go_and_a_killed_learner_goes_on() {
     assert!(before >= saved + 512, "{before}");
     cluster.learn(["--resume", "run"], before + 256);
     // The evaluator writes its history before it prints the first line of a report.
-    let report = BufReader::new(evaluator.0.stdout.take().unwrap()).lines().next().unwrap().unwrap();
+    let lines = BufReader::new(evaluator.0.stdout.take().unwrap()).lines();
+    let report = lines.map(Result::unwrap).find(|line| !line.is_empty()).unwrap();
     assert!(report.starts_with("weights"), "{report}");
     assert!(cluster.folder.path().join("judged/metrics.jsonl").is_file());
 }
