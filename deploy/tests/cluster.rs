@@ -1,30 +1,14 @@
 //! Router, learner, actors and evaluator as separate processes over TCP, killed and replaced while they work.
 #![allow(clippy::unwrap_used)]
 
+mod program;
+
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-/// Small enough for seconds: updates of 256 steps, each of them saved.
-const SMALL: [&str; 16] = [
-    "--set",
-    "learner.steps_per_update=256",
-    "--set",
-    "learner.n_epochs=1",
-    "--set",
-    "learner.checkpoints.every_updates=1",
-    "--set",
-    "actor.n_worlds=8",
-    "--set",
-    "evaluator.selection.blueprints=[\"2_000\"]",
-    "--set",
-    "evaluator.episodes.n_episodes=2",
-    "--set",
-    "policy.network.width=16",
-    "--set",
-    "policy.network.value_hidden=[16]",
-];
+use program::{SMALL, lodestone, n_saved_steps};
 
 /// A process that does not outlive its test.
 struct Process(Child);
@@ -78,18 +62,13 @@ impl Cluster {
     }
 
     fn n_saved_steps(&self) -> u64 {
-        let folders = std::fs::read_dir(self.folder.path().join("run/checkpoints")).unwrap();
-        let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());
-        names.filter_map(|name| name.strip_prefix("step-")?.parse().ok()).max().unwrap()
+        n_saved_steps(&self.folder.path().join("run"))
     }
 }
 
 fn command(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
-    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
-        command.env_remove(name);
-    }
-    command.current_dir(folder).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut command = lodestone(folder);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     command
 }
 

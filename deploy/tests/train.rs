@@ -1,48 +1,17 @@
 //! A run of the real program: it trains, saves, can be judged and continued, and drains on a signal.
 #![allow(clippy::unwrap_used)]
 
+mod program;
+
 use std::io::{BufRead, BufReader};
-use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-/// Small enough for seconds: two updates of 256 steps, one blueprint to judge.
-const SMALL: [&str; 14] = [
-    "--set",
-    "learner.steps_per_update=256",
-    "--set",
-    "learner.n_epochs=1",
-    "--set",
-    "actor.n_worlds=8",
-    "--set",
-    "evaluator.selection.blueprints=[\"2_000\"]",
-    "--set",
-    "evaluator.episodes.n_episodes=2",
-    "--set",
-    "policy.network.width=16",
-    "--set",
-    "policy.network.value_hidden=[16]",
-];
-
-fn lodestone(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
-    command.current_dir(folder);
-    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
-        command.env_remove(name);
-    }
-    command
-}
+use program::{SMALL, lodestone, n_saved_steps};
 
 fn finished(command: &mut Command) -> Output {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
     output
-}
-
-/// Environment steps of the newest checkpoint of a run.
-fn n_saved_steps(run_dir: &Path) -> u64 {
-    let folders = std::fs::read_dir(run_dir.join("checkpoints")).unwrap();
-    let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());
-    names.filter_map(|name| name.strip_prefix("step-")?.parse().ok()).max().unwrap()
 }
 
 #[test]
