@@ -1,7 +1,6 @@
 //! Time of a PPO update with the paper's network, in milliseconds a sample and epoch.
 //!
-//! Run on one core with `RAYON_NUM_THREADS=1 cargo bench -p learner`; the number of samples is the first argument that
-//! is a number, 1024 by default.
+//! `cargo bench -p learner -- [SAMPLES [THREADS]]`, 1024 samples on one thread by default.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -19,9 +18,15 @@ use rand_chacha::ChaCha8Rng;
 const SEGMENT: usize = 32;
 
 fn main() {
-    let n_samples = std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(1024);
+    let mut numbers = std::env::args().filter_map(|argument| argument.parse::<usize>().ok());
+    let (n_samples, n_threads) = (numbers.next().unwrap_or(1024), numbers.next().unwrap_or(1));
     let id = BlueprintId::try_from("2_000".to_owned()).unwrap();
-    let config = LearnerConfig { steps_per_update: n_samples, minibatch_size: 256, ..LearnerConfig::default() };
+    let config = LearnerConfig {
+        steps_per_update: n_samples,
+        minibatch_size: 256,
+        n_threads: Some(n_threads),
+        ..LearnerConfig::default()
+    };
     let setup = LearnerSetup {
         config,
         policy: PolicyConfig::default(),

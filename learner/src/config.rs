@@ -1,6 +1,12 @@
 //! All settings of the learner, with units, defaults and valid ranges.
 
+mod loss;
+mod schedule;
+
 use serde::{Deserialize, Serialize};
+
+pub use loss::{LossConfig, LossTerms, Objective};
+pub use schedule::Schedule;
 
 use crate::curriculum::CurriculumConfig;
 
@@ -13,9 +19,12 @@ pub struct LearnerConfig {
     /// Samples of one gradient step; 1..=`steps_per_update`, default 1024. The minibatches of an epoch are all of one
     /// size, so they may be larger by a part of the remainder.
     pub minibatch_size: usize,
-    /// Largest number of samples in one forward pass, so that activations stay in the cache; a minibatch is worked in
-    /// pieces of at most this size and their gradients are added; 1..=65536, default 256.
+    /// Samples of one pass through the network, so that activations stay in the cache; a minibatch is worked in equal
+    /// pieces of about this size, by several threads, and their gradients are added; 1..=65536, default 128.
     pub forward_size: usize,
+    /// Threads that pass pieces through the network; 1..=256, `None` (default) is one for each core. Results do not
+    /// depend on it.
+    pub n_threads: Option<usize>,
     /// Passes over a batch; 1..=32, default 3.
     pub n_epochs: usize,
     /// Discount per step γ; 0..=1, default 0.99.
@@ -34,37 +43,6 @@ pub struct LearnerConfig {
     pub curriculum: CurriculumConfig,
     /// When to save and how many to keep.
     pub checkpoints: CheckpointConfig,
-}
-
-/// The PPO objective.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LossConfig {
-    /// Probability ratios beyond 1 ± this are clipped; above 0, at most 1, default 0.2.
-    pub clip: f32,
-    /// Clip of the value's change in units of the normalised value; above 0; `None` (default) is off, as it hurts.
-    pub value_clip: Option<f32>,
-    /// Weight of the value loss; at least 0, default 0.5.
-    pub value_coefficient: f32,
-    /// Weight of the entropy of the block choice, nats; at least 0, default 0.005.
-    pub block_entropy: f32,
-    /// Weight of the expected entropy of the moves, nats; at least 0, default 0.0001.
-    pub move_entropy: f32,
-    /// What the ratio is taken against.
-    pub objective: Objective,
-    /// With the decoupled objective the importance weight of a sample is at most this; at least 1, default 2.
-    pub max_behavior_weight: f32,
-}
-
-/// What PPO's probability ratio is taken against.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Objective {
-    /// The policy that acted.
-    Standard,
-    /// The policy at the start of the update; the policy that acted only weighs the sample (Hilton, Cobbe, Schulman,
-    /// "Batch size-invariance for policy optimization"). Equal to the standard one when the policy lag is 0.
-    Decoupled,
 }
 
 /// Adam with a learning rate that follows the KL divergence.
@@ -133,7 +111,7 @@ pub struct NormalisationConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MailboxConfig {
-    /// Steps that may wait; at least `steps_per_update`, default 16384.
+    /// Steps from which on nothing more is accepted; at least `steps_per_update`, default 16384.
     pub capacity_steps: usize,
     /// Trajectories of weights older than this many versions are dropped; 0..=1000, default 4.
     pub max_policy_lag: u64,
@@ -166,7 +144,8 @@ impl Default for LearnerConfig {
         Self {
             steps_per_update: 8192,
             minibatch_size: 1024,
-            forward_size: 256,
+            forward_size: 128,
+            n_threads: None,
             n_epochs: 3,
             gamma: 0.99,
             lambda: 0.95,
@@ -176,20 +155,6 @@ impl Default for LearnerConfig {
             mailbox: MailboxConfig::default(),
             curriculum: CurriculumConfig::default(),
             checkpoints: CheckpointConfig::default(),
-        }
-    }
-}
-
-impl Default for LossConfig {
-    fn default() -> Self {
-        Self {
-            clip: 0.2,
-            value_clip: None,
-            value_coefficient: 0.5,
-            block_entropy: 0.005,
-            move_entropy: 1e-4,
-            objective: Objective::Decoupled,
-            max_behavior_weight: 2.0,
         }
     }
 }
@@ -244,7 +209,7 @@ impl LearnerConfig {
     /// # Errors
     /// The first field out of range, with its value and the range.
     pub fn validate(&self) -> Result<(), LearnerConfigError> {
-        let (loss, optimizer, norm) = (&self.loss, &self.optimizer, &self.normalisation);
+        let (optimizer, norm) = (&self.optimizer, &self.normalisation);
         let int = |value: usize| value as f64;
         check(
             "steps_per_update",
@@ -259,17 +224,13 @@ impl LearnerConfig {
             "in 1..=steps_per_update",
         )?;
         check("forward_size", int(self.forward_size), (1..=65536).contains(&self.forward_size), "in 1..=65536")?;
+        if let Some(n) = self.n_threads {
+            check("n_threads", int(n), (1..=256).contains(&n), "in 1..=256")?;
+        }
         check("n_epochs", int(self.n_epochs), (1..=32).contains(&self.n_epochs), "in 1..=32")?;
         check_unit("gamma", self.gamma)?;
         check_unit("lambda", self.lambda)?;
-        check("loss.clip", loss.clip.into(), loss.clip > 0.0 && loss.clip <= 1.0, "above 0 and at most 1")?;
-        if let Some(clip) = loss.value_clip {
-            check_positive("loss.value_clip", clip)?;
-        }
-        check_at_least("loss.value_coefficient", loss.value_coefficient, 0.0, "at least 0")?;
-        check_at_least("loss.block_entropy", loss.block_entropy, 0.0, "at least 0")?;
-        check_at_least("loss.move_entropy", loss.move_entropy, 0.0, "at least 0")?;
-        check_at_least("loss.max_behavior_weight", loss.max_behavior_weight, 1.0, "at least 1")?;
+        self.loss.validate()?;
         check_positive("optimizer.learning_rate", optimizer.learning_rate)?;
         check_positive("optimizer.epsilon", optimizer.epsilon)?;
         check_decay("optimizer.beta1", optimizer.beta1)?;

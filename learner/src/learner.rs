@@ -105,7 +105,8 @@ impl Learner {
         let known: BTreeSet<_> = setup.catalogue.iter().map(|blueprint| blueprint.id().clone()).collect();
         let n_grippers = usize::from(setup.policy.network.n_grippers);
         let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), n_grippers, known));
-        Ok(Self { ppo: Ppo::new(&setup.policy, setup.seed, &device), state, mailbox, setup })
+        let n_threads = setup.config.n_threads.unwrap_or_else(n_cores);
+        Ok(Self { ppo: Ppo::new(&setup.policy, setup.seed, &device, n_threads), state, mailbox, setup })
     }
 
     /// A learner that goes on where `checkpoint` was taken. The settings may have changed since, except those of the
@@ -179,6 +180,7 @@ impl Learner {
             rng: &mut self.state.rng,
             learning_rate: &mut self.state.learning_rate,
             values: &mut self.state.values,
+            n_env_steps: self.state.n_env_steps,
         };
         let ppo = self.ppo.update(&batch, config, &mut progress);
         self.adopt(next, batch.features.n);
@@ -258,4 +260,8 @@ impl Learner {
         state.normalisation.value_mean = state.values.mean as f32;
         state.normalisation.value_std = state.values.std as f32;
     }
+}
+
+fn n_cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }

@@ -57,7 +57,7 @@ impl Mailbox {
     /// Puts a trajectory in the queue.
     ///
     /// # Errors
-    /// `Stale` when it is more than `max_policy_lag` versions old, `Full` when its steps do not fit, `Invalid` when
+    /// `Stale` when it is more than `max_policy_lag` versions old, `Full` when as many steps wait as may, `Invalid` when
     /// this learner cannot use it at all.
     pub fn push(&self, trajectory: Trajectory) -> Result<(), Refusal> {
         let verdict = self.check(&trajectory);
@@ -70,7 +70,8 @@ impl Mailbox {
             state.counts.stale_total += 1;
             return Err(Refusal::Stale);
         }
-        if state.n_steps + trajectory.transitions.len() > self.config.capacity_steps {
+        // The last one may exceed the capacity: otherwise one that does not quite fit would keep an update waiting for ever.
+        if state.n_steps >= self.config.capacity_steps {
             state.counts.full_total += 1;
             return Err(Refusal::Full);
         }
@@ -180,7 +181,7 @@ mod tests {
 
     #[test]
     fn every_trajectory_is_accounted_for() {
-        let mailbox = mailbox(10);
+        let mailbox = mailbox(8);
         mailbox.set_version(WeightsVersion(5));
         assert_eq!(mailbox.push(trajectory(4, 5)), Ok(()));
         assert_eq!(mailbox.push(trajectory(4, 3)), Ok(()));
@@ -201,6 +202,16 @@ mod tests {
             MailboxCounts { accepted_total: 2, stale_total: 1, full_total: 1, invalid_total: 3, expired_total: 1 };
         assert_eq!(mailbox.counts(), expected);
         assert_eq!(mailbox.n_steps(), 4);
+    }
+
+    #[test]
+    fn a_mailbox_of_one_update_fills_up_to_it() {
+        let mailbox = mailbox(10);
+        for _ in 0..3 {
+            mailbox.push(trajectory(4, 0)).unwrap();
+        }
+        assert_eq!((mailbox.n_steps(), mailbox.push(trajectory(4, 0))), (12, Err(Refusal::Full)));
+        assert_eq!(mailbox.take(10).len(), 3);
     }
 
     #[test]

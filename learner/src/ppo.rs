@@ -1,12 +1,13 @@
 //! One PPO update: advantages, epochs, minibatches, gradient steps.
 
 mod passes;
+mod workers;
 
 use std::ops::Range;
 
 use burn::tensor::Device;
+use policy::PolicyConfig;
 use policy::parameters::{ParameterError, ParameterSpec};
-use policy::{Network, PolicyConfig};
 use proto::metrics::PpoMetrics;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -18,18 +19,13 @@ use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalisation::ValueStatistics;
 use passes::{Evaluation, LossSums, Targets};
+use workers::{Workers, pieces};
 
 /// The network in training and its optimiser.
 #[derive(Debug)]
 pub(crate) struct Ppo {
-    policy: PolicyConfig,
-    device: Device,
-    tracked_device: Device,
-    /// On the differentiating device, for gradients.
-    tracked: Network,
-    /// On the plain device, for values and log-probabilities.
-    plain: Network,
-    /// The parameters of both, flat.
+    workers: Workers,
+    /// What the workers' networks hold, flat.
     parameters: Vec<f32>,
     adam: Adam,
     value_head: ValueHead,
@@ -43,6 +39,8 @@ pub(crate) struct Progress<'a> {
     pub(crate) learning_rate: &'a mut LearningRate,
     /// Follows the value targets.
     pub(crate) values: &'a mut ValueStatistics,
+    /// Environment steps consumed before this update.
+    pub(crate) n_env_steps: u64,
 }
 
 /// Where the last layer of the value head lies in the flat vector.
@@ -63,31 +61,18 @@ struct Steps {
 }
 
 impl Ppo {
-    /// An untrained network.
-    pub(crate) fn new(policy: &PolicyConfig, seed: u64, device: &Device) -> Self {
-        let sizes = policy.sizes();
-        let tracked_device = device.clone().autodiff();
-        let tracked = Network::init(&policy.network, &sizes, seed, &tracked_device);
-        let plain = Network::init(&policy.network, &sizes, seed, device);
-        let parameters = policy::parameters::flatten(&plain);
+    /// An untrained network, passed through by `n_threads` threads.
+    pub(crate) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n_threads: usize) -> Self {
+        let workers = Workers::new(policy, seed, device, n_threads);
+        let parameters = policy::parameters::flatten(workers.network());
         let adam = Adam::new(parameters.len());
-        let value_head = ValueHead::find(plain.table());
-        Self {
-            policy: policy.clone(),
-            device: device.clone(),
-            tracked_device,
-            tracked,
-            plain,
-            parameters,
-            adam,
-            value_head,
-        }
+        let value_head = ValueHead::find(workers.network().table());
+        Self { workers, parameters, adam, value_head }
     }
 
     /// Takes on the parameters and moments of a checkpoint.
     pub(crate) fn restore(&mut self, parameters: Vec<f32>, adam: Adam) -> Result<(), ParameterError> {
-        self.tracked = policy::parameters::load(self.tracked.clone(), &parameters)?;
-        self.plain = policy::parameters::load(self.plain.clone(), &parameters)?;
+        self.workers.load(&parameters)?;
         (self.parameters, self.adam) = (parameters, adam);
         Ok(())
     }
@@ -104,12 +89,12 @@ impl Ppo {
 
     /// Names and shapes of the parameters.
     pub(crate) fn table(&self) -> &[ParameterSpec] {
-        self.plain.table()
+        self.workers.network().table()
     }
 
     /// Learns from a batch whose features are normalised.
     pub(crate) fn update(&mut self, batch: &Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> PpoMetrics {
-        let before = self.evaluate(batch, config.forward_size);
+        let before = self.workers.evaluate(batch, config.forward_size);
         let values = in_reward_units(&before.values, progress.values);
         let advantages = batch.advantages(&values, config.gamma, config.lambda);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
@@ -128,6 +113,7 @@ impl Ppo {
             }
         };
         let mut targets = Targets {
+            loss: config.loss.at(progress.n_env_steps),
             reference,
             weights,
             advantages,
@@ -157,7 +143,7 @@ impl Ppo {
         }
         let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;
         PpoMetrics {
-            total_loss: mean(steps.losses.total(&config.loss)),
+            total_loss: mean(steps.losses.total(&targets.loss)),
             policy_loss: mean(steps.losses.policy),
             value_loss: mean(steps.losses.value),
             entropy: mean(steps.losses.blocks + steps.losses.moves),
@@ -192,15 +178,12 @@ impl Ppo {
         let mut order: Vec<usize> = (0..n_samples).collect();
         order.shuffle(rng);
         let mut log_probs = vec![0.0; n_samples];
-        let n_minibatches = (n_samples / config.minibatch_size).max(1);
-        for i in 0..n_minibatches {
-            let minibatch = &order[i * n_samples / n_minibatches..(i + 1) * n_samples / n_minibatches];
+        for minibatch in pieces(&order, config.minibatch_size) {
             let mut gradient = vec![0.0; self.parameters.len()];
-            for samples in minibatch.chunks(config.forward_size) {
-                let share = 1.0 / minibatch.len() as f32;
-                let pass = self.gradient(batch, samples, targets, &config.loss, share);
+            let mut samples = minibatch.iter();
+            for pass in self.workers.gradients(batch, minibatch, config.forward_size, targets) {
                 gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += g);
-                samples.iter().zip(pass.log_probs).for_each(|(&sample, log_prob)| log_probs[sample] = log_prob);
+                pass.log_probs.iter().zip(&mut samples).for_each(|(&log_prob, &sample)| log_probs[sample] = log_prob);
                 steps.losses += pass.losses;
             }
             steps.n_samples += minibatch.len();
@@ -220,8 +203,14 @@ impl Ppo {
     }
 
     /// Brings advantages and value targets up to date with the network.
-    fn refresh(&self, batch: &Batch, config: &LearnerConfig, statistics: &ValueStatistics, targets: &mut Targets<'_>) {
-        let Evaluation { values, .. } = self.evaluate(batch, config.forward_size);
+    fn refresh(
+        &mut self,
+        batch: &Batch,
+        config: &LearnerConfig,
+        statistics: &ValueStatistics,
+        targets: &mut Targets<'_>,
+    ) {
+        let Evaluation { values, .. } = self.workers.evaluate(batch, config.forward_size);
         let values = in_reward_units(&values, statistics);
         let mut advantages = batch.advantages(&values, config.gamma, config.lambda);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
@@ -237,11 +226,9 @@ impl Ppo {
         self.load();
     }
 
-    /// Puts the flat parameters into both networks.
+    /// Puts the flat parameters into the networks.
     fn load(&mut self) {
-        let reason = "a finite step from finite parameters of the same number";
-        self.tracked = policy::parameters::load(self.tracked.clone(), &self.parameters).expect(reason);
-        self.plain = policy::parameters::load(self.plain.clone(), &self.parameters).expect(reason);
+        self.workers.load(&self.parameters).expect("a finite step from finite parameters of the same number");
     }
 }
 

@@ -1,7 +1,7 @@
 """The paper's network in JAX on the CPU, folded as in `policy`, against `cargo bench -p policy`; prints the ratio.
 
     python3 -m venv /tmp/peer && /tmp/peer/bin/pip install jax
-    RAYON_NUM_THREADS=1 cargo bench -p policy --bench network > ours.txt
+    cargo bench -p policy --bench network > ours.txt
     /tmp/peer/bin/python policy/benches/jax_peer.py ours.txt
 
 Both use one thread and count CPU time, the best of several rounds. A ratio above 1 means that ours is faster.

@@ -1,6 +1,6 @@
 //! Forward passes and updates of the paper's network in samples per CPU-second, on one thread.
 //!
-//! `RAYON_NUM_THREADS=1 cargo bench -p policy`; `benches/jax_peer.py` runs the same work in JAX and prints the ratio.
+//! `cargo bench -p policy` on one thread; `benches/jax_peer.py` runs the same work in JAX and prints the ratio.
 //! With arguments `forward <batch>` or `update <batch>` only that case runs.
 
 use std::hint::black_box;

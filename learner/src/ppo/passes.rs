@@ -5,15 +5,27 @@ use std::ops::AddAssign;
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::config::BlockMask;
 use policy::loss_terms::{self, ActionTensors};
-use policy::network::Folded;
-use policy::{BatchTensors, FeatureBatch, Network, NetworkOutput};
+use policy::parameters::{self, ParameterError};
+use policy::{BatchTensors, FeatureBatch, Network, NetworkOutput, PolicyConfig};
 
-use super::Ppo;
 use crate::batch::Batch;
-use crate::config::LossConfig;
+use crate::config::LossTerms;
 use crate::loss::{policy_loss, value_loss};
 
-/// What the network says about a batch, without gradients.
+/// Networks for passes on one thread.
+#[derive(Debug)]
+pub(super) struct Passes {
+    policy: PolicyConfig,
+    device: Device,
+    tracked_device: Device,
+    /// On the plain device, for values and log-probabilities.
+    plain: Network,
+    /// On the differentiating device, for gradients.
+    tracked: Network,
+}
+
+/// What the network says about rows of a batch, without gradients.
+#[derive(Default)]
 pub(super) struct Evaluation {
     /// Normalised values of all rows.
     pub(super) values: Vec<f32>,
@@ -23,6 +35,8 @@ pub(super) struct Evaluation {
 
 /// What the network is pulled towards, one entry per sample.
 pub(super) struct Targets<'a> {
+    /// How the parts of the loss weigh.
+    pub(super) loss: LossTerms,
     /// Log-probabilities that the ratio is taken against.
     pub(super) reference: &'a [f32],
     /// Weights of the samples in the policy loss.
@@ -56,7 +70,7 @@ pub(super) struct LossSums {
 
 impl LossSums {
     /// The weighted sum that is minimised.
-    pub(super) fn total(&self, config: &LossConfig) -> f64 {
+    pub(super) fn total(&self, config: &LossTerms) -> f64 {
         let weighted = |coefficient: f32, sum: f64| f64::from(coefficient) * sum;
         self.policy + weighted(config.value_coefficient, self.value)
             - weighted(config.block_entropy, self.blocks)
@@ -73,39 +87,48 @@ impl AddAssign for LossSums {
     }
 }
 
-impl Ppo {
-    /// Values of all rows and log-probabilities of all actions under the present network.
-    pub(super) fn evaluate(&self, batch: &Batch, forward_size: usize) -> Evaluation {
-        let folded = self.plain.fold();
-        let n_samples = batch.n_samples();
-        let rows: Vec<usize> = (0..batch.features.n).collect();
-        let mut evaluation =
-            Evaluation { values: Vec::with_capacity(rows.len()), log_probs: Vec::with_capacity(n_samples) };
-        for rows in rows.chunks(forward_size) {
-            let output = self.forward(&self.plain, &folded, &self.device, &batch.features.select(rows));
-            // Samples come first, so those of this piece are a prefix of it.
-            let n_here = n_samples.saturating_sub(rows[0]).min(rows.len());
-            if n_here > 0 {
-                let output = head_of(&output, n_here);
-                let actions = self.actions(batch, &rows[..n_here], &self.device);
-                evaluation.log_probs.extend(to_vec(loss_terms::log_prob(&output, &actions, self.policy.joint_form)));
-            }
-            evaluation.values.extend(to_vec(output.values));
-        }
-        evaluation
+impl Passes {
+    /// Both networks with the initial parameters of `seed`.
+    pub(super) fn new(policy: &PolicyConfig, seed: u64, device: &Device) -> Self {
+        let tracked_device = device.clone().autodiff();
+        let network = |device| Network::init(&policy.network, &policy.sizes(), seed, device);
+        let (plain, tracked) = (network(device), network(&tracked_device));
+        Self { policy: policy.clone(), device: device.clone(), tracked_device, plain, tracked }
+    }
+
+    /// The network without gradients.
+    pub(super) fn network(&self) -> &Network {
+        &self.plain
+    }
+
+    /// Puts `parameters` into both networks.
+    ///
+    /// # Errors
+    /// When their number is wrong or one is not finite.
+    pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
+        self.plain = parameters::load(self.plain.clone(), parameters)?;
+        self.tracked = parameters::load(self.tracked.clone(), parameters)?;
+        Ok(())
+    }
+
+    /// Values of `rows` and log-probabilities of the actions of those that are samples; `rows` must ascend.
+    pub(super) fn evaluate(&self, batch: &Batch, rows: &[usize]) -> Evaluation {
+        let output = self.forward(&self.plain, &self.device, &batch.features.select(rows));
+        // Samples come first in a batch, so those of this piece are a prefix of it.
+        let n_samples = rows.partition_point(|&row| row < batch.n_samples());
+        let log_probs = if n_samples == 0 {
+            Vec::new()
+        } else {
+            let actions = self.actions(batch, &rows[..n_samples], &self.device);
+            to_vec(loss_terms::log_prob(&head_of(&output, n_samples), &actions, self.policy.joint_form))
+        };
+        Evaluation { values: to_vec(output.values), log_probs }
     }
 
     /// Gradient of `share` × the summed loss of `samples`.
-    pub(super) fn gradient(
-        &self,
-        batch: &Batch,
-        samples: &[usize],
-        targets: &Targets<'_>,
-        config: &LossConfig,
-        share: f32,
-    ) -> GradientPass {
-        let device = &self.tracked_device;
-        let output = self.forward(&self.tracked, &self.tracked.fold(), device, &batch.features.select(samples));
+    pub(super) fn gradient(&self, batch: &Batch, samples: &[usize], targets: &Targets<'_>, share: f32) -> GradientPass {
+        let (config, device) = (&targets.loss, &self.tracked_device);
+        let output = self.forward(&self.tracked, device, &batch.features.select(samples));
         let column = |values: &[f32]| {
             let values: Vec<f32> = samples.iter().map(|&sample| values[sample]).collect();
             Tensor::<1>::from_data(TensorData::new(values, [samples.len()]), device)
@@ -122,7 +145,7 @@ impl Ppo {
             - blocks.clone() * config.block_entropy
             - moves.clone() * config.move_entropy;
         let mut gradients = (loss * share).backward();
-        let gradient = policy::parameters::flatten_gradients(&self.tracked, &mut gradients);
+        let gradient = parameters::flatten_gradients(&self.tracked, &mut gradients);
         let sums = to_vec(Tensor::cat(vec![policy, value, blocks, moves], 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let losses = LossSums { policy: sum(0), value: sum(1), blocks: sum(2), moves: sum(3) };
@@ -130,9 +153,8 @@ impl Ppo {
     }
 
     /// Runs `network` on normalised features and masks the logits as configured.
-    fn forward(&self, network: &Network, folded: &Folded, device: &Device, features: &FeatureBatch) -> NetworkOutput {
-        let tensors = BatchTensors::new(features, network.edge_layout(), device);
-        let mut output = network.forward_folded(folded, &tensors);
+    fn forward(&self, network: &Network, device: &Device, features: &FeatureBatch) -> NetworkOutput {
+        let mut output = network.forward(&BatchTensors::new(features, network.edge_layout(), device));
         if self.policy.mask == BlockMask::Blueprint {
             output.logits = loss_terms::mask_logits(output.logits, &features.allowed);
         }

@@ -1,0 +1,67 @@
+//! Settings that move with the environment steps consumed.
+
+use serde::{Deserialize, Serialize};
+
+/// A number, or one that moves: `0.005`, or `[[0, 0.005], [1000000, 0.0]]` for a straight line between points of
+/// environment steps and value, level before the first and after the last.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Schedule {
+    /// The same all the time.
+    Constant(f32),
+    /// Points by ascending steps, at least one.
+    Line(Vec<(u64, f32)>),
+}
+
+impl Schedule {
+    /// The value after `n_env_steps`.
+    pub fn at(&self, n_env_steps: u64) -> f32 {
+        let points = match self {
+            Self::Constant(value) => return *value,
+            Self::Line(points) => points,
+        };
+        let after = points.partition_point(|(steps, _)| *steps <= n_env_steps);
+        match (after.checked_sub(1).and_then(|before| points.get(before)), points.get(after)) {
+            (Some(&(x0, y0)), Some(&(x1, y1))) => y0 + (y1 - y0) * ((n_env_steps - x0) as f32 / (x1 - x0) as f32),
+            (Some(&(_, y)), None) | (None, Some(&(_, y))) => y,
+            (None, None) => 0.0,
+        }
+    }
+
+    /// All values named.
+    pub(crate) fn values(&self) -> Vec<f32> {
+        match self {
+            Self::Constant(value) => vec![*value],
+            Self::Line(points) => points.iter().map(|(_, value)| *value).collect(),
+        }
+    }
+
+    /// Whether there is a point and the steps ascend.
+    pub(crate) fn is_ordered(&self) -> bool {
+        match self {
+            Self::Constant(_) => true,
+            Self::Line(points) => !points.is_empty() && points.is_sorted_by(|(a, _), (b, _)| a < b),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Schedule;
+
+    #[test]
+    fn a_line_is_level_outside_its_points() {
+        let line = Schedule::Line(vec![(100, 1.0), (300, 0.0), (400, -0.5)]);
+        let values = [0, 100, 150, 300, 350, 400, 1000].map(|steps| line.at(steps));
+        assert_eq!(values, [1.0, 1.0, 0.75, 0.0, -0.25, -0.5, -0.5]);
+        assert_eq!(Schedule::Constant(0.3).at(7), 0.3);
+        assert!(line.is_ordered() && !Schedule::Line(vec![(3, 0.0), (3, 1.0)]).is_ordered());
+        assert!(!Schedule::Line(Vec::new()).is_ordered());
+    }
+
+    #[test]
+    fn both_forms_are_read() {
+        assert_eq!(serde_json::from_str::<Schedule>("0.5").unwrap(), Schedule::Constant(0.5));
+        assert_eq!(serde_json::from_str::<Schedule>("[[5, 1.0]]").unwrap(), Schedule::Line(vec![(5, 1.0)]));
+    }
+}

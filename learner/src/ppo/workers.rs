@@ -1,0 +1,108 @@
+//! Threads that pass the pieces of a batch through networks of their own.
+
+use burn::tensor::Device;
+use policy::parameters::ParameterError;
+use policy::{Network, PolicyConfig};
+
+use super::passes::{Evaluation, GradientPass, Passes, Targets};
+use crate::batch::Batch;
+
+/// One set of networks for each thread: gradients of graphs that share a tensor would wait for each other.
+///
+/// How a batch is cut into pieces does not depend on the number of workers, and results are put together in the order
+/// of the pieces, so neither do the sums.
+#[derive(Debug)]
+pub(super) struct Workers(Vec<Passes>);
+
+impl Workers {
+    /// `n` workers, at least one, whose networks have the initial parameters of `seed`.
+    pub(super) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n: usize) -> Self {
+        Self((0..n.max(1)).map(|_| Passes::new(policy, seed, device)).collect())
+    }
+
+    /// A network without gradients.
+    pub(super) fn network(&self) -> &Network {
+        self.0[0].network()
+    }
+
+    /// Puts `parameters` into all networks.
+    ///
+    /// # Errors
+    /// When their number is wrong or one is not finite.
+    pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
+        let loaded = self.each(|_, passes| passes.load(parameters));
+        loaded.into_iter().collect()
+    }
+
+    /// Values of all rows and log-probabilities of all actions, in pieces of about `size` rows.
+    pub(super) fn evaluate(&mut self, batch: &Batch, size: usize) -> Evaluation {
+        let rows: Vec<usize> = (0..batch.features.n).collect();
+        let mut whole = Evaluation::default();
+        for piece in self.map(&pieces(&rows, size), |passes, rows| passes.evaluate(batch, rows)) {
+            whole.values.extend(piece.values);
+            whole.log_probs.extend(piece.log_probs);
+        }
+        whole
+    }
+
+    /// Gradients of `share` × the summed loss of `samples`, one for each piece of about `size` samples.
+    pub(super) fn gradients(
+        &mut self,
+        batch: &Batch,
+        samples: &[usize],
+        size: usize,
+        targets: &Targets<'_>,
+    ) -> Vec<GradientPass> {
+        let share = 1.0 / samples.len() as f32;
+        self.map(&pieces(samples, size), |passes, piece| passes.gradient(batch, piece, targets, share))
+    }
+
+    /// `work` on every piece; the results are in the order of the pieces.
+    fn map<R: Send>(&mut self, pieces: &[&[usize]], work: impl Fn(&Passes, &[usize]) -> R + Sync) -> Vec<R> {
+        let n_workers = self.0.len();
+        let by_worker = self.each(|worker, passes| {
+            let own = pieces.iter().skip(worker).step_by(n_workers);
+            own.map(|piece| work(passes, piece)).collect::<Vec<_>>()
+        });
+        let mut by_worker: Vec<_> = by_worker.into_iter().map(Vec::into_iter).collect();
+        (0..pieces.len()).filter_map(|piece| by_worker[piece % n_workers].next()).collect()
+    }
+
+    /// `work` by every worker at the same time; the results are in the order of the workers.
+    fn each<R: Send>(&mut self, work: impl Fn(usize, &mut Passes) -> R + Sync) -> Vec<R> {
+        let (first, others) = self.0.split_first_mut().expect("there is at least one worker");
+        std::thread::scope(|scope| {
+            let work = &work;
+            let threads: Vec<_> =
+                others.iter_mut().zip(1..).map(|(passes, worker)| scope.spawn(move || work(worker, passes))).collect();
+            let mut results = vec![work(0, first)];
+            // A panic goes on in the thread that waits, with its message.
+            let join = |thread: std::thread::ScopedJoinHandle<'_, R>| {
+                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            results.extend(threads.into_iter().map(join));
+            results
+        })
+    }
+}
+
+/// `items` in pieces of equal size, at least `size` where there are that many.
+pub(super) fn pieces(items: &[usize], size: usize) -> Vec<&[usize]> {
+    let n = (items.len() / size).max(1);
+    (0..n).map(|i| &items[i * items.len() / n..(i + 1) * items.len() / n]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::pieces;
+
+    #[test]
+    fn pieces_are_of_one_size_and_lose_nothing() {
+        let items: Vec<usize> = (0..10).collect();
+        let sizes = |size| pieces(&items, size).iter().map(|piece| piece.len()).collect::<Vec<_>>();
+        assert_eq!(sizes(4), [5, 5]);
+        assert_eq!(sizes(3), [3, 3, 4]);
+        assert_eq!(sizes(100), [10]);
+        assert_eq!(pieces(&items, 3).concat(), items);
+    }
+}
