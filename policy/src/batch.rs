@@ -17,7 +17,7 @@ pub struct FeatureBatch {
     pub edges: Vec<f32>,
     /// `[n, gd]`
     pub globals: Vec<f32>,
-    /// `[n, 16]`: whether the block belongs to the blueprint; used only with a mask.
+    /// `[n, 16]`: whether [`BlockMask::Blueprint`](crate::config::BlockMask) lets a gripper choose the block.
     pub allowed: Vec<bool>,
     /// nd, ed and gd.
     pub sizes: FeatureSizes,
@@ -53,7 +53,13 @@ impl FeatureBatch {
             &mut self.edges[edges_at..],
             &mut self.globals[globals_at..],
         );
+        let allowed_at = self.allowed.len();
         self.allowed.extend(BlockIdx::all().map(|block| blueprint.contains(block)));
+        for joint in &scene.joints {
+            // No connection but the blueprint's may remain, and two blocks come apart only in two grippers' hold.
+            self.allowed[allowed_at + joint.a.get()] = true;
+            self.allowed[allowed_at + joint.b.get()] = true;
+        }
         self.n += 1;
     }
 

@@ -25,7 +25,8 @@ pub enum BlockMask {
     /// All 16 (the paper).
     #[default]
     None,
-    /// Those of the blueprint; the others' logits become −1e9 (an extension).
+    /// Those of the blueprint and those with a connection, as they may have to be taken apart; the others' logits become
+    /// −1e9 (an extension).
     Blueprint,
 }
 

@@ -146,11 +146,19 @@ impl Policy {
     /// # Panics
     /// When there are not as many generators as scenes, or the batch has other feature sizes.
     pub fn act(&self, batch: &FeatureBatch, rngs: &mut [ChaCha8Rng], mode: ActionMode) -> Vec<Decision> {
-        assert_eq!(rngs.len(), batch.n, "one generator per scene");
+        self.act_each(batch, rngs, &vec![mode; batch.n])
+    }
+
+    /// As [`Policy::act`], with a mode for every scene.
+    ///
+    /// # Panics
+    /// When there are not as many generators and modes as scenes, or the batch has other feature sizes.
+    pub fn act_each(&self, batch: &FeatureBatch, rngs: &mut [ChaCha8Rng], modes: &[ActionMode]) -> Vec<Decision> {
+        assert_eq!((rngs.len(), modes.len()), (batch.n, batch.n), "one generator and one mode per scene");
         let mut output = self.run(batch);
         let per_scene = output.logits.len() / batch.n.max(1);
         let mut decisions = Vec::with_capacity(batch.n);
-        for (row, rng) in rngs.iter_mut().enumerate() {
+        for (row, (rng, mode)) in rngs.iter_mut().zip(modes).enumerate() {
             let logits = &mut output.logits[row * per_scene..(row + 1) * per_scene];
             if self.config.mask == BlockMask::Blueprint {
                 mask_logits(logits, &batch.allowed[row * 16..(row + 1) * 16]);

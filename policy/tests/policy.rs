@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::{Blueprint, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS};
 use burn::tensor::Device;
 use policy::normalisation::FeatureMoments;
 use policy::parameters::{self, Initialiser};
@@ -12,7 +12,7 @@ use policy::{
     ActionMode, BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig,
     ResnetConfig, ScaleConfig,
 };
-use proto::{Gripper, Normalisation, Pose, Scene, Weights, WeightsVersion};
+use proto::{Gripper, Joint, Normalisation, Pose, Scene, Weights, WeightsVersion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -125,6 +125,21 @@ fn the_mask_keeps_choices_in_the_blueprint() {
         assert!(decision.action.choices.iter().flatten().all(|block| blueprint().contains(*block)));
         assert!(decision.log_prob.is_finite());
     }
+}
+
+#[test]
+fn the_mask_admits_blocks_that_may_have_to_be_taken_apart() {
+    let inside = blueprint().placements()[0].block;
+    let relative = blueprint().relative(inside, blueprint().placements()[1].block).unwrap();
+    let strays: [BlockIdx; 3] = {
+        let mut outside = BlockIdx::all().filter(|block| !blueprint().contains(*block));
+        std::array::from_fn(|_| outside.next().unwrap())
+    };
+    let joint = |a, b| Joint { a, b, relative };
+    let mut batch = FeatureBatch::new(&small().features);
+    batch.push(&Scene { joints: vec![joint(strays[0], inside), joint(strays[1], strays[2])], ..scene(1) }, blueprint());
+    let allowed = BlockIdx::all().filter(|block| batch.allowed[block.get()]);
+    assert!(allowed.eq(BlockIdx::all().filter(|block| blueprint().contains(*block) || strays.contains(block))));
 }
 
 #[test]
