@@ -16,6 +16,8 @@ pub struct ActorConfig {
     pub segment_len: usize,
     /// Which tasks are rolled out and how their episodes begin.
     pub tasks: TaskConfig,
+    /// Steps before an episode is learned from.
+    pub lead_in: LeadInConfig,
     /// Segments that may wait for the learner's answer at once, 1 to 16. Default 2.
     pub n_outstanding: usize,
     /// Segments kept while the learner does not take them, 1 to 100 000. Default 512.
@@ -26,6 +28,19 @@ pub struct ActorConfig {
     pub metrics_period_ms: u64,
     /// Longest time that shutting down waits for the backlog to be sent, in milliseconds, at most 60 000. Default 2000.
     pub drain_timeout_ms: u64,
+}
+
+/// Episodes whose first steps are acted by the policy's mode and not learned from (an extension).
+///
+/// Noise carries a sampled policy out of states in which its mode would stay for ever, so it hardly meets them; learning
+/// from there on teaches the mode to leave them.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LeadInConfig {
+    /// Share of the episodes, 0 to 1. Default 0.
+    pub probability: f64,
+    /// Longest lead-in in steps, 1 to 1000; the length is uniform from 1. Default 60.
+    pub max_steps: u16,
 }
 
 /// What an actor does when its backlog of unsent segments is full.
@@ -58,12 +73,19 @@ impl Default for ActorConfig {
             n_worlds: 32,
             segment_len: 32,
             tasks: TaskConfig::default(),
+            lead_in: LeadInConfig::default(),
             n_outstanding: 2,
             backlog_limit: 512,
             full_backlog: FullBacklog::DropOldest,
             metrics_period_ms: 2000,
             drain_timeout_ms: 2000,
         }
+    }
+}
+
+impl Default for LeadInConfig {
+    fn default() -> Self {
+        Self { probability: 0.0, max_steps: 60 }
     }
 }
 
@@ -76,6 +98,9 @@ impl ActorConfig {
         check("n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1 to 64")?;
         check("n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1 to 1024")?;
         check("segment_len", self.segment_len, (1..=1000).contains(&self.segment_len), "1 to 1000")?;
+        let LeadInConfig { probability, max_steps } = self.lead_in;
+        check("lead_in.probability", probability, (0.0..=1.0).contains(&probability), "0 to 1")?;
+        check("lead_in.max_steps", max_steps, (1..=1000).contains(&max_steps), "1 to 1000")?;
         check("n_outstanding", self.n_outstanding, (1..=16).contains(&self.n_outstanding), "1 to 16")?;
         check("backlog_limit", self.backlog_limit, (1..=100_000).contains(&self.backlog_limit), "1 to 100000")?;
         let metrics = self.metrics_period_ms;

@@ -15,7 +15,7 @@ pub mod task;
 mod toy;
 
 pub use backlog::Backlog;
-pub use config::{ActorConfig, ActorConfigError, FullBacklog};
+pub use config::{ActorConfig, ActorConfigError, FullBacklog, LeadInConfig};
 pub use environment::EnvironmentConfig;
 pub use policy::PolicyConfig;
 pub use rollout::{Rollout, RolloutCounters, RolloutError, RolloutSetup};

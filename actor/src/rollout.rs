@@ -4,10 +4,11 @@ use blueprints::{BlueprintId, Catalogue};
 use environment::{Env, ResetError};
 use policy::{ActionMode, FeatureBatch, Policy, PolicyConfig, PolicyError};
 use proto::{Status, Task, Trajectory, Transition, Weights, WeightsVersion};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
+use crate::config::LeadInConfig;
 use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
 use crate::task::{FilterError, TaskConfig, TaskSampler};
 
@@ -25,6 +26,8 @@ pub struct RolloutSetup<'c> {
     pub tasks: TaskConfig,
     /// Steps after which a segment is cut, at least 1.
     pub segment_len: usize,
+    /// Steps that are not learned from.
+    pub lead_in: LeadInConfig,
     /// Names and numbers the segments.
     pub identity: Identity,
     /// Determines tasks and actions.
@@ -61,6 +64,8 @@ pub struct RolloutCounters {
     pub n_diverged_episodes: u64,
     /// Steps of those episodes that were dropped.
     pub n_diverged_steps: u64,
+    /// Steps of lead-ins.
+    pub n_lead_in_steps: u64,
     /// Tasks that a world could not start and that were replaced by others.
     pub n_failed_resets: u64,
 }
@@ -90,6 +95,23 @@ struct Seat<E> {
     env: E,
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
+    /// Steps that the mode still has to act before the episode is learned from.
+    n_lead_in: u16,
+}
+
+impl<E: Env> Seat<E> {
+    /// Starts the next episode.
+    fn begin(
+        &mut self,
+        tasks: &TaskSampler,
+        setup: &RolloutSetup<'_>,
+        counters: &mut RolloutCounters,
+    ) -> Result<(), RolloutError> {
+        let task = start_episode(&mut self.env, tasks, setup.catalogue, &mut self.task_rng, counters)?;
+        self.segment.begin(task);
+        self.n_lead_in = draw_lead_in(&setup.lead_in, &mut self.task_rng);
+        Ok(())
+    }
 }
 
 impl<'c, E: Env> Rollout<'c, E> {
@@ -108,7 +130,8 @@ impl<'c, E: Env> Rollout<'c, E> {
             // Even streams draw tasks, odd ones actions, so neither depends on how many worlds there are.
             let mut task_rng = stream(setup.seed, 2 * world_idx as u64);
             let task = start_episode(&mut env, &tasks, setup.catalogue, &mut task_rng, &mut counters)?;
-            seats.push(Seat { env, task_rng, segment: SegmentBuilder::new(setup.segment_len, task) });
+            let n_lead_in = draw_lead_in(&setup.lead_in, &mut task_rng);
+            seats.push(Seat { env, task_rng, segment: SegmentBuilder::new(setup.segment_len, task), n_lead_in });
         }
         let action_rngs = (0..seats.len() as u64).map(|world_idx| stream(setup.seed, 2 * world_idx + 1)).collect();
         let batch = policy.batch();
@@ -137,8 +160,7 @@ impl<'c, E: Env> Rollout<'c, E> {
         for (world_idx, (seat, action_rng)) in self.seats.iter_mut().zip(&mut self.action_rngs).enumerate() {
             seat.task_rng = stream(seed, 2 * world_idx as u64);
             *action_rng = stream(seed, 2 * world_idx as u64 + 1);
-            let Seat { env, task_rng, segment } = seat;
-            segment.begin(start_episode(env, &self.tasks, self.setup.catalogue, task_rng, &mut self.counters)?);
+            seat.begin(&self.tasks, &self.setup, &mut self.counters)?;
         }
         Ok(())
     }
@@ -152,7 +174,9 @@ impl<'c, E: Env> Rollout<'c, E> {
         for seat in &self.seats {
             self.batch.push(seat.env.scene(), seat.env.blueprint());
         }
-        let decisions = self.policy.act(&self.batch, &mut self.action_rngs, ActionMode::Sampled);
+        let mode = |seat: &Seat<E>| if seat.n_lead_in > 0 { ActionMode::Mode } else { ActionMode::Sampled };
+        let modes: Vec<ActionMode> = self.seats.iter().map(mode).collect();
+        let decisions = self.policy.act_each(&self.batch, &mut self.action_rngs, &modes);
 
         let mut finished: Vec<Trajectory> = Vec::new();
         // From here on the batch takes the scenes whose value a finished segment needs; this is the place of each in
@@ -160,10 +184,19 @@ impl<'c, E: Env> Rollout<'c, E> {
         self.batch.clear();
         let mut unvalued: Vec<usize> = Vec::new();
         for (seat, decision) in self.seats.iter_mut().zip(decisions) {
-            let Seat { env, task_rng, segment } = seat;
+            let Seat { env, segment, n_lead_in, .. } = &mut *seat;
             let scene = env.scene().clone();
             let result = env.step(&decision.action);
             self.counters.n_env_steps += 1;
+            if *n_lead_in > 0 {
+                *n_lead_in -= 1;
+                self.counters.n_lead_in_steps += 1;
+                segment.skip(&result.reward);
+                if result.status != Status::Running {
+                    seat.begin(&self.tasks, &self.setup, &mut self.counters)?;
+                }
+                continue;
+            }
             let transition = Transition {
                 scene,
                 action: decision.action,
@@ -197,7 +230,7 @@ impl<'c, E: Env> Rollout<'c, E> {
                 Status::TimeLimit => self.counters.n_episodes += 1,
                 Status::Diverged => {}
             }
-            segment.begin(start_episode(env, &self.tasks, self.setup.catalogue, task_rng, &mut self.counters)?);
+            seat.begin(&self.tasks, &self.setup, &mut self.counters)?;
         }
         for (segment_idx, value) in unvalued.into_iter().zip(self.policy.values(&self.batch)) {
             finished[segment_idx].bootstrap_value = value;
@@ -224,7 +257,17 @@ impl std::ops::AddAssign for RolloutCounters {
         self.n_successes += other.n_successes;
         self.n_diverged_episodes += other.n_diverged_episodes;
         self.n_diverged_steps += other.n_diverged_steps;
+        self.n_lead_in_steps += other.n_lead_in_steps;
         self.n_failed_resets += other.n_failed_resets;
+    }
+}
+
+/// Length of an episode's lead-in; without any, nothing is drawn.
+fn draw_lead_in(config: &LeadInConfig, rng: &mut ChaCha8Rng) -> u16 {
+    if config.probability > 0.0 && rng.random_bool(config.probability) {
+        rng.random_range(1..=config.max_steps)
+    } else {
+        0
     }
 }
 

@@ -100,6 +100,7 @@ pub async fn run(
             policy: policy.clone(),
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
+            lead_in: config.lead_in,
             identity: Identity {
                 actor: id.clone(),
                 epoch,

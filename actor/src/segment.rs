@@ -75,6 +75,12 @@ impl SegmentBuilder {
         *self = Self::new(self.segment_len, task);
     }
 
+    /// Counts a step at the start of an episode that is not learned from.
+    pub fn skip(&mut self, reward: &RewardTerms) {
+        add(&mut self.episode_return, reward);
+        self.first_step = self.first_step.saturating_add(1);
+    }
+
     /// Adds a step that led to `after` with `status`, acted by `version`.
     ///
     /// The segment that it may complete carries the name and epoch of `identity`, number 0 and bootstrap value 0.
