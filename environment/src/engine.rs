@@ -14,7 +14,7 @@ use crate::config::PhysicsConfig;
 use crate::convert::{from_rapier, pose_from_rapier, pose_to_rapier, to_rapier};
 
 /// Half of the ground's size in metres; blocks end their episode before they can reach its rim.
-const GROUND_HALF_EXTENTS_M: [f32; 3] = [6.0, 6.0, 0.5];
+const GROUND_HALF_EXTENTS_M: [f32; 3] = [60.0, 60.0, 0.5];
 
 /// Time at rest after which a block costs nothing until it is touched; the engine's default is 0.5 s.
 const SLEEP_AFTER_S: f32 = 0.2;

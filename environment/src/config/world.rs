@@ -21,7 +21,9 @@ pub struct PhysicsConfig {
     pub friction: f32,
     /// Linear and angular damping, 1/s, 0 to 10. Default 0.5.
     pub damping_hz: f32,
-    /// Distance from the origin at which a block counts as lost and the episode as `Diverged`, m, 1 to 5. Default 4.
+    /// Distance from the origin at which a block counts as lost and the episode as `Diverged`, m, 1 to 50. Default 40, which
+    /// is farther than a gripper can carry a block in an episode (3 m/s for 10 s): what the agent itself did, such as
+    /// flying off with its blocks, must stay in the data, or it never learns to leave it.
     pub runaway_m: f32,
     /// Damping of the motor on each held block when two grippers hold one structure, N·s/m, 1 to 1000. Default 60.
     pub motor_damping: f32,
@@ -75,7 +77,7 @@ impl Default for PhysicsConfig {
             density_kgpm3: 200.0,
             friction: 0.6,
             damping_hz: 0.5,
-            runaway_m: 4.0,
+            runaway_m: 40.0,
             motor_damping: 60.0,
             motor_force_n: 200.0,
             motor_angular_damping: 6.0,
@@ -115,7 +117,7 @@ impl PhysicsConfig {
         check("physics.density_kgpm3", self.density_kgpm3, 10.0, 5000.0)?;
         check("physics.friction", self.friction, 0.0, 2.0)?;
         check("physics.damping_hz", self.damping_hz, 0.0, 10.0)?;
-        check("physics.runaway_m", self.runaway_m, 1.0, 5.0)?;
+        check("physics.runaway_m", self.runaway_m, 1.0, 50.0)?;
         check("physics.motor_damping", self.motor_damping, 1.0, 1000.0)?;
         check("physics.motor_force_n", self.motor_force_n, 1.0, 10_000.0)?;
         check("physics.motor_angular_damping", self.motor_angular_damping, 0.1, 100.0)?;
