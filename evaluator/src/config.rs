@@ -43,12 +43,29 @@ pub struct Selection {
     pub blueprints: Vec<BlueprintId>,
 }
 
+/// How the episodes of a pass begin.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Starts {
+    /// All blocks scattered.
+    #[default]
+    Scattered,
+    /// Another training blueprint stands, drawn for each episode.
+    Prebuilt,
+    /// Every fifth episode prebuilt, the others scattered: the mixture that the paper trains on ("Initial State").
+    Mixed,
+    /// The goal stands but for one block; for goals that training meets in this way.
+    NearGoal,
+}
+
 /// How the episodes of a pass are run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EpisodeConfig {
     /// Episodes for each blueprint and way of acting, 1 to 10 000. Default 40 (paper).
     pub n_episodes: u32,
+    /// How they begin. Default: scattered.
+    pub starts: Starts,
     /// Ways of acting, none twice, at least one. Default: both.
     pub acting: Vec<Acting>,
     /// Threads, 1 to 64. Default 1, so that training loses at most one core while a pass runs.
@@ -109,7 +126,8 @@ impl Default for Selection {
 
 impl Default for EpisodeConfig {
     fn default() -> Self {
-        Self { n_episodes: 40, acting: vec![Acting::Mode, Acting::Sampled], n_threads: 1, n_worlds: 20 }
+        let acting = vec![Acting::Mode, Acting::Sampled];
+        Self { n_episodes: 40, starts: Starts::default(), acting, n_threads: 1, n_worlds: 20 }
     }
 }
 

@@ -3,7 +3,7 @@
 use blueprints::{Blueprint, BlueprintId, Catalogue};
 use environment::{EnvironmentConfig, EnvironmentConfigError, ResetError, World};
 use policy::{Policy, PolicyConfig, PolicyError};
-use proto::{Start, Weights};
+use proto::Weights;
 
 use crate::config::{EpisodeConfig, ResetFreeConfig};
 use crate::lanes::{Job, Played, Rules, run_lanes};
@@ -55,7 +55,7 @@ pub enum EvalError {
     Interrupted,
 }
 
-/// Judges `weights` on `blueprints`: `n_episodes` from scattered starts for each, once for each way of acting, and then
+/// Judges `weights` on `blueprints`: `n_episodes` for each, once for each way of acting, and then
 /// the reset-free runs if the setup has any.
 ///
 /// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or
@@ -71,7 +71,8 @@ pub fn evaluate(
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
     let n_episodes = u64::from(setup.episodes.n_episodes);
-    let lane = |blueprint, episode_idx| vec![Job::new(blueprint, Start::Scattered, setup.seed, episode_idx)];
+    let (catalogue, starts) = (setup.catalogue, setup.episodes.starts);
+    let lane = |blueprint, episode_idx| vec![Job::one_of(catalogue, blueprint, starts, setup.seed, episode_idx)];
     let lanes: Vec<Vec<Job>> = blueprints
         .iter()
         .flat_map(|&blueprint| (0..n_episodes).map(move |episode_idx| lane(blueprint, episode_idx)))

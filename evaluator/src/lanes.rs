@@ -8,6 +8,7 @@ use proto::{Action, RewardTerms, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::config::Starts;
 use crate::episodes::EvalError;
 use crate::report::{Acting, End, Episode};
 
@@ -43,6 +44,28 @@ pub(crate) struct Rules<'a> {
 }
 
 impl Job {
+    /// Episode `episode_idx` of a goal that begins as one of `starts`.
+    pub(crate) fn one_of(catalogue: &Catalogue, blueprint: &Blueprint, starts: Starts, seed: u64, idx: u64) -> Self {
+        let mut job = Self::new(blueprint, Start::Scattered, seed, idx);
+        let prebuilt = match starts {
+            Starts::Scattered => false,
+            Starts::Prebuilt => true,
+            Starts::Mixed => idx % 5 == 4,
+            Starts::NearGoal => {
+                job.task.start = Start::NearGoal { undone: 1 };
+                false
+            }
+        };
+        let mut others = catalogue.of_split(Split::Train).to_vec();
+        others.retain(|other| other.id() != blueprint.id());
+        if prebuilt && !others.is_empty() {
+            // A generator of its own leaves a task what it is however it starts.
+            let mut rng = ChaCha8Rng::seed_from_u64(job.task.seed);
+            job.task.start = Start::Prebuilt(others[rng.random_range(0..others.len())].id().clone());
+        }
+        job
+    }
+
     /// Episode `episode_idx` of a goal; only these and `seed` determine it.
     pub(crate) fn new(blueprint: &Blueprint, start: Start, seed: u64, episode_idx: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(mix(seed, blueprint.id(), episode_idx));

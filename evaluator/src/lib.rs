@@ -15,7 +15,7 @@ mod run;
 mod schedule;
 pub mod table;
 
-pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection};
+pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts};
 pub use environment::EnvironmentConfig;
 pub use episodes::{EvalError, EvalSetup, evaluate};
 pub use group::Group;

@@ -116,3 +116,18 @@ fn start_states_depend_on_seed_goal_and_number_only() {
     let other = Job::new(Catalogue::builtin().of_split(Split::Train)[1], Start::Scattered, 1, 2).task;
     assert_ne!(job(1, 2).seed, other.seed);
 }
+
+#[test]
+fn the_kind_of_start_leaves_the_rest_of_a_task_alone() {
+    let catalogue = Catalogue::builtin();
+    let jobs = |starts| (0..40).map(|idx| Job::one_of(catalogue, goal(), starts, 1, idx).task).collect::<Vec<_>>();
+    let scattered = jobs(Starts::Scattered);
+    assert!(scattered.iter().all(|task| task.start == Start::Scattered));
+    for (starts, n_prebuilt) in [(Starts::Prebuilt, 40), (Starts::Mixed, 8)] {
+        let tasks = jobs(starts);
+        let others = tasks.iter().filter(|task| matches!(&task.start, Start::Prebuilt(other) if other != goal().id()));
+        assert_eq!(others.count(), n_prebuilt);
+        assert!(tasks.iter().zip(&scattered).all(|(task, plain)| task.seed == plain.seed));
+    }
+    assert!(jobs(Starts::NearGoal).iter().all(|task| task.start == Start::NearGoal { undone: 1 }));
+}
