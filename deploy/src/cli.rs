@@ -168,8 +168,11 @@ pub struct EvalArgs {
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,
     /// Episodes per blueprint and way of acting.
-    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
+    /// Set one key of the run's configuration, for example evaluator.episodes.starts=mixed; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
     /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,

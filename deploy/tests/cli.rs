@@ -41,7 +41,7 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["train", "--preset", "paper", "--config", "my.toml"], &["--preset", "--config", "cannot be used with"]),
         (&["eval"], &["--checkpoint"]),
         (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),
-        (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=100000"]),
+        (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=10000"]),
         (&["router"], &["--listen"]),
         (&["tarin"], &["tarin", "train"]),
     ] {

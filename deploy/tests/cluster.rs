@@ -8,7 +8,13 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use program::{SMALL, lodestone, n_saved_steps};
+use program::{lodestone, n_saved_steps};
+
+/// The task of CI's learning test, saved often enough to be killed at any time.
+const TASK: [&str; 4] = ["--preset", "near-goal", "--set", "learner.checkpoints.every_updates=2"];
+
+/// Environment steps in which it is learned with room to spare.
+const ENOUGH_STEPS: u64 = 200_000;
 
 /// A process that does not outlive its test.
 struct Process(Child);
@@ -39,11 +45,10 @@ impl Cluster {
 
     fn member(&self, role: &str, args: &[&str]) -> Process {
         let mut command = command(self.folder.path());
-        command.args([role, "--connect", &self.endpoint]).args(args).args(if args.contains(&"--resume") {
-            &[]
-        } else {
-            &SMALL[..]
-        });
+        command.args([role, "--connect", &self.endpoint]).args(args);
+        if !args.contains(&"--resume") {
+            command.args(TASK);
+        }
         if role == "evaluator" {
             command.stdout(Stdio::piped());
         }
@@ -61,6 +66,13 @@ impl Cluster {
         saved
     }
 
+    /// Success rate of the newest checkpoint, mode actions from starts near the goal.
+    fn success_rate(&self) -> f64 {
+        let judged = lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]).output().unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+        report["summary"]["all"]["mode"]["success"]["rate"].as_f64().unwrap()
+    }
+
     fn n_saved_steps(&self) -> u64 {
         n_saved_steps(&self.folder.path().join("run"))
     }
@@ -73,18 +85,19 @@ fn command(folder: &Path) -> Command {
 }
 
 #[test]
-fn actors_come_and_go_and_a_killed_learner_goes_on() {
+fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() {
     let cluster = Cluster::start();
     let mut first = cluster.member("actor", &["--id", "first"]);
     let _second = cluster.member("actor", &["--id", "second"]);
     let mut evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
-    let saved = cluster.learn(["--run-dir", "run"], 512);
+    let saved = cluster.learn(["--run-dir", "run"], 2048);
+    let untrained = cluster.success_rate();
 
     // `kill` is SIGKILL: the actor has no chance to say goodbye.
     first.0.kill().unwrap();
     first.0.wait().unwrap();
     let _late = cluster.member("actor", &["--id", "late"]);
-    let saved = cluster.learn(["--resume", "run"], saved + 512);
+    let saved = cluster.learn(["--resume", "run"], saved + 2048);
 
     // A learner without end, killed after it has saved twice.
     let mut endless = command(cluster.folder.path())
@@ -98,8 +111,10 @@ fn actors_come_and_go_and_a_killed_learner_goes_on() {
     endless.0.kill().unwrap();
     endless.0.wait().unwrap();
     let before = cluster.n_saved_steps();
-    assert!(before >= saved + 512, "{before}");
-    cluster.learn(["--resume", "run"], before + 256);
+    assert!(before >= saved + 2048, "{before}");
+    cluster.learn(["--resume", "run"], before.max(ENOUGH_STEPS));
+    let trained = cluster.success_rate();
+    assert!(untrained < 0.5 && trained >= 0.9, "{untrained} before, {trained} after");
     // The evaluator writes its history before it prints the first line of a report.
     let lines = BufReader::new(evaluator.0.stdout.take().unwrap()).lines();
     let report = lines.map(Result::unwrap).find(|line| !line.is_empty()).unwrap();

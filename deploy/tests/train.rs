@@ -6,7 +6,29 @@ mod program;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Output, Stdio};
 
-use program::{SMALL, lodestone, n_saved_steps};
+use program::{lodestone, n_saved_steps};
+
+/// Small enough for seconds: updates of 256 steps, each of them saved.
+const SMALL: [&str; 18] = [
+    "--set",
+    "learner.steps_per_update=256",
+    "--set",
+    "learner.minibatch_size=256",
+    "--set",
+    "learner.n_epochs=1",
+    "--set",
+    "learner.checkpoints.every_updates=1",
+    "--set",
+    "actor.n_worlds=8",
+    "--set",
+    "evaluator.selection.blueprints=[\"2_000\"]",
+    "--set",
+    "evaluator.episodes.n_episodes=2",
+    "--set",
+    "policy.network.width=16",
+    "--set",
+    "policy.network.value_hidden=[16]",
+];
 
 fn finished(command: &mut Command) -> Output {
     let output = command.output().unwrap();
@@ -26,9 +48,15 @@ fn a_run_is_saved_judged_and_continued() {
         assert!(run_dir.join(file).is_file(), "{file}");
     }
 
-    let judged = finished(lodestone(folder.path()).args(["eval", "--checkpoint", "run", "--episodes", "2", "--json"]));
+    let judged = finished(
+        lodestone(folder.path())
+            .args(["eval", "--checkpoint", "run", "--episodes", "2", "--json"])
+            .args(["--set", "evaluator.episodes.acting=[\"sampled\"]"]),
+    );
     let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
     assert_eq!(report["summary"]["n_env_steps"], n_steps);
+    let n_episodes = |acting: &str| report["summary"]["all"][acting]["success"]["n_episodes"].as_u64();
+    assert_eq!((n_episodes("sampled"), n_episodes("mode")), (Some(2), Some(0)));
 
     let goal = (n_steps + 256).to_string();
     finished(lodestone(folder.path()).args(["train", "--resume", "run", "--steps", &goal]));

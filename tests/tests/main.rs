@@ -3,5 +3,6 @@
 
 mod architecture;
 mod configs;
+mod learning;
 mod repository;
 mod tidy;

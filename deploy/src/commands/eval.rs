@@ -1,6 +1,6 @@
 //! `eval`: judges a checkpoint on blueprints.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use blueprints::Catalogue;
 use evaluator::{Detail, EvalSetup, Selection, evaluate, render};
@@ -8,14 +8,15 @@ use learner::Checkpoint;
 use learner::run::CHECKPOINTS;
 
 use crate::cli::EvalArgs;
-use crate::config::{Config, ConfigError};
+use crate::config::{Config, ConfigError, Override, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::CONFIG_FILE;
 
 /// Runs the episodes and prints the report.
 ///
-/// World, seed and, unless a split is asked for, the selection of blueprints are those of the run that the checkpoint is from, or the defaults.
+/// World, seed and, unless a split is asked for, the selection of blueprints are those of the run that the checkpoint is
+/// from, or the defaults.
 ///
 /// # Errors
 /// When the checkpoint or the run's configuration cannot be read, or an episode cannot be started.
@@ -23,7 +24,8 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let inside = args.checkpoint.join(CHECKPOINTS);
     let folder = if inside.is_dir() { &inside } else { &args.checkpoint };
     let found = Checkpoint::read_latest(folder).map_err(|error| Failure::Checkpoint(error.into()))?;
-    let config = run_config(&found.path)?;
+    let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
+    let config = run_config(&found.path, &overrides)?;
     tracing::info!(checkpoint = %found.path.display(), "evaluating");
     let of_split = |split| Selection { splits: vec![split], ..Selection::default() };
     let selection = args.split.map_or_else(|| config.evaluator.selection.clone(), of_split);
@@ -49,20 +51,20 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The configuration in the nearest folder above the checkpoint that has one.
-fn run_config(checkpoint: &Path) -> Result<Config, Failure> {
+/// The configuration in the nearest folder above the checkpoint that has one, with `overrides` put over it.
+fn run_config(checkpoint: &Path, overrides: &[Override]) -> Result<Config, Failure> {
     let Some(path) =
         checkpoint.ancestors().skip(1).take(2).map(|folder| folder.join(CONFIG_FILE)).find(|path| path.exists())
     else {
         tracing::warn!("no {CONFIG_FILE} above the checkpoint: the world has its default settings");
-        return Ok(Config::default());
+        return valid("", "the defaults", overrides);
     };
-    read_config(path)
+    let text = std::fs::read_to_string(&path).map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+    valid(&text, &path.display().to_string(), overrides)
 }
 
-fn read_config(path: PathBuf) -> Result<Config, Failure> {
-    let text = std::fs::read_to_string(&path).map_err(|source| ConfigError::Read { path: path.clone(), source })?;
-    let config = Config::parse(&text, &path.display().to_string())?;
+fn valid(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, Failure> {
+    let config = merge(text, origin, overrides)?;
     config.validate()?;
     Ok(config)
 }

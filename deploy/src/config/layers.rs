@@ -58,14 +58,21 @@ impl Override {
         overrides
     }
 
-    /// Sets the key in `table`, whose other keys stay.
+    /// Sets the key in `table`, whose other keys stay but for those of what was chosen before.
     fn apply(&self, table: &mut toml::Table) -> Result<(), ConfigError> {
         let Some((key, sections)) = self.path.split_last() else { return Ok(()) };
         let mut table = table;
-        for section in sections {
-            let entry = table.entry(section).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        for (section, next) in sections.iter().zip(&self.path[1..]) {
+            let empty = || toml::Value::Table(toml::Table::new());
+            let entry = table.entry(section).or_insert_with(empty);
+            if CHOICES.contains(&section.as_str()) && entry.get(next).is_none() {
+                *entry = empty();
+            }
             let message = format!("`{section}` is a value, not a section");
             table = entry.as_table_mut().ok_or_else(|| ConfigError::Value { origin: self.origin.clone(), message })?;
+        }
+        if key == "kind" && table.get(key) != Some(&self.value) {
+            table.clear();
         }
         table.insert(key.clone(), self.value.clone());
         Ok(())
@@ -77,11 +84,12 @@ impl Override {
 /// # Errors
 /// Names the file with its line, or the variable or flag, that has an unknown key or a value of the wrong type.
 pub fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, ConfigError> {
-    let mut table = with_base(text, origin)?;
-    let mut config = to_config(&table, origin)?;
+    let mut config = to_config(&with_base(text, origin)?, origin)?;
     for layer in overrides {
+        // Into the whole tree, so that one key of a choice can be set; one at a time, so that an error can be laid at the
+        // right door.
+        let mut table = config.to_table();
         layer.apply(&mut table)?;
-        // One at a time, so that an error can be laid at the right door.
         config = to_config(&table, &layer.origin)?;
     }
     Ok(config)
@@ -105,11 +113,16 @@ fn with_base(text: &str, origin: &str) -> Result<toml::Table, ConfigError> {
     }
 }
 
-/// Replaces single keys; of a choice by `kind`, other kinds' keys go.
+/// Sections in which one of several keys is chosen.
+const CHOICES: [&str; 2] = ["every", "filter"];
+
+/// Replaces single keys; of a choice, by `kind` or by key, what belongs to the others goes.
 fn put_over(table: &mut toml::Table, keys: toml::Table) {
     for (key, value) in keys {
         match (table.get_mut(&key), value) {
-            (Some(toml::Value::Table(old)), toml::Value::Table(new)) if old.get("kind") == new.get("kind") => {
+            (Some(toml::Value::Table(old)), toml::Value::Table(new))
+                if old.get("kind") == new.get("kind") && !CHOICES.contains(&key.as_str()) =>
+            {
                 put_over(old, new);
             }
             (_, value) => {
@@ -163,8 +176,23 @@ mod tests {
         let config = merge("base = \"paper\"\n[actor]\nn_worlds = 3", "file", &[]).unwrap();
         assert_eq!(config.actor.n_worlds, 3);
         assert_eq!((config.policy, config.learner), (paper.policy, paper.learner));
+        let other = merge("base = \"quickstart\"\n[evaluator]\nevery = { versions = 3 }", "file", &[]).unwrap();
+        assert_eq!(other.evaluator.every, evaluator::Every::Versions(3));
         let unknown = merge("base = \"papr\"", "file", &[]).unwrap_err().to_string();
         assert!(unknown.starts_with("there is no preset `papr`; did you mean `paper`?"), "{unknown}");
+    }
+
+    #[test]
+    fn a_key_of_a_choice_can_be_set() {
+        let set = |text: &str| merge("", "defaults", &[Override::parse(text).unwrap()]).unwrap();
+        let adaptive = learner::config::AdaptiveRate { high_kl: 0.03, ..Default::default() };
+        let rule = |text| set(text).learner.optimizer.rate_rule;
+        assert_eq!(rule("learner.optimizer.rate_rule.high_kl=0.03"), learner::config::RateRule::Adaptive(adaptive));
+        assert_eq!(rule("learner.optimizer.rate_rule.kind=fixed"), learner::config::RateRule::Fixed);
+        assert_eq!(set("evaluator.every.versions=3").evaluator.every, evaluator::Every::Versions(3));
+        let blueprints = vec!["2_000".to_owned().try_into().unwrap()];
+        let filter = set("actor.tasks.filter.blueprints=[\"2_000\"]").actor.tasks.filter;
+        assert_eq!(filter, actor::TaskFilter::Blueprints(blueprints));
     }
 
     #[test]

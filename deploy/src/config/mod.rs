@@ -77,7 +77,11 @@ impl Config {
     /// # Panics
     /// If a section has a type that TOML cannot express, which the tests exclude.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("every section consists of what TOML can express")
+        toml::to_string(&self.to_table()).expect("a table is TOML")
+    }
+
+    fn to_table(&self) -> toml::Table {
+        toml::Table::try_from(self).expect("every section consists of what TOML can express")
     }
 
     /// Checks every value, and what one section expects of another.

@@ -3,26 +3,6 @@
 use std::path::Path;
 use std::process::Command;
 
-/// Small enough for seconds: updates of 256 steps, each of them saved.
-pub(crate) const SMALL: [&str; 16] = [
-    "--set",
-    "learner.steps_per_update=256",
-    "--set",
-    "learner.n_epochs=1",
-    "--set",
-    "learner.checkpoints.every_updates=1",
-    "--set",
-    "actor.n_worlds=8",
-    "--set",
-    "evaluator.selection.blueprints=[\"2_000\"]",
-    "--set",
-    "evaluator.episodes.n_episodes=2",
-    "--set",
-    "policy.network.width=16",
-    "--set",
-    "policy.network.value_hidden=[16]",
-];
-
 /// The program, working in `folder` and deaf to the caller's variables.
 pub(crate) fn lodestone(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
