@@ -1,12 +1,13 @@
 //! From tasks to trajectories: steps many worlds with the newest weights and sends what the learner learns from.
 //!
 //! Reading order: [`config`] → [`task`] (what to build next) → [`segment`] (episodes cut into segments) → [`rollout`]
-//! (worlds and policy together, synchronously) → [`backlog`] → [`run()`] (threads and the bus).
+//! (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`] → [`run()`] (threads and the bus).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod backlog;
 pub mod config;
+pub mod lockstep;
 pub mod rollout;
 mod run;
 pub mod segment;
@@ -17,6 +18,7 @@ mod toy;
 pub use backlog::Backlog;
 pub use config::{ActorConfig, ActorConfigError, FullBacklog, LeadInConfig};
 pub use environment::EnvironmentConfig;
+pub use lockstep::Lockstep;
 pub use policy::PolicyConfig;
 pub use rollout::{Rollout, RolloutCounters, RolloutError, RolloutSetup};
 pub use run::{ActorReport, run};

@@ -80,6 +80,10 @@ pub struct TrainArgs {
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
     pub actors: Option<i64>,
+    /// Step worlds and learn in turns on one thread: slower, but equal seeds give equal bytes, also in a run that is resumed
+    /// from one of its periodic checkpoints.
+    #[arg(long)]
+    pub lockstep: bool,
     /// Let other processes join here, for example tcp/127.0.0.1:7447; may be repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,

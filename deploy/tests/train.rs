@@ -67,6 +67,26 @@ fn a_run_is_saved_judged_and_continued() {
 }
 
 #[test]
+fn in_lockstep_a_resumed_run_goes_on_bit_by_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = |args: &[&str]| {
+        finished(lodestone(folder.path()).args(["train", "--lockstep"]).args(args));
+    };
+    // Every update is saved, so the whole run and the one cut in two begin new episodes at the same places.
+    for (run, steps) in [("whole", "1024"), ("cut", "512")] {
+        train(&[&["--run-dir", run, "--steps", steps], &SMALL[..]].concat());
+    }
+    train(&["--resume", "cut", "--steps", "1024"]);
+    let newest = |run: &str| {
+        folder.path().join(run).join(format!("checkpoints/step-{}", n_saved_steps(&folder.path().join(run))))
+    };
+    for file in ["parameters.safetensors", "adam.safetensors"] {
+        let bytes = |run| std::fs::read(newest(run).join(file)).unwrap();
+        assert!(bytes("whole") == bytes("cut"), "{file}");
+    }
+}
+
+#[test]
 fn a_signal_drains_and_saves() {
     let folder = tempfile::tempdir().unwrap();
     let mut child = lodestone(folder.path())

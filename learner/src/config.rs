@@ -22,8 +22,8 @@ pub struct LearnerConfig {
     /// Samples of one pass through the network, so that activations stay in the cache; a minibatch is worked in equal
     /// pieces of about this size, by several threads, and their gradients are added; 1..=65536, default 128.
     pub forward_size: usize,
-    /// Threads that pass pieces through the network; 1..=256, `None` (default) is one for each core. Results do not
-    /// depend on it.
+    /// Threads that pass pieces through the network; 1..=256, `None` (default) is one for each core, and one with a GPU.
+    /// Results do not depend on it.
     pub n_threads: Option<usize>,
     /// Passes over a batch; 1..=32, default 3.
     pub n_epochs: usize,

@@ -105,7 +105,10 @@ impl Learner {
         let known: BTreeSet<_> = setup.catalogue.iter().map(|blueprint| blueprint.id().clone()).collect();
         let n_grippers = usize::from(setup.policy.network.n_grippers);
         let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), n_grippers, known));
-        let n_threads = setup.config.n_threads.unwrap_or_else(n_cores);
+        let n_threads = setup.config.n_threads.unwrap_or_else(|| match setup.device {
+            DeviceKind::Cpu => n_cores(),
+            DeviceKind::Gpu => 1,
+        });
         Ok(Self { ppo: Ppo::new(&setup.policy, setup.seed, &device, n_threads), state, mailbox, setup })
     }
 

@@ -31,4 +31,4 @@ pub use learner::{Learner, LearnerError, LearnerSetup};
 pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;
 pub use policy::device::{DeviceError, DeviceKind};
-pub use run::{LearnerReport, RunOptions, run};
+pub use run::{Feed, LearnerReport, RunOptions, run};

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use proto::bus::{Bus, BusCounts, IngestCounts, WeightsPublisher};
 use proto::metrics::{LearnerMetrics, METRICS_SCHEMA_VERSION};
-use proto::{Role, Weights, WeightsVersion, keys};
+use proto::{Role, Trajectory, Weights, WeightsVersion, keys};
 use serde::Serialize;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
@@ -39,6 +39,10 @@ pub struct RunOptions {
     pub max_env_steps: Option<u64>,
 }
 
+/// Steps worlds with the given weights and returns what that finished; true asks for new episodes that depend on the
+/// version alone.
+pub type Feed = Box<dyn FnMut(&Weights, bool) -> anyhow::Result<Vec<Trajectory>> + Send>;
+
 /// How a run of the learner ended.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LearnerReport {
@@ -63,10 +67,18 @@ struct News {
 
 /// Learns until `shutdown` or the configured number of steps, and saves.
 ///
+/// With a `feed` the updating thread asks it for trajectories in turns with the updates, and nothing depends on time: equal
+/// seeds give equal weights, also after going on from one of the periodic checkpoints.
+///
 /// # Errors
-/// When a setting is invalid, the checkpoint to go on from is unusable, the session fails, or the last checkpoint cannot
+/// When the feed fails, a setting is invalid, the checkpoint to go on from is unusable, the session fails, or the last checkpoint cannot
 /// be written.
-pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<LearnerReport> {
+pub async fn run(
+    options: RunOptions,
+    feed: Option<Feed>,
+    bus: &Bus,
+    shutdown: CancellationToken,
+) -> anyhow::Result<LearnerReport> {
     fs::create_dir_all(&options.run_dir).with_context(|| format!("creating {}", options.run_dir.display()))?;
     let (setup, resume) = (options.setup.clone(), options.resume.clone());
     let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref())).await??;
@@ -82,7 +94,9 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     let (result, ended) = oneshot::channel();
     let (counted, session) = (server.clone(), bus.clone());
     let worker = Worker {
+        newest: Arc::new(learner.weights()),
         learner,
+        feed,
         metrics: open_metrics(&options.run_dir)?,
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
@@ -139,6 +153,9 @@ fn open_metrics(run_dir: &Path) -> anyhow::Result<File> {
 /// The updating thread.
 struct Worker {
     learner: Learner,
+    /// The learner's weights.
+    newest: Arc<Weights>,
+    feed: Option<Feed>,
     options: RunOptions,
     metrics: File,
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
@@ -162,24 +179,36 @@ impl Worker {
         let settings = self.options.setup.config.clone();
         let mailbox = self.learner.mailbox();
         let mut last_report = Instant::now();
-        let mut n_updates = 0;
+        let mut restart = true;
         // A closed channel means that the session failed; the run then ends with a checkpoint like any other.
         let mut open = self.tell(None);
         while open && !self.is_over() {
-            if !mailbox.wait(settings.steps_per_update, PATIENCE) {
+            let enough = match &mut self.feed {
+                None => mailbox.wait(settings.steps_per_update, PATIENCE),
+                Some(_) if self.learner.ready() => true,
+                Some(feed) => {
+                    for trajectory in feed(&self.newest, std::mem::take(&mut restart))? {
+                        // What is refused is counted.
+                        let _ = self.learner.ingest(trajectory);
+                    }
+                    false
+                }
+            };
+            if !enough {
                 continue;
             }
             let began = Instant::now();
             let Some(update) = self.learner.update() else { continue };
             let pace = Pace { update: began.elapsed(), since_last: last_report.elapsed() };
             last_report = Instant::now();
+            self.newest = Arc::new(self.learner.weights());
             let metrics = self.report(&update, &pace);
             if let Err(error) = self.write(&metrics) {
                 tracing::warn!(%error, "metrics were not written");
             }
             open = self.tell(Some(metrics));
-            n_updates += 1;
-            if n_updates % settings.checkpoints.every_updates == 0 {
+            if self.learner.n_updates() % settings.checkpoints.every_updates == 0 {
+                restart = true;
                 // A full disk must not end a run that could still be watched; the last checkpoint must succeed.
                 if let Err(error) = self.save(&checkpoints) {
                     tracing::error!(%error, "no checkpoint was written");
@@ -203,7 +232,7 @@ impl Worker {
     }
 
     fn tell(&self, metrics: Option<LearnerMetrics>) -> bool {
-        self.news.blocking_send(News { weights: Arc::new(self.learner.weights()), metrics }).is_ok()
+        self.news.blocking_send(News { weights: self.newest.clone(), metrics }).is_ok()
     }
 
     fn save(&self, checkpoints: &Path) -> Result<PathBuf, checkpoint::CheckpointError> {

@@ -1,21 +1,16 @@
 //! The ring in one thread, without the bus: worlds, rollouts, updates, evaluation.
 
-use std::path::Path;
-
-use actor::{Identity, Rollout, RolloutSetup};
+use actor::Lockstep;
 use blueprints::Catalogue;
 use deploy::config::{Config, PRESETS};
-use environment::World;
 use evaluator::{EvalSetup, evaluate};
-use learner::checkpoint::Checkpoint;
 use learner::{Learner, LearnerSetup};
-use proto::ActorId;
 
 /// The preset of the smallest task, learned in lockstep: worlds stand still while the learner updates.
 struct Ring {
     config: Config,
     learner: Learner,
-    rollout: Rollout<'static, World>,
+    worlds: Lockstep,
 }
 
 impl Ring {
@@ -40,49 +35,19 @@ impl Ring {
 
     fn new(config: Config) -> Self {
         let learner = Learner::new(Self::setup(&config)).unwrap();
-        Self::around(learner, config)
-    }
-
-    fn resumed(dir: &Path, config: Config) -> Self {
-        let found = Checkpoint::read_latest(dir).unwrap();
-        let learner = Learner::resume(Self::setup(&config), found.checkpoint).unwrap();
-        Self::around(learner, config)
-    }
-
-    fn around(learner: Learner, config: Config) -> Self {
-        let setup = RolloutSetup {
-            catalogue: Catalogue::builtin(),
-            policy: config.policy.clone(),
-            tasks: config.actor.tasks.clone(),
-            segment_len: config.actor.segment_len,
-            lead_in: config.actor.lead_in,
-            identity: Identity {
-                actor: ActorId::try_from("test".to_owned()).unwrap(),
-                epoch: 1,
-                first_seq: 1000 * learner.n_updates(),
-                seq_step: 1,
-            },
-            seed: learner.n_updates(),
-        };
-        let worlds = (0..config.actor.n_worlds).map(|_| World::new(&config.environment).unwrap()).collect();
-        let rollout = Rollout::new(setup, worlds, &learner.weights()).unwrap();
-        Self { config, learner, rollout }
+        let (actor, policy, environment) = (config.actor.clone(), config.policy.clone(), config.environment.clone());
+        let worlds = Lockstep::new(actor, policy, environment, config.seed);
+        Self { config, learner, worlds }
     }
 
     fn update(&mut self) {
+        let weights = self.learner.weights();
         while !self.learner.ready() {
-            for segment in self.rollout.step().unwrap() {
+            for segment in self.worlds.step(&weights, false).unwrap() {
                 self.learner.ingest(segment).unwrap();
             }
         }
         self.learner.update().unwrap();
-        self.rollout.set_weights(&self.learner.weights()).unwrap();
-    }
-
-    /// Worlds are not part of a checkpoint, so whoever saves begins new episodes, as whoever resumes does.
-    fn save(&mut self, dir: &Path) {
-        self.learner.save(dir).unwrap();
-        self.rollout.restart(self.learner.n_updates()).unwrap();
     }
 
     /// Of mode actions from starts near the goal.
@@ -112,21 +77,4 @@ fn ppo_learns_to_finish_a_blueprint() {
     }
     assert!(untrained < 0.5, "{untrained}");
     assert!(trained >= 0.9, "{untrained} before, {trained} after {} steps", ring.learner.n_env_steps());
-}
-
-#[test]
-fn a_resumed_ring_goes_on_bit_by_bit() {
-    let dir = tempfile::tempdir().unwrap();
-    let mut config = Ring::config();
-    config.learner.steps_per_update = 256;
-    config.learner.minibatch_size = 64;
-    config.actor.n_worlds = 4;
-    let mut ring = Ring::new(config.clone());
-    (0..2).for_each(|_| ring.update());
-    ring.save(dir.path());
-    let mut resumed = Ring::resumed(dir.path(), config);
-    for ring in [&mut ring, &mut resumed] {
-        (0..2).for_each(|_| ring.update());
-    }
-    assert_eq!(resumed.learner.weights(), ring.learner.weights());
 }

@@ -36,7 +36,8 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let listen =
                 (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
             let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));
-            let flags = args.run.overrides().into_iter().chain(listen).chain(actors).collect();
+            let lockstep = args.lockstep.then(|| Override::flag("--lockstep", "lockstep", true));
+            let flags = args.run.overrides().into_iter().chain(listen).chain(actors).chain(lockstep).collect();
             let Some(config) = configure(&args.config, args.run.resume.as_ref(), flags, terminal)? else {
                 return Ok(());
             };

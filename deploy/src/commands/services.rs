@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use actor::Lockstep;
 use blueprints::Catalogue;
 use evaluator::{EvalReport, EvaluatorSetup};
 use learner::run::METRICS;
-use learner::{LearnerSetup, RunOptions};
+use learner::{Feed, LearnerSetup, RunOptions};
 use proto::ActorId;
 use proto::bus::Bus;
 use tokio::sync::watch;
@@ -35,7 +36,7 @@ pub(super) async fn run_learner(
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let options = run_options(setup, config, &run_dir, args.resume.clone());
-    on_bus(config, async |bus| learner(options, bus, shutdown).await).await
+    on_bus(config, async |bus| learner(options, None, bus, shutdown).await).await
 }
 
 /// Runs `evaluator`, which prints its reports.
@@ -69,10 +70,22 @@ pub(super) async fn actor(config: Config, id: ActorId, bus: Bus, shutdown: Cance
     Ok(())
 }
 
-/// A learner's life.
-pub(super) async fn learner(options: RunOptions, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
-    learner::run(options, &bus, shutdown).await?;
+/// A learner's life; with a `feed` it asks that for trajectories instead of the bus.
+pub(super) async fn learner(
+    options: RunOptions,
+    feed: Option<Feed>,
+    bus: Bus,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    learner::run(options, feed, &bus, shutdown).await?;
     Ok(())
+}
+
+/// Worlds that step in turns with the learner.
+pub(super) fn lockstep_feed(config: &Config) -> Feed {
+    let (actor, policy, environment) = (config.actor.clone(), config.policy.clone(), config.environment.clone());
+    let mut worlds = Lockstep::new(actor, policy, environment, config.seed);
+    Box::new(move |weights, restart| worlds.step(weights, restart))
 }
 
 /// An evaluator's life.

@@ -41,8 +41,11 @@ pub(super) async fn run(
     let mut running = JoinSet::new();
     let options = services::run_options(setup, config, &run_dir, args.resume.clone());
     let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
-    running.spawn(services::learner(options, bus.clone(), shutdown.clone()));
-    running.spawn(services::actor(config.clone(), id, bus.clone(), shutdown.clone()));
+    let feed = config.lockstep.then(|| services::lockstep_feed(config));
+    running.spawn(services::learner(options, feed, bus.clone(), shutdown.clone()));
+    if !config.lockstep {
+        running.spawn(services::actor(config.clone(), id, bus.clone(), shutdown.clone()));
+    }
     running.spawn(services::evaluator(evaluator, reports, bus.clone(), shutdown.clone()));
     let mut ended = Ok(());
     while let Some(service) = running.join_next().await {

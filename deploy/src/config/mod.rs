@@ -32,6 +32,8 @@ pub struct Config {
     pub n_env_steps: u64,
     /// Where the network runs. Default `cpu`.
     pub device: DeviceKind,
+    /// `train` steps worlds and learns in turns on one thread, so that equal seeds give equal bytes. Default false.
+    pub lockstep: bool,
     /// How the processes of a run find each other.
     pub bus: BusConfig,
     /// The world.
@@ -53,6 +55,7 @@ impl Default for Config {
             seed: 1,
             n_env_steps: 10_000_000,
             device: DeviceKind::default(),
+            lockstep: false,
             bus: BusConfig::default(),
             environment: EnvironmentConfig::default(),
             policy: PolicyConfig::default(),

@@ -48,7 +48,7 @@ async fn session(dir: &Path, bus: &Bus, resume: bool, n_updates: u64) -> (Learne
     let shutdown = CancellationToken::new();
     let learning = tokio::spawn({
         let (bus, shutdown) = (bus.clone(), shutdown.clone());
-        async move { run(options, &bus, shutdown).await }
+        async move { run(options, None, &bus, shutdown).await }
     });
     let weights = act(bus, &setup, n_updates).await;
     shutdown.cancel();
@@ -81,7 +81,7 @@ async fn a_run_ends_at_its_number_of_steps() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let options =
         RunOptions { setup: small_setup(6), run_dir: dir.path().join("run"), resume: None, max_env_steps: Some(0) };
-    let report = run(options, &bus, CancellationToken::new()).await.unwrap();
+    let report = run(options, None, &bus, CancellationToken::new()).await.unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
     assert!(report.checkpoint.ends_with("checkpoints/step-0"));
     bus.close().await.unwrap();
