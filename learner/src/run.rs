@@ -207,7 +207,7 @@ impl Worker {
                 tracing::warn!(%error, "metrics were not written");
             }
             open = self.tell(Some(metrics));
-            if self.learner.n_updates() % settings.checkpoints.every_updates == 0 {
+            if self.learner.n_updates().is_multiple_of(settings.checkpoints.every_updates) {
                 restart = true;
                 // A full disk must not end a run that could still be watched; the last checkpoint must succeed.
                 if let Err(error) = self.save(&checkpoints) {
