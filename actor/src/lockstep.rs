@@ -1,7 +1,6 @@
 //! Rollouts that take turns with a learner, on its thread and without the bus: equal seeds then give equal bytes.
 
 use anyhow::Context;
-use blueprints::Catalogue;
 use environment::{EnvironmentConfig, World};
 use policy::PolicyConfig;
 use proto::{ActorId, Trajectory, Weights};
@@ -63,15 +62,8 @@ fn first(
 ) -> anyhow::Result<Rollout<'static, World>> {
     config.validate().context("invalid actor configuration")?;
     let actor = ActorId::try_from(NAME.to_owned()).context("naming the worlds")?;
-    let setup = RolloutSetup {
-        catalogue: Catalogue::builtin(),
-        policy: policy.clone(),
-        tasks: config.tasks.clone(),
-        segment_len: config.segment_len,
-        lead_in: config.lead_in,
-        identity: Identity { actor, epoch: 0, first_seq: 0, seq_step: 1 },
-        seed,
-    };
+    let identity = Identity { actor, epoch: 0, first_seq: 0, seq_step: 1 };
+    let setup = RolloutSetup::new(config, policy, identity, seed);
     let worlds: Result<Vec<World>, _> = (0..config.n_worlds).map(|_| World::new(environment)).collect();
     Ok(Rollout::new(setup, worlds.context("invalid environment configuration")?, weights)?)
 }

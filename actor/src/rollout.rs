@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::config::LeadInConfig;
+use crate::config::{ActorConfig, LeadInConfig};
 use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
 use crate::task::{FilterError, TaskConfig, TaskSampler};
 
@@ -32,6 +32,21 @@ pub struct RolloutSetup<'c> {
     pub identity: Identity,
     /// Determines tasks and actions.
     pub seed: u64,
+}
+
+impl RolloutSetup<'static> {
+    /// As an actor with these settings rolls out goals of the built-in catalogue.
+    pub fn new(config: &ActorConfig, policy: &PolicyConfig, identity: Identity, seed: u64) -> Self {
+        Self {
+            catalogue: Catalogue::builtin(),
+            policy: policy.clone(),
+            tasks: config.tasks.clone(),
+            segment_len: config.segment_len,
+            lead_in: config.lead_in,
+            identity,
+            seed,
+        }
+    }
 }
 
 /// Steps a batch of worlds, synchronously and without any I/O or clock; equal seed and weights give equal segments.

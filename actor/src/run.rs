@@ -5,7 +5,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use blueprints::Catalogue;
 use environment::{EnvironmentConfig, World};
 use policy::PolicyConfig;
 use proto::bus::{Bus, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
@@ -95,20 +94,9 @@ pub async fn run(
     let mut thread_seeds = ChaCha8Rng::seed_from_u64(seed);
     let mut threads = JoinSet::new();
     for thread_idx in 0..config.n_threads {
-        let setup = RolloutSetup {
-            catalogue: Catalogue::builtin(),
-            policy: policy.clone(),
-            tasks: config.tasks.clone(),
-            segment_len: config.segment_len,
-            lead_in: config.lead_in,
-            identity: Identity {
-                actor: id.clone(),
-                epoch,
-                first_seq: thread_idx as u64,
-                seq_step: config.n_threads as u64,
-            },
-            seed: thread_seeds.random(),
-        };
+        let identity =
+            Identity { actor: id.clone(), epoch, first_seq: thread_idx as u64, seq_step: config.n_threads as u64 };
+        let setup = RolloutSetup::new(&config, &policy, identity, thread_seeds.random());
         let (environment, weights, shared) = (environment.clone(), weights.clone(), shared.clone());
         let n_worlds = config.n_worlds;
         threads.spawn_blocking(move || step_worlds(setup, &environment, n_worlds, weights, &shared, thread_idx));

@@ -80,7 +80,7 @@ pub struct TrainArgs {
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
     pub actors: Option<i64>,
-    /// Step worlds and learn in turns on one thread: slower, but equal seeds give equal bytes, also in a run that is resumed
+    /// Step worlds and learn in turns: slower, but equal seeds give equal bytes, also in a run that is resumed
     /// from one of its periodic checkpoints.
     #[arg(long)]
     pub lockstep: bool,

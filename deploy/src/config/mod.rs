@@ -32,7 +32,7 @@ pub struct Config {
     pub n_env_steps: u64,
     /// Where the network runs. Default `cpu`.
     pub device: DeviceKind,
-    /// `train` steps worlds and learns in turns on one thread, so that equal seeds give equal bytes. Default false.
+    /// `train` steps worlds and learns in turns, so that equal seeds give equal bytes. Default false.
     pub lockstep: bool,
     /// How the processes of a run find each other.
     pub bus: BusConfig,

@@ -109,6 +109,22 @@ fn equal_seeds_give_equal_weights_and_others_do_not() {
 }
 
 #[test]
+fn weights_do_not_depend_on_the_number_of_threads() {
+    let weights = |n_threads| {
+        let mut setup = small_setup(1);
+        // Four pieces a minibatch, which three threads cannot share evenly.
+        setup.config.forward_size = 16;
+        setup.config.n_threads = Some(n_threads);
+        let mut learner = Learner::new(setup.clone()).unwrap();
+        let trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
+        feed(&learner, trajectories);
+        learner.update().unwrap();
+        learner.weights()
+    };
+    assert_eq!(weights(1), weights(3));
+}
+
+#[test]
 fn old_trajectories_show_in_lag_and_effective_sample_size() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
