@@ -1,7 +1,7 @@
 //! Blocks, magnets, the inventory and the target structures ("blueprints"), with no physics and no I/O in the math.
 //!
 //! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`] and
-//! [`strength`] → [`checks`] → the canonical hash → [`catalogue`].
+//! [`strength`] → [`checks`] → the writer of files → the canonical hash → [`catalogue`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -15,6 +15,7 @@ pub mod inventory;
 pub mod lattice;
 pub mod stance;
 pub mod strength;
+mod writer;
 
 pub use blueprint::{Blueprint, BlueprintId, Link, Placement, Split};
 pub use catalogue::{Catalogue, CatalogueError};
