@@ -5,6 +5,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod assembly;
 pub mod blueprint;
 mod canonical;
 pub mod catalogue;
@@ -17,6 +18,7 @@ pub mod stance;
 pub mod strength;
 mod writer;
 
+pub use assembly::{Assembly, NoAssembly};
 pub use blueprint::{Blueprint, BlueprintId, Link, Placement, Split};
 pub use catalogue::{Catalogue, CatalogueError};
 pub use error::{BlueprintError, BlueprintFileError};

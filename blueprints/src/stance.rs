@@ -26,11 +26,15 @@ pub fn stance(placements: &[Placement], inventory: &Inventory) -> Stance {
         .iter()
         .filter(|cell| cell[2] == 0)
         .flat_map(|&[x, y, _]| [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]]);
-    let hull = convex_hull(corners.collect());
-    let margin_u = (0..hull.len())
-        .map(|i| distance_inside(hull[i], hull[(i + 1) % hull.len()], center_u))
-        .fold(f64::INFINITY, f64::min);
-    Stance { center_u, margin_u }
+    Stance { center_u, margin_u: support_margin(corners.collect(), center_u) }
+}
+
+/// Distance from `center` to the nearest edge of the convex hull of `corners`, negative outside it.
+pub(crate) fn support_margin(corners: Vec<[i32; 2]>, center: [f64; 2]) -> f64 {
+    let hull = convex_hull(corners);
+    (0..hull.len())
+        .map(|i| distance_inside(hull[i], hull[(i + 1) % hull.len()], center))
+        .fold(f64::INFINITY, f64::min)
 }
 
 /// Signed distance of `p` from the line `a`→`b`, positive on its left.

@@ -1,0 +1,223 @@
+//! How a structure can be put together from the ground up, part by part: what may be added next, and from where.
+//!
+//! The structure is built lying on one of its six sides; success does not ask which. Whoever adds a part has nobody to
+//! hold the rest, so every intermediate structure must stand by itself, and a part must come in without passing
+//! through another or sliding along a face that would catch it one cell too early.
+
+mod geometry;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+pub use geometry::{Approach, Parts};
+use geometry::Geometry;
+
+use crate::{BlockIdx, Blueprint, Placement};
+
+/// Least support margin of an intermediate structure, in units.
+pub const MIN_BUILD_MARGIN_U: f64 = 0.15;
+
+/// Margins beyond this are all the same to the choice of a side, in units.
+const AMPLE_MARGIN_U: f64 = 0.35;
+
+/// Intermediate structures that a search looks at before it gives a side up.
+const MAX_VISITS: usize = 4000;
+
+/// The blueprint has no order of assembly.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("there is no order in which single blocks can be added so that every intermediate structure stands")]
+pub struct NoAssembly;
+
+/// A blueprint and the ways to build it; queries are cached, so they take `&mut self`, but depend on nothing else.
+#[derive(Clone, Debug)]
+pub struct Assembly {
+    geometry: Geometry,
+    blocks: Vec<BlockIdx>,
+    /// Sides to lie on with an order from nothing, best first.
+    sides: Vec<Side>,
+}
+
+/// Building with one direction of the blueprint's frame pointing up.
+#[derive(Clone, Debug)]
+struct Side {
+    up: [i32; 3],
+    /// Whether the structure can be completed from here.
+    safe: BTreeMap<Parts, bool>,
+}
+
+/// What to add next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Addition {
+    /// The parts that come as one piece.
+    pub parts: Parts,
+    /// The way in.
+    pub approach: Approach,
+}
+
+impl Assembly {
+    /// Looks for the sides on which the blueprint can be built.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn new(blueprint: &Blueprint) -> Result<Self, NoAssembly> {
+        Self::of_placements(blueprint.placements())
+    }
+
+    pub(crate) fn of_placements(placements: &[Placement]) -> Result<Self, NoAssembly> {
+        let geometry = Geometry::new(placements);
+        let blocks = placements.iter().map(|p| p.block).collect();
+        let mut ranked = Vec::new();
+        for up in UPS {
+            let mut side = Side { up, safe: BTreeMap::new() };
+            if let Some(margin_u) = side.least_margin(&geometry) {
+                let ample = margin_u.min(AMPLE_MARGIN_U);
+                ranked.push((ample - 0.05 * f64::from(geometry.height(up)), side));
+            }
+        }
+        // A stable sort: among equals the drawing's own up comes first.
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let sides: Vec<Side> = ranked.into_iter().map(|(_, side)| side).collect();
+        if sides.is_empty() { Err(NoAssembly) } else { Ok(Self { geometry, blocks, sides }) }
+    }
+
+    /// The blocks by part index.
+    pub fn blocks(&self) -> &[BlockIdx] {
+        &self.blocks
+    }
+
+    /// All parts.
+    pub fn all(&self) -> Parts {
+        Parts::first(self.blocks.len())
+    }
+
+    /// Number of sides on which it can be built, at least 1; they are numbered from the best.
+    pub fn n_sides(&self) -> usize {
+        self.sides.len()
+    }
+
+    /// Which direction of the blueprint's frame points up on a side.
+    pub fn up(&self, side: usize) -> [i32; 3] {
+        self.sides[side].up
+    }
+
+    /// Height in half units, along a side's up, of the plane on which the finished structure lies.
+    pub fn ground_half_units(&self, side: usize) -> i32 {
+        self.geometry.ground(self.sides[side].up)
+    }
+
+    /// Whether the structure can be completed from `placed` on that side.
+    pub fn is_safe(&mut self, side: usize, placed: Parts) -> bool {
+        let Self { geometry, sides, .. } = self;
+        sides[side].is_safe(geometry, placed)
+    }
+
+    /// The way in for `group` when `placed` stands; `None` if there is none.
+    pub fn approach(&self, side: usize, placed: Parts, group: Parts) -> Option<Approach> {
+        self.geometry.approach(placed, group, self.sides[side].up)
+    }
+
+    /// Support margin of `placed` in units; negative if it does not stand.
+    pub fn margin_u(&self, side: usize, placed: Parts) -> f64 {
+        self.geometry.margin_u(placed, self.sides[side].up)
+    }
+
+    /// The part to begin with, or the best next one; `None` when all stand or no order goes on from here.
+    pub fn next(&mut self, side: usize, placed: Parts) -> Option<usize> {
+        let Self { geometry, sides, .. } = self;
+        let side = &mut sides[side];
+        side.candidates(geometry, placed).into_iter().find(|&part| side.is_safe(geometry, placed.with(part)))
+    }
+
+    /// A whole order on the best side.
+    pub fn order(&mut self) -> Vec<BlockIdx> {
+        let mut placed = Parts::default();
+        let mut order = Vec::new();
+        while let Some(part) = self.next(0, placed) {
+            placed = placed.with(part);
+            order.push(self.blocks[part]);
+        }
+        order
+    }
+}
+
+const UPS: [[i32; 3]; 6] = [[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]];
+
+impl Side {
+    /// Parts that can be added now, best first: low ones, then those that leave the structure standing firmly, then
+    /// large ones.
+    fn candidates(&self, geometry: &Geometry, placed: Parts) -> Vec<usize> {
+        let mut found: Vec<(i32, i64, i32, usize)> = Vec::new();
+        for part in geometry.all().without(placed).iter() {
+            let group = Parts::one(part);
+            if !placed.is_empty() && geometry.approach(placed, group, self.up).is_none() {
+                continue;
+            }
+            let margin_u = geometry.margin_u(placed.with(part), self.up);
+            if margin_u >= MIN_BUILD_MARGIN_U {
+                let firmness = (margin_u.min(AMPLE_MARGIN_U) * 20.0).round() as i64;
+                found.push((geometry.bottom(part, self.up), -firmness, -geometry.volume(part), part));
+            }
+        }
+        found.sort_unstable();
+        found.into_iter().map(|(.., part)| part).collect()
+    }
+
+    fn is_safe(&mut self, geometry: &Geometry, placed: Parts) -> bool {
+        let mut visits = MAX_VISITS;
+        self.search(geometry, placed, &mut visits)
+    }
+
+    fn search(&mut self, geometry: &Geometry, placed: Parts, visits: &mut usize) -> bool {
+        if placed == geometry.all() {
+            return true;
+        }
+        if let Some(&known) = self.safe.get(&placed) {
+            return known;
+        }
+        if *visits == 0 {
+            return false;
+        }
+        *visits -= 1;
+        let candidates = self.candidates(geometry, placed);
+        let safe = candidates.into_iter().any(|part| self.search(geometry, placed.with(part), visits));
+        // A search that was cut short proves nothing.
+        if safe || *visits > 0 {
+            self.safe.insert(placed, safe);
+        }
+        safe
+    }
+
+    /// The least support margin along the preferred order; `None` if there is no order.
+    fn least_margin(&mut self, geometry: &Geometry) -> Option<f64> {
+        let mut placed = Parts::default();
+        let mut least = f64::INFINITY;
+        if !self.is_safe(geometry, placed) {
+            return None;
+        }
+        while placed != geometry.all() {
+            let part = self
+                .candidates(geometry, placed)
+                .into_iter()
+                .find(|&part| self.is_safe(geometry, placed.with(part)))?;
+            placed = placed.with(part);
+            least = least.min(geometry.margin_u(placed, self.up));
+        }
+        Some(least)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Catalogue;
+
+    #[test]
+    fn show() {
+        for blueprint in Catalogue::builtin().iter() {
+            let t = std::time::Instant::now();
+            match Assembly::new(blueprint) {
+                Ok(mut a) => println!("{} {:?} sides {} up {:?} order {:?}", blueprint.id(), t.elapsed(), a.n_sides(), a.up(0), a.order().iter().map(|b| b.get()).collect::<Vec<_>>()),
+                Err(e) => println!("{} {:?} {e}", blueprint.id(), t.elapsed()),
+            }
+        }
+    }
+}

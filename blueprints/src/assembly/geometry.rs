@@ -1,0 +1,281 @@
+//! Boxes on the lattice: contacts, ways in, support.
+
+use crate::stance::support_margin;
+use crate::{Inventory, N_BLOCKS, Placement};
+
+/// Shortest way in, in half units: far enough that no magnet but the wanted ones is in reach at its beginning.
+const MIN_APPROACH: i32 = 3;
+/// Longest way in, in half units.
+const MAX_APPROACH: i32 = 14;
+/// How far above the way's beginning must be free, in half units; more than the tallest structure of 16 blocks.
+const SKY: i32 = 80;
+
+/// A set of parts; a part is a placement's position in the blueprint.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Parts(u16);
+
+/// A straight way in, from its beginning to the part's place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Approach {
+    /// Direction from the place to the beginning, blueprint frame; entries −1, 0 and 1.
+    pub direction: [i32; 3],
+    /// How many times the direction, in half units (0.05 m).
+    pub length_half_units: i32,
+}
+
+/// The parts as boxes in half units.
+#[derive(Clone, Debug)]
+pub(super) struct Geometry {
+    boxes: Vec<Box3>,
+    /// For each part and direction (+x −x +y −y +z −z) the parts that it touches on that side of *them*: if part `j` is in
+    /// `contacts[i][d]`, then `i` lies in direction `d` of `j`.
+    contacts: Vec<[Parts; 6]>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Box3 {
+    low: [i32; 3],
+    high: [i32; 3],
+}
+
+impl Parts {
+    /// One part.
+    pub fn one(part: usize) -> Self {
+        Self(1 << part)
+    }
+
+    /// Parts `0..n`, `n` up to 16.
+    pub fn first(n: usize) -> Self {
+        debug_assert!(n <= N_BLOCKS);
+        Self(((1_u32 << n) - 1) as u16)
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Number of parts.
+    pub fn len(self) -> usize {
+        self.0.count_ones() as usize
+    }
+
+    /// Whether the part is in the set.
+    pub fn contains(self, part: usize) -> bool {
+        self.0 & (1 << part) != 0
+    }
+
+    /// The set and one part more.
+    #[must_use]
+    pub fn with(self, part: usize) -> Self {
+        Self(self.0 | (1 << part))
+    }
+
+    /// Union.
+    #[must_use]
+    pub fn union(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Those of both sets.
+    #[must_use]
+    pub fn intersection(self, other: Self) -> Self {
+        Self(self.0 & other.0)
+    }
+
+    /// Those that are not in `other`.
+    #[must_use]
+    pub fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+
+    /// The parts in increasing order.
+    pub fn iter(self) -> impl Iterator<Item = usize> {
+        (0..N_BLOCKS).filter(move |&part| self.contains(part))
+    }
+}
+
+impl Geometry {
+    pub(super) fn new(placements: &[Placement]) -> Self {
+        let boxes: Vec<Box3> = placements.iter().map(Box3::of).collect();
+        let contacts = (0..boxes.len())
+            .map(|i| {
+                let mut sides = [Parts::default(); 6];
+                for (j, other) in boxes.iter().enumerate().filter(|&(j, _)| j != i) {
+                    if let Some(d) = boxes[i].side_of(other) {
+                        sides[d] = sides[d].with(j);
+                    }
+                }
+                sides
+            })
+            .collect();
+        Self { boxes, contacts }
+    }
+
+    pub(super) fn all(&self) -> Parts {
+        Parts::first(self.boxes.len())
+    }
+
+    /// Volume in eighths of a cell.
+    pub(super) fn volume(&self, part: usize) -> i32 {
+        self.boxes[part].volume()
+    }
+
+    /// Lowest point of a part along `up`, half units.
+    pub(super) fn bottom(&self, part: usize, up: [i32; 3]) -> i32 {
+        self.boxes[part].bottom(up)
+    }
+
+    /// Lowest point of the finished structure along `up`, half units.
+    pub(super) fn ground(&self, up: [i32; 3]) -> i32 {
+        self.boxes.iter().map(|b| b.bottom(up)).min().unwrap_or(0)
+    }
+
+    /// Height of the finished structure along `up`, units.
+    pub(super) fn height(&self, up: [i32; 3]) -> i32 {
+        let down = up.map(|x| -x);
+        let top = self.boxes.iter().map(|b| -b.bottom(down)).max().unwrap_or(0);
+        (top - self.ground(up)) / 2
+    }
+
+    /// Support margin in units of the parts `placed`, as one piece on the plane of the finished structure; negative if
+    /// they would tip, −∞ if none touches the plane.
+    pub(super) fn margin_u(&self, placed: Parts, up: [i32; 3]) -> f64 {
+        let ground = self.ground(up);
+        let axis = axis_of(up);
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let mut corners = Vec::with_capacity(4 * placed.len());
+        let (mut volume, mut moment) = (0, [0, 0]);
+        for part in placed.iter() {
+            let b = &self.boxes[part];
+            volume += b.volume();
+            // Twice the moment, so that it is whole.
+            moment[0] += b.volume() * (b.low[u] + b.high[u]);
+            moment[1] += b.volume() * (b.low[v] + b.high[v]);
+            if b.bottom(up) == ground {
+                for x in [b.low[u], b.high[u]] {
+                    corners.extend([[x, b.low[v]], [x, b.high[v]]]);
+                }
+            }
+        }
+        if corners.is_empty() {
+            return f64::NEG_INFINITY;
+        }
+        let center = moment.map(|m| f64::from(m) / f64::from(2 * volume));
+        // Half units to units.
+        support_margin(corners, center) / 2.0
+    }
+
+    /// A straight way in for `group`, moved as one piece, while `placed` stands.
+    ///
+    /// The way leaves every face that the group touches, so no two of them may face each other, and it does not come
+    /// from below. At its beginning the sky above the group is free.
+    pub(super) fn approach(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Option<Approach> {
+        let mut sides = [false; 6];
+        for part in group.iter() {
+            for (side, others) in sides.iter_mut().zip(&self.contacts[part]) {
+                *side |= !others.intersection(placed).is_empty();
+            }
+        }
+        let squeezed = (0..3).any(|axis| sides[2 * axis] && sides[2 * axis + 1]);
+        let hangs = sides[direction_idx(up.map(|x| -x))];
+        if squeezed || hangs || sides.iter().all(|&side| !side) {
+            return None;
+        }
+        let away: [i32; 3] =
+            std::array::from_fn(|axis| i32::from(sides[2 * axis]) - i32::from(sides[2 * axis + 1]));
+        let mut ways: Vec<[i32; 3]> = Vec::with_capacity(6);
+        let is_up = |d: [i32; 3]| dot(d, up) > 0;
+        if is_up(away) {
+            ways.push(away);
+        } else {
+            ways.extend([add(away, up), away]);
+        }
+        for axis in (0..3).filter(|&axis| away[axis] == 0 && axis != axis_of(up)) {
+            for sign in [1, -1] {
+                let mut way = away;
+                way[axis] = sign;
+                ways.push(if is_up(way) { way } else { add(way, up) });
+            }
+        }
+        ways.into_iter().find_map(|direction| {
+            let length_half_units = self.free_way(placed, group, direction, up)?;
+            Some(Approach { direction, length_half_units })
+        })
+    }
+
+    /// Length after which a group that moves off along `direction` has the sky above it.
+    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3]) -> Option<i32> {
+        for t in 1..=MAX_APPROACH {
+            let moved = |part: usize| self.boxes[part].moved(direction.map(|x| x * t));
+            let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
+            if group.iter().any(|part| hits(moved(part))) {
+                return None;
+            }
+            if t >= MIN_APPROACH && !group.iter().any(|part| hits(moved(part).stretched(up, SKY))) {
+                return Some(t);
+            }
+        }
+        None
+    }
+}
+
+impl Box3 {
+    fn of(placement: &Placement) -> Self {
+        let size = placement.size_cells(Inventory::standard());
+        let corner = |sign: i32| std::array::from_fn(|k| placement.center_half_units[k] + sign * size[k]);
+        Self { low: corner(-1), high: corner(1) }
+    }
+
+    fn volume(&self) -> i32 {
+        (0..3).map(|k| self.high[k] - self.low[k]).product()
+    }
+
+    fn bottom(&self, up: [i32; 3]) -> i32 {
+        let axis = axis_of(up);
+        if up[axis] > 0 { self.low[axis] } else { -self.high[axis] }
+    }
+
+    fn moved(&self, by: [i32; 3]) -> Self {
+        Self { low: add(self.low, by), high: add(self.high, by) }
+    }
+
+    fn stretched(&self, direction: [i32; 3], length: i32) -> Self {
+        let mut stretched = *self;
+        for k in 0..3 {
+            stretched.low[k] += (direction[k] * length).min(0);
+            stretched.high[k] += (direction[k] * length).max(0);
+        }
+        stretched
+    }
+
+    fn overlaps(&self, other: &Self) -> bool {
+        (0..3).all(|k| self.low[k] < other.high[k] && other.low[k] < self.high[k])
+    }
+
+    /// The direction in which this box lies from `other` if they share a piece of a face.
+    fn side_of(&self, other: &Self) -> Option<usize> {
+        let overlap = |k: usize| self.high[k].min(other.high[k]) - self.low[k].max(other.low[k]);
+        let axis = (0..3).find(|&k| overlap(k) == 0)?;
+        let shares = (0..3).all(|k| k == axis || overlap(k) > 0);
+        shares.then(|| 2 * axis + usize::from(self.low[axis] < other.low[axis]))
+    }
+}
+
+fn axis_of(direction: [i32; 3]) -> usize {
+    direction.iter().position(|&x| x != 0).unwrap_or(0)
+}
+
+/// Index of a unit direction in +x −x +y −y +z −z.
+fn direction_idx(direction: [i32; 3]) -> usize {
+    let axis = axis_of(direction);
+    2 * axis + usize::from(direction[axis] < 0)
+}
+
+fn add(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
+    std::array::from_fn(|k| a[k] + b[k])
+}
+
+fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
+    (0..3).map(|k| a[k] * b[k]).sum()
+}
