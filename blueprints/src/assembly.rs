@@ -8,8 +8,8 @@ mod geometry;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-pub use geometry::{Approach, Parts};
 use geometry::Geometry;
+pub use geometry::{Approach, Parts};
 
 use crate::{BlockIdx, Blueprint, Placement};
 
@@ -215,7 +215,14 @@ mod tests {
         for blueprint in Catalogue::builtin().iter() {
             let t = std::time::Instant::now();
             match Assembly::new(blueprint) {
-                Ok(mut a) => println!("{} {:?} sides {} up {:?} order {:?}", blueprint.id(), t.elapsed(), a.n_sides(), a.up(0), a.order().iter().map(|b| b.get()).collect::<Vec<_>>()),
+                Ok(mut a) => println!(
+                    "{} {:?} sides {} up {:?} order {:?}",
+                    blueprint.id(),
+                    t.elapsed(),
+                    a.n_sides(),
+                    a.up(0),
+                    a.order().iter().map(|b| b.get()).collect::<Vec<_>>()
+                ),
                 Err(e) => println!("{} {:?} {e}", blueprint.id(), t.elapsed()),
             }
         }

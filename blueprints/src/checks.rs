@@ -12,7 +12,7 @@ use crate::error::{BlueprintError, BlueprintFileError};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
 use crate::strength::{Joint, overloaded};
-use crate::{Blueprint, BlueprintId, Inventory, Link, Placement, RelativePlacement};
+use crate::{Blueprint, BlueprintId, Inventory, Link, Placement, RelativePlacement, Split};
 
 /// A check of one file, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -145,6 +145,26 @@ pub fn check_text(file: &str, text: &str) -> Report {
         results: run.results,
         blueprint: blueprint.map_err(|error| BlueprintFileError { file: file.to_owned(), error }),
     }
+}
+
+/// Runs the checks of a file on placements whose connections are those that meet; the lowest corner lies at the origin.
+pub(crate) fn check_placements(
+    id: BlueprintId,
+    split: Split,
+    title: String,
+    placements: &[Placement],
+) -> Result<Blueprint, BlueprintError> {
+    let inventory = Inventory::standard();
+    let mut draft = Draft::of_placements(id, split, title, placements, inventory);
+    let placed = draft.place(inventory)?;
+    draft.pairs = Structure::new(&draft, &placed, inventory).attracting;
+    let structure = Structure::new(&draft, &placed, inventory);
+    structure.overlap()?;
+    structure.polarity()?;
+    structure.connected()?;
+    structure.stands()?;
+    structure.strength()?;
+    Ok(structure.blueprint())
 }
 
 /// Runs every check on `(file name, text)` pairs that are to form one catalogue.

@@ -12,6 +12,7 @@ pub mod catalogue;
 pub mod checks;
 pub mod error;
 pub mod format;
+pub mod generator;
 pub mod inventory;
 pub mod lattice;
 pub mod stance;
