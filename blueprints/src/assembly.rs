@@ -6,7 +6,7 @@
 
 mod geometry;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 pub use geometry::{Approach, Parts};
 use geometry::Geometry;
@@ -110,7 +110,12 @@ impl Assembly {
         sides[side].is_safe(geometry, placed)
     }
 
-    /// The way in for `group` when `placed` stands; `None` if there is none.
+    /// The ways in for `group` when `placed` stands, best first.
+    pub fn approaches(&self, side: usize, placed: Parts, group: Parts) -> impl Iterator<Item = Approach> {
+        self.geometry.approaches(placed, group, self.sides[side].up)
+    }
+
+    /// The best way in for `group` when `placed` stands; `None` if there is none.
     pub fn approach(&self, side: usize, placed: Parts, group: Parts) -> Option<Approach> {
         self.geometry.approach(placed, group, self.sides[side].up)
     }

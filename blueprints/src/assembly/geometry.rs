@@ -171,6 +171,20 @@ impl Geometry {
     /// The way leaves every face that the group touches, so no two of them may face each other, and it does not come
     /// from below. At its beginning the sky above the group is free.
     pub(super) fn approach(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Option<Approach> {
+        self.approaches(placed, group, up).next()
+    }
+
+    /// All straight ways in, the best first.
+    pub(super) fn approaches(&self, placed: Parts, group: Parts, up: [i32; 3]) -> impl Iterator<Item = Approach> {
+        let directions = self.directions(placed, group, up);
+        directions.into_iter().filter_map(move |direction| {
+            let length_half_units = self.free_way(placed, group, direction, up)?;
+            Some(Approach { direction, length_half_units })
+        })
+    }
+
+    /// The directions in which a group can leave all faces that it touches.
+    fn directions(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Vec<[i32; 3]> {
         let mut sides = [false; 6];
         for part in group.iter() {
             for (side, others) in sides.iter_mut().zip(&self.contacts[part]) {
@@ -180,7 +194,7 @@ impl Geometry {
         let squeezed = (0..3).any(|axis| sides[2 * axis] && sides[2 * axis + 1]);
         let hangs = sides[direction_idx(up.map(|x| -x))];
         if squeezed || hangs || sides.iter().all(|&side| !side) {
-            return None;
+            return Vec::new();
         }
         let away: [i32; 3] =
             std::array::from_fn(|axis| i32::from(sides[2 * axis]) - i32::from(sides[2 * axis + 1]));
@@ -198,10 +212,7 @@ impl Geometry {
                 ways.push(if is_up(way) { way } else { add(way, up) });
             }
         }
-        ways.into_iter().find_map(|direction| {
-            let length_half_units = self.free_way(placed, group, direction, up)?;
-            Some(Approach { direction, length_half_units })
-        })
+        ways
     }
 
     /// Length after which a group that moves off along `direction` has the sky above it.
