@@ -104,6 +104,11 @@ impl Assembly {
         self.geometry.ground(self.sides[side].up)
     }
 
+    /// Whether a part lies on the ground when the structure is finished.
+    pub fn is_at_bottom(&self, side: usize, part: usize) -> bool {
+        self.geometry.bottom(part, self.sides[side].up) == self.ground_half_units(side)
+    }
+
     /// Whether the structure can be completed from `placed` on that side.
     pub fn is_safe(&mut self, side: usize, placed: Parts) -> bool {
         let Self { geometry, sides, .. } = self;

@@ -94,7 +94,7 @@ impl Expert {
         for &parts in &pieces {
             let mut sides = 0..self.assembly.n_sides();
             if let Some(side) = sides.find(|&side| self.assembly.is_safe(side, parts)) {
-                return Ok(Base { side, parts, frame: self.frame(view, parts) });
+                return Ok(Base { side, parts, frame: self.frame(view, side, parts) });
             }
         }
         if let Some(&piece) = pieces.first() {
@@ -102,12 +102,13 @@ impl Expert {
         }
         let first = self.assembly.next(0, Parts::default()).unwrap_or(0);
         let parts = Parts::one(first);
-        Ok(Base { side: 0, parts, frame: self.frame(view, parts) })
+        Ok(Base { side: 0, parts, frame: self.frame(view, 0, parts) })
     }
 
-    /// Pose of the blueprint's frame as the first part of a piece has it.
-    fn frame(&self, view: &View, parts: Parts) -> Isometry3<f32> {
-        parts.iter().next().map_or_else(Isometry3::identity, |part| self.frame_of(view, part))
+    /// Pose of the blueprint's frame as a part of the piece at the bottom has it; what hangs above may sag.
+    fn frame(&self, view: &View, side: usize, parts: Parts) -> Isometry3<f32> {
+        let bottom = parts.iter().find(|&part| self.assembly.is_at_bottom(side, part));
+        bottom.or_else(|| parts.iter().next()).map_or_else(Isometry3::identity, |part| self.frame_of(view, part))
     }
 
     fn frame_of(&self, view: &View, part: usize) -> Isometry3<f32> {
@@ -150,19 +151,13 @@ impl Expert {
         let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
         let lies = tilt <= MAX_TILT_RAD && self.lift_m(&base.frame, base.side).abs() <= MAX_LIFT_M;
         let gripped = self.gripped(view, base.parts);
-        let movable = base.parts.len() <= 2;
-        let target = if movable {
-            let site = self.site(view, base);
-            if lies && site == self.cell_of(&base.frame, view, base) {
-                return None;
-            }
-            site
-        } else {
-            if lies {
-                return None;
-            }
-            self.middle(&base.frame, base.side)
-        };
+        if lies && base.parts.len() > 2 {
+            return None;
+        }
+        let target = self.site(view, base);
+        if lies && target == self.middle(&base.frame, base.side) {
+            return None;
+        }
         let frame = self.frame_at(&base.frame, base.side, target);
         let part = view.part_of[gripped.get()]?;
         let twist = Load::new(view, gripped).go(view, &self.limits, &(frame * self.place(part)));

@@ -177,9 +177,12 @@ impl Geometry {
     /// All straight ways in, the best first.
     pub(super) fn approaches(&self, placed: Parts, group: Parts, up: [i32; 3]) -> impl Iterator<Item = Approach> {
         let directions = self.directions(placed, group, up);
-        directions.into_iter().filter_map(move |direction| {
-            let length_half_units = self.free_way(placed, group, direction, up)?;
-            Some(Approach { direction, length_half_units })
+        // Ways along which nothing comes near but the wanted faces, then the others.
+        [true, false].into_iter().flat_map(move |wide| {
+            directions.clone().into_iter().filter_map(move |direction| {
+                let length_half_units = self.free_way(placed, group, direction, up, wide)?;
+                Some(Approach { direction, length_half_units })
+            })
         })
     }
 
@@ -215,15 +218,20 @@ impl Geometry {
         ways
     }
 
-    /// Length after which a group that moves off along `direction` has the sky above it.
-    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3]) -> Option<i32> {
+    /// Length after which a group that moves off along `direction` is clear of everything and has the sky above it.
+    ///
+    /// On a `wide` way nothing comes nearer than a half unit: a face that slides along another one would be caught by
+    /// the wrong magnets.
+    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3], wide: bool) -> Option<i32> {
+        let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
         for t in 1..=MAX_APPROACH {
             let moved = |part: usize| self.boxes[part].moved(direction.map(|x| x * t));
-            let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
-            if group.iter().any(|part| hits(moved(part))) {
+            // After one half unit, magnets that are to meet others still lie half way between them.
+            let room = i32::from(wide && t > 1);
+            if group.iter().any(|part| hits(moved(part).grown(room))) {
                 return None;
             }
-            if t >= MIN_APPROACH && !group.iter().any(|part| hits(moved(part).stretched(up, SKY))) {
+            if t >= MIN_APPROACH && !group.iter().any(|part| hits(moved(part).grown(1).stretched(up, SKY))) {
                 return Some(t);
             }
         }
@@ -249,6 +257,10 @@ impl Box3 {
 
     fn moved(&self, by: [i32; 3]) -> Self {
         Self { low: add(self.low, by), high: add(self.high, by) }
+    }
+
+    fn grown(&self, by: i32) -> Self {
+        Self { low: self.low.map(|x| x - by), high: self.high.map(|x| x + by) }
     }
 
     fn stretched(&self, direction: [i32; 3], length: i32) -> Self {

@@ -14,6 +14,8 @@ const MAX_ASIDE_M: f32 = 0.015;
 const MAX_TURN_RAD: f32 = 0.12;
 /// Speed on the way in, m/s.
 const ENTRY_SPEED_MPS: f32 = 1.0;
+/// Two carried pieces closer than this part, m.
+const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
 const STRAY_MARGIN_M: f32 = 0.025;
 /// Where a piece waits, from the beginning of its way: as near as it may, m.
@@ -58,7 +60,11 @@ impl Expert {
         if self.n_grippers > 1
             && let Some((job, waits)) = self.second_job(view, base, &first_job)
         {
-            commands.push(if waits { self.wait(view, &job, &first_job) } else { self.bring(view, &job) });
+            commands.push(match self.yields(view, &job, &first_job) {
+                Some(command) => command,
+                None if waits => self.wait(view, &job, &first_job),
+                None => self.bring(view, &job),
+            });
         }
         commands
     }
@@ -151,6 +157,25 @@ impl Expert {
             load.go(view, &self.limits, &entry)
         });
         Command { block: job.gripped, twist }
+    }
+
+    /// One step away from the piece of the first job, if the two are carried close to each other.
+    fn yields(&self, view: &View, job: &Job, first: &Job) -> Option<Command> {
+        if !view.is_held(job.gripped) || !view.is_held(first.gripped) {
+            return None;
+        }
+        let close = |a: usize, b: usize| {
+            let (a, b) = (self.block(a), self.block(b));
+            let (half_a, half_b) = (&view.half_extents[a.get()], &view.half_extents[b.get()]);
+            gap((view.pose(a), half_a), (view.pose(b), half_b)) < YIELD_M
+        };
+        if !job.parts.iter().any(|a| first.parts.iter().any(|b| close(a, b))) {
+            return None;
+        }
+        let between = view.pose(job.gripped).translation.vector - view.pose(first.gripped).translation.vector;
+        let aside = Vector3::new(between.x, between.y, 0.0).try_normalize(0.01).unwrap_or_else(Vector3::x);
+        let linear = aside * self.limits.max_speed_mps * 0.5;
+        Some(Command { block: job.gripped, twist: Twist { linear, angular: Vector3::zeros() } })
     }
 
     /// One step of waiting near the beginning of the way in, off the way of the first job.

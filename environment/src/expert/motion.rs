@@ -16,6 +16,9 @@ const MAX_STEPS: usize = 9;
 /// Detours: heights above the target that are tried one after the other, m.
 const DETOURS_M: [f32; 9] = [0.0, 0.08, 0.16, 0.24, 0.34, 0.46, 0.6, 0.8, 1.1];
 
+/// Nothing is carried higher than this, m.
+const CEILING_M: f32 = 1.6;
+
 /// What the grippers can do.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
@@ -108,7 +111,7 @@ impl Load {
         }
         // Up without turning: the start may be narrow.
         let mut via = *from;
-        via.translation.z += limits.max_speed_mps * limits.step_s;
+        via.translation.z = (via.translation.z + limits.max_speed_mps * limits.step_s).min(CEILING_M);
         limits.towards(from, &via)
     }
 

@@ -41,11 +41,6 @@ impl Expert {
         self.set_down(frame, side, [xy[0] - middle[0], xy[1] - middle[1]])
     }
 
-    /// The middle where the base stands now, if it may stay there.
-    pub(super) fn cell_of(&self, frame: &Isometry3<f32>, _view: &View, base: &Base) -> [f32; 2] {
-        self.middle(frame, base.side)
-    }
-
     /// The best place for the middle of the structure; the present one if that is free.
     ///
     /// It depends on the base only through its distance, so that it stays the best one while the base moves there.
