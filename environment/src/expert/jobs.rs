@@ -12,8 +12,12 @@ use super::{Base, Command, Expert};
 const MAX_ASIDE_M: f32 = 0.015;
 /// Within this of its orientation, rad.
 const MAX_TURN_RAD: f32 = 0.12;
-/// Speed on the way in, m/s.
-const ENTRY_SPEED_MPS: f32 = 1.0;
+/// The way in is fast up to this distance from the place, just out of reach of the magnets, m.
+const BRAKE_M: f32 = 0.033;
+/// Speed of the fast part, m/s.
+const ENTRY_SPEED_MPS: f32 = 2.0;
+/// Speed of the rest, m/s: once the magnets have snapped, the gripper drags the whole structure along.
+const TOUCH_SPEED_MPS: f32 = 0.2;
 /// Two carried pieces closer than this part, m.
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
@@ -257,7 +261,12 @@ fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
     let on_the_way = aside <= MAX_ASIDE_M && turn <= MAX_TURN_RAD && (-0.03..=length + 0.03).contains(&along);
     on_the_way.then(|| {
         let mut to = job.target;
-        to.translation.vector += direction * (along - ENTRY_SPEED_MPS * limits.step_s).max(0.0);
+        let left = if along > BRAKE_M + 0.005 {
+            (along - ENTRY_SPEED_MPS * limits.step_s).max(BRAKE_M)
+        } else {
+            (along - TOUCH_SPEED_MPS * limits.step_s).max(0.0)
+        };
+        to.translation.vector += direction * left;
         limits.towards(from, &to)
     })
 }
