@@ -39,7 +39,7 @@ fn main() {
                     let sc = world.scene();
                     let d = |g: usize| action.choices[g].map(|c| { let p = sc.blocks[c.get()].position; format!("{:2} at {:.2} {:.2} {:.2} mv {:?}", c.get(), p[0], p[1], p[2], action.moves[c.get()].map(|x| (x * 100.0) as i32)) }).unwrap_or_default();
                     println!("{steps:3} j{} [{}] [{}] heavy {}", sc.joints.len(), d(0), d(1), sc.n_heavy_contacts);
-                    println!("     {}", expert.describe(sc));
+                    println!("     {}", expert.describe(sc)); for c in action.choices.iter().flatten() { println!("     near {}: {}", c.get(), expert.near(sc, *c)); }
                 }
                 let t0 = std::time::Instant::now();
                 let r = world.step(&action);

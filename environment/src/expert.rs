@@ -219,3 +219,10 @@ impl Expert {
         }
     }
 }
+impl Expert {
+    #[doc(hidden)]
+    pub fn near(&mut self, scene: &Scene, block: BlockIdx) -> String {
+        let view = View::new(scene, &self.blueprint);
+        BlockIdx::all().filter(|&b| b != block).map(|b| (b, motion::gap((view.pose(block), &view.half_extents[block.get()]), (view.pose(b), &view.half_extents[b.get()])))).filter(|x| x.1 < 0.05).map(|(b, g)| format!("{}:{:.3}", b.get(), g)).collect::<Vec<_>>().join(" ")
+    }
+}

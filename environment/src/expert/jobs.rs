@@ -22,6 +22,8 @@ const TOUCH_SPEED_MPS: f32 = 0.2;
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
 const STRAY_MARGIN_M: f32 = 0.025;
+/// Heights above the beginning of the first job's way that who waits keeps free, m.
+const SKY_M: [f32; 3] = [0.12, 0.24, 0.36];
 /// Where a piece waits, from the beginning of its way: as near as it may, m.
 const WAITS_M: [[f32; 3]; 14] = [
     [0.0, 0.0, 0.0],
@@ -105,7 +107,9 @@ impl Expert {
         for Approach { direction, length_half_units } in self.assembly.approaches(base.side, placed, piece) {
             let way = frame.rotation * Self::way_m(direction, length_half_units);
             let job = Job { parts: piece, gripped, target, way };
-            if self.in_the_way(view, base, &job).is_none() {
+            // Whoever is half way in goes on, or a stray at the margin would have it dither between two ways.
+            let is_coming = way_in(&self.limits, view.pose(gripped), &job).is_some();
+            if is_coming || self.in_the_way(view, base, &job).is_none() {
                 return Some(job);
             }
             first = first.or(Some(job));
@@ -130,18 +134,21 @@ impl Expert {
 
     /// The boxes of a job's piece along its way in.
     fn swept(&self, view: &View, job: &Job) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
-        let inverse = view.pose(job.gripped).inverse();
-        let mut boxes = Vec::with_capacity(5 * job.parts.len());
-        for part in job.parts.iter() {
-            let block = self.block(part);
-            let relative = inverse * view.pose(block);
-            for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
-                let mut pose = job.target;
-                pose.translation.vector += job.way * share;
-                boxes.push((pose * relative, view.half_extents[block.get()]));
-            }
-        }
-        boxes
+        [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().flat_map(|share| self.boxes_at(view, job, job.way * share)).collect()
+    }
+
+    /// The boxes of a job's piece above the beginning of its way in.
+    fn at_entry(&self, view: &View, job: &Job, height: f32) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
+        self.boxes_at(view, job, job.way + Vector3::z() * height)
+    }
+
+    /// The boxes of a job's piece when it is `offset` from its place.
+    fn boxes_at(&self, view: &View, job: &Job, offset: Vector3<f32>) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
+        let to_gripped = view.pose(job.gripped).inverse();
+        let mut pose = job.target;
+        pose.translation.vector += offset;
+        let boxed = |block: BlockIdx| (pose * (to_gripped * view.pose(block)), view.half_extents[block.get()]);
+        job.parts.iter().map(|part| boxed(self.block(part))).collect()
     }
 
     /// Whether two pieces can come in at the same time.
@@ -186,6 +193,9 @@ impl Expert {
     fn wait(&self, view: &View, job: &Job, first: &Job) -> Command {
         let load = Load::new(view, job.gripped);
         let mut avoid = self.swept(view, first);
+        // The first one comes down on its way from above.
+        let above: Vec<_> = SKY_M.iter().flat_map(|&height| self.at_entry(view, first, height)).collect();
+        avoid.extend(above);
         avoid.extend(first.parts.iter().map(|part| {
             let block = self.block(part);
             (*view.pose(block), view.half_extents[block.get()])
