@@ -6,7 +6,7 @@
 
 mod geometry;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use geometry::Geometry;
 pub use geometry::{Approach, Parts};
@@ -104,13 +104,23 @@ impl Assembly {
         self.geometry.ground(self.sides[side].up)
     }
 
+    /// Whether a part lies on the ground when the structure is finished.
+    pub fn is_at_bottom(&self, side: usize, part: usize) -> bool {
+        self.geometry.bottom(part, self.sides[side].up) == self.ground_half_units(side)
+    }
+
     /// Whether the structure can be completed from `placed` on that side.
     pub fn is_safe(&mut self, side: usize, placed: Parts) -> bool {
         let Self { geometry, sides, .. } = self;
         sides[side].is_safe(geometry, placed)
     }
 
-    /// The way in for `group` when `placed` stands; `None` if there is none.
+    /// The ways in for `group` when `placed` stands, best first.
+    pub fn approaches(&self, side: usize, placed: Parts, group: Parts) -> impl Iterator<Item = Approach> {
+        self.geometry.approaches(placed, group, self.sides[side].up)
+    }
+
+    /// The best way in for `group` when `placed` stands; `None` if there is none.
     pub fn approach(&self, side: usize, placed: Parts, group: Parts) -> Option<Approach> {
         self.geometry.approach(placed, group, self.sides[side].up)
     }

@@ -9,6 +9,7 @@
 pub mod config;
 pub mod contract;
 pub mod env;
+pub mod expert;
 pub mod reward;
 pub mod success;
 pub mod world;
@@ -23,6 +24,7 @@ mod physics_tests;
 mod reset;
 
 pub use config::{EnvironmentConfig, EnvironmentConfigError};
+pub use expert::Expert;
 pub use env::{Env, ResetError, StepResult};
 pub use reset::sample_assignment;
 pub use success::StableSuccess;

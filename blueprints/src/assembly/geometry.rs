@@ -171,6 +171,23 @@ impl Geometry {
     /// The way leaves every face that the group touches, so no two of them may face each other, and it does not come
     /// from below. At its beginning the sky above the group is free.
     pub(super) fn approach(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Option<Approach> {
+        self.approaches(placed, group, up).next()
+    }
+
+    /// All straight ways in, the best first.
+    pub(super) fn approaches(&self, placed: Parts, group: Parts, up: [i32; 3]) -> impl Iterator<Item = Approach> {
+        let directions = self.directions(placed, group, up);
+        // Ways along which nothing comes near but the wanted faces, then the others.
+        [true, false].into_iter().flat_map(move |wide| {
+            directions.clone().into_iter().filter_map(move |direction| {
+                let length_half_units = self.free_way(placed, group, direction, up, wide)?;
+                Some(Approach { direction, length_half_units })
+            })
+        })
+    }
+
+    /// The directions in which a group can leave all faces that it touches.
+    fn directions(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Vec<[i32; 3]> {
         let mut sides = [false; 6];
         for part in group.iter() {
             for (side, others) in sides.iter_mut().zip(&self.contacts[part]) {
@@ -180,7 +197,7 @@ impl Geometry {
         let squeezed = (0..3).any(|axis| sides[2 * axis] && sides[2 * axis + 1]);
         let hangs = sides[direction_idx(up.map(|x| -x))];
         if squeezed || hangs || sides.iter().all(|&side| !side) {
-            return None;
+            return Vec::new();
         }
         let away: [i32; 3] = std::array::from_fn(|axis| i32::from(sides[2 * axis]) - i32::from(sides[2 * axis + 1]));
         let mut ways: Vec<[i32; 3]> = Vec::with_capacity(6);
@@ -197,21 +214,23 @@ impl Geometry {
                 ways.push(if is_up(way) { way } else { add(way, up) });
             }
         }
-        ways.into_iter().find_map(|direction| {
-            let length_half_units = self.free_way(placed, group, direction, up)?;
-            Some(Approach { direction, length_half_units })
-        })
+        ways
     }
 
-    /// Length after which a group that moves off along `direction` has the sky above it.
-    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3]) -> Option<i32> {
+    /// Length after which a group that moves off along `direction` is clear of everything and has the sky above it.
+    ///
+    /// On a `wide` way nothing comes nearer than a half unit: a face that slides along another one would be caught by
+    /// the wrong magnets.
+    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3], wide: bool) -> Option<i32> {
+        let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
         for t in 1..=MAX_APPROACH {
             let moved = |part: usize| self.boxes[part].moved(direction.map(|x| x * t));
-            let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
-            if group.iter().any(|part| hits(moved(part))) {
+            // After one half unit, magnets that are to meet others still lie half way between them.
+            let room = i32::from(wide && t > 1);
+            if group.iter().any(|part| hits(moved(part).grown(room))) {
                 return None;
             }
-            if t >= MIN_APPROACH && !group.iter().any(|part| hits(moved(part).stretched(up, SKY))) {
+            if t >= MIN_APPROACH && !group.iter().any(|part| hits(moved(part).grown(1).stretched(up, SKY))) {
                 return Some(t);
             }
         }
@@ -237,6 +256,10 @@ impl Box3 {
 
     fn moved(&self, by: [i32; 3]) -> Self {
         Self { low: add(self.low, by), high: add(self.high, by) }
+    }
+
+    fn grown(&self, by: i32) -> Self {
+        Self { low: self.low.map(|x| x - by), high: self.high.map(|x| x + by) }
     }
 
     fn stretched(&self, direction: [i32; 3], length: i32) -> Self {

@@ -1,0 +1,228 @@
+//! A scripted controller that builds blueprints with the policy's own actions, from privileged state.
+//!
+//! It is memoryless: its action is a function of the scene (what the grippers hold included) and the blueprint alone, so
+//! that a policy can learn to imitate it. The order of assembly is worked out once per blueprint and only cached.
+//!
+//! In order: wrong connections are taken apart; the piece to build on is set down where there is room; then each gripper
+//! fetches a block and brings it in along a free way, while the structure stands on the ground by itself.
+
+mod jobs;
+mod motion;
+mod site;
+mod takedown;
+mod view;
+
+use blueprints::assembly::Parts;
+use blueprints::{Assembly, BlockIdx, Blueprint, N_BLOCKS, NoAssembly, UNIT_M};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use proto::{Action, N_GRIPPERS, Scene};
+
+use crate::config::EnvironmentConfig;
+use motion::{Limits, Load, Twist};
+use view::View;
+
+/// A tilt up to this is as good as upright, rad.
+const MAX_TILT_RAD: f32 = 0.15;
+/// A structure this far from the ground counts as standing on it, m.
+const MAX_LIFT_M: f32 = 0.03;
+
+/// The scripted expert for one blueprint.
+#[derive(Clone, Debug)]
+pub struct Expert {
+    blueprint: Blueprint,
+    assembly: Assembly,
+    limits: Limits,
+    n_grippers: usize,
+}
+
+/// What one gripper should do for a step.
+#[derive(Clone, Copy, Debug)]
+struct Command {
+    block: BlockIdx,
+    twist: Twist,
+}
+
+/// The piece that everything else is added to.
+struct Base {
+    side: usize,
+    parts: Parts,
+    /// Pose of the blueprint's frame as this piece has it.
+    frame: Isometry3<f32>,
+}
+
+impl Expert {
+    /// An expert for `blueprint`, on the blocks that the episode's assignment gives it, in a world of this configuration.
+    ///
+    /// # Errors
+    /// When the blueprint has no order of assembly.
+    pub fn new(config: &EnvironmentConfig, blueprint: &Blueprint) -> Result<Self, NoAssembly> {
+        Ok(Self {
+            assembly: Assembly::new(blueprint)?,
+            blueprint: blueprint.clone(),
+            limits: Limits::new(config),
+            n_grippers: usize::from(config.n_grippers),
+        })
+    }
+
+    /// What to do in `scene`.
+    pub fn act(&mut self, scene: &Scene) -> Action {
+        let view = View::new(scene, &self.blueprint);
+        let commands = self.decide(&view);
+        self.action(&view, &commands)
+    }
+
+    fn decide(&mut self, view: &View) -> Vec<Command> {
+        if let Some(commands) = self.take_down(view, &view.wrong) {
+            return commands;
+        }
+        match self.base(view) {
+            Ok(base) => match self.settle(view, &base) {
+                Some(command) => vec![command],
+                None => self.add(view, &base),
+            },
+            Err(piece) => self.shrink(view, piece),
+        }
+    }
+
+    /// The piece to build on: the largest that can be completed, at first the block to begin with.
+    ///
+    /// The error is the largest piece if it can not be completed on any side.
+    fn base(&mut self, view: &View) -> Result<Base, Parts> {
+        let mut pieces: Vec<Parts> = view.pieces().filter(|piece| piece.len() > 1).collect();
+        // Among equals, the one with the lowest part.
+        pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
+        for &parts in &pieces {
+            let mut sides = 0..self.assembly.n_sides();
+            if let Some(side) = sides.find(|&side| self.assembly.is_safe(side, parts)) {
+                return Ok(Base { side, parts, frame: self.frame(view, side, parts) });
+            }
+        }
+        if let Some(&piece) = pieces.first() {
+            return Err(piece);
+        }
+        let first = self.assembly.next(0, Parts::default()).unwrap_or(0);
+        let parts = Parts::one(first);
+        Ok(Base { side: 0, parts, frame: self.frame(view, 0, parts) })
+    }
+
+    /// Pose of the blueprint's frame as a part of the piece at the bottom has it; what hangs above may sag.
+    fn frame(&self, view: &View, side: usize, parts: Parts) -> Isometry3<f32> {
+        let bottom = parts.iter().find(|&part| self.assembly.is_at_bottom(side, part));
+        bottom.or_else(|| parts.iter().next()).map_or_else(Isometry3::identity, |part| self.frame_of(view, part))
+    }
+
+    fn frame_of(&self, view: &View, part: usize) -> Isometry3<f32> {
+        view.pose(self.block(part)) * self.place(part).inverse()
+    }
+
+    /// Pose of a part in the blueprint's frame.
+    fn place(&self, part: usize) -> Isometry3<f32> {
+        let placement = &self.blueprint.placements()[part];
+        Isometry3::from_parts(placement.position_m().into(), placement.rotation.quaternion())
+    }
+
+    fn block(&self, part: usize) -> BlockIdx {
+        self.assembly.blocks()[part]
+    }
+
+    fn up(&self, side: usize) -> Vector3<f32> {
+        Vector3::from(self.assembly.up(side).map(|x| x as f32))
+    }
+
+    /// Height above the ground of the plane on which the structure of `frame` is to lie, m.
+    fn lift_m(&self, frame: &Isometry3<f32>, side: usize) -> f32 {
+        let plane = self.up(side) * (self.assembly.ground_half_units(side) as f32 * UNIT_M / 2.0);
+        // The point of the plane below the frame's origin, as long as the tilt is small.
+        (frame * nalgebra::Point3::from(plane)).z
+    }
+
+    /// The frame turned upright the short way and put on the ground with its origin at `xy`.
+    fn set_down(&self, frame: &Isometry3<f32>, side: usize, xy: [f32; 2]) -> Isometry3<f32> {
+        let up = frame.rotation * self.up(side);
+        let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI));
+        let rotation = level * frame.rotation;
+        let z = -(self.assembly.ground_half_units(side) as f32) * UNIT_M / 2.0;
+        Isometry3::from_parts(Translation3::new(xy[0], xy[1], z), rotation)
+    }
+
+    /// Sets the base down if it does not lie on its side on free ground.
+    fn settle(&mut self, view: &View, base: &Base) -> Option<Command> {
+        let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
+        let lies = tilt <= MAX_TILT_RAD && self.lift_m(&base.frame, base.side).abs() <= MAX_LIFT_M;
+        let gripped = self.gripped(view, base.parts);
+        let fetching = view.held.iter().flatten().any(|&block| {
+            view.part_of[block.get()].is_some_and(|part| !base.parts.contains(part))
+        });
+        // Once blocks are on their way the base stays, or it would flee from them.
+        if lies && (fetching || base.parts.len() > 2) {
+            return None;
+        }
+        let target = self.site(view, base);
+        if lies && target == self.middle(&base.frame, base.side) {
+            return None;
+        }
+        let frame = self.frame_at(&base.frame, base.side, target);
+        let part = view.part_of[gripped.get()]?;
+        let twist = Load::new(view, gripped).go(view, &self.limits, &(frame * self.place(part)));
+        Some(Command { block: gripped, twist })
+    }
+
+    /// The block of a piece to take it by: one that is held already, else its first.
+    fn gripped(&self, view: &View, parts: Parts) -> BlockIdx {
+        let mut blocks = parts.iter().map(|part| self.block(part));
+        let first = blocks.next().expect("a piece is not empty");
+        std::iter::once(first).chain(blocks).find(|&block| view.is_held(block)).unwrap_or(first)
+    }
+
+    /// Shares the commands out: whoever holds a block keeps it; a gripper with nothing to do joins the first.
+    fn action(&self, view: &View, commands: &[Command]) -> Action {
+        let mut action = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
+        let mut open: Vec<&Command> = commands.iter().take(self.n_grippers).collect();
+        for gripper in 0..self.n_grippers {
+            if let Some(i) = open.iter().position(|c| view.held[gripper] == Some(c.block)) {
+                action.choices[gripper] = Some(open.remove(i).block);
+            }
+        }
+        for gripper in 0..self.n_grippers {
+            if action.choices[gripper].is_none() && !open.is_empty() {
+                action.choices[gripper] = Some(open.remove(0).block);
+            }
+        }
+        for gripper in 0..self.n_grippers {
+            if action.choices[gripper].is_none() {
+                let spare = || BlockIdx::all().next().expect("there are blocks");
+                action.choices[gripper] = Some(commands.first().map_or_else(spare, |c| c.block));
+            }
+        }
+        for command in commands {
+            let frame = &view.pose(command.block).rotation;
+            let twist = self.limits.clipped(frame, command.twist);
+            action.moves[command.block.get()] = self.limits.entry(frame, twist);
+        }
+        action
+    }
+}
+impl Expert {
+    #[doc(hidden)]
+    pub fn describe(&mut self, scene: &Scene) -> String {
+        let view = View::new(scene, &self.blueprint);
+        let wrong: Vec<_> = view.wrong.iter().map(|j| (j.a.get(), j.b.get())).collect();
+        match self.base(&view) {
+            Ok(base) => {
+                let blocks: Vec<_> = base.parts.iter().map(|p| self.block(p).get()).collect();
+                let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
+                let next = self.assembly.next(base.side, base.parts).map(|p| self.block(p).get());
+                format!("base {blocks:?} side {} tilt {tilt:.2} lift {:.3} next {next:?} wrong {wrong:?}", base.side, self.lift_m(&base.frame, base.side))
+            }
+            Err(piece) => format!("stuck piece {piece:?} wrong {wrong:?}"),
+        }
+    }
+}
+impl Expert {
+    #[doc(hidden)]
+    pub fn near(&mut self, scene: &Scene, block: BlockIdx) -> String {
+        let view = View::new(scene, &self.blueprint);
+        BlockIdx::all().filter(|&b| b != block).map(|b| (b, motion::gap((view.pose(block), &view.half_extents[block.get()]), (view.pose(b), &view.half_extents[b.get()])))).filter(|x| x.1 < 0.05).map(|(b, g)| format!("{}:{:.3}", b.get(), g)).collect::<Vec<_>>().join(" ")
+    }
+}

@@ -1,0 +1,282 @@
+//! Fetching: which pieces come next, and how each is brought in.
+
+use blueprints::BlockIdx;
+use blueprints::assembly::{Approach, Parts};
+use nalgebra::{Isometry3, Vector3};
+
+use super::motion::{Limits, Load, Twist, gap};
+use super::view::View;
+use super::{Base, Command, Expert};
+
+/// Within this of the way's axis a piece may come in, m.
+const MAX_ASIDE_M: f32 = 0.015;
+/// Within this of its orientation, rad.
+const MAX_TURN_RAD: f32 = 0.12;
+/// The way in is fast up to this distance from the place, just out of reach of the magnets, m.
+const BRAKE_M: f32 = 0.033;
+/// Speed of the fast part, m/s.
+const ENTRY_SPEED_MPS: f32 = 2.0;
+/// Speed of the rest, m/s: once the magnets have snapped, the gripper drags the whole structure along.
+const TOUCH_SPEED_MPS: f32 = 0.2;
+/// Two carried pieces closer than this part, m.
+const YIELD_M: f32 = 0.05;
+/// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
+const STRAY_MARGIN_M: f32 = 0.025;
+/// Heights above the beginning of the first job's way that who waits keeps free, m.
+const SKY_M: [f32; 3] = [0.12, 0.24, 0.36];
+/// Where a piece waits, from the beginning of its way: as near as it may, m.
+const WAITS_M: [[f32; 3]; 14] = [
+    [0.0, 0.0, 0.0],
+    [0.0, 0.0, 0.12],
+    [0.2, 0.0, 0.06],
+    [-0.2, 0.0, 0.06],
+    [0.0, 0.2, 0.06],
+    [0.0, -0.2, 0.06],
+    [0.25, 0.25, 0.1],
+    [-0.25, 0.25, 0.1],
+    [0.25, -0.25, 0.1],
+    [-0.25, -0.25, 0.1],
+    [0.4, 0.0, 0.15],
+    [-0.4, 0.0, 0.15],
+    [0.0, 0.4, 0.15],
+    [0.0, -0.4, 0.15],
+];
+
+/// A piece to be added and how.
+struct Job {
+    parts: Parts,
+    gripped: BlockIdx,
+    target: Isometry3<f32>,
+    /// From the target to the beginning of the way in, world frame, m.
+    way: Vector3<f32>,
+}
+
+impl Expert {
+    /// Adds the next pieces to the base.
+    pub(super) fn add(&mut self, view: &View, base: &Base) -> Vec<Command> {
+        let Some(first) = self.assembly.next(base.side, base.parts) else { return vec![] };
+        let piece = view.piece(first);
+        let Some(first_job) = self.job(view, base, base.parts, piece) else {
+            return self.split_off(view, first);
+        };
+        if let Some(stray) = self.in_the_way(view, base, &first_job) {
+            return vec![self.park(view, base, stray, &first_job)];
+        }
+        let mut commands = vec![self.bring(view, &first_job)];
+        if self.n_grippers > 1
+            && let Some((job, waits)) = self.second_job(view, base, &first_job)
+        {
+            commands.push(match self.yields(view, &job, &first_job) {
+                Some(command) => command,
+                None if waits => self.wait(view, &job, &first_job),
+                None => self.bring(view, &job),
+            });
+        }
+        commands
+    }
+
+    /// The job of the other gripper, and whether it must wait for the first.
+    fn second_job(&mut self, view: &View, base: &Base, first: &Job) -> Option<(Job, bool)> {
+        let after = base.parts.union(first.parts);
+        let next = self.assembly.next(base.side, after)?;
+        let piece = view.piece(next);
+        if let Some(job) = self.job(view, base, base.parts, piece) {
+            let with = base.parts.union(piece);
+            let free = self.assembly.is_safe(base.side, with)
+                && self.assembly.margin_u(base.side, with) >= blueprints::assembly::MIN_BUILD_MARGIN_U
+                && self.assembly.approach(base.side, with, first.parts).is_some()
+                && self.apart(view, first, &job);
+            return Some((job, !free));
+        }
+        let job = self.job(view, base, after, piece)?;
+        Some((job, true))
+    }
+
+    /// How to bring `piece` to the base when `placed` stands; `None` if it has no way in.
+    ///
+    /// Of several ways the first without strays on it; if there is none, the first.
+    fn job(&mut self, view: &View, base: &Base, placed: Parts, piece: Parts) -> Option<Job> {
+        if piece.len() > 1 && !self.assembly.is_safe(base.side, placed.union(piece)) {
+            return None;
+        }
+        let gripped = self.gripped(view, piece);
+        let part = view.part_of[gripped.get()]?;
+        let frame = self.frame_beside(view, base, piece);
+        let target = frame * self.place(part);
+        let mut first = None;
+        for Approach { direction, length_half_units } in self.assembly.approaches(base.side, placed, piece) {
+            let way = frame.rotation * Self::way_m(direction, length_half_units);
+            let job = Job { parts: piece, gripped, target, way };
+            // Whoever is half way in goes on, or a stray at the margin would have it dither between two ways.
+            let is_coming = way_in(&self.limits, view.pose(gripped), &job).is_some();
+            if is_coming || self.in_the_way(view, base, &job).is_none() {
+                return Some(job);
+            }
+            first = first.or(Some(job));
+        }
+        first
+    }
+
+    /// The blueprint's frame as the block of the base has it that `piece` will touch.
+    fn frame_beside(&self, view: &View, base: &Base, piece: Parts) -> Isometry3<f32> {
+        let links = self.blueprint.links();
+        let touching = links.iter().filter_map(|link| {
+            let (a, b) = (view.part_of[link.a.get()]?, view.part_of[link.b.get()]?);
+            let part = match (base.parts.contains(a), base.parts.contains(b)) {
+                (true, false) if piece.contains(b) => a,
+                (false, true) if piece.contains(a) => b,
+                _ => return None,
+            };
+            Some((link.n_magnet_pairs, part))
+        });
+        touching.max().map_or(base.frame, |(_, part)| self.frame_of(view, part))
+    }
+
+    /// The boxes of a job's piece along its way in.
+    fn swept(&self, view: &View, job: &Job) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
+        [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().flat_map(|share| self.boxes_at(view, job, job.way * share)).collect()
+    }
+
+    /// The boxes of a job's piece above the beginning of its way in.
+    fn at_entry(&self, view: &View, job: &Job, height: f32) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
+        self.boxes_at(view, job, job.way + Vector3::z() * height)
+    }
+
+    /// The boxes of a job's piece when it is `offset` from its place.
+    fn boxes_at(&self, view: &View, job: &Job, offset: Vector3<f32>) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
+        let to_gripped = view.pose(job.gripped).inverse();
+        let mut pose = job.target;
+        pose.translation.vector += offset;
+        let boxed = |block: BlockIdx| (pose * (to_gripped * view.pose(block)), view.half_extents[block.get()]);
+        job.parts.iter().map(|part| boxed(self.block(part))).collect()
+    }
+
+    /// Whether two pieces can come in at the same time.
+    fn apart(&self, view: &View, first: &Job, second: &Job) -> bool {
+        let seconds = self.swept(view, second);
+        let firsts = self.swept(view, first);
+        firsts.iter().all(|(a, half_a)| seconds.iter().all(|(b, half_b)| gap((a, half_a), (b, half_b)) > 0.04))
+    }
+
+    /// One step of bringing a piece in.
+    fn bring(&self, view: &View, job: &Job) -> Command {
+        let load = Load::new(view, job.gripped);
+        let from = view.pose(job.gripped);
+        let twist = way_in(&self.limits, from, job).unwrap_or_else(|| {
+            let mut entry = job.target;
+            entry.translation.vector += job.way;
+            load.go(view, &self.limits, &entry)
+        });
+        Command { block: job.gripped, twist }
+    }
+
+    /// One step away from the piece of the first job, if the two are carried close to each other.
+    fn yields(&self, view: &View, job: &Job, first: &Job) -> Option<Command> {
+        if !view.is_held(job.gripped) || !view.is_held(first.gripped) {
+            return None;
+        }
+        let close = |a: usize, b: usize| {
+            let (a, b) = (self.block(a), self.block(b));
+            let (half_a, half_b) = (&view.half_extents[a.get()], &view.half_extents[b.get()]);
+            gap((view.pose(a), half_a), (view.pose(b), half_b)) < YIELD_M
+        };
+        if !job.parts.iter().any(|a| first.parts.iter().any(|b| close(a, b))) {
+            return None;
+        }
+        let between = view.pose(job.gripped).translation.vector - view.pose(first.gripped).translation.vector;
+        let aside = Vector3::new(between.x, between.y, 0.0).try_normalize(0.01).unwrap_or_else(Vector3::x);
+        let linear = aside * self.limits.max_speed_mps * 0.5;
+        Some(Command { block: job.gripped, twist: Twist { linear, angular: Vector3::zeros() } })
+    }
+
+    /// One step of waiting near the beginning of the way in, off the way of the first job.
+    fn wait(&self, view: &View, job: &Job, first: &Job) -> Command {
+        let load = Load::new(view, job.gripped);
+        let mut avoid = self.swept(view, first);
+        // The first one comes down on its way from above.
+        let above: Vec<_> = SKY_M.iter().flat_map(|&height| self.at_entry(view, first, height)).collect();
+        avoid.extend(above);
+        avoid.extend(first.parts.iter().map(|part| {
+            let block = self.block(part);
+            (*view.pose(block), view.half_extents[block.get()])
+        }));
+        let mut entry = job.target;
+        entry.translation.vector += job.way;
+        let place = WAITS_M.into_iter().map(|[x, y, z]| {
+            let mut place = entry;
+            place.translation.vector += Vector3::new(x, y, z);
+            place
+        });
+        let free = |place: &Isometry3<f32>| !load.hits(view, place, 0.03) && load.is_apart(view, place, &avoid, 0.06);
+        let twist = match place.into_iter().find(free) {
+            Some(place) => load.go(view, &self.limits, &place),
+            None => Twist { linear: Vector3::z(), angular: Vector3::zeros() },
+        };
+        Command { block: job.gripped, twist }
+    }
+
+    /// A block that is neither in the base nor carried and where the job's piece has to pass.
+    fn in_the_way(&self, view: &View, base: &Base, job: &Job) -> Option<BlockIdx> {
+        let swept = self.swept(view, job);
+        BlockIdx::all().find(|&block| {
+            let part = view.part_of[block.get()];
+            let involved = part.is_some_and(|part| base.parts.contains(part) || job.parts.contains(part));
+            let other = (view.pose(block), &view.half_extents[block.get()]);
+            !involved && !view.is_held(block) && swept.iter().any(|(pose, half)| gap((pose, half), other) < STRAY_MARGIN_M)
+        })
+    }
+
+    /// Carries a block to free ground.
+    fn park(&self, view: &View, base: &Base, stray: BlockIdx, job: &Job) -> Command {
+        let load = Load::new(view, stray);
+        let avoid = self.swept(view, job);
+        let pose = view.pose(stray);
+        let half = &view.half_extents[stray.get()];
+        let reach = pose.translation.z - super::motion::lowest(pose, half);
+        let mut best: Option<(f32, Isometry3<f32>)> = None;
+        for x in -12..=12 {
+            for y in -12..=12 {
+                let mut at = *pose;
+                at.translation.x = x as f32 * 0.1;
+                at.translation.y = y as f32 * 0.1;
+                at.translation.z = reach + 0.01;
+                let far = (at.translation.vector - pose.translation.vector).norm();
+                if best.is_some_and(|(nearest, _)| nearest <= far) || load.hits(view, &at, 0.06) {
+                    continue;
+                }
+                let in_plan = (0..self.blueprint.n_blocks()).any(|part| {
+                    let place = base.frame * self.place(part);
+                    gap((&place, &view.half_extents[self.block(part).get()]), (&at, half)) < 0.08
+                });
+                if !in_plan && load.is_apart(view, &at, &avoid, 0.05) {
+                    best = Some((far, at));
+                }
+            }
+        }
+        let twist = best.map_or(Twist { linear: Vector3::z(), angular: Vector3::zeros() }, |(_, target)| {
+            load.go(view, &self.limits, &target)
+        });
+        Command { block: stray, twist }
+    }
+}
+
+/// The motion along the way in, if the piece is on it.
+fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
+    let length = job.way.norm();
+    let direction = job.way / length;
+    let error = from.translation.vector - job.target.translation.vector;
+    let along = error.dot(&direction);
+    let aside = (error - direction * along).norm();
+    let turn = from.rotation.angle_to(&job.target.rotation);
+    let on_the_way = aside <= MAX_ASIDE_M && turn <= MAX_TURN_RAD && (-0.03..=length + 0.03).contains(&along);
+    on_the_way.then(|| {
+        let mut to = job.target;
+        let left = if along > BRAKE_M + 0.005 {
+            (along - ENTRY_SPEED_MPS * limits.step_s).max(BRAKE_M)
+        } else {
+            (along - TOUCH_SPEED_MPS * limits.step_s).max(0.0)
+        };
+        to.translation.vector += direction * left;
+        limits.towards(from, &to)
+    })
+}

@@ -1,0 +1,200 @@
+//! How a gripper moves what it holds: straight to a pose, over what is in the way.
+
+use blueprints::{BlockIdx};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use proto::Move;
+
+use super::view::View;
+use crate::config::EnvironmentConfig;
+
+/// Free space that is kept to other blocks on the way, m.
+const MARGIN_M: f32 = 0.022;
+/// Poses looked at per control step of a predicted path.
+const SAMPLES_PER_STEP: usize = 3;
+/// Steps of a path that are looked at.
+const MAX_STEPS: usize = 9;
+/// Detours: heights above the target that are tried one after the other, m.
+const DETOURS_M: [f32; 9] = [0.0, 0.08, 0.16, 0.24, 0.34, 0.46, 0.6, 0.8, 1.1];
+
+/// Nothing is carried higher than this, m.
+const CEILING_M: f32 = 1.6;
+
+/// What the grippers can do.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Limits {
+    pub(super) max_speed_mps: f32,
+    pub(super) max_turn_radps: f32,
+    pub(super) step_s: f32,
+}
+
+/// A motion of a held block over one step, world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Twist {
+    pub(super) linear: Vector3<f32>,
+    pub(super) angular: Vector3<f32>,
+}
+
+/// Everything a carried component is made of, relative to the block that is gripped.
+pub(super) struct Load {
+    pub(super) gripped: BlockIdx,
+    boxes: Vec<(BlockIdx, Isometry3<f32>)>,
+}
+
+impl Limits {
+    pub(super) fn new(config: &EnvironmentConfig) -> Self {
+        Self {
+            max_speed_mps: config.max_speed_mps,
+            max_turn_radps: config.max_turn_radps,
+            step_s: config.physics.substep_s() * f32::from(config.physics.n_substeps),
+        }
+    }
+
+    /// The motion that reaches `to` from `from` in one step, or as fast as the gripper can.
+    ///
+    /// The world clips each component in the block's frame, which would bend the path: here all shrink together.
+    pub(super) fn towards(&self, from: &Isometry3<f32>, to: &Isometry3<f32>) -> Twist {
+        let linear = (to.translation.vector - from.translation.vector) / self.step_s;
+        let angular = (to.rotation * from.rotation.inverse()).scaled_axis() / self.step_s;
+        self.clipped(&from.rotation, Twist { linear, angular })
+    }
+
+    pub(super) fn clipped(&self, frame: &UnitQuaternion<f32>, twist: Twist) -> Twist {
+        let shrink = |v: Vector3<f32>, most: f32| {
+            let largest = frame.inverse_transform_vector(&v).amax();
+            if largest > most { v * (most / largest) } else { v }
+        };
+        Twist { linear: shrink(twist.linear, self.max_speed_mps), angular: shrink(twist.angular, self.max_turn_radps) }
+    }
+
+    /// The motion as an entry of an action: in the frame of the block, in fractions of the limits.
+    pub(super) fn entry(&self, frame: &UnitQuaternion<f32>, twist: Twist) -> Move {
+        let linear = frame.inverse_transform_vector(&twist.linear) / self.max_speed_mps;
+        let angular = frame.inverse_transform_vector(&twist.angular) / self.max_turn_radps;
+        [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z].map(|x| x.clamp(-1.0, 1.0))
+    }
+
+    /// Where a motion leads in `fraction` of a step.
+    fn advanced(&self, from: &Isometry3<f32>, twist: Twist, fraction: f32) -> Isometry3<f32> {
+        let dt = self.step_s * fraction;
+        let turn = UnitQuaternion::from_scaled_axis(twist.angular * dt);
+        Isometry3::from_parts(
+            Translation3::from(from.translation.vector + twist.linear * dt),
+            turn * from.rotation,
+        )
+    }
+}
+
+impl Load {
+    /// What hangs together with `gripped`.
+    pub(super) fn new(view: &View, gripped: BlockIdx) -> Self {
+        let inverse = view.pose(gripped).inverse();
+        let boxes = BlockIdx::all()
+            .filter(|&block| view.together(block, gripped))
+            .map(|block| (block, inverse * view.pose(block)))
+            .collect();
+        Self { gripped, boxes }
+    }
+
+    fn contains(&self, block: BlockIdx) -> bool {
+        self.boxes.iter().any(|&(b, _)| b == block)
+    }
+
+    /// Moves the gripped block to `target`: straight if nothing is in the way, else over a point above it, else up.
+    pub(super) fn go(&self, view: &View, limits: &Limits, target: &Isometry3<f32>) -> Twist {
+        let from = view.pose(self.gripped);
+        for detour in DETOURS_M {
+            let mut via = *target;
+            via.translation.z += detour;
+            if self.is_free(view, limits, from, &via) {
+                return limits.towards(from, &via);
+            }
+        }
+        // Up without turning: the start may be narrow.
+        let mut via = *from;
+        via.translation.z = (via.translation.z + limits.max_speed_mps * limits.step_s).min(CEILING_M);
+        limits.towards(from, &via)
+    }
+
+    /// Whether the way from `from` to `to` touches nothing.
+    pub(super) fn is_free(&self, view: &View, limits: &Limits, from: &Isometry3<f32>, to: &Isometry3<f32>) -> bool {
+        let mut at = *from;
+        for step in 0..MAX_STEPS {
+            let twist = limits.towards(&at, to);
+            if twist.linear.norm() < 1e-3 && twist.angular.norm() < 1e-2 {
+                break;
+            }
+            for sample in 1..=SAMPLES_PER_STEP {
+                let pose = limits.advanced(&at, twist, sample as f32 / SAMPLES_PER_STEP as f32);
+                // What is close already may stay close for a moment.
+                let margin = if step == 0 { MARGIN_M * sample as f32 / SAMPLES_PER_STEP as f32 } else { MARGIN_M };
+                if self.hits(view, &pose, margin) {
+                    return false;
+                }
+            }
+            at = limits.advanced(&at, twist, 1.0);
+        }
+        true
+    }
+
+    /// Whether the load at `pose` comes within `margin` metres of another block, or goes into the ground.
+    pub(super) fn hits(&self, view: &View, pose: &Isometry3<f32>, margin: f32) -> bool {
+        self.boxes.iter().any(|(block, relative)| {
+            let at = pose * relative;
+            let half = &view.half_extents[block.get()];
+            lowest(&at, half) < -0.01
+                || BlockIdx::all().any(|other| {
+                    !self.contains(other)
+                        && gap((&at, half), (view.pose(other), &view.half_extents[other.get()])) < margin
+                })
+        })
+    }
+}
+
+impl Load {
+    /// Whether the load at `pose` is at least `margin` metres from all of `boxes`.
+    pub(super) fn is_apart(
+        &self,
+        view: &View,
+        pose: &Isometry3<f32>,
+        boxes: &[(Isometry3<f32>, Vector3<f32>)],
+        margin: f32,
+    ) -> bool {
+        self.boxes.iter().all(|(block, relative)| {
+            let at = pose * relative;
+            let half = &view.half_extents[block.get()];
+            boxes.iter().all(|(other, other_half)| gap((&at, half), (other, other_half)) >= margin)
+        })
+    }
+}
+
+/// Height of the lowest corner, m.
+pub(super) fn lowest(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
+    pose.translation.z - reach(pose, half)
+}
+
+fn reach(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
+    let down = pose.rotation.inverse_transform_vector(&Vector3::z());
+    down.abs().dot(half)
+}
+
+/// A distance in metres that two boxes are apart at least; negative if they overlap, or only almost.
+///
+/// Separating axes, the six face normals only: edges against edges are taken as closer than they are.
+pub(super) fn gap(a: (&Isometry3<f32>, &Vector3<f32>), b: (&Isometry3<f32>, &Vector3<f32>)) -> f32 {
+    let between = b.0.translation.vector - a.0.translation.vector;
+    let apart = between.norm() - a.1.norm() - b.1.norm();
+    if apart > 0.1 {
+        return apart;
+    }
+    let (rotation_a, rotation_b) = (a.0.rotation.to_rotation_matrix(), b.0.rotation.to_rotation_matrix());
+    let relative = rotation_a.matrix().tr_mul(rotation_b.matrix());
+    let (in_a, in_b) = (rotation_a.matrix().tr_mul(&between), rotation_b.matrix().tr_mul(&between));
+    let mut largest = f32::NEG_INFINITY;
+    for k in 0..3 {
+        let shadow_b: f32 = (0..3).map(|j| relative[(k, j)].abs() * b.1[j]).sum();
+        let shadow_a: f32 = (0..3).map(|j| relative[(j, k)].abs() * a.1[j]).sum();
+        largest = largest.max(in_a[k].abs() - a.1[k] - shadow_b).max(in_b[k].abs() - b.1[k] - shadow_a);
+    }
+    largest
+}
+

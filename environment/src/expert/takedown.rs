@@ -1,0 +1,98 @@
+//! Taking connections apart: two grippers pull at two blocks.
+
+use blueprints::assembly::Parts;
+use blueprints::{BlockIdx, Inventory};
+use nalgebra::Vector3;
+use proto::Joint;
+
+use super::motion::Twist;
+use super::view::View;
+use super::{Command, Expert};
+
+impl Expert {
+    /// Pulls a piece off what it wrongly hangs on; `None` if no connection is wrong.
+    pub(super) fn take_down(&self, view: &View, wrong: &[Joint]) -> Option<Vec<Command>> {
+        // A piece goes by its first block.
+        let node = |block: BlockIdx| {
+            view.part_of[block.get()]
+                .and_then(|part| view.piece(part).iter().next())
+                .map_or(block, |first| self.block(first))
+        };
+        let mut nodes: Vec<BlockIdx> = wrong.iter().flat_map(|joint| [node(joint.a), node(joint.b)]).collect();
+        nodes.sort_unstable();
+        nodes.dedup();
+        let strength = |at: BlockIdx| -> usize {
+            wrong.iter().filter(|j| node(j.a) == at || node(j.b) == at).map(|j| n_pairs(j).min(3)).sum()
+        };
+        let size = |at: BlockIdx| view.part_of[at.get()].map_or(1, |part| view.piece(part).len());
+        let loose = nodes.into_iter().min_by_key(|&at| (strength(at), size(at), at))?;
+        let mut pull = Vector3::zeros();
+        let mut grips: Option<(usize, BlockIdx, BlockIdx)> = None;
+        for joint in wrong {
+            let (own, other) = match (node(joint.a) == loose, node(joint.b) == loose) {
+                (true, false) => (joint.a, joint.b),
+                (false, true) => (joint.b, joint.a),
+                _ => continue,
+            };
+            let outward = view.pose(joint.a).rotation * normal(joint);
+            let n = n_pairs(joint).min(3);
+            pull += (if own == joint.b { outward } else { -outward }) * n as f32;
+            if grips.is_none_or(|(most, ..)| n > most) {
+                grips = Some((n, own, other));
+            }
+        }
+        let (_, own, other) = grips?;
+        Some(self.pull(view, own, other, pull))
+    }
+
+    /// Takes a part off a piece that can not be completed.
+    pub(super) fn shrink(&mut self, view: &View, piece: Parts) -> Vec<Command> {
+        let safe = |expert: &mut Self, rest: Parts| {
+            (0..expert.assembly.n_sides()).any(|side| expert.assembly.is_safe(side, rest))
+        };
+        let off = piece.iter().find(|&part| safe(self, piece.without(Parts::one(part)))).or_else(|| piece.iter().last());
+        off.map_or_else(Vec::new, |part| self.split_off(view, part))
+    }
+
+    /// Pulls one part off the rightly connected piece that it belongs to.
+    pub(super) fn split_off(&self, view: &View, part: usize) -> Vec<Command> {
+        let block = self.block(part);
+        let mut pull = Vector3::zeros();
+        let mut grip: Option<(usize, BlockIdx)> = None;
+        for joint in view.joints.iter().filter(|j| j.a == block || j.b == block) {
+            let other = if joint.a == block { joint.b } else { joint.a };
+            let outward = view.pose(joint.a).rotation * normal(joint);
+            let n = n_pairs(joint).min(3);
+            pull += (if joint.b == block { outward } else { -outward }) * n as f32;
+            if grip.is_none_or(|(most, _)| n > most) {
+                grip = Some((n, other));
+            }
+        }
+        grip.map_or_else(Vec::new, |(_, other)| self.pull(view, block, other, pull))
+    }
+
+    fn pull(&self, view: &View, own: BlockIdx, other: BlockIdx, direction: Vector3<f32>) -> Vec<Command> {
+        let _ = view;
+        let direction = direction.try_normalize(0.1).unwrap_or_else(Vector3::z);
+        let speed = self.limits.max_speed_mps;
+        let twist = |linear: Vector3<f32>| Twist { linear, angular: Vector3::zeros() };
+        vec![
+            Command { block: own, twist: twist((direction + Vector3::z() * 0.3) * speed) },
+            Command { block: other, twist: twist(-direction * speed) },
+        ]
+    }
+}
+
+/// Magnet pairs of a connection.
+fn n_pairs(joint: &Joint) -> usize {
+    Inventory::standard().magnet_pairs(joint.a, joint.b, joint.relative).len()
+}
+
+/// From `a` to `b` across the faces that meet, in `a`'s frame.
+fn normal(joint: &Joint) -> Vector3<f32> {
+    let inventory = Inventory::standard();
+    let pairs = inventory.magnet_pairs(joint.a, joint.b, joint.relative);
+    pairs.first().map_or_else(Vector3::zeros, |&(i, _)| {
+        Vector3::from(inventory.magnets(joint.a)[i].normal.map(|x| x as f32))
+    })
+}

@@ -1,0 +1,87 @@
+//! What the expert reads out of a scene: pieces that are right, connections that are wrong, where everything is.
+
+use blueprints::assembly::Parts;
+use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
+use nalgebra::{Isometry3, Vector3};
+use proto::{Joint, N_GRIPPERS, Scene};
+
+use crate::connections::block_array;
+use crate::convert::from_pose;
+
+/// A scene seen with a goal in mind.
+pub(super) struct View {
+    pub(super) poses: [Isometry3<f32>; N_BLOCKS],
+    pub(super) half_extents: [Vector3<f32>; N_BLOCKS],
+    /// The blueprint's part that a block is.
+    pub(super) part_of: [Option<usize>; N_BLOCKS],
+    /// For each part, the parts that hang together with it through right connections only.
+    pieces: Vec<Parts>,
+    /// Connections that the blueprint does not have.
+    pub(super) wrong: Vec<Joint>,
+    pub(super) joints: Vec<Joint>,
+    pub(super) held: [Option<BlockIdx>; N_GRIPPERS],
+    /// Lowest block of each block's component, through whatever connections.
+    components: [usize; N_BLOCKS],
+    pub(super) speeds_mps: [f32; N_BLOCKS],
+}
+
+impl View {
+    pub(super) fn new(scene: &Scene, blueprint: &Blueprint) -> Self {
+        let poses = scene.blocks.each_ref().map(from_pose);
+        let half_extents = block_array(|block| Vector3::from(Inventory::standard().half_extents_m(block)));
+        let mut part_of = [None; N_BLOCKS];
+        for (part, placement) in blueprint.placements().iter().enumerate() {
+            part_of[placement.block.get()] = Some(part);
+        }
+        let mut pieces: Vec<Parts> = (0..blueprint.n_blocks()).map(Parts::one).collect();
+        let mut wrong = Vec::new();
+        let mut components: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
+        for joint in &scene.joints {
+            let (a, b) = (joint.a.get(), joint.b.get());
+            let (keep, drop) = (components[a].min(components[b]), components[a].max(components[b]));
+            components.iter_mut().filter(|c| **c == drop).for_each(|c| *c = keep);
+            let right = blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
+            match (part_of[a], part_of[b]) {
+                (Some(a), Some(b)) if right => {
+                    let joined = pieces[a].union(pieces[b]);
+                    joined.iter().for_each(|part| pieces[part] = joined);
+                }
+                _ => wrong.push(*joint),
+            }
+        }
+        Self {
+            poses,
+            half_extents,
+            part_of,
+            pieces,
+            wrong,
+            joints: scene.joints.clone(),
+            held: scene.grippers.map(|gripper| gripper.and_then(|g| g.held)),
+            components,
+            speeds_mps: scene.speeds_mps,
+        }
+    }
+
+    /// The parts that hang together with `part` through right connections.
+    pub(super) fn piece(&self, part: usize) -> Parts {
+        self.pieces[part]
+    }
+
+    /// All pieces, each once.
+    pub(super) fn pieces(&self) -> impl Iterator<Item = Parts> + '_ {
+        self.pieces.iter().enumerate().filter(|&(part, piece)| piece.iter().next() == Some(part)).map(|(_, &p)| p)
+    }
+
+    /// Whether two blocks hang together through whatever connections.
+    pub(super) fn together(&self, a: BlockIdx, b: BlockIdx) -> bool {
+        self.components[a.get()] == self.components[b.get()]
+    }
+
+    pub(super) fn pose(&self, block: BlockIdx) -> &Isometry3<f32> {
+        &self.poses[block.get()]
+    }
+
+    pub(super) fn is_held(&self, block: BlockIdx) -> bool {
+        self.held.contains(&Some(block))
+    }
+}
