@@ -79,6 +79,13 @@ impl Assembly {
         if sides.is_empty() { Err(NoAssembly) } else { Ok(Self { geometry, blocks, sides }) }
     }
 
+    /// Whether there is a side to build the placements on, without ranking the sides: several times as fast as
+    /// [`of_placements`](Self::of_placements), for those who judge many structures.
+    pub(crate) fn is_possible(placements: &[Placement]) -> bool {
+        let geometry = Geometry::new(placements);
+        UPS.into_iter().any(|up| Side { up, safe: BTreeMap::new() }.is_safe(&geometry, Parts::default()))
+    }
+
     /// The blocks by part index.
     pub fn blocks(&self) -> &[BlockIdx] {
         &self.blocks

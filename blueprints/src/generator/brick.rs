@@ -35,11 +35,19 @@ impl Brick {
         self.low[axis] + self.size[axis]
     }
 
-    pub(super) fn cells(&self) -> Vec<Cell> {
+    /// Whether `wanted` holds for every cell; it is called up to the first for which it does not.
+    pub(super) fn all_cells(&self, mut wanted: impl FnMut(Cell) -> bool) -> bool {
         let [x, y, z] = self.low;
-        let [a, b, c] = self.size;
-        let column = move |i, j| (0..c).map(move |k| [x + i, y + j, z + k]);
-        (0..a).flat_map(move |i| (0..b).flat_map(move |j| column(i, j))).collect()
+        (x..self.high(0)).all(|i| (y..self.high(1)).all(|j| (z..self.high(2)).all(|k| wanted([i, j, k]))))
+    }
+
+    pub(super) fn cells(&self) -> Vec<Cell> {
+        let mut cells = Vec::new();
+        self.all_cells(|cell| {
+            cells.push(cell);
+            true
+        });
+        cells
     }
 
     pub(super) fn overlaps(&self, other: &Self) -> bool {

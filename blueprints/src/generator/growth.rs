@@ -5,7 +5,7 @@ use super::dice::Dice;
 use super::tiling::shapes;
 
 /// Places that are compared for every block.
-const N_OFFERS: usize = 14;
+const N_OFFERS: usize = 20;
 
 /// What a structure likes.
 struct Taste {
@@ -22,10 +22,10 @@ struct Taste {
 /// Grows `n_blocks` blocks from the ground; `None` if they found no place.
 pub(super) fn grow(n_blocks: usize, dice: &mut Dice) -> Option<Vec<Brick>> {
     let taste = Taste {
-        close: dice.between(0, 4),
+        close: dice.between(1, 5),
         upward: dice.between(-1, 3),
         big: dice.between(0, 2),
-        mirrored: dice.chance(60),
+        mirrored: dice.chance(70),
     };
     let mut stock = Stock::full();
     let &(type_idx, size) = &shapes()[dice.below(shapes().len())];

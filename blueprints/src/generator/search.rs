@@ -15,7 +15,7 @@ const MAX_DRAWS: usize = 20_000;
 /// Sound structures among which the most appealing is taken.
 const N_CANDIDATES: usize = 3;
 /// The same for styles that ask for a record.
-const N_RECORD_CANDIDATES: usize = 12;
+const N_RECORD_CANDIDATES: usize = 8;
 /// Draws after which an idea for a record is given up for the next.
 const DRAWS_PER_IDEA: usize = 500;
 /// Draws after which one sound structure is enough.
@@ -137,5 +137,5 @@ fn judge(bricks: &[Brick], words: &str, dice: &mut Dice) -> Option<Found> {
 
 /// Whether the structure can be put together part by part.
 fn assemblable(placements: &[Placement]) -> bool {
-    Assembly::of_placements(placements).is_ok()
+    Assembly::is_possible(placements)
 }

@@ -1,6 +1,6 @@
 //! Filling a drawn shape with blocks: a random exact cover with a given number of pieces from the stock.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use super::brick::{Brick, Cell, Stock};
 use super::dice::Dice;
@@ -8,6 +8,8 @@ use crate::Inventory;
 
 /// Pieces that a search places before it gives up; more searches find more than longer ones.
 const MAX_NODES: usize = 600;
+/// Places that are tried for a broad block before the search.
+const TRIES_PER_PLATE: usize = 24;
 
 /// A plane that maps a shape onto itself: an axis, and the sum of a cell's and its image's coordinate along it.
 pub(super) type Mirror = (usize, i32);
@@ -38,17 +40,68 @@ pub(super) fn fill(
     dice.shuffle(&mut axes);
     let mut order: Vec<Cell> = cells.iter().copied().collect();
     order.sort_by_key(|cell| axes.map(|k| cell[k]));
-    let index = order.iter().enumerate().map(|(i, &cell)| (cell, i)).collect();
-    let free = vec![true; order.len()];
-    let mut search =
-        Search { order, index, free, mirror, stock: Stock::full(), bricks: Vec::new(), n_blocks, nodes: MAX_NODES };
+    let n_free = order.len() as i32;
+    let grid = Grid::of(cells);
+    let mut search = Search {
+        order,
+        grid,
+        n_free,
+        mirror,
+        stock: Stock::full(),
+        bricks: Vec::with_capacity(n_blocks),
+        n_blocks,
+        nodes: MAX_NODES,
+    };
+    if dice.chance(60) {
+        search.place_plates(dice);
+    }
     search.run(0, dice).then_some(search.bricks)
+}
+
+/// Which cells of a cuboid are free.
+struct Grid {
+    low: Cell,
+    size: [i32; 3],
+    free: Vec<bool>,
+}
+
+impl Grid {
+    fn of(cells: &BTreeSet<Cell>) -> Self {
+        let along = |k: usize| cells.iter().map(move |cell| cell[k]);
+        let low: Cell = std::array::from_fn(|k| along(k).min().unwrap_or(0));
+        let size: [i32; 3] = std::array::from_fn(|k| along(k).max().unwrap_or(0) - low[k] + 1);
+        let mut grid = Self { low, size, free: vec![false; size.iter().product::<i32>() as usize] };
+        for &cell in cells {
+            let at = grid.at(cell);
+            grid.free[at] = true;
+        }
+        grid
+    }
+
+    fn at(&self, cell: Cell) -> usize {
+        let [x, y, z]: [i32; 3] = std::array::from_fn(|k| cell[k] - self.low[k]);
+        ((x * self.size[1] + y) * self.size[2] + z) as usize
+    }
+
+    fn is_free(&self, brick: &Brick) -> bool {
+        let inside = (0..3).all(|k| self.low[k] <= brick.low[k] && brick.high(k) <= self.low[k] + self.size[k]);
+        inside && brick.all_cells(|cell| self.free[self.at(cell)])
+    }
+
+    fn set(&mut self, brick: &Brick, free: bool) {
+        brick.all_cells(|cell| {
+            let at = self.at(cell);
+            self.free[at] = free;
+            true
+        });
+    }
 }
 
 struct Search {
     order: Vec<Cell>,
-    index: BTreeMap<Cell, usize>,
-    free: Vec<bool>,
+    grid: Grid,
+    /// Free cells.
+    n_free: i32,
     mirror: Option<Mirror>,
     stock: Stock,
     bricks: Vec<Brick>,
@@ -57,18 +110,39 @@ struct Search {
 }
 
 impl Search {
+    /// Puts blocks that are broad both ways where they fit, before others take their places: a thin shape has few.
+    fn place_plates(&mut self, dice: &mut Dice) {
+        for type_idx in (0..Inventory::standard().types().len()).rev() {
+            let ways: Vec<[i32; 3]> = shapes().iter().filter(|(t, _)| *t == type_idx).map(|(_, size)| *size).collect();
+            if ways[0].iter().filter(|&&n| n > 1).count() < 2 {
+                continue;
+            }
+            for _ in 0..TRIES_PER_PLATE * self.stock.left(type_idx) {
+                let brick = Brick { type_idx, low: dice.pick(&self.order), size: dice.pick(&ways) };
+                if !self.grid.is_free(&brick) {
+                    continue;
+                }
+                if let Some(group) = self.group(brick)
+                    && group.len() <= self.stock.left(type_idx)
+                    && group.len() + self.bricks.len() <= self.n_blocks
+                {
+                    self.place(&group, true);
+                }
+            }
+        }
+    }
+
     fn run(&mut self, from: usize, dice: &mut Dice) -> bool {
-        let Some(first) = (from..self.order.len()).find(|&i| self.free[i]) else {
+        let Some(first) = (from..self.order.len()).find(|&i| self.grid.free[self.grid.at(self.order[i])]) else {
             return self.bricks.len() == self.n_blocks;
         };
         let n_left = self.n_blocks - self.bricks.len();
-        let volume_left = self.free[first..].iter().filter(|free| **free).count() as i32;
         let (least, most) = self.stock.volume_range(n_left);
-        if n_left == 0 || !(least..=most).contains(&volume_left) || self.nodes == 0 {
+        if n_left == 0 || !(least..=most).contains(&self.n_free) || self.nodes == 0 {
             return false;
         }
         self.nodes -= 1;
-        let mean = f64::from(volume_left) / n_left as f64;
+        let mean = f64::from(self.n_free) / n_left as f64;
         for group in self.groups(first, mean, dice) {
             if group.len() > n_left {
                 continue;
@@ -87,11 +161,11 @@ impl Search {
         let mut groups: Vec<(f64, Vec<Brick>)> = Vec::new();
         for &(type_idx, size) in shapes() {
             let brick = Brick { type_idx, low: self.order[first], size };
-            let Some(group) = self.group(brick) else { continue };
-            if self.stock.left(type_idx) < group.len() {
+            if self.stock.left(type_idx) == 0 || !self.grid.is_free(&brick) {
                 continue;
             }
-            if brick.cells().iter().all(|cell| self.index.get(cell).is_some_and(|&i| self.free[i])) {
+            let Some(group) = self.group(brick) else { continue };
+            if self.stock.left(type_idx) >= group.len() {
                 let off = (f64::from(brick.volume()) - mean).abs();
                 groups.push((off + 3.0 * dice.below(1000) as f64 / 1000.0, group));
             }
@@ -109,9 +183,8 @@ impl Search {
 
     fn place(&mut self, group: &[Brick], placed: bool) {
         for brick in group {
-            for cell in brick.cells() {
-                self.free[self.index[&cell]] = !placed;
-            }
+            self.grid.set(brick, !placed);
+            self.n_free += if placed { -brick.volume() } else { brick.volume() };
         }
         let type_idx = group[0].type_idx;
         if placed {

@@ -211,17 +211,20 @@ fn winding_stairs(volume: i32, dice: &mut Dice) -> Option<Sketch> {
 /// Layers that get smaller on two or four sides.
 pub(super) fn pyramid(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let [mut a, mut b] = dice.pick(&[[1, 1], [1, 1], [2, 1], [2, 2], [3, 1], [2, 3], [1, 3]]);
-    let [grow_a, grow_b] = dice.pick(&[[2, 2], [2, 2], [2, 0], [2, 1]]);
+    let growth = dice.pick(&[[2, 2], [2, 2], [2, 0], [2, 1]]);
+    // Some grow by turns to the sides, so that nearly every volume can be met.
+    let steady = dice.chance(40);
     let (tall, finial) = (dice.pick(&[1, 1, 1, 2]), dice.pick(&[0, 0, 1, 2]));
     let mut layers = Vec::new();
     let mut left = volume - finial;
     while left > 0 {
         layers.push([a, b]);
         left -= a * b * tall;
-        (a, b) = (a + grow_a, b + grow_b);
+        let [more_a, more_b] = if steady { growth } else { dice.pick(&[[2, 2], [2, 0], [0, 2]]) };
+        (a, b) = (a + more_a, b + more_b);
     }
     let [a, b] = *layers.last()?;
-    let mut sketch = Sketch::new(if grow_b == 0 { "ziggurat" } else { "pyramid" });
+    let mut sketch = Sketch::new(if steady && growth[1] == 0 { "ziggurat" } else { "pyramid" });
     let n_layers = layers.len() as i32;
     for (i, &[own_a, own_b]) in (0..).zip(&layers) {
         sketch.add([(a - own_a) / 2, (b - own_b) / 2, (n_layers - 1 - i) * tall], [own_a, own_b, tall]);

@@ -113,19 +113,22 @@ pub(super) fn cross(volume: i32, dice: &mut Dice) -> Option<Sketch> {
             (fits && (tips == 0 || arm_x.min(arm_y) > 1)).then_some(sketch)?.of_volume(volume)
         })
     } else {
-        let (deep, arm, foot) = (dice.pick(&[1, 1, 2]), dice.between(1, 3), dice.pick(&[0, 1, 1, 2]));
+        let (deep, arm, foot) = (dice.pick(&[1, 1, 2, 2, 3]), dice.between(1, 4), dice.pick(&[0, 1, 1, 2]));
+        let thick = dice.pick(&[wide, wide, wide + 1]);
         (3..=12).find_map(|tall| {
             let mut sketch = Sketch::new("standing cross");
             sketch.add([0, 0, 0], [wide, deep, tall]);
             // The bar sits in the upper half, a bit of the shaft above it.
-            let bar = tall - wide - (tall - wide) / 3;
-            sketch.add([-arm, 0, bar.max(1)], [2 * arm + wide, deep, wide]);
+            let bar = tall - thick - (tall - thick) / 3;
+            sketch.add([-arm, 0, bar.max(1)], [2 * arm + wide, deep, thick]);
             match foot {
                 1 => sketch.add([-1, 0, 0], [wide + 2, deep, 1]),
                 2 => sketch.add([-1, -1, 0], [wide + 2, deep + 2, 1]),
                 _ => {}
             }
-            (bar >= 2).then_some(sketch)?.of_volume(volume)
+            (bar >= 2 && bar + thick < tall && bar <= 2 * arm + 4 && deep <= wide + 1)
+                .then_some(sketch)?
+                .of_volume(volume)
         })
     }
 }

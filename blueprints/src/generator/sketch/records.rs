@@ -92,7 +92,7 @@ impl Row {
 
 /// A deck two up, on piers of two by two, with a pylon over each.
 fn suspension_bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
-    let (pylon, ends) = (dice.pick(&[2, 3, 3]), dice.pick(&[0, 2, 2]));
+    let (pylon, ends) = (dice.pick(&[2, 3, 3]), dice.pick(&[0, 2]));
     let length = volume - 2 * 4 - 2 * 2 * pylon - 2 * ends;
     let overhang = if ends > 0 { dice.between(3, 6) } else { dice.between(2, 4) };
     let mut sketch = Sketch::new("suspension bridge");
