@@ -2,6 +2,7 @@
 
 mod blueprints;
 mod eval;
+mod generate;
 mod router;
 mod services;
 mod train;
