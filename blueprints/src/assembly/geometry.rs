@@ -178,7 +178,7 @@ impl Geometry {
     pub(super) fn approaches(&self, placed: Parts, group: Parts, up: [i32; 3]) -> impl Iterator<Item = Approach> {
         let directions = self.directions(placed, group, up);
         // Ways along which nothing comes near but the wanted faces, then the others.
-        [true, false].into_iter().flat_map(move |wide| {
+        [true].into_iter().flat_map(move |wide| {
             directions.clone().into_iter().filter_map(move |direction| {
                 let length_half_units = self.free_way(placed, group, direction, up, wide)?;
                 Some(Approach { direction, length_half_units })

@@ -13,11 +13,11 @@ const MAX_ASIDE_M: f32 = 0.015;
 /// Within this of its orientation, rad.
 const MAX_TURN_RAD: f32 = 0.12;
 /// The way in is fast up to this distance from the place, just out of reach of the magnets, m.
-const BRAKE_M: f32 = 0.033;
+const BRAKE_M: f32 = 0.032;
 /// Speed of the fast part, m/s.
 const ENTRY_SPEED_MPS: f32 = 2.0;
 /// Speed of the rest, m/s: once the magnets have snapped, the gripper drags the whole structure along.
-const TOUCH_SPEED_MPS: f32 = 0.2;
+const TOUCH_SPEED_MPS: f32 = 0.10;
 /// Two carried pieces closer than this part, m.
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
