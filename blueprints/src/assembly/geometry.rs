@@ -254,13 +254,10 @@ impl Box3 {
         Self { low: self.low.map(|x| x - by), high: self.high.map(|x| x + by) }
     }
 
+    /// Longer by `length` in a direction.
     fn stretched(&self, direction: [i32; 3], length: i32) -> Self {
-        let mut stretched = *self;
-        for k in 0..3 {
-            stretched.low[k] += (direction[k] * length).min(0);
-            stretched.high[k] += (direction[k] * length).max(0);
-        }
-        stretched
+        let by = direction.map(|x| x * length);
+        Self { low: add(self.low, by.map(|x| x.min(0))), high: add(self.high, by.map(|x| x.max(0))) }
     }
 
     fn overlaps(&self, other: &Self) -> bool {

@@ -18,7 +18,8 @@ const GROUND_M: f32 = 0.03;
 
 impl Expert {
     /// Pulls a piece off what it wrongly hangs on; `None` if no connection is wrong.
-    pub(super) fn take_down(&self, view: &View, wrong: &[Joint]) -> Option<Vec<Command>> {
+    pub(super) fn take_down(&self, view: &View) -> Option<Vec<Command>> {
+        let wrong = &view.wrong;
         // A piece goes by its first block.
         let node = |block: BlockIdx| {
             view.part_of[block.get()]
