@@ -44,15 +44,6 @@ struct Side {
     safe: BTreeMap<Parts, bool>,
 }
 
-/// What to add next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Addition {
-    /// The parts that come as one piece.
-    pub parts: Parts,
-    /// The way in.
-    pub approach: Approach,
-}
-
 impl Assembly {
     /// Looks for the sides on which the blueprint can be built.
     ///
@@ -129,7 +120,7 @@ impl Assembly {
 
     /// The best way in for `group` when `placed` stands; `None` if there is none.
     pub fn approach(&self, side: usize, placed: Parts, group: Parts) -> Option<Approach> {
-        self.geometry.approach(placed, group, self.sides[side].up)
+        self.approaches(side, placed, group).next()
     }
 
     /// Support margin of `placed` in units; negative if it does not stand.
@@ -165,7 +156,7 @@ impl Side {
         let mut found: Vec<(i32, i64, i32, usize)> = Vec::new();
         for part in geometry.all().without(placed).iter() {
             let group = Parts::one(part);
-            if !placed.is_empty() && geometry.approach(placed, group, self.up).is_none() {
+            if !placed.is_empty() && geometry.approaches(placed, group, self.up).next().is_none() {
                 continue;
             }
             let margin_u = geometry.margin_u(placed.with(part), self.up);
@@ -223,25 +214,4 @@ impl Side {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::Catalogue;
-
-    #[test]
-    fn show() {
-        for blueprint in Catalogue::builtin().iter() {
-            let t = std::time::Instant::now();
-            match Assembly::new(blueprint) {
-                Ok(mut a) => println!(
-                    "{} {:?} sides {} up {:?} order {:?}",
-                    blueprint.id(),
-                    t.elapsed(),
-                    a.n_sides(),
-                    a.up(0),
-                    a.order().iter().map(|b| b.get()).collect::<Vec<_>>()
-                ),
-                Err(e) => println!("{} {:?} {e}", blueprint.id(), t.elapsed()),
-            }
-        }
-    }
-}
+mod tests;

@@ -35,6 +35,28 @@ pub struct Expert {
     n_grippers: usize,
 }
 
+/// What the expert is about in a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Activity {
+    /// Takes wrong connections apart, or a piece that cannot be completed.
+    TakingDown,
+    /// Turns the piece to build on onto its side, or carries it to free ground.
+    Settling,
+    /// Carries away a block that lies where another one must pass.
+    Clearing,
+    /// Fetches blocks and brings them in.
+    Adding,
+}
+
+/// An action and the reason for it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decision {
+    /// What to do.
+    pub action: Action,
+    /// What for.
+    pub activity: Activity,
+}
+
 /// What one gripper should do for a step.
 #[derive(Clone, Copy, Debug)]
 struct Command {
@@ -66,21 +88,26 @@ impl Expert {
 
     /// What to do in `scene`.
     pub fn act(&mut self, scene: &Scene) -> Action {
-        let view = View::new(scene, &self.blueprint);
-        let commands = self.decide(&view);
-        self.action(&view, &commands)
+        self.decide(scene).action
     }
 
-    fn decide(&mut self, view: &View) -> Vec<Command> {
-        if let Some(commands) = self.take_down(view, &view.wrong) {
-            return commands;
+    /// What to do in `scene`, and why.
+    pub fn decide(&mut self, scene: &Scene) -> Decision {
+        let view = View::new(scene, &self.blueprint);
+        let (activity, commands) = self.commands(&view);
+        Decision { action: self.action(&view, &commands), activity }
+    }
+
+    fn commands(&mut self, view: &View) -> (Activity, Vec<Command>) {
+        if let Some(commands) = self.take_down(view) {
+            return (Activity::TakingDown, commands);
         }
         match self.base(view) {
+            Err(piece) => (Activity::TakingDown, self.shrink(view, piece)),
             Ok(base) => match self.settle(view, &base) {
-                Some(command) => vec![command],
+                Some(command) => (Activity::Settling, vec![command]),
                 None => self.add(view, &base),
             },
-            Err(piece) => self.shrink(view, piece),
         }
     }
 
@@ -201,28 +228,5 @@ impl Expert {
             action.moves[command.block.get()] = self.limits.entry(frame, twist);
         }
         action
-    }
-}
-impl Expert {
-    #[doc(hidden)]
-    pub fn describe(&mut self, scene: &Scene) -> String {
-        let view = View::new(scene, &self.blueprint);
-        let wrong: Vec<_> = view.wrong.iter().map(|j| (j.a.get(), j.b.get())).collect();
-        match self.base(&view) {
-            Ok(base) => {
-                let blocks: Vec<_> = base.parts.iter().map(|p| self.block(p).get()).collect();
-                let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
-                let next = self.assembly.next(base.side, base.parts).map(|p| self.block(p).get());
-                format!("base {blocks:?} side {} tilt {tilt:.2} lift {:.3} next {next:?} wrong {wrong:?}", base.side, self.lift_m(&base.frame, base.side))
-            }
-            Err(piece) => format!("stuck piece {piece:?} wrong {wrong:?}"),
-        }
-    }
-}
-impl Expert {
-    #[doc(hidden)]
-    pub fn near(&mut self, scene: &Scene, block: BlockIdx) -> String {
-        let view = View::new(scene, &self.blueprint);
-        BlockIdx::all().filter(|&b| b != block).map(|b| (b, motion::gap((view.pose(block), &view.half_extents[block.get()]), (view.pose(b), &view.half_extents[b.get()])))).filter(|x| x.1 < 0.05).map(|(b, g)| format!("{}:{:.3}", b.get(), g)).collect::<Vec<_>>().join(" ")
     }
 }

@@ -24,7 +24,7 @@ mod physics_tests;
 mod reset;
 
 pub use config::{EnvironmentConfig, EnvironmentConfigError};
-pub use expert::Expert;
+pub use expert::{Activity, Decision, Expert};
 pub use env::{Env, ResetError, StepResult};
 pub use reset::sample_assignment;
 pub use success::StableSuccess;

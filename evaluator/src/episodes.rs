@@ -90,7 +90,7 @@ pub fn evaluate(
     Ok(report)
 }
 
-/// Shares the lanes out among threads; the results have the shape of `lanes`.
+/// Runs the lanes with the policy; the results have the shape of `lanes`.
 pub(crate) fn run_all(
     setup: &EvalSetup<'_>,
     weights: &Weights,
@@ -98,28 +98,35 @@ pub(crate) fn run_all(
     acting: Acting,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Vec<Played>>, EvalError> {
-    let share = |lanes: &[Vec<Job>]| -> Result<Vec<Vec<Played>>, EvalError> {
+    share_out(lanes, setup.episodes.n_threads, |lanes| {
         let mut policy = Policy::new(&setup.policy)?;
         policy.load(weights)?;
         let n_worlds = setup.episodes.n_worlds.min(lanes.len());
         let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&setup.environment)).collect();
         let success = &setup.environment.success;
-        let rules = Rules { catalogue: setup.catalogue, policy: &policy, acting, success, keep_going };
-        run_lanes(&rules, worlds?, lanes)
-    };
-    let n_threads = setup.episodes.n_threads.max(1);
-    if n_threads == 1 {
-        return share(lanes);
+        let rules = Rules { catalogue: setup.catalogue, acting, success, keep_going };
+        run_lanes(&rules, &policy, worlds?, lanes)
+    })
+}
+
+/// Shares the lanes out among threads; the results are in the order of the lanes.
+pub(crate) fn share_out<T: Send>(
+    lanes: &[Vec<Job>],
+    n_threads: usize,
+    run: impl Fn(&[Vec<Job>]) -> Result<Vec<T>, EvalError> + Sync,
+) -> Result<Vec<T>, EvalError> {
+    if n_threads <= 1 {
+        return run(lanes);
     }
     let shares = lanes.chunks(lanes.len().div_ceil(n_threads).max(1));
     std::thread::scope(|scope| {
-        let share = &share;
-        let threads: Vec<_> = shares.map(|lanes| scope.spawn(move || share(lanes))).collect();
-        let mut played = Vec::with_capacity(lanes.len());
+        let run = &run;
+        let threads: Vec<_> = shares.map(|lanes| scope.spawn(move || run(lanes))).collect();
+        let mut results = Vec::with_capacity(lanes.len());
         for thread in threads {
-            played.extend(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
+            results.extend(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
         }
-        Ok(played)
+        Ok(results)
     })
 }
 

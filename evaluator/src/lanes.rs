@@ -37,7 +37,6 @@ pub(crate) struct Played {
 /// What all worlds of a thread have in common.
 pub(crate) struct Rules<'a> {
     pub(crate) catalogue: &'a Catalogue,
-    pub(crate) policy: &'a Policy,
     pub(crate) acting: Acting,
     pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
@@ -74,7 +73,6 @@ impl Job {
         Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
     }
 
-    #[cfg(test)]
     pub(crate) fn task(&self) -> &Task {
         &self.task
     }
@@ -85,6 +83,7 @@ impl Job {
 /// The results have the shape of `lanes`.
 pub(crate) fn run_lanes<E: Env>(
     rules: &Rules<'_>,
+    policy: &Policy,
     worlds: Vec<E>,
     lanes: &[Vec<Job>],
 ) -> Result<Vec<Vec<Played>>, EvalError> {
@@ -94,7 +93,7 @@ pub(crate) fn run_lanes<E: Env>(
     let mut rngs: Vec<ChaCha8Rng> = Vec::new();
     for env in worlds {
         let Some(lane) = waiting.next() else { break };
-        let (seat, rng) = Seat::begin(rules, env, lane)?;
+        let (seat, rng) = Seat::begin(rules, env, (lane.0, lane.1.as_slice()))?;
         seats.push(seat);
         rngs.push(rng);
     }
@@ -102,14 +101,14 @@ pub(crate) fn run_lanes<E: Env>(
         Acting::Mode => ActionMode::Mode,
         Acting::Sampled => ActionMode::Sampled,
     };
-    let mut batch = rules.policy.batch();
+    let mut batch = policy.batch();
     while !seats.is_empty() {
         if !(rules.keep_going)() {
             return Err(EvalError::Interrupted);
         }
         batch.clear();
         seats.iter().for_each(|seat| batch.push(seat.env.scene(), seat.env.blueprint()));
-        let decisions = rules.policy.act(&batch, &mut rngs, mode);
+        let decisions = policy.act(&batch, &mut rngs, mode);
         let mut done = Vec::new();
         for (seat_idx, decision) in decisions.into_iter().enumerate() {
             let seat = &mut seats[seat_idx];
@@ -134,8 +133,8 @@ pub(crate) fn run_lanes<E: Env>(
 }
 
 /// A world and its current episode.
-struct Seat<'a, E> {
-    env: E,
+pub(crate) struct Seat<'a, E> {
+    pub(crate) env: E,
     lane_idx: usize,
     job: &'a Job,
     forced_reset: bool,
@@ -144,10 +143,10 @@ struct Seat<'a, E> {
 }
 
 impl<'a, E: Env> Seat<'a, E> {
-    fn begin(
+    pub(crate) fn begin(
         rules: &Rules<'_>,
         env: E,
-        (lane_idx, lane): (usize, &'a Vec<Job>),
+        (lane_idx, lane): (usize, &'a [Job]),
     ) -> Result<(Self, ChaCha8Rng), EvalError> {
         let job = &lane[0];
         let episode_return = RewardTerms::default();
@@ -157,7 +156,7 @@ impl<'a, E: Env> Seat<'a, E> {
     }
 
     /// Starts an episode and returns the generator of its actions.
-    fn start(&mut self, rules: &Rules<'_>, lane_idx: usize, job: &'a Job) -> Result<ChaCha8Rng, EvalError> {
+    pub(crate) fn start(&mut self, rules: &Rules<'_>, lane_idx: usize, job: &'a Job) -> Result<ChaCha8Rng, EvalError> {
         let mut task = job.task.clone();
         let mut n_tried = 0;
         self.forced_reset = false;
@@ -183,7 +182,7 @@ impl<'a, E: Env> Seat<'a, E> {
     }
 
     /// One step; the episode if that ended it.
-    fn step(&mut self, rules: &Rules<'_>, action: &Action) -> Option<Played> {
+    pub(crate) fn step(&mut self, rules: &Rules<'_>, action: &Action) -> Option<Played> {
         let result = self.env.step(action);
         self.n_steps += 1;
         self.episode_return = sum(&self.episode_return, &result.reward);

@@ -7,6 +7,7 @@
 
 pub mod config;
 pub mod episodes;
+pub mod expert;
 pub mod group;
 mod lanes;
 pub mod report;
@@ -18,6 +19,7 @@ pub mod table;
 pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts};
 pub use environment::EnvironmentConfig;
 pub use episodes::{EvalError, EvalSetup, evaluate};
+pub use expert::{Cause, ExpertFailure, ExpertReport, ExpertSetup, evaluate_expert};
 pub use group::Group;
 pub use policy::PolicyConfig;
 pub use report::{Acting, EvalReport};

@@ -1,6 +1,6 @@
 //! Goals one after the other in a world that is never reset (paper, section "Reset-Free Evaluation").
 
-use blueprints::{Blueprint, Split};
+use blueprints::{Blueprint, Catalogue, Split};
 use proto::metrics::{EvalResetFree, EvalRuns};
 use proto::{Start, Weights};
 use rand::{RngExt, SeedableRng};
@@ -24,25 +24,45 @@ pub fn evaluate(
     weights: &Weights,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalResetFree, EvalError> {
-    let mut goals = setup.catalogue.of_split(Split::Train);
-    goals.retain(|blueprint| blueprint.n_blocks() >= config.min_blocks);
-    if goals.is_empty() {
-        return Err(EvalError::NoGoals { min_blocks: config.min_blocks });
+    let lanes = lanes(setup.catalogue, config, setup.seed)?;
+    let mut score = EvalResetFree::default();
+    for &acting in &setup.episodes.acting {
+        let found = self::score(config, &run_all(setup, weights, &lanes, acting, keep_going)?, acting);
+        (score.n_runs, score.n_goals) = (found.n_runs, found.n_goals);
+        match acting {
+            Acting::Mode => score.mode = found.mode,
+            Acting::Sampled => score.sampled = found.sampled,
+        }
     }
-    let lanes = plan_runs(&goals, config, setup.seed);
+    Ok(score)
+}
+
+/// The score of runs with one way of acting.
+pub(crate) fn score(config: &ResetFreeConfig, runs: &[Vec<Played>], acting: Acting) -> EvalResetFree {
     let mut score = EvalResetFree {
         n_runs: u64::from(config.n_runs),
         n_goals: u64::from(config.n_goals),
         ..EvalResetFree::default()
     };
-    for &acting in &setup.episodes.acting {
-        let runs = count(&run_all(setup, weights, &lanes, acting, keep_going)?, acting);
-        match acting {
-            Acting::Mode => score.mode = runs,
-            Acting::Sampled => score.sampled = runs,
-        }
+    let counted = count(runs, acting);
+    match acting {
+        Acting::Mode => score.mode = counted,
+        Acting::Sampled => score.sampled = counted,
     }
-    Ok(score)
+    score
+}
+
+/// The runs: one lane each.
+///
+/// # Errors
+/// When no training blueprint is large enough.
+pub(crate) fn lanes(catalogue: &Catalogue, config: &ResetFreeConfig, seed: u64) -> Result<Vec<Vec<Job>>, EvalError> {
+    let mut goals = catalogue.of_split(Split::Train);
+    goals.retain(|blueprint| blueprint.n_blocks() >= config.min_blocks);
+    if goals.is_empty() {
+        return Err(EvalError::NoGoals { min_blocks: config.min_blocks });
+    }
+    Ok(plan_runs(&goals, config, seed))
 }
 
 fn plan_runs(goals: &[&Blueprint], config: &ResetFreeConfig, seed: u64) -> Vec<Vec<Job>> {
@@ -90,7 +110,6 @@ fn count(runs: &[Vec<Played>], acting: Acting) -> EvalRuns {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::Catalogue;
     use proto::RewardTerms;
 
     use super::*;

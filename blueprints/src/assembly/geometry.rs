@@ -166,23 +166,14 @@ impl Geometry {
         support_margin(corners, center) / 2.0
     }
 
-    /// A straight way in for `group`, moved as one piece, while `placed` stands.
+    /// Straight ways in for `group`, moved as one piece, while `placed` stands, the best first.
     ///
-    /// The way leaves every face that the group touches, so no two of them may face each other, and it does not come
-    /// from below. At its beginning the sky above the group is free.
-    pub(super) fn approach(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Option<Approach> {
-        self.approaches(placed, group, up).next()
-    }
-
-    /// All straight ways in, the best first.
+    /// A way leaves every face that the group touches, so no two of them may face each other, and it does not come from
+    /// below. At its beginning the sky above the group is free.
     pub(super) fn approaches(&self, placed: Parts, group: Parts, up: [i32; 3]) -> impl Iterator<Item = Approach> {
-        let directions = self.directions(placed, group, up);
-        // Ways along which nothing comes near but the wanted faces, then the others.
-        [true, false].into_iter().flat_map(move |wide| {
-            directions.clone().into_iter().filter_map(move |direction| {
-                let length_half_units = self.free_way(placed, group, direction, up, wide)?;
-                Some(Approach { direction, length_half_units })
-            })
+        self.directions(placed, group, up).into_iter().filter_map(move |direction| {
+            let length_half_units = self.free_way(placed, group, direction, up)?;
+            Some(Approach { direction, length_half_units })
         })
     }
 
@@ -219,14 +210,14 @@ impl Geometry {
 
     /// Length after which a group that moves off along `direction` is clear of everything and has the sky above it.
     ///
-    /// On a `wide` way nothing comes nearer than a half unit: a face that slides along another one would be caught by
-    /// the wrong magnets.
-    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3], wide: bool) -> Option<i32> {
+    /// All along, nothing comes nearer than a half unit but the faces that the group touches: a face that slides along
+    /// another one would be caught by the wrong magnets.
+    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3]) -> Option<i32> {
         let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
         for t in 1..=MAX_APPROACH {
             let moved = |part: usize| self.boxes[part].moved(direction.map(|x| x * t));
-            // After one half unit, magnets that are to meet others still lie half way between them.
-            let room = i32::from(wide && t > 1);
+            // After one half unit, a face that passes another one is offset by half a cell: no magnets meet.
+            let room = i32::from(t > 1);
             if group.iter().any(|part| hits(moved(part).grown(room))) {
                 return None;
             }
@@ -262,13 +253,10 @@ impl Box3 {
         Self { low: self.low.map(|x| x - by), high: self.high.map(|x| x + by) }
     }
 
+    /// Longer by `length` in a direction.
     fn stretched(&self, direction: [i32; 3], length: i32) -> Self {
-        let mut stretched = *self;
-        for k in 0..3 {
-            stretched.low[k] += (direction[k] * length).min(0);
-            stretched.high[k] += (direction[k] * length).max(0);
-        }
-        stretched
+        let by = direction.map(|x| x * length);
+        Self { low: add(self.low, by.map(|x| x.min(0))), high: add(self.high, by.map(|x| x.max(0))) }
     }
 
     fn overlaps(&self, other: &Self) -> bool {

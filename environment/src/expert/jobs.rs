@@ -1,23 +1,23 @@
 //! Fetching: which pieces come next, and how each is brought in.
 
 use blueprints::BlockIdx;
-use blueprints::assembly::{Approach, Parts};
+use blueprints::assembly::{Approach, MIN_BUILD_MARGIN_U, Parts};
 use nalgebra::{Isometry3, Vector3};
 
 use super::motion::{Limits, Load, Twist, gap};
 use super::view::View;
-use super::{Base, Command, Expert};
+use super::{Activity, Base, Command, Expert};
 
 /// Within this of the way's axis a piece may come in, m.
 const MAX_ASIDE_M: f32 = 0.015;
 /// Within this of its orientation, rad.
 const MAX_TURN_RAD: f32 = 0.12;
 /// The way in is fast up to this distance from the place, just out of reach of the magnets, m.
-const BRAKE_M: f32 = 0.033;
+const BRAKE_M: f32 = 0.032;
 /// Speed of the fast part, m/s.
 const ENTRY_SPEED_MPS: f32 = 2.0;
 /// Speed of the rest, m/s: once the magnets have snapped, the gripper drags the whole structure along.
-const TOUCH_SPEED_MPS: f32 = 0.2;
+const TOUCH_SPEED_MPS: f32 = 0.10;
 /// Two carried pieces closer than this part, m.
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
@@ -53,26 +53,30 @@ struct Job {
 
 impl Expert {
     /// Adds the next pieces to the base.
-    pub(super) fn add(&mut self, view: &View, base: &Base) -> Vec<Command> {
-        let Some(first) = self.assembly.next(base.side, base.parts) else { return vec![] };
-        let piece = view.piece(first);
-        let Some(first_job) = self.job(view, base, base.parts, piece) else {
-            return self.split_off(view, first);
+    pub(super) fn add(&mut self, view: &View, base: &Base) -> (Activity, Vec<Command>) {
+        // When all stand, a connection between two of them is still missing: the magnets close it.
+        let Some(first) = self.assembly.next(base.side, base.parts) else { return (Activity::Adding, vec![]) };
+        let Some(job) = self.job(view, base, base.parts, view.piece(first)) else {
+            return (Activity::TakingDown, self.split_off(view, first));
         };
-        if let Some(stray) = self.in_the_way(view, base, &first_job) {
-            return vec![self.park(view, base, stray, &first_job)];
+        if let Some(stray) = self.in_the_way(view, base, &job) {
+            return (Activity::Clearing, vec![self.park(view, base, stray, &job)]);
         }
-        let mut commands = vec![self.bring(view, &first_job)];
-        if self.n_grippers > 1
-            && let Some((job, waits)) = self.second_job(view, base, &first_job)
-        {
-            commands.push(match self.yields(view, &job, &first_job) {
-                Some(command) => command,
-                None if waits => self.wait(view, &job, &first_job),
-                None => self.bring(view, &job),
-            });
+        let mut commands = vec![self.bring(view, &job)];
+        if self.n_grippers > 1 {
+            commands.extend(self.second(view, base, &job));
         }
-        commands
+        (Activity::Adding, commands)
+    }
+
+    /// What the other gripper does while `first` is brought in.
+    fn second(&mut self, view: &View, base: &Base, first: &Job) -> Option<Command> {
+        let (job, waits) = self.second_job(view, base, first)?;
+        Some(match self.yields(view, &job, first) {
+            Some(command) => command,
+            None if waits => self.wait(view, &job, first),
+            None => self.bring(view, &job),
+        })
     }
 
     /// The job of the other gripper, and whether it must wait for the first.
@@ -83,7 +87,7 @@ impl Expert {
         if let Some(job) = self.job(view, base, base.parts, piece) {
             let with = base.parts.union(piece);
             let free = self.assembly.is_safe(base.side, with)
-                && self.assembly.margin_u(base.side, with) >= blueprints::assembly::MIN_BUILD_MARGIN_U
+                && self.assembly.margin_u(base.side, with) >= MIN_BUILD_MARGIN_U
                 && self.assembly.approach(base.side, with, first.parts).is_some()
                 && self.apart(view, first, &job);
             return Some((job, !free));

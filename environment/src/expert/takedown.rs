@@ -2,16 +2,24 @@
 
 use blueprints::assembly::Parts;
 use blueprints::{BlockIdx, Inventory};
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use proto::Joint;
 
-use super::motion::Twist;
+use super::motion::{Twist, lowest};
 use super::view::View;
 use super::{Command, Expert};
 
+/// Height from which a structure is thrown on the ground, m.
+const SLAM_HEIGHT_M: f32 = 0.17;
+/// A connection this close to upright is upright, rad.
+const UPRIGHT_RAD: f32 = 0.5;
+/// What is lower than this touches the ground, m.
+const GROUND_M: f32 = 0.03;
+
 impl Expert {
     /// Pulls a piece off what it wrongly hangs on; `None` if no connection is wrong.
-    pub(super) fn take_down(&self, view: &View, wrong: &[Joint]) -> Option<Vec<Command>> {
+    pub(super) fn take_down(&self, view: &View) -> Option<Vec<Command>> {
+        let wrong = &view.wrong;
         // A piece goes by its first block.
         let node = |block: BlockIdx| {
             view.part_of[block.get()]
@@ -72,14 +80,34 @@ impl Expert {
     }
 
     fn pull(&self, view: &View, own: BlockIdx, other: BlockIdx, direction: Vector3<f32>) -> Vec<Command> {
-        let _ = view;
         let direction = direction.try_normalize(0.1).unwrap_or_else(Vector3::z);
+        if self.n_grippers < 2 {
+            return vec![self.slam(view, own, direction)];
+        }
         let speed = self.limits.max_speed_mps;
         let twist = |linear: Vector3<f32>| Twist { linear, angular: Vector3::zeros() };
         vec![
             Command { block: own, twist: twist((direction + Vector3::z() * 0.3) * speed) },
             Command { block: other, twist: twist(-direction * speed) },
         ]
+    }
+}
+
+impl Expert {
+    /// One gripper alone cannot pull: it turns the connection upright, lifts it and throws it on the ground.
+    fn slam(&self, view: &View, own: BlockIdx, direction: Vector3<f32>) -> Command {
+        let blocks = BlockIdx::all().filter(|&block| view.together(block, own));
+        let low = blocks.map(|b| lowest(view.pose(b), &view.half_extents[b.get()])).fold(f32::INFINITY, f32::min);
+        let from = view.pose(own);
+        let mut to = *from;
+        let turn = UnitQuaternion::rotation_between(&direction, &Vector3::z());
+        let turn = turn.filter(|turn| turn.angle() > UPRIGHT_RAD);
+        if let Some(turn) = turn {
+            to.rotation = turn * to.rotation;
+        }
+        // A height that no whole number of steps falls down from, so that the gripper still pushes when it arrives.
+        to.translation.z += if turn.is_some() || low < GROUND_M { (SLAM_HEIGHT_M - low).max(0.0) } else { -1.0 };
+        Command { block: own, twist: self.limits.towards(from, &to) }
     }
 }
 

@@ -22,7 +22,6 @@ pub(super) struct View {
     pub(super) held: [Option<BlockIdx>; N_GRIPPERS],
     /// Lowest block of each block's component, through whatever connections.
     components: [usize; N_BLOCKS],
-    pub(super) speeds_mps: [f32; N_BLOCKS],
 }
 
 impl View {
@@ -58,7 +57,6 @@ impl View {
             joints: scene.joints.clone(),
             held: scene.grippers.map(|gripper| gripper.and_then(|g| g.held)),
             components,
-            speeds_mps: scene.speeds_mps,
         }
     }
 

@@ -65,12 +65,11 @@ fn run(worlds: Vec<Toy>, lanes: &[Vec<Job>], keep_going: bool) -> Result<Vec<Vec
     let policy = Policy::new(&PolicyConfig::default()).unwrap();
     let rules = Rules {
         catalogue: Catalogue::builtin(),
-        policy: &policy,
         acting: Acting::Sampled,
         success: &SuccessConfig::default(),
         keep_going: &|| keep_going,
     };
-    run_lanes(&rules, worlds, lanes)
+    run_lanes(&rules, &policy, worlds, lanes)
 }
 
 fn lane(starts: &[Start]) -> Vec<Job> {

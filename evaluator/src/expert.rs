@@ -1,0 +1,228 @@
+//! The scripted expert judged as a policy is, and its failures explained.
+
+mod diary;
+
+use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
+use environment::{Env, EnvironmentConfig, Expert, World};
+use proto::metrics::{EvalOutcome, EvalResetFree, EvalRuns};
+use proto::{Status, Trajectory};
+use serde::{Deserialize, Serialize};
+
+use crate::config::{ResetFreeConfig, Starts};
+use crate::episodes::{EvalError, share_out};
+use crate::lanes::{Job, Played, Rules, Seat};
+use crate::report::{Acting, End, EvalReport, Judged};
+use crate::reset_free;
+use diary::Diary;
+pub use diary::{Cause, Trouble};
+
+/// All that an evaluation of the expert needs besides blueprints.
+#[derive(Clone, Debug)]
+pub struct ExpertSetup<'c> {
+    /// Where blueprints come from.
+    pub catalogue: &'c Catalogue,
+    /// The world.
+    pub environment: EnvironmentConfig,
+    /// Episodes per blueprint.
+    pub n_episodes: u32,
+    /// How they begin.
+    pub starts: Starts,
+    /// Reset-free runs as well, when given.
+    pub reset_free: Option<ResetFreeConfig>,
+    /// Threads, at least 1.
+    pub n_threads: usize,
+    /// Seed of the start states, the same as those of a policy's evaluation with this seed.
+    pub seed: u64,
+}
+
+/// How the expert did.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpertReport {
+    /// The paper's groups in its order, those of which no blueprint was judged left out, then all.
+    pub groups: Vec<ExpertGroup>,
+    /// Each blueprint, ordered by split, size and id.
+    pub blueprints: Vec<ExpertBlueprint>,
+    /// Goals in a row without a reset; `null` when that was not asked for.
+    pub reset_free: Option<ExpertResetFree>,
+    /// Environment steps of all episodes.
+    pub n_steps: u64,
+    /// Episodes that failed, in the order of the blueprints.
+    pub failures: Vec<ExpertFailure>,
+}
+
+/// Blueprints that are reported together.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpertGroup {
+    /// Name of the group.
+    pub name: String,
+    /// Blueprints in it.
+    pub n_blueprints: u64,
+    /// Blueprints of it that were built at least once.
+    pub n_built: u64,
+    /// Success, steps and return.
+    pub outcome: EvalOutcome,
+}
+
+/// One blueprint.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpertBlueprint {
+    /// Which.
+    pub blueprint: BlueprintId,
+    /// Its split.
+    pub split: Split,
+    /// Its number of blocks.
+    pub n_blocks: u64,
+    /// Success, steps and return.
+    pub outcome: EvalOutcome,
+}
+
+/// Reset-free runs (paper, "Reset-Free Evaluation").
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpertResetFree {
+    /// Number of runs.
+    pub n_runs: u64,
+    /// Goals of a run.
+    pub n_goals: u64,
+    /// What they gave.
+    pub runs: EvalRuns,
+}
+
+/// An episode that failed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpertFailure {
+    /// The goal.
+    pub blueprint: BlueprintId,
+    /// Number of the episode, from 0.
+    pub episode_idx: u64,
+    /// What went wrong.
+    #[serde(flatten)]
+    pub trouble: Trouble,
+    /// Every step, for a replay; not part of the report's JSON. `None` if the episode has no step to show.
+    #[serde(skip)]
+    pub replay: Option<Trajectory>,
+}
+
+/// One episode of the expert.
+struct Trial {
+    played: Played,
+    failure: Option<ExpertFailure>,
+}
+
+/// Judges the expert on `blueprints`, then on reset-free runs if the setup has any. `keep_going` is asked at every step.
+///
+/// # Errors
+/// When the world cannot be made, an episode cannot be started, or `keep_going` says no.
+pub fn evaluate_expert(
+    setup: &ExpertSetup<'_>,
+    blueprints: &[&Blueprint],
+    keep_going: &(dyn Fn() -> bool + Sync),
+) -> Result<ExpertReport, EvalError> {
+    let lane = |blueprint: &Blueprint| -> Vec<Job> {
+        let job = |idx| Job::one_of(setup.catalogue, blueprint, setup.starts, setup.seed, idx);
+        (0..u64::from(setup.n_episodes)).map(job).collect()
+    };
+    let lanes: Vec<Vec<Job>> = blueprints.iter().map(|blueprint| lane(blueprint)).collect();
+    let trials = run_all(setup, &lanes, keep_going)?;
+    let mut failures = Vec::new();
+    let mut episodes = Vec::new();
+    for trial in trials.into_iter().flatten() {
+        failures.extend(trial.failure);
+        episodes.push(trial.played.episode);
+    }
+    let n_steps = episodes.iter().map(|episode| u64::from(episode.n_steps)).sum();
+    let judged = Judged { weights_version: proto::WeightsVersion(0), n_env_steps: 0, seed: setup.seed };
+    let EvalReport { summary, blueprints } = EvalReport::new(judged, &episodes);
+    let blueprints: Vec<ExpertBlueprint> = blueprints
+        .into_iter()
+        .map(|b| ExpertBlueprint { blueprint: b.blueprint, split: b.split, n_blocks: b.n_blocks, outcome: b.mode })
+        .collect();
+    let n_built = |name: &str| {
+        let built = |b: &&ExpertBlueprint| b.outcome.success.n_successes > 0;
+        let group = |b: &ExpertBlueprint| crate::Group::of(b.split, b.n_blocks as usize).map(crate::Group::name);
+        let of_group = |b: &&ExpertBlueprint| name == summary.all.name || group(b) == Some(name);
+        blueprints.iter().filter(of_group).filter(built).count() as u64
+    };
+    let all = summary.groups.iter().chain([&summary.all]);
+    let groups = all.map(|g| ExpertGroup {
+        name: g.name.clone(),
+        n_blueprints: g.n_blueprints,
+        n_built: n_built(&g.name),
+        outcome: g.mode.clone(),
+    });
+    let groups = groups.collect();
+    let reset_free = setup.reset_free.as_ref().map(|config| run_reset_free(setup, config, keep_going)).transpose()?;
+    Ok(ExpertReport { groups, blueprints, reset_free, n_steps, failures })
+}
+
+fn run_reset_free(
+    setup: &ExpertSetup<'_>,
+    config: &ResetFreeConfig,
+    keep_going: &(dyn Fn() -> bool + Sync),
+) -> Result<ExpertResetFree, EvalError> {
+    let lanes = reset_free::lanes(setup.catalogue, config, setup.seed)?;
+    let trials = run_all(setup, &lanes, keep_going)?;
+    let runs: Vec<Vec<Played>> =
+        trials.into_iter().map(|run| run.into_iter().map(|trial| trial.played).collect()).collect();
+    let score: EvalResetFree = reset_free::score(config, &runs, Acting::Mode);
+    Ok(ExpertResetFree { n_runs: score.n_runs, n_goals: score.n_goals, runs: score.mode })
+}
+
+fn run_all(
+    setup: &ExpertSetup<'_>,
+    lanes: &[Vec<Job>],
+    keep_going: &(dyn Fn() -> bool + Sync),
+) -> Result<Vec<Vec<Trial>>, EvalError> {
+    let success = &setup.environment.success;
+    let rules = Rules { catalogue: setup.catalogue, acting: Acting::Mode, success, keep_going };
+    share_out(lanes, setup.n_threads, |lanes| {
+        let mut world = World::new(&setup.environment)?;
+        let mut results = Vec::with_capacity(lanes.len());
+        for (lane_idx, lane) in lanes.iter().enumerate().filter(|(_, lane)| !lane.is_empty()) {
+            let (mut seat, _) = Seat::begin(&rules, world, (lane_idx, lane))?;
+            let mut trials = Vec::with_capacity(lane.len());
+            for (job_idx, job) in lane.iter().enumerate() {
+                if job_idx > 0 {
+                    seat.start(&rules, lane_idx, job)?;
+                }
+                trials.push(run_episode(&rules, &setup.environment, &mut seat, job, job_idx as u64)?);
+            }
+            results.push(trials);
+            world = seat.env;
+        }
+        Ok(results)
+    })
+}
+
+fn run_episode(
+    rules: &Rules<'_>,
+    config: &EnvironmentConfig,
+    seat: &mut Seat<'_, World>,
+    job: &Job,
+    episode_idx: u64,
+) -> Result<Trial, EvalError> {
+    let mut expert = Expert::new(config, seat.env.blueprint());
+    let mut diary = Diary::new(seat.env.scene(), seat.env.blueprint());
+    loop {
+        if !(rules.keep_going)() {
+            return Err(EvalError::Interrupted);
+        }
+        let scene = seat.env.scene().clone();
+        let decision = match &mut expert {
+            Ok(expert) => expert.decide(&scene),
+            // It does nothing until the time is up, as an episode must end.
+            Err(_) => diary::nothing(),
+        };
+        let played = seat.step(rules, &decision.action);
+        diary.note(scene, decision, seat.env.scene(), seat.env.blueprint());
+        let Some(played) = played else { continue };
+        let status = match played.episode.end {
+            End::Success { .. } => return Ok(Trial { played, failure: None }),
+            End::TimeLimit => Status::TimeLimit,
+            End::Diverged => Status::Diverged,
+        };
+        let trouble = diary.trouble(status, expert.is_err());
+        let replay = diary.into_replay(job.task(), seat.env.scene());
+        let failure = ExpertFailure { blueprint: job.task().blueprint.clone(), episode_idx, trouble, replay };
+        return Ok(Trial { played, failure: Some(failure) });
+    }
+}
