@@ -145,7 +145,7 @@ pub(super) fn tallest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
 
 /// One or two plates, the shaft in the middle.
 fn plates(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
-    let [a, b] = dice.pick(&[[4, 3], [3, 3], [2, 3], [4, 2]]);
+    let [a, b] = dice.pick(&[[4, 3], [4, 3], [4, 2]]);
     let mut sketch = Sketch::new("needle");
     sketch.add([0, 0, 0], [a, b, 1]);
     (sketch, 1, [(a - 2) / 2, (b - 1) / 2])
@@ -160,16 +160,17 @@ fn crossed_feet(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     (sketch, 1, [0, 0])
 }
 
-/// Two legs under a beam.
+/// Two legs on crossed feet, under a beam.
 fn legs(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
-    let (height, deep) = (dice.between(3, 5), dice.between(1, 3));
+    let height = dice.between(4, 6);
     let mut sketch = Sketch::new("tower on two legs");
+    sketch.add([-1, 0, 0], [4, 1, 1]);
     for x in [-1, 2] {
-        sketch.add([x, 0, 0], [1, deep, 1]);
-        sketch.add([x, deep / 2, 0], [1, 1, height]);
+        sketch.add([x, -1, 0], [1, 3, 1]);
+        sketch.add([x, 0, 0], [1, 1, height]);
     }
-    sketch.add([-1, deep / 2, height], [4, 1, 1]);
-    (sketch, height + 1, [0, deep / 2])
+    sketch.add([-1, 0, height], [4, 1, 1]);
+    (sketch, height + 1, [0, 0])
 }
 
 /// Two tiers below the shaft.
