@@ -24,4 +24,4 @@ pub use group::Group;
 pub use policy::PolicyConfig;
 pub use report::{Acting, EvalReport};
 pub use run::{EvaluatorSetup, run};
-pub use table::{Detail, render};
+pub use table::{Detail, render, render_expert};
