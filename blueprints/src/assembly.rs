@@ -8,8 +8,8 @@ mod geometry;
 
 use std::collections::BTreeMap;
 
-pub use geometry::{Approach, Parts};
 use geometry::Geometry;
+pub use geometry::{Approach, Parts};
 
 use crate::{BlockIdx, Blueprint, Placement};
 
@@ -68,6 +68,13 @@ impl Assembly {
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         let sides: Vec<Side> = ranked.into_iter().map(|(_, side)| side).collect();
         if sides.is_empty() { Err(NoAssembly) } else { Ok(Self { geometry, blocks, sides }) }
+    }
+
+    /// Whether there is a side to build the placements on, without ranking the sides: several times as fast as
+    /// [`of_placements`](Self::of_placements), for those who judge many structures.
+    pub(crate) fn is_possible(placements: &[Placement]) -> bool {
+        let geometry = Geometry::new(placements);
+        UPS.into_iter().any(|up| Side { up, safe: BTreeMap::new() }.is_safe(&geometry, Parts::default()))
     }
 
     /// The blocks by part index.

@@ -215,6 +215,17 @@ impl Blueprint {
         self.placements.len()
     }
 
+    /// Size of the whole structure along its own x, y and z (up), in units (0.1 m).
+    pub fn extent_u(&self) -> [i32; 3] {
+        let inventory = Inventory::standard();
+        std::array::from_fn(|k| {
+            let ends = |sign: i32| {
+                self.placements.iter().map(move |p| p.center_half_units[k] + sign * p.size_cells(inventory)[k])
+            };
+            (ends(1).max().unwrap_or(0) - ends(-1).min().unwrap_or(0)) / 2
+        })
+    }
+
     /// Whether the block is part of the structure.
     pub fn contains(&self, block: BlockIdx) -> bool {
         self.placement(block).is_some()

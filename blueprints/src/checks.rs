@@ -11,7 +11,8 @@ use serde::Serialize;
 use crate::error::{BlueprintError, BlueprintFileError};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
-use crate::{Blueprint, BlueprintId, Inventory, Link, Placement, RelativePlacement};
+use crate::strength::{Joint, overloaded};
+use crate::{Blueprint, BlueprintId, Inventory, Link, Placement, RelativePlacement, Split};
 
 /// A check of one file, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -31,6 +32,8 @@ pub enum Check {
     Connected,
     /// The centre of mass is over the support polygon by at least [`MIN_SUPPORT_MARGIN_U`].
     Stands,
+    /// No connection carries more than half of what would break it in the default world, as far as statics tells.
+    Strength,
     /// No other file has its id or its structure.
     Unique,
 }
@@ -75,7 +78,7 @@ pub struct Report {
 
 impl Check {
     /// All checks in order.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Format,
         Self::Inventory,
         Self::Overlap,
@@ -83,6 +86,7 @@ impl Check {
         Self::Connections,
         Self::Connected,
         Self::Stands,
+        Self::Strength,
         Self::Unique,
     ];
 }
@@ -97,6 +101,7 @@ impl fmt::Display for Check {
             Self::Connections => "connections",
             Self::Connected => "connected",
             Self::Stands => "stands",
+            Self::Strength => "strength",
             Self::Unique => "unique",
         })
     }
@@ -123,6 +128,7 @@ pub fn check_text(file: &str, text: &str) -> Report {
         run.record(Check::Connections, structure.connections());
         run.record(Check::Connected, structure.connected());
         run.record(Check::Stands, structure.stands());
+        run.record(Check::Strength, structure.strength());
         blueprint = run.first_error.is_none().then(|| structure.blueprint());
     }
     for check in Check::ALL.into_iter().take(Check::ALL.len() - 1).skip(run.results.len()) {
@@ -139,6 +145,26 @@ pub fn check_text(file: &str, text: &str) -> Report {
         results: run.results,
         blueprint: blueprint.map_err(|error| BlueprintFileError { file: file.to_owned(), error }),
     }
+}
+
+/// Runs the checks of a file on placements whose connections are those that meet; the lowest corner lies at the origin.
+pub(crate) fn check_placements(
+    id: BlueprintId,
+    split: Split,
+    title: String,
+    placements: &[Placement],
+) -> Result<Blueprint, BlueprintError> {
+    let inventory = Inventory::standard();
+    let mut draft = Draft::of_placements(id, split, title, placements, inventory);
+    let placed = draft.place(inventory)?;
+    draft.pairs = Structure::new(&draft, &placed, inventory).attracting;
+    let structure = Structure::new(&draft, &placed, inventory);
+    structure.overlap()?;
+    structure.polarity()?;
+    structure.connected()?;
+    structure.stands()?;
+    structure.strength()?;
+    Ok(structure.blueprint())
 }
 
 /// Runs every check on `(file name, text)` pairs that are to form one catalogue.
@@ -192,12 +218,15 @@ struct Structure<'a> {
     attracting: BTreeSet<NamedPair>,
     /// With the place where they meet, in half units.
     repelling: Vec<(NamedPair, [i32; 3])>,
+    /// Where blocks attract each other.
+    joints: Vec<Joint>,
 }
 
 impl<'a> Structure<'a> {
     fn new(draft: &'a Draft, placements: &'a [Placement], inventory: &'a Inventory) -> Self {
         let mut attracting = BTreeSet::new();
         let mut repelling = Vec::new();
+        let mut joints = Vec::new();
         for (i, a) in placements.iter().enumerate() {
             for (j, b) in placements.iter().enumerate().skip(i + 1) {
                 let relative = RelativePlacement::between(a, b);
@@ -206,15 +235,21 @@ impl<'a> Structure<'a> {
                     let name = |at: &Placement, k| MagnetName::of(inventory, at.block, &magnet(at, k));
                     (i, j, name(a, p), name(b, q))
                 };
-                attracting.extend(inventory.magnet_pairs(a.block, b.block, relative).into_iter().map(named));
-                for (p, q) in inventory.clashing_pairs(a.block, b.block, relative) {
+                let place = |p| {
                     let turned = a.rotation.apply(magnet(a, p).position_half_units);
-                    let place = std::array::from_fn(|k| a.center_half_units[k] + turned[k]);
-                    repelling.push((named((p, q)), place));
+                    std::array::from_fn(|k| a.center_half_units[k] + turned[k])
+                };
+                let pairs = inventory.magnet_pairs(a.block, b.block, relative);
+                if !pairs.is_empty() {
+                    joints.push(Joint { a: i, b: j, places: pairs.iter().map(|&(p, _)| place(p)).collect() });
+                }
+                attracting.extend(pairs.into_iter().map(named));
+                for (p, q) in inventory.clashing_pairs(a.block, b.block, relative) {
+                    repelling.push((named((p, q)), place(p)));
                 }
             }
         }
-        Self { draft, placements, inventory, attracting, repelling }
+        Self { draft, placements, inventory, attracting, repelling, joints }
     }
 
     fn name(&self, i: usize) -> String {
@@ -276,6 +311,22 @@ impl<'a> Structure<'a> {
         }
         let [x_u, y_u] = stance.center_u;
         Err(BlueprintError::Unsupported { x_u, y_u, margin_u: stance.margin_u, min_u: MIN_SUPPORT_MARGIN_U })
+    }
+
+    fn strength(&self) -> Result<(), BlueprintError> {
+        let cells: Vec<_> = self.placements.iter().map(|p| p.filled_cells(self.inventory)).collect();
+        overloaded(&cells, &self.joints, 0).map_or(Ok(()), |(at, load)| {
+            let joint = &self.joints[at];
+            Err(BlueprintError::Overloaded {
+                a: self.name(joint.a),
+                b: self.name(joint.b),
+                n_pairs: joint.places.len(),
+                force_n: load.force_n,
+                torque_nm: load.torque_nm,
+                max_force_n: load.max_force_n,
+                max_torque_nm: load.max_torque_nm,
+            })
+        })
     }
 
     fn blueprint(&self) -> Blueprint {

@@ -68,6 +68,20 @@ pub enum BlueprintError {
         "the centre of mass at ({x_u:.2}, {y_u:.2}) u has a support margin of {margin_u:.2} u, less than {min_u} u"
     )]
     Unsupported { x_u: f64, y_u: f64, margin_u: f64, min_u: f64 },
+    /// Too much hangs on one connection.
+    #[error(
+        "the connection of {a:?} and {b:?} carries {force_n:.1} N and {torque_nm:.2} N m; {n_pairs} magnet pair(s) may \
+         carry {max_force_n} N and {max_torque_nm:.2} N m"
+    )]
+    Overloaded {
+        a: String,
+        b: String,
+        n_pairs: usize,
+        force_n: f64,
+        torque_nm: f64,
+        max_force_n: f64,
+        max_torque_nm: f64,
+    },
 }
 
 /// A [`BlueprintError`] with the file it was found in.

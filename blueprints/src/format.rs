@@ -127,6 +127,27 @@ impl Draft {
         Ok(Self { id: raw.id, split: raw.split, title: raw.title, up, blocks, pairs })
     }
 
+    /// A drawing of placed blocks without connections, the blocks named by their number.
+    pub(crate) fn of_placements(
+        id: BlueprintId,
+        split: Split,
+        title: String,
+        placements: &[Placement],
+        inventory: &Inventory,
+    ) -> Self {
+        let draw = |p: &Placement| {
+            let size = p.size_cells(inventory);
+            DraftBlock {
+                name: p.block.get().to_string(),
+                type_name: inventory.block_type(p.block).name.clone(),
+                at: std::array::from_fn(|k| (p.center_half_units[k] - size[k]) / 2),
+                rotation: p.rotation,
+            }
+        };
+        let blocks = placements.iter().map(draw).collect();
+        Self { id, split, title, up: [0, 0, 1], blocks, pairs: BTreeSet::new() }
+    }
+
     /// Gives every block of the file a block of the inventory, the k-th of a type the k-th, and turns the drawing so
     /// that `up` is +z and its lowest corner lies at the origin. Placements are in the order of the file.
     pub(crate) fn place(&self, inventory: &Inventory) -> Result<Vec<Placement>, BlueprintError> {

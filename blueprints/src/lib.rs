@@ -1,7 +1,7 @@
 //! Blocks, magnets, the inventory and the target structures ("blueprints"), with no physics and no I/O in the math.
 //!
-//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`] →
-//! [`checks`] → the canonical hash → [`catalogue`].
+//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`] and
+//! [`strength`] → [`checks`] → the writer of files → the canonical hash → [`catalogue`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -12,9 +12,12 @@ pub mod catalogue;
 pub mod checks;
 pub mod error;
 pub mod format;
+pub mod generator;
 pub mod inventory;
 pub mod lattice;
 pub mod stance;
+pub mod strength;
+mod writer;
 
 pub use assembly::{Assembly, NoAssembly};
 pub use blueprint::{Blueprint, BlueprintId, Link, Placement, Split};

@@ -32,9 +32,7 @@ pub fn stance(placements: &[Placement], inventory: &Inventory) -> Stance {
 /// Distance from `center` to the nearest edge of the convex hull of `corners`, negative outside it.
 pub(crate) fn support_margin(corners: Vec<[i32; 2]>, center: [f64; 2]) -> f64 {
     let hull = convex_hull(corners);
-    (0..hull.len())
-        .map(|i| distance_inside(hull[i], hull[(i + 1) % hull.len()], center))
-        .fold(f64::INFINITY, f64::min)
+    (0..hull.len()).map(|i| distance_inside(hull[i], hull[(i + 1) % hull.len()], center)).fold(f64::INFINITY, f64::min)
 }
 
 /// Signed distance of `p` from the line `a`→`b`, positive on its left.

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use blueprints::{BlueprintId, Split};
+use blueprints::generator::Style;
+use blueprints::{BlueprintId, N_BLOCKS, Split};
 use clap::builder::PossibleValuesParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
@@ -248,6 +249,8 @@ pub enum BlueprintsCommand {
     List(BlueprintsArgs),
     /// Check blueprint files or folders of them, or the catalogue.
     Check(BlueprintsArgs),
+    /// Generate blueprints that are not in the catalogue, one file each.
+    Generate(GenerateArgs),
 }
 
 /// Arguments of `blueprints list` and `blueprints check`.
@@ -259,6 +262,27 @@ pub struct BlueprintsArgs {
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Arguments of `blueprints generate`.
+#[derive(Debug, Args)]
+pub struct GenerateArgs {
+    /// Blocks of each.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=N_BLOCKS as i64))]
+    pub size: u8,
+    /// How many; the most different of about four times as many.
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=500))]
+    pub count: u16,
+    /// Another seed gives other structures, the same seed the same.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub seed: u64,
+    /// What they look like: any, tower, wall, arch, bridge, stairs, pyramid, table, ring, cross, letter, longest or
+    /// tallest.
+    #[arg(long, value_name = "STYLE", default_value_t = Style::Any)]
+    pub style: Style,
+    /// Folder for the files, made if there is none.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 impl ConfigArgs {

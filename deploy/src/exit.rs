@@ -1,5 +1,7 @@
 //! How a command fails, and with which exit code.
 
+use std::io;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use learner::{CheckpointError, LearnerError};
@@ -29,6 +31,21 @@ pub enum Failure {
         n_failed: usize,
         /// Files checked.
         n_files: usize,
+    },
+    /// No such blueprints can be generated; code 64.
+    #[error(transparent)]
+    Generate(#[from] blueprints::generator::GenerateError),
+    /// A generated blueprint would replace a file; code 64.
+    #[error("{} exists already; nothing was written", .0.display())]
+    BlueprintExists(PathBuf),
+    /// A generated blueprint cannot be written; code 64.
+    #[error("cannot write {}: {error}", path.display())]
+    BlueprintFile {
+        /// The file or folder.
+        path: PathBuf,
+        /// Why not.
+        #[source]
+        error: io::Error,
     },
     /// A checkpoint or run directory cannot be read or written; code 66.
     #[error("{0:#}")]
@@ -66,7 +83,12 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) => 2,
-            Self::Config(_) | Self::Catalogue(_) | Self::Blueprints { .. } => 64,
+            Self::Config(_)
+            | Self::Catalogue(_)
+            | Self::Blueprints { .. }
+            | Self::Generate(_)
+            | Self::BlueprintExists(_)
+            | Self::BlueprintFile { .. } => 64,
             Self::Bus(_) => 65,
             Self::Checkpoint(_) => 66,
             Self::Service(_) => 1,

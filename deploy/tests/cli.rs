@@ -71,6 +71,11 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["actor"], None, &["bus.connect is empty", "router"]),
         (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
         (&["blueprints", "list", "gone"], None, &["gone", "cannot read"]),
+        (
+            &["blueprints", "generate", "--size", "3", "--style", "ring", "--out", "made"],
+            None,
+            &["style ring needs 4 to 16 blocks, not 3"],
+        ),
     ] {
         check_refused(args, &[], file, 64, words);
     }
@@ -130,4 +135,19 @@ fn a_bad_blueprint_is_told_apart_from_good_ones() {
     let output = lodestone(folder.path(), &["blueprints", "check", "2_099.toml"], &[]);
     assert_eq!(output.status.code(), Some(64));
     assert!(String::from_utf8_lossy(&output.stdout).contains("2_099.toml: line 1"));
+}
+
+#[test]
+fn generated_blueprints_pass_the_checks_and_replace_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["blueprints", "generate", "--size", "4", "--count", "2", "--style", "arch", "--out", "made"];
+    let made = lodestone(folder.path(), &args, &[]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let lines = String::from_utf8(made.stdout).unwrap();
+    assert_eq!(lines.lines().filter(|line| line.starts_with("gen1-arch-0_4_")).count(), 2, "{lines}");
+    let checked = lodestone(folder.path(), &["blueprints", "check", "made"], &[]);
+    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
+    let again = lodestone(folder.path(), &args, &[]);
+    assert_eq!(again.status.code(), Some(64));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("exists already; nothing was written"));
 }

@@ -190,8 +190,7 @@ impl Geometry {
         if squeezed || hangs || sides.iter().all(|&side| !side) {
             return Vec::new();
         }
-        let away: [i32; 3] =
-            std::array::from_fn(|axis| i32::from(sides[2 * axis]) - i32::from(sides[2 * axis + 1]));
+        let away: [i32; 3] = std::array::from_fn(|axis| i32::from(sides[2 * axis]) - i32::from(sides[2 * axis + 1]));
         let mut ways: Vec<[i32; 3]> = Vec::with_capacity(6);
         let is_up = |d: [i32; 3]| dot(d, up) > 0;
         if is_up(away) {

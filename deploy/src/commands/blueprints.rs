@@ -1,4 +1,4 @@
-//! `blueprints list` and `blueprints check`.
+//! `blueprints list` and `blueprints check`; `blueprints generate` has its own file.
 
 use std::path::PathBuf;
 
@@ -7,6 +7,7 @@ use blueprints::checks::{CheckResult, Outcome, Report, check_all};
 use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
 use serde::Serialize;
 
+use super::generate;
 use crate::cli::{BlueprintsArgs, BlueprintsCommand};
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -33,11 +34,12 @@ struct Verdict<'a> {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a file cannot be read, or a check fails.
+/// When a file cannot be read or written, a check fails, or nothing can be generated.
 pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),
         BlueprintsCommand::Check(args) => check(args, terminal),
+        BlueprintsCommand::Generate(args) => generate::run(args, terminal),
     }
 }
 

@@ -3,6 +3,7 @@
 mod blueprints;
 mod eval;
 mod expert;
+mod generate;
 mod router;
 mod services;
 mod train;

@@ -1,0 +1,89 @@
+//! Free growth: block by block onto magnets, with a taste of its own for every structure.
+
+use super::brick::{Brick, Stock};
+use super::dice::Dice;
+use super::tiling::shapes;
+
+/// Places that are compared for every block.
+const N_OFFERS: usize = 20;
+
+/// What a structure likes.
+struct Taste {
+    /// Weight of touching much.
+    close: i32,
+    /// Weight of getting higher.
+    upward: i32,
+    /// Weight of big blocks.
+    big: i32,
+    /// Mirrored across x: blocks come in pairs or sit in the middle.
+    mirrored: bool,
+}
+
+/// Grows `n_blocks` blocks from the ground; `None` if they found no place.
+pub(super) fn grow(n_blocks: usize, dice: &mut Dice) -> Option<Vec<Brick>> {
+    let taste = Taste {
+        close: dice.between(1, 5),
+        upward: dice.between(-1, 3),
+        big: dice.between(0, 2),
+        mirrored: dice.chance(70),
+    };
+    let mut stock = Stock::full();
+    let &(type_idx, size) = &shapes()[dice.below(shapes().len())];
+    let first = Brick { type_idx, low: [0, 0, 0], size };
+    let plane = first.low[0] + first.high(0) - 1;
+    stock.take(type_idx, 1);
+    let mut bricks = vec![first];
+    while bricks.len() < n_blocks {
+        let mut best: Option<(i32, Vec<Brick>)> = None;
+        for _ in 0..N_OFFERS {
+            let Some(brick) = offer(&bricks, dice) else { continue };
+            let image = brick.mirrored(0, plane);
+            let group = if !taste.mirrored || image == brick { vec![brick] } else { vec![brick, image] };
+            let apart = group.len() == 1 || !brick.overlaps(&image);
+            if !apart || bricks.len() + group.len() > n_blocks || stock.left(brick.type_idx) < group.len() {
+                continue;
+            }
+            let score = score(&brick, &bricks, &taste) + dice.between(0, 3);
+            if best.as_ref().is_none_or(|(most, _)| score > *most) {
+                best = Some((score, group));
+            }
+        }
+        let (_, group) = best?;
+        stock.take(group[0].type_idx, group.len());
+        bricks.extend(group);
+    }
+    Some(bricks)
+}
+
+/// A block somewhere on a face of another, above the ground and in nobody's way.
+fn offer(bricks: &[Brick], dice: &mut Dice) -> Option<Brick> {
+    let &(type_idx, size) = &shapes()[dice.below(shapes().len())];
+    let anchor = bricks[dice.below(bricks.len())];
+    let axis = dice.below(3);
+    let low = std::array::from_fn(|k| {
+        if k != axis {
+            // Edges in line look deliberate.
+            match dice.below(4) {
+                0 => anchor.low[k],
+                1 => anchor.high(k) - size[k],
+                _ => dice.between(anchor.low[k] - size[k] + 1, anchor.high(k) - 1),
+            }
+        } else if dice.chance(50) {
+            anchor.high(k)
+        } else {
+            anchor.low[k] - size[k]
+        }
+    });
+    let brick = Brick { type_idx, low, size };
+    (low[2] >= 0 && bricks.iter().all(|other| !brick.overlaps(other))).then_some(brick)
+}
+
+fn score(brick: &Brick, bricks: &[Brick], taste: &Taste) -> i32 {
+    let touching: Vec<usize> =
+        bricks.iter().filter_map(|other| brick.contact(other)).map(|(_, places)| places.len()).collect();
+    let n_neighbours = touching.len() as i32;
+    let n_pairs = touching.iter().sum::<usize>() as i32;
+    let top = bricks.iter().map(|other| other.high(2)).max().unwrap_or(0);
+    let rise = (brick.high(2) - top).max(0);
+    taste.close * (2 * n_neighbours + n_pairs) / 2 + 2 * taste.upward * rise + taste.big * brick.volume()
+}

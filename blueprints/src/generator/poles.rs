@@ -1,0 +1,119 @@
+//! Turning blocks so that all magnets that meet attract.
+//!
+//! For a block turned by `R` let `s_k` be the sign of the magnets on the face that points along +k in the drawing; those
+//! on the opposite face have the sign −s_k. Two blocks that touch along axis k attract exactly if their `s_k` are
+//! equal. So every piece of the structure that hangs together by contacts along k shares one sign, and any choice of
+//! these signs works, but for one thing: the product of a block's three signs is the determinant of the axes'
+//! permutation. A block with two equal sides can be turned to swap them and reaches all eight combinations; one with
+//! three different sides (3x2x1) cannot, which leaves one equation for each such block.
+
+use super::brick::{Brick, Cell};
+use super::dice::Dice;
+use crate::strength::Joint;
+use crate::{CubeRotation, Inventory};
+
+/// A rotation for every brick, or `None` where the equations contradict each other.
+pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dice) -> Option<Vec<CubeRotation>> {
+    let pieces: [Vec<usize>; 3] = std::array::from_fn(|axis| {
+        let along = joints.iter().filter(|(k, _)| *k == axis).map(|(_, joint)| (joint.a, joint.b));
+        pieces(bricks.len(), along)
+    });
+    let mut signs: [Vec<i32>; 3] =
+        std::array::from_fn(|_| (0..bricks.len()).map(|_| if dice.chance(50) { 1 } else { -1 }).collect());
+    // What the blocks with three different sides have already settled.
+    let mut settled: Vec<[usize; 3]> = Vec::new();
+    for (i, brick) in bricks.iter().enumerate() {
+        let Some(parity) = parity(brick) else { continue };
+        let own: [usize; 3] = std::array::from_fn(|k| pieces[k][i]);
+        let product: i32 = (0..3).map(|k| signs[k][own[k]]).product();
+        if product != parity {
+            let free = (0..3).find(|&k| settled.iter().all(|other| other[k] != own[k]))?;
+            signs[free][own[free]] *= -1;
+        }
+        settled.push(own);
+    }
+    let sign = |i: usize| std::array::from_fn(|k| signs[k][pieces[k][i]]);
+    bricks.iter().enumerate().map(|(i, brick)| rotation(brick, sign(i), dice)).collect()
+}
+
+/// For each of `n` nodes the lowest node of its connected piece.
+fn pieces(n: usize, edges: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
+    let mut piece: Vec<usize> = (0..n).collect();
+    for (a, b) in edges {
+        let (low, high) = (piece[a].min(piece[b]), piece[a].max(piece[b]));
+        piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
+    }
+    piece
+}
+
+fn own_size(brick: &Brick) -> Cell {
+    Inventory::standard().types()[brick.type_idx].cells.map(i32::from)
+}
+
+/// The product of the three signs where it is fixed: the determinant of the permutation of three different sides.
+fn parity(brick: &Brick) -> Option<i32> {
+    let own = own_size(brick);
+    if own[0] == own[1] || own[1] == own[2] || own[0] == own[2] {
+        return None;
+    }
+    // The three cyclic permutations are the even ones.
+    let is_cyclic = (0..3).any(|by| (0..3).all(|k| brick.size[k] == own[(k + by) % 3]));
+    Some(if is_cyclic { 1 } else { -1 })
+}
+
+/// A rotation that gives the brick's size and signs, any of them where several do.
+fn rotation(brick: &Brick, signs: [i32; 3], dice: &mut Dice) -> Option<CubeRotation> {
+    let own = own_size(brick);
+    let fits = |rotation: &CubeRotation| {
+        rotation.apply(own).map(i32::abs) == brick.size && rotation.matrix().map(|row| row.iter().sum::<i32>()) == signs
+    };
+    let fitting: Vec<CubeRotation> = CubeRotation::all().filter(fits).collect();
+    (!fitting.is_empty()).then(|| dice.pick(&fitting))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Inventory;
+
+    #[test]
+    fn only_blocks_with_three_different_sides_are_bound() {
+        let mut dice = Dice::new([0; 32]);
+        for (type_idx, block_type) in Inventory::standard().types().iter().enumerate() {
+            for turn in CubeRotation::all() {
+                let size = turn.apply(block_type.cells.map(i32::from)).map(i32::abs);
+                let brick = Brick { type_idx, low: [0, 0, 0], size };
+                for bits in 0..8 {
+                    let signs: [i32; 3] = std::array::from_fn(|k| if bits >> k & 1 == 0 { 1 } else { -1 });
+                    let possible = parity(&brick).is_none_or(|parity| parity == signs.iter().product::<i32>());
+                    let found = rotation(&brick, signs, &mut dice);
+                    assert_eq!(found.is_some(), possible, "{} {size:?} {signs:?}", block_type.name);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn two_slabs_that_share_all_signs_must_be_permuted_alike() {
+        let slab = |low, size| Brick { type_idx: 5, low, size };
+        let cube = |low| Brick { type_idx: 0, low, size: [1, 1, 1] };
+        let check = |second: Brick, possible: bool| {
+            // The two touch along z, and cubes beside them tie their signs along x and y.
+            let bricks = [
+                slab([0, 0, 0], [3, 2, 1]),
+                second,
+                cube([3, 0, 0]),
+                cube([3, 0, 1]),
+                cube([0, 2, 0]),
+                cube([0, 2, 1]),
+            ];
+            let joints = super::super::brick::joints(&bricks);
+            for seed in 0..8 {
+                assert_eq!(turned(&bricks, &joints, &mut Dice::new([seed; 32])).is_some(), possible, "{second:?}");
+            }
+        };
+        check(slab([0, 0, 1], [3, 2, 1]), true);
+        // Upright on the first: 3 along x, 1 along y, 2 up; its sign along y is free.
+        check(slab([0, 0, 1], [3, 1, 2]), true);
+    }
+}

@@ -1,0 +1,141 @@
+//! From a style to a structure that passes every check: draw, fill, turn, judge, and again.
+
+use super::brick::{Brick, joints, placements};
+use super::dice::Dice;
+use super::sketch::sketch;
+use super::tiling::{fill, mirror};
+use super::{Style, growth, poles};
+use crate::assembly::Assembly;
+use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
+use crate::strength::overloaded;
+use crate::{Inventory, N_BLOCKS, Placement};
+
+/// Draws before the search gives up.
+const MAX_DRAWS: usize = 20_000;
+/// Sound structures among which the most appealing is taken.
+const N_CANDIDATES: usize = 3;
+/// The same for styles that ask for a record.
+const N_RECORD_CANDIDATES: usize = 8;
+/// Draws after which an idea for a record is given up for the next.
+const DRAWS_PER_IDEA: usize = 500;
+/// Draws after which one sound structure is enough.
+const PATIENCE: usize = 3_000;
+/// Ways to fill one sketch that are tried.
+const N_FILLS: usize = 4;
+
+/// A structure that passes the checks.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    pub(super) placements: Vec<Placement>,
+    /// What it shows.
+    pub(super) words: String,
+    /// How much there is to look at; larger is better.
+    appeal: i32,
+}
+
+/// What a search has cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Effort {
+    /// Shapes drawn or grown.
+    pub(super) n_draws: usize,
+    /// Structures of blocks that were judged.
+    pub(super) n_judged: usize,
+    /// Those that passed.
+    pub(super) n_sound: usize,
+}
+
+impl Found {
+    /// Size along an axis in units.
+    pub(super) fn extent(&self, axis: usize) -> i32 {
+        let inventory = Inventory::standard();
+        let along = || self.placements.iter().map(|p| (p.center_half_units[axis], p.size_cells(inventory)[axis]));
+        let high = along().map(|(center, size)| center + size).max().unwrap_or(0);
+        (high - along().map(|(center, size)| center - size).min().unwrap_or(0)) / 2
+    }
+}
+
+/// The most appealing of the first few sound structures; `None` if there was none.
+pub(super) fn search(style: Style, n_blocks: usize, dice: &mut Dice) -> (Option<Found>, Effort) {
+    let mut best: Option<Found> = None;
+    let mut effort = Effort::default();
+    let record = match style {
+        Style::Longest => Some(0),
+        Style::Tallest => Some(2),
+        _ => None,
+    };
+    // One idea for all candidates, else the one that goes farthest would be all that is ever seen.
+    let mut idea = dice.below(N_BLOCKS);
+    let n_candidates = if record.is_some() { N_RECORD_CANDIDATES } else { N_CANDIDATES };
+    while effort.n_draws < MAX_DRAWS && effort.n_sound < n_candidates {
+        if effort.n_sound > 0 && effort.n_draws > PATIENCE {
+            break;
+        }
+        effort.n_draws += 1;
+        if effort.n_sound == 0 && effort.n_draws % DRAWS_PER_IDEA == 0 {
+            idea += 1;
+        }
+        let found = match style {
+            Style::Any => growth::grow(n_blocks, dice).and_then(|bricks| {
+                effort.n_judged += 1;
+                judge(&bricks, "structure", dice)
+            }),
+            _ => drawn(style, n_blocks, idea, &mut effort, dice),
+        };
+        if let Some(mut found) = found {
+            if let Some(axis) = record {
+                // The record first, whatever else there is to see.
+                found.appeal += 100 * found.extent(axis);
+            }
+            effort.n_sound += 1;
+            if best.as_ref().is_none_or(|best| found.appeal > best.appeal) {
+                best = Some(found);
+            }
+        }
+    }
+    (best, effort)
+}
+
+fn drawn(style: Style, n_blocks: usize, idea: usize, effort: &mut Effort, dice: &mut Dice) -> Option<Found> {
+    let sketch = sketch(style, n_blocks, idea, dice)?;
+    let planes: Vec<_> = [0, 1].into_iter().filter_map(|axis| mirror(&sketch.cells, axis)).collect();
+    (0..N_FILLS).find_map(|attempt| {
+        // A symmetric shape first asks for a symmetric bond.
+        let plane = if attempt + 1 < N_FILLS && !planes.is_empty() { Some(dice.pick(&planes)) } else { None };
+        let bricks = fill(&sketch.cells, n_blocks, plane, dice)?;
+        effort.n_judged += 1;
+        judge(&bricks, &sketch.words, dice)
+    })
+}
+
+/// The bricks with their magnets turned, if they pass the checks.
+fn judge(bricks: &[Brick], words: &str, dice: &mut Dice) -> Option<Found> {
+    let inventory = Inventory::standard();
+    let joints = joints(bricks);
+    // Cheap checks first; the order changes no verdict.
+    let cells: Vec<_> = bricks.iter().map(Brick::cells).collect();
+    let lowest = bricks.iter().map(|brick| brick.low[2]).min()?;
+    let rotations = poles::turned(bricks, &joints, dice)?;
+    let contacts: Vec<_> = joints.iter().map(|(_, joint)| joint.clone()).collect();
+    if overloaded(&cells, &contacts, lowest).is_some() {
+        return None;
+    }
+    let mut placements = placements(bricks, &rotations);
+    let corner = |k: usize| bricks.iter().map(|brick| brick.low[k]).min().unwrap_or(0);
+    for placement in &mut placements {
+        placement.center_half_units = std::array::from_fn(|k| placement.center_half_units[k] - 2 * corner(k));
+    }
+    if stance(&placements, inventory).margin_u < MIN_SUPPORT_MARGIN_U || !assemblable(&placements) {
+        return None;
+    }
+    let mut types: Vec<usize> = bricks.iter().map(|brick| brick.type_idx).collect();
+    types.sort_unstable();
+    types.dedup();
+    let n_loops = joints.len() + 1 - bricks.len().min(joints.len() + 1);
+    let appeal = 2 * types.len() as i32 + n_loops.min(bricks.len()) as i32;
+    Some(Found { placements, words: words.to_owned(), appeal })
+}
+
+/// Whether the structure can be put together part by part.
+fn assemblable(placements: &[Placement]) -> bool {
+    Assembly::is_possible(placements)
+}

@@ -1,0 +1,105 @@
+//! What a generated structure is to look like.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::str::FromStr;
+
+use crate::N_BLOCKS;
+
+/// What a generated structure is to look like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Style {
+    /// Grown block by block, often mirrored.
+    Any,
+    /// Higher than broad, in tiers.
+    Tower,
+    /// Longer than high and thin, with battlements or a gate.
+    Wall,
+    /// Piers under a lintel.
+    Arch,
+    /// A deck on piers.
+    Bridge,
+    /// Steps: straight, up and down, or winding.
+    Stairs,
+    /// Layers that get smaller.
+    Pyramid,
+    /// Tables, benches and shelves.
+    Table,
+    /// A closed frame, lying or standing.
+    Ring,
+    /// A cross, lying or standing.
+    Cross,
+    /// A capital letter.
+    Letter,
+    /// As long as the stock and the checks allow.
+    Longest,
+    /// As high as the stock and the checks allow.
+    Tallest,
+}
+
+/// The error of an unknown style name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a style; the styles are {list}", list = Style::ALL.map(Style::as_str).join(", "))]
+pub struct InvalidStyle(pub String);
+
+impl Style {
+    /// All styles.
+    pub const ALL: [Self; 13] = [
+        Self::Any,
+        Self::Tower,
+        Self::Wall,
+        Self::Arch,
+        Self::Bridge,
+        Self::Stairs,
+        Self::Pyramid,
+        Self::Table,
+        Self::Ring,
+        Self::Cross,
+        Self::Letter,
+        Self::Longest,
+        Self::Tallest,
+    ];
+
+    /// The name used in ids and flags.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Any => "any",
+            Self::Tower => "tower",
+            Self::Wall => "wall",
+            Self::Arch => "arch",
+            Self::Bridge => "bridge",
+            Self::Stairs => "stairs",
+            Self::Pyramid => "pyramid",
+            Self::Table => "table",
+            Self::Ring => "ring",
+            Self::Cross => "cross",
+            Self::Letter => "letter",
+            Self::Longest => "longest",
+            Self::Tallest => "tallest",
+        }
+    }
+
+    /// The numbers of blocks with which the style can be told from others.
+    pub fn sizes(self) -> RangeInclusive<usize> {
+        let least = match self {
+            Self::Any | Self::Tower | Self::Wall | Self::Stairs | Self::Pyramid | Self::Table => 2,
+            Self::Arch | Self::Cross | Self::Letter => 3,
+            Self::Bridge | Self::Ring | Self::Longest | Self::Tallest => 4,
+        };
+        least..=N_BLOCKS
+    }
+}
+
+impl fmt::Display for Style {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl FromStr for Style {
+    type Err = InvalidStyle;
+
+    fn from_str(text: &str) -> Result<Self, InvalidStyle> {
+        Self::ALL.into_iter().find(|style| style.as_str() == text).ok_or_else(|| InvalidStyle(text.to_owned()))
+    }
+}

@@ -1,0 +1,106 @@
+//! A blueprint as the text of a file, in the form of the catalogue's.
+
+use std::fmt::Write as _;
+
+use crate::format::MagnetName;
+use crate::{Blueprint, CubeRotation, Inventory};
+
+/// What a block is called in a written file, by its type's name; other types go by that.
+const NAMES: [(&str, &str); 6] =
+    [("1x1x1", "cube"), ("2x1x1", "brick"), ("3x1x1", "bar"), ("4x1x1", "beam"), ("2x2x1", "tile"), ("3x2x1", "slab")];
+
+impl Blueprint {
+    /// The text of the blueprint's file; `provenance` says where the structure comes from.
+    ///
+    /// Blocks are named after their types. Reading the text gives an equal blueprint if this one uses the first blocks
+    /// of every type, as every blueprint from a file does; after [`permuted`](Self::permuted) the text reads as the same
+    /// structure on the first blocks.
+    pub fn to_toml(&self, provenance: &str) -> String {
+        let inventory = Inventory::standard();
+        let names = self.block_names(inventory);
+        let width = names.iter().map(String::len).max().unwrap_or(0);
+        let mut text = format!("id = \"{}\"\nsplit = \"{}\"\n", self.id(), self.split());
+        for (key, value) in [("title", self.title()), ("provenance", provenance)] {
+            // TOML's own rules for quotes and controls.
+            let _ = writeln!(text, "{key} = {}", toml::Value::from(value));
+        }
+        text.push_str("up = \"+z\"\n\nblocks = [\n");
+        for (name, placement) in names.iter().zip(self.placements()) {
+            let size = placement.size_cells(inventory);
+            let at: [i32; 3] = std::array::from_fn(|k| (placement.center_half_units[k] - size[k]) / 2);
+            let (type_name, axes) = (&inventory.block_type(placement.block).name, axes(placement.rotation));
+            let name = format!("\"{name}\",");
+            let _ = writeln!(
+                text,
+                "    {{ name = {name:<0$} type = \"{type_name}\", at = {at:?}, axes = \"{axes}\" }},",
+                width + 3
+            );
+        }
+        text.push_str("]\n\nconnections = [\n");
+        let name = |block| &names[self.placements().iter().take_while(|p| p.block != block).count()];
+        for link in self.links() {
+            let magnet = |block, k: usize| MagnetName::of(inventory, block, &inventory.magnets(block)[k]);
+            let pairs: Vec<String> = (inventory.magnet_pairs(link.a, link.b, link.relative).into_iter())
+                .map(|(p, q)| format!("\"{} {}\"", magnet(link.a, p), magnet(link.b, q)))
+                .collect();
+            let _ = write!(text, "    {{ a = \"{}\", b = \"{}\", magnets = [", name(link.a), name(link.b));
+            match &pairs[..] {
+                [pair] => text.push_str(pair),
+                _ => {
+                    text.push('\n');
+                    pairs.iter().for_each(|pair| text.push_str(&format!("        {pair},\n")));
+                    text.push_str("    ");
+                }
+            }
+            text.push_str("] },\n");
+        }
+        text.push_str("]\n");
+        text
+    }
+
+    /// A name for each placement: the type's word, numbered from 1 where there are several of the type.
+    fn block_names(&self, inventory: &Inventory) -> Vec<String> {
+        let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
+        let word = |name: &str| NAMES.iter().find(|(of, _)| *of == name).map_or(name, |(_, word)| word).to_owned();
+        (0..types.len())
+            .map(|i| {
+                let same = |range: &[&str]| range.iter().filter(|name| **name == types[i]).count();
+                if same(&types) == 1 { word(types[i]) } else { format!("{}-{}", word(types[i]), same(&types[..=i])) }
+            })
+            .collect()
+    }
+}
+
+/// Where the block's own x and y axes point, in a file's words.
+fn axes(rotation: CubeRotation) -> String {
+    let matrix = rotation.matrix();
+    let image = |column: usize| {
+        let axis = (0..3).find(|&row| matrix[row][column] != 0).unwrap_or(0);
+        format!("{}{}", if matrix[axis][column] > 0 { '+' } else { '-' }, ["x", "y", "z"][axis])
+    };
+    format!("{} {}", image(0), image(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::checks::check_text;
+    use crate::{Blueprint, Catalogue};
+
+    #[test]
+    fn what_is_written_reads_back() {
+        for blueprint in Catalogue::builtin().iter() {
+            let text = blueprint.to_toml("a \"test\"");
+            assert_eq!(check_text("written.toml", &text).blueprint.as_ref(), Ok(blueprint), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_text_looks_like_the_catalogue() {
+        let text = "id = \"2_001\"\nsplit = \"train\"\ntitle = \"a \\\\ b\"\nprovenance = \"by hand\"\nup = \"+z\"\n\n\
+                    blocks = [\n    { name = \"cube\", type = \"1x1x1\", at = [0, 0, 1], axes = \"-x +y\" },\n    \
+                    { name = \"beam\", type = \"4x1x1\", at = [0, 0, 0], axes = \"+x -y\" },\n]\n\n\
+                    connections = [\n    { a = \"cube\", b = \"beam\", magnets = [\"+z(0,0,0) -z(0,0,0)\"] },\n]\n";
+        let blueprint: Blueprint = check_text("cube.toml", text).blueprint.unwrap();
+        assert_eq!(blueprint.to_toml("by hand"), text.replace("\"a \\\\ b\"", "'a \\ b'"));
+    }
+}

@@ -1,0 +1,108 @@
+//! Generated structures: valid for every style, size and seed, the same for the same id, and different from each other.
+
+use std::collections::BTreeSet;
+
+use blueprints::checks::check_text;
+use blueprints::generator::{GenerateError, MAX_INDEX, Request, Style, from_id, generate, generate_many};
+use blueprints::{Assembly, Blueprint, BlueprintId, Catalogue, Split};
+use proptest::prelude::*;
+
+/// Canonical hashes of a few structures: a change here changes what every generated id names and needs a new version.
+const GOLDEN: [(&str, u64); 0] = [];
+
+fn id(text: &str) -> BlueprintId {
+    text.parse().expect("tests name valid ids")
+}
+
+/// What every generated blueprint promises.
+fn check(request: &Request) -> Blueprint {
+    let blueprint = generate(request).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!((blueprint.n_blocks(), blueprint.split()), (request.n_blocks, Split::Train));
+    assert_eq!(Request::from_id(blueprint.id()), Some(*request));
+    let text = blueprint.to_toml(&request.provenance());
+    assert_eq!(check_text("generated.toml", &text).blueprint.as_ref(), Ok(&blueprint), "{text}");
+    Assembly::new(&blueprint).unwrap_or_else(|error| panic!("{}: {error}", blueprint.id()));
+    blueprint
+}
+
+#[test]
+fn every_style_and_size_is_valid_and_mostly_new_with_another_seed() {
+    let (mut n_same, mut n_all) = (0, 0);
+    for style in Style::ALL {
+        for n_blocks in style.sizes() {
+            let made = [1, 2].map(|seed| check(&Request { style, seed, n_blocks, index: 0 }));
+            n_same += usize::from(made[0].canonical_hash() == made[1].canonical_hash());
+            n_all += 1;
+        }
+    }
+    assert!(20 * n_same < n_all, "{n_same} of {n_all}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+    #[test]
+    fn any_request_gives_the_same_valid_blueprint_again(
+        style in prop::sample::select(Style::ALL.to_vec()),
+        seed in any::<u64>(),
+        n_blocks in 2_usize..=16,
+        index in 0..=MAX_INDEX,
+    ) {
+        let n_blocks = n_blocks.max(*style.sizes().start());
+        let blueprint = check(&Request { style, seed, n_blocks, index });
+        prop_assert_eq!(from_id(blueprint.id()), Some(Ok(blueprint.clone())));
+    }
+}
+
+#[test]
+fn what_an_id_names_is_pinned() {
+    let found: Vec<_> =
+        GOLDEN.iter().map(|&(name, _)| (name, from_id(&id(name)).expect(name).expect(name).canonical_hash())).collect();
+    assert_eq!(found, GOLDEN, "{found:#x?}");
+}
+
+#[test]
+fn ids_that_name_nothing_generated_are_left_alone() {
+    for other in
+        ["2_000", "test_12_000", "gen2-any-0_4_000", "gen1-any-00_4_000", "gen1-any-x_4_000", "gen1-nose-0_4_000"]
+    {
+        assert_eq!(from_id(&id(other)), None, "{other}");
+    }
+    // A ring of two blocks.
+    assert_eq!(from_id(&id("gen1-ring-0_2_000")), None);
+    let request = Request { style: Style::Arch, seed: 0xbeef, n_blocks: 12, index: 7 };
+    assert_eq!(request.id(), Ok(id("gen1-arch-beef_12_007")));
+}
+
+#[test]
+fn impossible_requests_say_what_is_possible() {
+    let error = |style, n_blocks, index| {
+        generate(&Request { style, seed: 0, n_blocks, index }).expect_err("it is impossible").to_string()
+    };
+    assert_eq!(error(Style::Ring, 3, 0), "style ring needs 4 to 16 blocks, not 3");
+    assert_eq!(error(Style::Any, 17, 0), "style any needs 2 to 16 blocks, not 17");
+    assert_eq!(error(Style::Any, 4, 1000), "index 1000 of a generated blueprint is not in 0..=999");
+    let error = "tors".parse::<Style>().expect_err("no style").to_string();
+    assert!(error.starts_with("\"tors\" is not a style; the styles are any, tower, "), "{error}");
+    for style in Style::ALL {
+        assert_eq!(style.to_string().parse(), Ok(style));
+    }
+}
+
+#[test]
+fn many_are_distinct_and_none_is_excluded() {
+    let builtin: BTreeSet<u64> = Catalogue::builtin().iter().map(Blueprint::canonical_hash).collect();
+    let first = generate_many(Style::Any, 3, 2, 20, &builtin).expect("there are enough pairs");
+    let hashes: BTreeSet<u64> = first.iter().map(Blueprint::canonical_hash).collect();
+    assert_eq!((first.len(), hashes.len()), (20, 20));
+    assert!(hashes.is_disjoint(&builtin));
+    // Excluding them too gives others.
+    let exclude: BTreeSet<u64> = builtin.union(&hashes).copied().collect();
+    let second = generate_many(Style::Any, 3, 2, 20, &exclude).expect("there are enough pairs");
+    assert!(second.iter().all(|blueprint| !exclude.contains(&blueprint.canonical_hash())));
+    // Every one is what its id names.
+    for blueprint in first.iter().chain(&second) {
+        assert_eq!(from_id(blueprint.id()), Some(Ok(blueprint.clone())));
+    }
+    let too_many = generate_many(Style::Wall, 0, 2, 900, &BTreeSet::new());
+    assert!(matches!(too_many, Err(GenerateError::TooFew { count: 900, .. })), "{too_many:?}");
+}

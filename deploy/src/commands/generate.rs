@@ -1,0 +1,53 @@
+//! `blueprints generate`.
+
+use std::collections::BTreeSet;
+use std::fs::{self, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use blueprints::generator::{Request, generate_many};
+use blueprints::{Blueprint, Catalogue};
+
+use crate::cli::GenerateArgs;
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// Writes one file per blueprint and prints a line for each; no file is replaced.
+///
+/// # Errors
+/// When there are not enough structures of that style and size, a file exists, or one cannot be written.
+pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let known: BTreeSet<u64> = Catalogue::builtin().iter().map(Blueprint::canonical_hash).collect();
+    let made = generate_many(args.style, args.seed, usize::from(args.size), usize::from(args.count), &known)?;
+    let path = |blueprint: &Blueprint| args.out.join(format!("{}.toml", blueprint.id()));
+    // All are looked at before the first is written, so that a refusal leaves the folder as it was.
+    let paths: Vec<PathBuf> = made.iter().map(path).collect();
+    if let Some(taken) = paths.iter().find(|path| path.exists()) {
+        return Err(Failure::BlueprintExists(taken.clone()));
+    }
+    fs::create_dir_all(&args.out).map_err(failed(&args.out))?;
+    for (blueprint, path) in made.iter().zip(&paths) {
+        write(blueprint, path)?;
+        terminal.print(&line(blueprint));
+    }
+    Ok(())
+}
+
+fn write(blueprint: &Blueprint, path: &Path) -> Result<(), Failure> {
+    let request = Request::from_id(blueprint.id()).expect("the id of a generated blueprint names its request");
+    // `create_new`, for what another process may have written in the meantime.
+    let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed(path))?;
+    file.write_all(blueprint.to_toml(&request.provenance()).as_bytes()).map_err(failed(path))
+}
+
+fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> Failure {
+    let path = path.to_owned();
+    |error| Failure::BlueprintFile { path, error }
+}
+
+/// Id, height × length × width in units, and title; the number of blocks is in the id and in the title.
+fn line(blueprint: &Blueprint) -> String {
+    let [x, y, height] = blueprint.extent_u();
+    let size = format!("{height} × {} × {} u", x.max(y), x.min(y));
+    format!("{:<28}{size:<18}{}", blueprint.id(), blueprint.title())
+}
