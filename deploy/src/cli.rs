@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use blueprints::Split;
-use clap::builder::PossibleValuesParser;
+use clap::builder::{PossibleValuesParser, RangedU64ValueParser};
 use clap::{Args, Parser, Subcommand};
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
@@ -189,6 +189,8 @@ pub enum BlueprintsCommand {
     List(BlueprintsArgs),
     /// Check blueprint files or folders of them, or the catalogue.
     Check(BlueprintsArgs),
+    /// Draw blueprints as PNG files: one with four views of each, and contact sheets of all.
+    Show(ShowArgs),
 }
 
 /// Arguments of `blueprints list` and `blueprints check`.
@@ -200,6 +202,29 @@ pub struct BlueprintsArgs {
     /// Print JSON.
     #[arg(long)]
     pub json: bool,
+}
+
+/// Arguments of `blueprints show`.
+#[derive(Debug, Args)]
+pub struct ShowArgs {
+    /// Which blueprints, for example 6_005 [default: all].
+    #[arg(value_name = "ID", conflicts_with = "split")]
+    pub ids: Vec<String>,
+    /// All of this part of the catalogue: train, test, test-literal, test-longest or test-tallest.
+    #[arg(long, value_name = "S")]
+    pub split: Option<Split>,
+    /// Width of a blueprint's picture in pixels.
+    #[arg(long, value_name = "N", default_value_t = 960, value_parser = RangedU64ValueParser::<usize>::new().range(320..=4000))]
+    pub size: usize,
+    /// Folder for the pictures; made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Folder of blueprint files, or one file [default: the catalogue that comes with the program].
+    #[arg(long, value_name = "FILE_OR_DIR")]
+    pub path: Option<PathBuf>,
+    /// Write the contact sheets only.
+    #[arg(long)]
+    pub only_sheets: bool,
 }
 
 impl ConfigArgs {

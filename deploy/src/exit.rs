@@ -2,10 +2,11 @@
 
 use std::process::ExitCode;
 
+use blueprints::Split;
 use learner::{CheckpointError, LearnerError};
 use proto::bus::BusError;
 
-use crate::config::ConfigError;
+use crate::config::{ConfigError, suggestion};
 
 /// A failed command.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +31,17 @@ pub enum Failure {
         /// Files checked.
         n_files: usize,
     },
+    /// An id that the catalogue does not have; code 64.
+    #[error("there is no blueprint `{id}`{}", suggestion(nearest))]
+    UnknownBlueprint {
+        /// The id given.
+        id: String,
+        /// The existing id that looks most like it.
+        nearest: Option<String>,
+    },
+    /// A part of the catalogue without blueprints; code 64.
+    #[error("the catalogue has no blueprints of the split {0}")]
+    EmptySplit(Split),
     /// A checkpoint or run directory cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
@@ -66,7 +78,11 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) => 2,
-            Self::Config(_) | Self::Catalogue(_) | Self::Blueprints { .. } => 64,
+            Self::Config(_)
+            | Self::Catalogue(_)
+            | Self::Blueprints { .. }
+            | Self::UnknownBlueprint { .. }
+            | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
             Self::Checkpoint(_) => 66,
             Self::Service(_) => 1,

@@ -1,9 +1,12 @@
-//! `blueprints list` and `blueprints check`.
+//! `blueprints list`, `blueprints check` and `blueprints show`.
+
+mod show;
+mod table;
 
 use std::path::PathBuf;
 
 use blueprints::catalogue::{BUILTIN_FILES, read_files};
-use blueprints::checks::{CheckResult, Outcome, Report, check_all};
+use blueprints::checks::{CheckResult, Report, check_all};
 use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
 use serde::Serialize;
 
@@ -33,11 +36,12 @@ struct Verdict<'a> {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a file cannot be read, or a check fails.
+/// When a file cannot be read or written, a check fails, or there is no such blueprint.
 pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),
         BlueprintsCommand::Check(args) => check(args, terminal),
+        BlueprintsCommand::Show(args) => show::run(args, terminal),
     }
 }
 
@@ -74,7 +78,7 @@ fn check(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
         let verdicts: Vec<Verdict<'_>> = reports.iter().map(verdict).collect();
         terminal.print(&json(&verdicts));
     } else {
-        reports.iter().for_each(|report| terminal.print(&line(report)));
+        terminal.print(&table::render(&reports));
     }
     let n_failed = reports.iter().filter(|report| !report.passed()).count();
     match n_failed {
@@ -93,15 +97,6 @@ fn files(paths: &[PathBuf]) -> Result<Vec<(String, String)>, Failure> {
 
 fn verdict(report: &Report) -> Verdict<'_> {
     Verdict { file: &report.file, id: report.id.as_ref(), passed: report.passed(), checks: &report.results }
-}
-
-/// Whether all is well, else what is wrong.
-fn line(report: &Report) -> String {
-    let error = report.results.iter().find_map(|result| match &result.outcome {
-        Outcome::Failed { error } => Some(error),
-        Outcome::Passed | Outcome::Skipped => None,
-    });
-    format!("{}: {}", report.file, error.map_or("ok", String::as_str))
 }
 
 fn json(value: &impl Serialize) -> String {
