@@ -72,6 +72,8 @@ impl Coat {
         let gradients = surface.gradients()?;
         let from_light = side.normal.dot(camera.light()).max(0.0);
         let shine = 0.56 + 0.36 * from_light + 0.16 * camera.facing(&side.normal) + 0.04 * side.normal.z;
+        // At most its own colour, so that legends show it as it is.
+        let shine = shine.min(1.0);
         // Magnets keep more of their colour in the shade, as it is what tells their poles apart.
         let glow = 0.5 + 0.5 * shine;
         let base = lit(block.color(), shine);

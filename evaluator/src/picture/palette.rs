@@ -1,9 +1,9 @@
-//! The 128 colours that say most of an image.
+//! The few colours that say most of an image.
 
 use super::image::Rgb;
 
-/// Most colours in a palette. With 256, contact sheets look the same and are a fifth larger.
-const MAX_COLORS: usize = 128;
+/// Most colours that a byte can number.
+const MAX_COLORS: usize = 256;
 
 /// Colours that stand for all colours of an image.
 #[derive(Debug)]
@@ -23,20 +23,21 @@ struct Group {
 }
 
 impl Palette {
-    /// The palette of some pixels: exact if they have at most 128 colours.
+    /// The palette of some pixels with at most `n_colors` colours (1 to 256); exact if they have no more.
     ///
-    /// Otherwise the group of colours that is worst served by its mean is split there, until there are 128 groups. What
-    /// many pixels have exactly (paper, flat sides) stays exact.
-    pub(super) fn of(pixels: &[Rgb]) -> Self {
+    /// Otherwise the group of colours that is worst served by its mean is split there, until there are enough groups.
+    /// What many pixels have exactly (paper, flat sides) stays exact.
+    pub(super) fn of(pixels: &[Rgb], n_colors: usize) -> Self {
+        let n_colors = n_colors.clamp(1, MAX_COLORS);
         let mut groups = vec![Group::new(counted(pixels))];
-        while groups.len() < MAX_COLORS {
+        while groups.len() < n_colors {
             let widest = groups.iter().enumerate().max_by(|(_, a), (_, b)| a.spread.total_cmp(&b.spread));
             let Some((at, _)) = widest.filter(|(_, group)| group.spread > 0.0) else { break };
             let (low, high) = groups.swap_remove(at).split();
             groups.extend([low, high]);
         }
         let colors = groups.iter().map(Group::color).collect();
-        let numbers = groups.iter().zip(0_u8..);
+        let numbers = groups.iter().zip(0_u8..=u8::MAX);
         let mut known: Vec<(Rgb, u8)> =
             numbers.flat_map(|(group, number)| group.members.iter().map(move |(color, _)| (*color, number))).collect();
         known.sort_unstable();
@@ -115,8 +116,8 @@ mod tests {
 
     #[test]
     fn few_colours_stay_as_they_are() {
-        let pixels: Vec<Rgb> = (0..128).map(|x| [2 * x, 255 - x, x]).collect();
-        let palette = Palette::of(&pixels);
+        let pixels: Vec<Rgb> = (0..=255).map(|x| [x, 255 - x, x / 2]).collect();
+        let palette = Palette::of(&pixels, 256);
         let seen: Vec<Rgb> = palette.indices(&pixels).iter().map(|&i| palette.colors()[usize::from(i)]).collect();
         assert_eq!(seen, pixels);
     }
@@ -126,12 +127,12 @@ mod tests {
         // 4096 colours on a grid of steps of 17, and white in most pixels.
         let grid = (0..4096_u32).map(|k| [k % 16, k / 16 % 16, k / 256].map(|x| (17 * x) as u8));
         let pixels: Vec<Rgb> = grid.chain(std::iter::repeat_n([250, 251, 252], 20_000)).collect();
-        let palette = Palette::of(&pixels);
-        assert_eq!(palette.colors().len(), 128);
+        let palette = Palette::of(&pixels, 96);
+        assert_eq!(palette.colors().len(), 96);
         for (pixel, index) in pixels.iter().zip(palette.indices(&pixels)) {
             let seen = palette.colors()[usize::from(index)];
             let off = (0..3).map(|i| pixel[i].abs_diff(seen[i])).max().unwrap();
-            // 128 groups of 32 neighbours are about 3.2 steps on a side: no colour is three steps from its middle.
+            // 96 groups of 43 neighbours are about 3.5 steps on a side: no colour is three steps from its middle.
             assert!(off <= 51, "{pixel:?} became {seen:?}");
         }
         let common = palette.indices(&[[250, 251, 252]])[0];

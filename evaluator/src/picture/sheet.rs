@@ -10,7 +10,7 @@ use super::model::{TYPE_COLORS, corners, of_blueprint};
 use super::painter::Painter;
 use super::text::{Type, fitted, write};
 
-/// Most blueprints on one contact sheet: six columns and eight rows, 1860 times 2320 pixels.
+/// Most blueprints on one contact sheet: six columns and eight rows, 1860 times 2240 pixels.
 pub const MAX_TILES: usize = 48;
 
 /// The views of a card by row.
@@ -28,7 +28,7 @@ const HEADER: usize = 80;
 const LEGEND_ROW: usize = 28;
 
 /// Width and height of a contact sheet's tiles in pixels, and of the words at a tile's foot.
-const TILE: [usize; 2] = [310, 290];
+const TILE: [usize; 2] = [310, 280];
 const TILE_FOOT: usize = 56;
 const MAX_COLUMNS: usize = 6;
 
@@ -78,8 +78,11 @@ pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image
 /// Three-quarter views of blueprints side by side in rows, each with name and title; of at most [`MAX_TILES`].
 pub fn sheet(painter: &mut Painter, blueprints: &[&Blueprint]) -> Image {
     let shown = &blueprints[..blueprints.len().min(MAX_TILES)];
-    // A little wider than high.
-    let n_columns = ((1.2 * shown.len() as f32).sqrt().ceil() as usize).clamp(1, MAX_COLUMNS);
+    // One row if that will do, else a little wider than high.
+    let n_columns = match shown.len() {
+        n @ ..=MAX_COLUMNS => n.max(1),
+        n => ((1.2 * n as f32).sqrt().ceil() as usize).min(MAX_COLUMNS),
+    };
     let [width, height] = TILE;
     let mut image = Image::filled(n_columns * width, shown.len().div_ceil(n_columns) * height, WHITE);
     for (i, blueprint) in shown.iter().enumerate() {

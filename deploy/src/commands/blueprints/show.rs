@@ -16,6 +16,10 @@ use crate::live::Terminal;
 /// Cards between two lines of progress.
 const LINE_EVERY: usize = 20;
 
+/// Colours in a card, and in a contact sheet, which is to be small enough to keep in a repository.
+const CARD_COLORS: usize = 256;
+const SHEET_COLORS: usize = 96;
+
 /// A file to be written: its name and its bytes.
 type File = (String, Vec<u8>);
 
@@ -30,7 +34,7 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let mut files = Vec::new();
     if !args.only_sheets {
         for (i, blueprint) in shown.iter().enumerate() {
-            let bytes = encode(&card(&mut painter, blueprint, args.size)).context("encoding a picture")?;
+            let bytes = encode(&card(&mut painter, blueprint, args.size), CARD_COLORS).context("encoding a picture")?;
             files.push((format!("{}.png", blueprint.id()), bytes));
             if (i + 1) % LINE_EVERY == 0 || i + 1 == shown.len() {
                 terminal.print(&format!("{} of {} blueprints drawn", i + 1, shown.len()));
@@ -38,8 +42,8 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
         }
     }
     for (name, members) in sheets(&shown) {
-        let bytes = encode(&sheet(&mut painter, &members)).context("encoding a contact sheet")?;
-        terminal.print(&format!("{name}: {} blueprints", members.len()));
+        let bytes = encode(&sheet(&mut painter, &members), SHEET_COLORS).context("encoding a contact sheet")?;
+        terminal.print(&format!("{name}: {} blueprints{}", members.len(), sizes(&members)));
         files.push((name, bytes));
     }
     write(&args.out, &files)?;
@@ -99,6 +103,16 @@ fn sheets<'a>(shown: &[&'a Blueprint]) -> Vec<(String, Vec<&'a Blueprint>)> {
         }
     }
     sheets
+}
+
+/// The least and the greatest number of blocks, in words.
+fn sizes(blueprints: &[&Blueprint]) -> String {
+    let sizes = blueprints.iter().map(|blueprint| blueprint.n_blocks());
+    match (sizes.clone().min(), sizes.max()) {
+        (Some(least), Some(most)) if least < most => format!(" of {least} to {most} blocks"),
+        (Some(size), _) => format!(" of {size} blocks"),
+        (None, _) => String::new(),
+    }
 }
 
 /// Writes each file under another name first, so that none is ever seen half.
