@@ -154,7 +154,7 @@ fn blueprints_are_drawn() {
 fn what_cannot_be_drawn_is_named_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     for (args, code, words) in [
-        (&["2_000", "6_05"][..], 64, &["`6_05`", "did you mean `6_005`"][..]),
+        (&["2_000", "6-005"][..], 64, &["`6-005`", "did you mean `6_005`"][..]),
         (&["--path", "gone"], 64, &["gone", "cannot read"]),
         (&["2_000", "--split", "train"], 2, &["--split", "cannot be used with"]),
         (&["--size", "319"], 2, &["--size", "319 is not in 320..=4000"]),

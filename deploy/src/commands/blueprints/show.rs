@@ -133,25 +133,27 @@ mod tests {
 
     use super::*;
 
+    /// A trained blueprint of so many blocks.
+    fn of_size(n_blocks: usize) -> &'static Blueprint {
+        let mut all = Catalogue::builtin().iter();
+        all.find(|blueprint| blueprint.split() == Split::Train && blueprint.n_blocks() == n_blocks).unwrap()
+    }
+
     #[test]
-    fn sheets_are_cut_between_sizes_and_hold_everything_once() {
-        let all: Vec<&Blueprint> = Catalogue::builtin().iter().filter(|b| b.split() == Split::Train).take(34).collect();
-        assert_eq!(sheets(&all)[0].0, "sheet.png");
-        // The same ones again and again: 14 of two blocks, 6 of three, 6 of four and so on, each twice.
-        let twice: Vec<&Blueprint> = all.iter().chain(&all).copied().collect();
-        let pages = sheets(&twice);
-        let names: Vec<&str> = pages.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(names, ["sheet-train-1.png", "sheet-train-2.png"]);
-        assert_eq!(pages.iter().map(|(_, page)| page.len()).sum::<usize>(), twice.len());
-        assert!(pages.iter().all(|(_, page)| page.len() <= MAX_TILES));
-        let (last, first) = (pages[0].1.last().unwrap().n_blocks(), pages[1].1[0].n_blocks());
-        assert!(last < first, "the cut lies within the blueprints of {first} blocks");
+    fn sheets_are_cut_between_sizes() {
+        let pages = |shown: &[&Blueprint]| -> Vec<(String, usize)> {
+            sheets(shown).into_iter().map(|(name, page)| (name, page.len())).collect()
+        };
+        let named = |name: &str, n_tiles: usize| (name.to_owned(), n_tiles);
+        let [two, three, four] = [2, 3, 4].map(|n_blocks| vec![of_size(n_blocks); 20]);
+        assert_eq!(pages(&[two.clone(), three.clone()].concat()), [named("sheet.png", 40)]);
+        let expected = [named("sheet-train-1.png", 40), named("sheet-train-2.png", 20)];
+        assert_eq!(pages(&[two, four, three].concat()), expected);
     }
 
     #[test]
     fn a_size_with_too_many_for_a_sheet_gets_several() {
-        let one = Catalogue::builtin().iter().next().unwrap();
-        let n_tiles: Vec<usize> = sheets(&[one; 2 * MAX_TILES + 3]).iter().map(|(_, page)| page.len()).collect();
+        let n_tiles: Vec<usize> = sheets(&[of_size(2); 2 * MAX_TILES + 3]).iter().map(|(_, page)| page.len()).collect();
         assert_eq!(n_tiles, [MAX_TILES, MAX_TILES, 3]);
     }
 }
