@@ -7,8 +7,8 @@ use super::palette::Palette;
 
 /// The image as a PNG of at most `n_colors` colours, 1 to 256; equal arguments give equal bytes.
 ///
-/// A drawing with flat colours looks the same with 256 colours and takes a third of the space. With a hundred it takes a
-/// fifth less again, and wide soft shadows show steps.
+/// A drawing with flat colours looks the same with 256 colours and takes two fifths of the space. With a hundred it takes a
+/// sixth less again, and wide soft shadows show steps.
 ///
 /// # Errors
 /// When a side is longer than the format can say.

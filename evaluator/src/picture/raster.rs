@@ -1,5 +1,7 @@
 //! Flat convex surfaces → samples, the nearest winning.
 
+use std::ops::Range;
+
 use super::camera::Projected;
 use super::image::{Image, Rgb};
 
@@ -14,8 +16,9 @@ pub(super) struct Samples {
     /// Of the nearest surface at each sample; negative infinity where there is none.
     nearness: Vec<f32>,
     colors: Vec<Rgb>,
-    /// Rows of samples that hold a surface.
-    rows: std::ops::Range<usize>,
+    /// Rows and columns of samples outside of which there is no surface.
+    rows: Range<usize>,
+    columns: Range<usize>,
 }
 
 /// A rectangle in space with coordinates of its own: the first grows from corner 0 to 1, the second from corner 0 to 3.
@@ -94,6 +97,15 @@ pub(super) fn scan(corners: &[Projected; 4], [width, height]: [usize; 2], mut ro
     }
 }
 
+/// The least range that holds both, of which either may be empty.
+fn union(a: &Range<usize>, b: Range<usize>) -> Range<usize> {
+    match (a.is_empty(), b.is_empty()) {
+        (true, _) => b,
+        (_, true) => a.clone(),
+        _ => a.start.min(b.start)..a.end.max(b.end),
+    }
+}
+
 impl Samples {
     /// Forgets all surfaces and makes room for a picture of this size in pixels.
     pub(super) fn clear(&mut self, [width, height]: [usize; 2]) {
@@ -105,7 +117,7 @@ impl Samples {
             self.nearness = vec![f32::NEG_INFINITY; width * height];
             self.colors = vec![[0; 3]; width * height];
         }
-        self.rows = 0..0;
+        (self.rows, self.columns) = (0..0, 0..0);
     }
 
     /// Draws a surface where nothing drawn before is nearer; `shade` has the colour at the surface's two coordinates, or
@@ -122,9 +134,10 @@ impl Samples {
         let first = linear([a, b, d], [0.0, first * b.zoom, 0.0]);
         let second = linear([a, b, d], [0.0, 0.0, second * d.zoom]);
         let (width, height) = (self.width, self.height);
-        let mut rows = height..0;
+        let (mut rows, mut columns) = (height..0, width..0);
         scan(&corners, [width, height], |y, from, to| {
             rows = rows.start.min(y)..y + 1;
+            columns = columns.start.min(from)..columns.end.max(to);
             let (x, center) = (from as f32 + 0.5, y as f32 + 0.5);
             let [nearness_0, zoom_0, first_0, second_0] = [nearness, zoom, first, second].map(|q| q.at(x, center));
             let line = y * width + from..y * width + to.max(from);
@@ -142,17 +155,15 @@ impl Samples {
                 }
             }
         });
-        if rows.start < rows.end {
-            let old = std::mem::take(&mut self.rows);
-            self.rows = if old.is_empty() { rows } else { old.start.min(rows.start)..old.end.max(rows.end) };
-        }
+        self.rows = union(&self.rows, rows);
+        self.columns = union(&self.columns, columns);
     }
 
     /// Puts the surfaces over an image of the size that was cleared for; each pixel is the mean of its samples.
     pub(super) fn resolve(&self, image: &mut Image) {
         for y in self.rows.start / OVERSAMPLING..self.rows.end.div_ceil(OVERSAMPLING) {
-            let row = image.row_mut(y);
-            for (x, pixel) in row.iter_mut().enumerate() {
+            let columns = self.columns.start / OVERSAMPLING..self.columns.end.div_ceil(OVERSAMPLING);
+            for (x, pixel) in columns.clone().zip(&mut image.row_mut(y)[columns]) {
                 let upper = 2 * y * self.width + 2 * x;
                 let four = [upper, upper + 1, upper + self.width, upper + self.width + 1];
                 let is_drawn = four.map(|k| self.nearness[k] > f32::NEG_INFINITY);
