@@ -1,4 +1,4 @@
-//! Pictures of blocks, by a small software rasteriser: pixels as a function of poses, the same on every machine.
+//! Pictures of blocks, by a small software rasteriser: pixels as a function of poses, with no I/O and no clock.
 //!
 //! Reading order: `model` (what is drawn) → `camera` (from where) → `raster` (surfaces → samples, the nearest wins) →
 //! `coat` (what a side looks like) → `ground` → `painter` (all of it) → `text` and `sheet` (pictures with words) →
