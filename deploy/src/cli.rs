@@ -2,10 +2,15 @@
 
 use std::path::PathBuf;
 
-use blueprints::generator::Style;
-use blueprints::{BlueprintId, N_BLOCKS, Split};
+use ::blueprints::Split;
 use clap::builder::PossibleValuesParser;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand};
+
+mod blueprints;
+mod expert;
+
+pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
+pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 use crate::run_dir::CONFIG_FILE;
@@ -184,105 +189,6 @@ pub struct EvalArgs {
     /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,
-}
-
-/// What the scripted expert is to do.
-#[derive(Debug, Subcommand)]
-pub enum ExpertCommand {
-    /// Judge it on blueprints, as a policy is judged.
-    Eval(ExpertEvalArgs),
-}
-
-/// Arguments of `expert eval`.
-#[derive(Debug, Args)]
-pub struct ExpertEvalArgs {
-    /// These blueprints of the catalogue only; generated ones by their id as well.
-    #[arg(value_name = "ID")]
-    pub ids: Vec<BlueprintId>,
-    /// This part of the catalogue: train, test, test-literal, test-longest or test-tallest; may be repeated [default: all].
-    #[arg(long, value_name = "S", conflicts_with = "ids")]
-    pub split: Vec<Split>,
-    /// Episodes per blueprint.
-    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub episodes: u32,
-    /// How they begin; mixed: every fifth with another blueprint built.
-    #[arg(long, value_enum, default_value_t = StartArg::Mixed)]
-    pub start: StartArg,
-    /// Grippers of the world [default: as configured].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
-    pub grippers: Option<u8>,
-    /// Then 50 runs over 10 goals of at least 12 blocks in a world that is never reset.
-    #[arg(long)]
-    pub reset_free: bool,
-    /// Seed of the start states.
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    pub seed: u64,
-    /// Threads [default: one per core].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
-    pub threads: Option<u8>,
-    /// Write the cause of each failure (failures.json) and a replay of it into this new folder.
-    #[arg(long, value_name = "DIR")]
-    pub explain: Option<PathBuf>,
-    /// Set one key of the configuration, for example environment.max_speed_mps=2; may be repeated.
-    #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
-    /// Print the report as JSON.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// How episodes begin.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum StartArg {
-    /// All blocks scattered.
-    Scattered,
-    /// Another training blueprint stands.
-    Prebuilt,
-    /// Every fifth prebuilt, the others scattered.
-    Mixed,
-}
-
-/// What to do with blueprints.
-#[derive(Debug, Subcommand)]
-pub enum BlueprintsCommand {
-    /// List the catalogue, or that in a folder.
-    List(BlueprintsArgs),
-    /// Check blueprint files or folders of them, or the catalogue.
-    Check(BlueprintsArgs),
-    /// Generate blueprints that are not in the catalogue, one file each.
-    Generate(GenerateArgs),
-}
-
-/// Arguments of `blueprints list` and `blueprints check`.
-#[derive(Debug, Args)]
-pub struct BlueprintsArgs {
-    /// Files or folders [default: the catalogue that comes with the program].
-    #[arg(value_name = "PATH")]
-    pub paths: Vec<PathBuf>,
-    /// Print JSON.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Arguments of `blueprints generate`.
-#[derive(Debug, Args)]
-pub struct GenerateArgs {
-    /// Blocks of each.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=N_BLOCKS as i64))]
-    pub size: u8,
-    /// How many; the most different of about four times as many.
-    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=500))]
-    pub count: u16,
-    /// Another seed gives other structures, the same seed the same.
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    pub seed: u64,
-    /// What they look like: any, tower, wall, arch, bridge, stairs, pyramid, table, ring, cross, letter, longest or
-    /// tallest.
-    #[arg(long, value_name = "STYLE", default_value_t = Style::Any)]
-    pub style: Style,
-    /// Folder for the files, made if there is none.
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
 }
 
 impl ConfigArgs {

@@ -3,7 +3,6 @@
 mod blueprints;
 mod eval;
 mod expert;
-mod generate;
 mod router;
 mod services;
 mod train;
