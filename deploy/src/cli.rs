@@ -2,10 +2,15 @@
 
 use std::path::PathBuf;
 
-use blueprints::generator::Style;
-use blueprints::{N_BLOCKS, Split};
+use ::blueprints::Split;
 use clap::builder::PossibleValuesParser;
 use clap::{Args, Parser, Subcommand};
+
+mod blueprints;
+mod expert;
+
+pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
+pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 use crate::run_dir::CONFIG_FILE;
@@ -38,6 +43,9 @@ pub enum Command {
     Router(RouterArgs),
     /// Judge a checkpoint.
     Eval(EvalArgs),
+    /// Let the scripted expert build.
+    #[command(subcommand)]
+    Expert(ExpertCommand),
     /// Look at blueprints.
     #[command(subcommand)]
     Blueprints(BlueprintsCommand),
@@ -181,49 +189,6 @@ pub struct EvalArgs {
     /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,
-}
-
-/// What to do with blueprints.
-#[derive(Debug, Subcommand)]
-pub enum BlueprintsCommand {
-    /// List the catalogue, or that in a folder.
-    List(BlueprintsArgs),
-    /// Check blueprint files or folders of them, or the catalogue.
-    Check(BlueprintsArgs),
-    /// Generate blueprints that are not in the catalogue, one file each.
-    Generate(GenerateArgs),
-}
-
-/// Arguments of `blueprints list` and `blueprints check`.
-#[derive(Debug, Args)]
-pub struct BlueprintsArgs {
-    /// Files or folders [default: the catalogue that comes with the program].
-    #[arg(value_name = "PATH")]
-    pub paths: Vec<PathBuf>,
-    /// Print JSON.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// Arguments of `blueprints generate`.
-#[derive(Debug, Args)]
-pub struct GenerateArgs {
-    /// Blocks of each.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=N_BLOCKS as i64))]
-    pub size: u8,
-    /// How many; the most different of about four times as many.
-    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=500))]
-    pub count: u16,
-    /// Another seed gives other structures, the same seed the same.
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    pub seed: u64,
-    /// What they look like: any, tower, wall, arch, bridge, stairs, pyramid, table, ring, cross, letter, longest or
-    /// tallest.
-    #[arg(long, value_name = "STYLE", default_value_t = Style::Any)]
-    pub style: Style,
-    /// Folder for the files, made if there is none.
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
 }
 
 impl ConfigArgs {

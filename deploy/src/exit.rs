@@ -4,10 +4,11 @@ use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use blueprints::Split;
 use learner::{CheckpointError, LearnerError};
 use proto::bus::BusError;
 
-use crate::config::ConfigError;
+use crate::config::{ConfigError, suggestion};
 
 /// A failed command.
 #[derive(Debug, thiserror::Error)]
@@ -47,6 +48,17 @@ pub enum Failure {
         #[source]
         error: io::Error,
     },
+    /// An id that the catalogue does not have; code 64.
+    #[error("there is no blueprint `{id}`{}", suggestion(nearest))]
+    UnknownBlueprint {
+        /// The id given.
+        id: String,
+        /// The existing id that looks most like it.
+        nearest: Option<String>,
+    },
+    /// A part of the catalogue without blueprints; code 64.
+    #[error("the catalogue has no blueprints of the split {0}")]
+    EmptySplit(Split),
     /// A checkpoint or run directory cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
@@ -88,7 +100,9 @@ impl Failure {
             | Self::Blueprints { .. }
             | Self::Generate(_)
             | Self::BlueprintExists(_)
-            | Self::BlueprintFile { .. } => 64,
+            | Self::BlueprintFile { .. }
+            | Self::UnknownBlueprint { .. }
+            | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
             Self::Checkpoint(_) => 66,
             Self::Service(_) => 1,

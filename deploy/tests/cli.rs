@@ -134,7 +134,44 @@ fn a_bad_blueprint_is_told_apart_from_good_ones() {
     std::fs::write(folder.path().join("2_099.toml"), "id = 3").unwrap();
     let output = lodestone(folder.path(), &["blueprints", "check", "2_099.toml"], &[]);
     assert_eq!(output.status.code(), Some(64));
-    assert!(String::from_utf8_lossy(&output.stdout).contains("2_099.toml: line 1"));
+    let stdout = String::from_utf8_lossy(&output.stdout);
+    for words in ["2_099.toml  -   FAILED  -  ", "2_099.toml, format: line 1"] {
+        assert!(stdout.contains(words), "no {words:?} in {stdout}");
+    }
+}
+
+#[test]
+fn blueprints_are_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["blueprints", "show", "2_000", "6_005", "2_000", "--size", "320", "--out", "new/pictures"];
+    let output = lodestone(folder.path(), &args, &[]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let written = std::fs::read_dir(folder.path().join("new/pictures")).unwrap();
+    let mut names: Vec<String> = written.map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    assert_eq!(names, ["2_000.png", "6_005.png", "sheet.png"]);
+    // A PNG begins with its signature, 8 bytes about the header, and the width.
+    let card = std::fs::read(folder.path().join("new/pictures/6_005.png")).unwrap();
+    assert_eq!((&card[..8], &card[16..20]), (&b"\x89PNG\r\n\x1a\n"[..], &320_u32.to_be_bytes()[..]));
+}
+
+#[test]
+fn what_cannot_be_drawn_is_named_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    for (args, code, words) in [
+        (&["2_000", "6-005"][..], 64, &["`6-005`", "did you mean `6_005`"][..]),
+        (&["--path", "gone"], 64, &["gone", "cannot read"]),
+        (&["2_000", "--split", "train"], 2, &["--split", "cannot be used with"]),
+        (&["--size", "319"], 2, &["--size", "319 is not in 320..=4000"]),
+    ] {
+        let output = lodestone(folder.path(), &[&["blueprints", "show", "--out", "pictures"], args].concat(), &[]);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
+        for word in words {
+            assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
+        }
+        assert!(!folder.path().join("pictures").exists(), "{args:?} left files behind");
+    }
 }
 
 #[test]

@@ -178,9 +178,11 @@ impl Expert {
         let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
         let lies = tilt <= MAX_TILT_RAD && self.lift_m(&base.frame, base.side).abs() <= MAX_LIFT_M;
         let gripped = self.gripped(view, base.parts);
-        let fetching = view.held.iter().flatten().any(|&block| {
-            view.part_of[block.get()].is_some_and(|part| !base.parts.contains(part))
-        });
+        let fetching = view
+            .held
+            .iter()
+            .flatten()
+            .any(|&block| view.part_of[block.get()].is_some_and(|part| !base.parts.contains(part)));
         // Once blocks are on their way the base stays, or it would flee from them.
         if lies && (fetching || base.parts.len() > 2) {
             return None;

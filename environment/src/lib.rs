@@ -24,8 +24,8 @@ mod physics_tests;
 mod reset;
 
 pub use config::{EnvironmentConfig, EnvironmentConfigError};
-pub use expert::{Activity, Decision, Expert};
 pub use env::{Env, ResetError, StepResult};
+pub use expert::{Activity, Decision, Expert};
 pub use reset::sample_assignment;
 pub use success::StableSuccess;
 pub use world::World;

@@ -118,15 +118,18 @@ pub(crate) fn share_out<T: Send>(
     if n_threads <= 1 {
         return run(lanes);
     }
-    let shares = lanes.chunks(lanes.len().div_ceil(n_threads).max(1));
+    // Dealt out in turn, because neighbours cost alike.
+    let n_shares = n_threads.min(lanes.len()).max(1);
+    let shares: Vec<Vec<Vec<Job>>> =
+        (0..n_shares).map(|first| lanes.iter().skip(first).step_by(n_shares).cloned().collect()).collect();
     std::thread::scope(|scope| {
         let run = &run;
-        let threads: Vec<_> = shares.map(|lanes| scope.spawn(move || run(lanes))).collect();
-        let mut results = Vec::with_capacity(lanes.len());
+        let threads: Vec<_> = shares.iter().map(|lanes| scope.spawn(move || run(lanes))).collect();
+        let mut piles = Vec::with_capacity(n_shares);
         for thread in threads {
-            results.extend(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?);
+            piles.push(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?.into_iter());
         }
-        Ok(results)
+        Ok((0..lanes.len()).filter_map(|lane_idx| piles[lane_idx % n_shares].next()).collect())
     })
 }
 

@@ -1,7 +1,7 @@
 //! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] and [`group`] (what is counted) → `lanes` (worlds side by side) →
-//! [`episodes`] and [`reset_free`] (what is run) → [`table`] → [`run()`] (the service on the bus).
+//! [`episodes`] and [`reset_free`] (what is run) → [`table`] → [`run()`] (the service on the bus); [`picture`] draws blocks.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -10,6 +10,7 @@ pub mod episodes;
 pub mod expert;
 pub mod group;
 mod lanes;
+pub mod picture;
 pub mod report;
 pub mod reset_free;
 mod run;
@@ -24,4 +25,4 @@ pub use group::Group;
 pub use policy::PolicyConfig;
 pub use report::{Acting, EvalReport};
 pub use run::{EvaluatorSetup, run};
-pub use table::{Detail, render};
+pub use table::{Detail, render, render_expert};

@@ -1,9 +1,11 @@
 //! A report as plain text for a terminal.
 
+use std::collections::BTreeMap;
 use std::fmt::{Arguments, Write};
 
 use proto::metrics::EvalOutcome;
 
+use crate::expert::{Cause, ExpertReport};
 use crate::report::EvalReport;
 
 /// How much of a report the text shows.
@@ -41,6 +43,33 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
     text
 }
 
+/// The expert's report as lines, each ended by a line break; the columns are those of [`render`], and `built` is the
+/// number of blueprints that were built at least once.
+pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
+    let mut text = String::new();
+    header(&mut text, "group (blueprints, built)");
+    for group in &report.groups {
+        let name = format!("{} ({}, {})", group.name, group.n_blueprints, group.n_built);
+        line(&mut text, &name, "expert", &group.outcome);
+    }
+    if let Some(found) = &report.reset_free {
+        let name = format!("reset-free ({} x {})", found.n_runs, found.n_goals);
+        line(&mut text, &name, "expert", &found.runs.outcome);
+    }
+    if detail == Detail::Blueprints {
+        header(&mut text, "blueprint");
+        for score in &report.blueprints {
+            line(&mut text, &format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
+        }
+    }
+    let mut causes: BTreeMap<Cause, usize> = BTreeMap::new();
+    report.failures.iter().for_each(|failure| *causes.entry(failure.trouble.cause).or_default() += 1);
+    for (cause, n) in causes {
+        push_line(&mut text, format_args!("failed for {cause:<24} {n:>6}"));
+    }
+    text
+}
+
 fn header(text: &mut String, what: &str) {
     let columns = ("actions", "episodes", "%", "interval", "stable", "steps", "return");
     let (actions, episodes, rate, interval, stable, steps, episode_return) = columns;
@@ -55,23 +84,26 @@ fn header(text: &mut String, what: &str) {
 /// A line for each way of acting that was judged.
 fn lines(text: &mut String, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
     for (acting, outcome) in [("mode", mode), ("sampled", sampled)] {
-        let n_episodes = outcome.success.n_episodes;
-        if n_episodes == 0 {
-            continue;
+        if outcome.success.n_episodes > 0 {
+            line(text, name, acting, outcome);
         }
-        let rate = 100.0 * outcome.success.rate;
-        let (low, high) = (100.0 * outcome.success.wilson_low, 100.0 * outcome.success.wilson_high);
-        let stable = 100.0 * outcome.stable_success.rate;
-        let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
-        let mean_return = outcome.mean_return.total();
-        push_line(
-            text,
-            format_args!(
-                "{name:<24} {acting:<8} {n_episodes:>8} {rate:>6.1} {low:>6.1} - {high:<6.1} {stable:>6.1} {steps:>6} \
-                 {mean_return:>7.2}"
-            ),
-        );
     }
+}
+
+fn line(text: &mut String, name: &str, actions: &str, outcome: &EvalOutcome) {
+    let n_episodes = outcome.success.n_episodes;
+    let rate = 100.0 * outcome.success.rate;
+    let (low, high) = (100.0 * outcome.success.wilson_low, 100.0 * outcome.success.wilson_high);
+    let stable = 100.0 * outcome.stable_success.rate;
+    let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
+    let mean_return = outcome.mean_return.total();
+    push_line(
+        text,
+        format_args!(
+            "{name:<24} {actions:<8} {n_episodes:>8} {rate:>6.1} {low:>6.1} - {high:<6.1} {stable:>6.1} {steps:>6} \
+             {mean_return:>7.2}"
+        ),
+    );
 }
 
 fn push_line(text: &mut String, line: Arguments<'_>) {

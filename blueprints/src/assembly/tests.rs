@@ -32,12 +32,7 @@ fn a_tower_grows_from_below_and_each_cube_comes_from_above() {
 #[test]
 fn nothing_is_squeezed_between_two_faces() {
     // Three cubes in a row on a bar: the middle one cannot come last.
-    let row = [
-        block("3x1x1", 0, [0, 0, 0], [3, 1, 1]),
-        cube(0, [0, 0, 1]),
-        cube(1, [1, 0, 1]),
-        cube(2, [2, 0, 1]),
-    ];
+    let row = [block("3x1x1", 0, [0, 0, 0], [3, 1, 1]), cube(0, [0, 0, 1]), cube(1, [1, 0, 1]), cube(2, [2, 0, 1])];
     let mut assembly = Assembly::of_placements(&row).unwrap();
     for side in 0..assembly.n_sides() {
         let without_middle = assembly.all().without(Parts::one(2));

@@ -1,13 +1,16 @@
-//! `blueprints list` and `blueprints check`; `blueprints generate` has its own file.
+//! What is done with blueprints: `list` and `check` here, `generate` and `show` in files of their own.
+
+mod generate;
+mod show;
+mod table;
 
 use std::path::PathBuf;
 
 use blueprints::catalogue::{BUILTIN_FILES, read_files};
-use blueprints::checks::{CheckResult, Outcome, Report, check_all};
+use blueprints::checks::{CheckResult, Report, check_all};
 use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
 use serde::Serialize;
 
-use super::generate;
 use crate::cli::{BlueprintsArgs, BlueprintsCommand};
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -34,12 +37,13 @@ struct Verdict<'a> {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a file cannot be read or written, a check fails, or nothing can be generated.
+/// When a file cannot be read or written, a check fails, there is no such blueprint, or nothing can be generated.
 pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),
         BlueprintsCommand::Check(args) => check(args, terminal),
         BlueprintsCommand::Generate(args) => generate::run(args, terminal),
+        BlueprintsCommand::Show(args) => show::run(args, terminal),
     }
 }
 
@@ -76,7 +80,7 @@ fn check(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
         let verdicts: Vec<Verdict<'_>> = reports.iter().map(verdict).collect();
         terminal.print(&json(&verdicts));
     } else {
-        reports.iter().for_each(|report| terminal.print(&line(report)));
+        terminal.print(&table::render(&reports));
     }
     let n_failed = reports.iter().filter(|report| !report.passed()).count();
     match n_failed {
@@ -95,15 +99,6 @@ fn files(paths: &[PathBuf]) -> Result<Vec<(String, String)>, Failure> {
 
 fn verdict(report: &Report) -> Verdict<'_> {
     Verdict { file: &report.file, id: report.id.as_ref(), passed: report.passed(), checks: &report.results }
-}
-
-/// Whether all is well, else what is wrong.
-fn line(report: &Report) -> String {
-    let error = report.results.iter().find_map(|result| match &result.outcome {
-        Outcome::Failed { error } => Some(error),
-        Outcome::Passed | Outcome::Skipped => None,
-    });
-    format!("{}: {}", report.file, error.map_or("ok", String::as_str))
 }
 
 fn json(value: &impl Serialize) -> String {

@@ -63,7 +63,8 @@ fn run_config(checkpoint: &Path, overrides: &[Override]) -> Result<Config, Failu
     valid(&text, &path.display().to_string(), overrides)
 }
 
-fn valid(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, Failure> {
+/// The configuration of a text with `overrides` put over it, if it is valid.
+pub(super) fn valid(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, Failure> {
     let config = merge(text, origin, overrides)?;
     config.validate()?;
     Ok(config)

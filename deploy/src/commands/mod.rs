@@ -2,7 +2,7 @@
 
 mod blueprints;
 mod eval;
-mod generate;
+mod expert;
 mod router;
 mod services;
 mod train;
@@ -31,6 +31,7 @@ const LAST_THREADS: Duration = Duration::from_secs(10);
 pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
+        Command::Expert(command) => expert::run(&command, terminal),
         Command::Eval(args) => eval::run(&args, terminal),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
         Command::Train(args) => {

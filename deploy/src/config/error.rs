@@ -51,12 +51,13 @@ pub enum ConfigError {
     },
 }
 
-fn suggestion(nearest: &Option<String>) -> String {
+/// The question after a message, or nothing.
+pub(crate) fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
 }
 
 /// The known name that is most like `name`, unless none is alike.
-pub(super) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     /// Below this Jaro-Winkler similarity two names have little in common.
     const ALIKE: f64 = 0.7;
     known

@@ -13,6 +13,7 @@ use proto::bus::BusConfig;
 use serde::{Deserialize, Serialize};
 
 pub use error::ConfigError;
+pub(crate) use error::{nearest, suggestion};
 pub use layers::{Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 

@@ -226,7 +226,9 @@ impl Expert {
             let part = view.part_of[block.get()];
             let involved = part.is_some_and(|part| base.parts.contains(part) || job.parts.contains(part));
             let other = (view.pose(block), &view.half_extents[block.get()]);
-            !involved && !view.is_held(block) && swept.iter().any(|(pose, half)| gap((pose, half), other) < STRAY_MARGIN_M)
+            !involved
+                && !view.is_held(block)
+                && swept.iter().any(|(pose, half)| gap((pose, half), other) < STRAY_MARGIN_M)
         })
     }
 

@@ -1,6 +1,6 @@
 //! How a gripper moves what it holds: straight to a pose, over what is in the way.
 
-use blueprints::{BlockIdx};
+use blueprints::BlockIdx;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proto::Move;
 
@@ -77,10 +77,7 @@ impl Limits {
     fn advanced(&self, from: &Isometry3<f32>, twist: Twist, fraction: f32) -> Isometry3<f32> {
         let dt = self.step_s * fraction;
         let turn = UnitQuaternion::from_scaled_axis(twist.angular * dt);
-        Isometry3::from_parts(
-            Translation3::from(from.translation.vector + twist.linear * dt),
-            turn * from.rotation,
-        )
+        Isometry3::from_parts(Translation3::from(from.translation.vector + twist.linear * dt), turn * from.rotation)
     }
 }
 
@@ -197,4 +194,3 @@ pub(super) fn gap(a: (&Isometry3<f32>, &Vector3<f32>), b: (&Isometry3<f32>, &Vec
     }
     largest
 }
-

@@ -58,7 +58,8 @@ impl Expert {
         let safe = |expert: &mut Self, rest: Parts| {
             (0..expert.assembly.n_sides()).any(|side| expert.assembly.is_safe(side, rest))
         };
-        let off = piece.iter().find(|&part| safe(self, piece.without(Parts::one(part)))).or_else(|| piece.iter().last());
+        let off =
+            piece.iter().find(|&part| safe(self, piece.without(Parts::one(part)))).or_else(|| piece.iter().last());
         off.map_or_else(Vec::new, |part| self.split_off(view, part))
     }
 
@@ -120,7 +121,7 @@ fn n_pairs(joint: &Joint) -> usize {
 fn normal(joint: &Joint) -> Vector3<f32> {
     let inventory = Inventory::standard();
     let pairs = inventory.magnet_pairs(joint.a, joint.b, joint.relative);
-    pairs.first().map_or_else(Vector3::zeros, |&(i, _)| {
-        Vector3::from(inventory.magnets(joint.a)[i].normal.map(|x| x as f32))
-    })
+    pairs
+        .first()
+        .map_or_else(Vector3::zeros, |&(i, _)| Vector3::from(inventory.magnets(joint.a)[i].normal.map(|x| x as f32)))
 }

@@ -1,0 +1,159 @@
+//! `blueprints show`: pictures of blueprints as PNG files.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context;
+use blueprints::{Blueprint, Catalogue};
+use evaluator::picture::{MAX_TILES, Painter, card, encode, sheet};
+
+use crate::cli::ShowArgs;
+use crate::config::nearest;
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// Cards between two lines of progress.
+const LINE_EVERY: usize = 20;
+
+/// Colours in a card, and in a contact sheet, which is to be small enough to keep in a repository.
+const CARD_COLORS: usize = 256;
+const SHEET_COLORS: usize = 96;
+
+/// A file to be written: its name and its bytes.
+type File = (String, Vec<u8>);
+
+/// Runs the subcommand. Everything is drawn before the first file is written.
+///
+/// # Errors
+/// When the catalogue cannot be read, an id is not in it, or a file cannot be written.
+pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let loaded = args.path.as_deref().map(Catalogue::load).transpose()?;
+    let shown = select(loaded.as_ref().unwrap_or_else(|| Catalogue::builtin()), args)?;
+    let mut painter = Painter::default();
+    let mut files = Vec::new();
+    if !args.only_sheets {
+        for (i, blueprint) in shown.iter().enumerate() {
+            let bytes = encode(&card(&mut painter, blueprint, args.size), CARD_COLORS).context("encoding a picture")?;
+            files.push((format!("{}.png", blueprint.id()), bytes));
+            if (i + 1) % LINE_EVERY == 0 || i + 1 == shown.len() {
+                terminal.print(&format!("{} of {} blueprints drawn", i + 1, shown.len()));
+            }
+        }
+    }
+    for (name, members) in sheets(&shown) {
+        let bytes = encode(&sheet(&mut painter, &members), SHEET_COLORS).context("encoding a contact sheet")?;
+        terminal.print(&format!("{name}: {} blueprints{}", members.len(), sizes(&members)));
+        files.push((name, bytes));
+    }
+    write(&args.out, &files)?;
+    terminal.print(&format!("{} files in {}", files.len(), args.out.display()));
+    Ok(())
+}
+
+/// The blueprints that were asked for: by id in the order given, of a split, or all.
+fn select<'a>(catalogue: &'a Catalogue, args: &ShowArgs) -> Result<Vec<&'a Blueprint>, Failure> {
+    if args.ids.is_empty() {
+        let shown: Vec<_> = match args.split {
+            Some(split) => catalogue.of_split(split),
+            None => catalogue.iter().collect(),
+        };
+        return match (shown.is_empty(), args.split) {
+            (true, Some(split)) => Err(Failure::EmptySplit(split)),
+            _ => Ok(shown),
+        };
+    }
+    let mut shown: Vec<&Blueprint> = Vec::new();
+    for id in &args.ids {
+        let found = catalogue.iter().find(|blueprint| blueprint.id().as_str() == id);
+        let blueprint = found.ok_or_else(|| Failure::UnknownBlueprint {
+            id: id.clone(),
+            nearest: nearest(id, catalogue.iter().map(|blueprint| blueprint.id().as_str())),
+        })?;
+        if shown.iter().all(|other| other.id() != blueprint.id()) {
+            shown.push(blueprint);
+        }
+    }
+    Ok(shown)
+}
+
+/// The contact sheets by file name: one for all if they fit, else as few as fit for each split, cut between sizes where
+/// that is possible.
+fn sheets<'a>(shown: &[&'a Blueprint]) -> Vec<(String, Vec<&'a Blueprint>)> {
+    if shown.len() <= MAX_TILES {
+        return vec![("sheet.png".to_owned(), shown.to_vec())];
+    }
+    let mut by_split: BTreeMap<_, BTreeMap<usize, Vec<&Blueprint>>> = BTreeMap::new();
+    for blueprint in shown {
+        by_split.entry(blueprint.split()).or_default().entry(blueprint.n_blocks()).or_default().push(blueprint);
+    }
+    let mut sheets = Vec::new();
+    for (split, by_size) in by_split {
+        let mut pages: Vec<Vec<&Blueprint>> = Vec::new();
+        for of_size in by_size.into_values() {
+            match pages.last_mut() {
+                Some(page) if page.len() + of_size.len() <= MAX_TILES => page.extend(of_size),
+                _ => pages.extend(of_size.chunks(MAX_TILES).map(<[_]>::to_vec)),
+            }
+        }
+        let n_pages = pages.len();
+        for (i, page) in pages.into_iter().enumerate() {
+            let number = if n_pages > 1 { format!("-{}", i + 1) } else { String::new() };
+            sheets.push((format!("sheet-{split}{number}.png"), page));
+        }
+    }
+    sheets
+}
+
+/// The least and the greatest number of blocks, in words.
+fn sizes(blueprints: &[&Blueprint]) -> String {
+    let sizes = blueprints.iter().map(|blueprint| blueprint.n_blocks());
+    match (sizes.clone().min(), sizes.max()) {
+        (Some(least), Some(most)) if least < most => format!(" of {least} to {most} blocks"),
+        (Some(size), _) => format!(" of {size} blocks"),
+        (None, _) => String::new(),
+    }
+}
+
+/// Writes each file under another name first, so that none is ever seen half.
+fn write(folder: &Path, files: &[File]) -> anyhow::Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    for (name, bytes) in files {
+        let (path, part) = (folder.join(name), folder.join(format!(".{name}.part")));
+        fs::write(&part, bytes)
+            .and_then(|()| fs::rename(&part, &path))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::Split;
+
+    use super::*;
+
+    /// A trained blueprint of so many blocks.
+    fn of_size(n_blocks: usize) -> &'static Blueprint {
+        let mut all = Catalogue::builtin().iter();
+        all.find(|blueprint| blueprint.split() == Split::Train && blueprint.n_blocks() == n_blocks).unwrap()
+    }
+
+    #[test]
+    fn sheets_are_cut_between_sizes() {
+        let pages = |shown: &[&Blueprint]| -> Vec<(String, usize)> {
+            sheets(shown).into_iter().map(|(name, page)| (name, page.len())).collect()
+        };
+        let named = |name: &str, n_tiles: usize| (name.to_owned(), n_tiles);
+        let [two, three, four] = [2, 3, 4].map(|n_blocks| vec![of_size(n_blocks); 20]);
+        assert_eq!(pages(&[two.clone(), three.clone()].concat()), [named("sheet.png", 40)]);
+        let expected = [named("sheet-train-1.png", 40), named("sheet-train-2.png", 20)];
+        assert_eq!(pages(&[two, four, three].concat()), expected);
+    }
+
+    #[test]
+    fn a_size_with_too_many_for_a_sheet_gets_several() {
+        let n_tiles: Vec<usize> = sheets(&[of_size(2); 2 * MAX_TILES + 3]).iter().map(|(_, page)| page.len()).collect();
+        assert_eq!(n_tiles, [MAX_TILES, MAX_TILES, 3]);
+    }
+}

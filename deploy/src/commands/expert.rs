@@ -1,0 +1,120 @@
+//! `expert eval`: judges the scripted expert on blueprints.
+
+use std::fs;
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::Context;
+use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
+use evaluator::{
+    Detail, ExpertFailure, ExpertReport, ExpertSetup, ResetFreeConfig, Starts, evaluate_expert, render_expert,
+};
+use proto::codec::encode_trajectory;
+use serde::Serialize;
+
+use super::eval::valid;
+use crate::cli::{ExpertCommand, ExpertEvalArgs, StartArg};
+use crate::config::Override;
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// Entry of `failures.json`.
+#[derive(Debug, Serialize)]
+struct Explained<'a> {
+    #[serde(flatten)]
+    failure: &'a ExpertFailure,
+    /// File of the replay beside it, a `Trajectory` message of the bus.
+    replay: Option<String>,
+}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Judged<'a> {
+    #[serde(flatten)]
+    report: &'a ExpertReport,
+    /// Environment steps per second of all threads together, planning included.
+    steps_per_second: f64,
+    n_threads: usize,
+}
+
+/// Runs the subcommand.
+///
+/// # Errors
+/// When a blueprint is unknown, an episode cannot be started, or the explanation cannot be written.
+pub(super) fn run(command: &ExpertCommand, terminal: &Terminal) -> Result<(), Failure> {
+    match command {
+        ExpertCommand::Eval(args) => eval(args, terminal),
+    }
+}
+
+fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let mut overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
+    if let Some(n) = args.grippers {
+        overrides.push(Override::flag("--grippers", "environment.n_grippers", i64::from(n)));
+        overrides.push(Override::flag("--grippers", "policy.network.n_grippers", i64::from(n)));
+    }
+    let environment = valid("", "the defaults", &overrides)?.environment;
+    let catalogue = Catalogue::builtin();
+    let blueprints = select(catalogue, &args.ids, &args.split)?;
+    if let Some(folder) = &args.explain {
+        fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
+    let n_threads = args.threads.map_or_else(n_cores, usize::from);
+    let setup = ExpertSetup {
+        catalogue,
+        environment,
+        n_episodes: args.episodes,
+        starts: match args.start {
+            StartArg::Scattered => Starts::Scattered,
+            StartArg::Prebuilt => Starts::Prebuilt,
+            StartArg::Mixed => Starts::Mixed,
+        },
+        reset_free: args.reset_free.then(ResetFreeConfig::default),
+        n_threads,
+        seed: args.seed,
+    };
+    let start = Instant::now();
+    // A signal ends the process: nothing is lost but the episodes so far.
+    let report = evaluate_expert(&setup, &blueprints, &|| true).map_err(anyhow::Error::from)?;
+    let steps_per_second = report.n_steps as f64 / start.elapsed().as_secs_f64();
+    if let Some(folder) = &args.explain {
+        explain(folder, &report.failures)?;
+    }
+    if args.json {
+        let judged = Judged { report: &report, steps_per_second, n_threads };
+        terminal.print(&serde_json::to_string_pretty(&judged).map_err(anyhow::Error::from)?);
+    } else {
+        terminal.print(render_expert(&report, Detail::Blueprints).trim_end());
+        terminal.print(&format!("{steps_per_second:.0} steps/s on {n_threads} threads, planning included"));
+    }
+    Ok(())
+}
+
+/// The blueprints of those ids, or of those splits, or all.
+fn select<'c>(catalogue: &'c Catalogue, ids: &[BlueprintId], splits: &[Split]) -> Result<Vec<&'c Blueprint>, Failure> {
+    if ids.is_empty() {
+        let wanted = |blueprint: &&Blueprint| splits.is_empty() || splits.contains(&blueprint.split());
+        return Ok(catalogue.iter().filter(wanted).collect());
+    }
+    let find = |id| catalogue.get(id).ok_or_else(|| Failure::Usage(format!("the catalogue has no blueprint {id}")));
+    ids.iter().map(find).collect()
+}
+
+/// Writes one file per replay and the list of causes.
+fn explain(folder: &Path, failures: &[ExpertFailure]) -> anyhow::Result<()> {
+    let mut entries = Vec::with_capacity(failures.len());
+    for failure in failures {
+        let mut file = None;
+        if let Some(replay) = &failure.replay {
+            let name = format!("{}-{:03}.trajectory", failure.blueprint, failure.episode_idx);
+            let path = folder.join(&name);
+            fs::write(&path, encode_trajectory(replay)).with_context(|| format!("cannot write {}", path.display()))?;
+            file = Some(name);
+        }
+        entries.push(Explained { failure, replay: file });
+    }
+    let path = folder.join("failures.json");
+    fs::write(&path, serde_json::to_string_pretty(&entries)?)
+        .with_context(|| format!("cannot write {}", path.display()))
+}

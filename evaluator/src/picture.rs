@@ -1,0 +1,29 @@
+//! Pictures of blocks, by a small software rasteriser: pixels as a function of poses, with no I/O and no clock.
+//!
+//! Reading order: `model` (what is drawn) → `camera` (from where) → `raster` (surfaces → samples, the nearest wins) →
+//! `coat` (what a side looks like) → `ground` → `painter` (all of it) → `text` and `sheet` (pictures with words) →
+//! `palette` and `png` (bytes).
+
+mod camera;
+mod coat;
+mod ground;
+mod image;
+mod model;
+mod painter;
+mod palette;
+mod png;
+mod raster;
+mod sheet;
+#[cfg(test)]
+mod tests;
+mod text;
+
+pub use ::png::EncodingError;
+pub use camera::{Camera, View};
+pub use coat::{NEGATIVE_COLOR, POSITIVE_COLOR};
+pub use ground::Ground;
+pub use image::{Image, Rgb, WHITE};
+pub use model::{Block, Finish, GRIPPER_COLORS, TYPE_COLORS, corners, of_blueprint, of_scene};
+pub use painter::Painter;
+pub use png::encode;
+pub use sheet::{MAX_TILES, card, sheet};

@@ -1,0 +1,101 @@
+//! Lines of text in a fixed-width font.
+
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
+
+use super::image::{Image, Rgb};
+
+/// What letters look like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Type {
+    /// For captions.
+    Small,
+    /// For most text.
+    Body,
+    /// For names among other text.
+    BodyBold,
+    /// For headings.
+    Heading,
+}
+
+impl Type {
+    fn weight(self) -> FontWeight {
+        match self {
+            Self::Small | Self::Body => FontWeight::Regular,
+            Self::BodyBold | Self::Heading => FontWeight::Bold,
+        }
+    }
+
+    fn raster_height(self) -> RasterHeight {
+        match self {
+            Self::Small => RasterHeight::Size16,
+            Self::Body | Self::BodyBold => RasterHeight::Size20,
+            Self::Heading => RasterHeight::Size24,
+        }
+    }
+
+    /// Height of a line in pixels.
+    pub(super) fn height(self) -> usize {
+        self.raster_height().val()
+    }
+
+    /// Width of a text in pixels.
+    pub(super) fn width(self, text: &str) -> usize {
+        get_raster_width(self.weight(), self.raster_height()) * text.chars().count()
+    }
+}
+
+/// Writes a line with its upper left corner at `at`, in pixels; letters that the font lacks become question marks.
+pub(super) fn write(image: &mut Image, [left, top]: [usize; 2], text: &str, kind: Type, color: Rgb) {
+    let (weight, size) = (kind.weight(), kind.raster_height());
+    let width = get_raster_width(weight, size);
+    for (i, letter) in text.chars().enumerate() {
+        let Some(raster) = get_raster(letter, weight, size).or_else(|| get_raster('?', weight, size)) else { continue };
+        for (y, row) in raster.rows().enumerate() {
+            for (x, &ink) in row.iter().enumerate() {
+                image.blend(left + i * width + x, top + y, color, ink);
+            }
+        }
+    }
+}
+
+/// The text, or as much of its beginning as fits into `width_px` with two dots behind it.
+pub(super) fn fitted(text: &str, kind: Type, width_px: usize) -> String {
+    if kind.width(text) <= width_px {
+        return text.to_owned();
+    }
+    let n_fitting = width_px / kind.width("x");
+    let cut: String = text.chars().take(n_fitting.saturating_sub(2)).collect();
+    format!("{}..", cut.trim_end())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::image::WHITE;
+
+    #[test]
+    fn letters_are_written_where_they_belong() {
+        let mut image = Image::filled(60, 40, WHITE);
+        let at = [10, 12];
+        write(&mut image, at, "H×", Type::Small, [0; 3]);
+        let dark: Vec<(usize, usize)> = (0..60 * 40)
+            .map(|i| (i % 60, i / 60))
+            .filter(|&(x, y)| image.get(x, y).is_some_and(|[red, ..]| red < 128))
+            .collect();
+        let right = at[0] + Type::Small.width("H×");
+        assert!(dark.iter().all(|&(x, y)| (10..right).contains(&x) && (12..28).contains(&y)), "{dark:?}");
+        // Both letters have ink: the font knows the sign of multiplication.
+        let middle = at[0] + Type::Small.width("H");
+        assert!(dark.iter().any(|&(x, _)| x < middle) && dark.iter().any(|&(x, _)| x >= middle));
+        let mut unknown = Image::filled(60, 40, WHITE);
+        write(&mut unknown, at, "H?", Type::Small, [0; 3]);
+        assert_ne!(image, unknown);
+    }
+
+    #[test]
+    fn long_texts_are_cut() {
+        let width = Type::Small.width("12345678");
+        assert_eq!(fitted("12345678", Type::Small, width), "12345678");
+        assert_eq!(fitted("12345 789", Type::Small, width), "12345..");
+    }
+}
