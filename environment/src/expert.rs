@@ -132,10 +132,18 @@ impl Expert {
         Ok(Base { side: 0, parts, frame: self.frame(view, 0, parts) })
     }
 
-    /// Pose of the blueprint's frame as a part of the piece at the bottom has it; what hangs above may sag.
+    /// Pose of the blueprint's frame as that part of the piece's bottom has it that lies best; others may sag.
     fn frame(&self, view: &View, side: usize, parts: Parts) -> Isometry3<f32> {
-        let bottom = parts.iter().find(|&part| self.assembly.is_at_bottom(side, part));
-        bottom.or_else(|| parts.iter().next()).map_or_else(Isometry3::identity, |part| self.frame_of(view, part))
+        let bottom = parts.iter().filter(|&part| self.assembly.is_at_bottom(side, part));
+        let frames = bottom.map(|part| self.frame_of(view, part));
+        let best = frames.min_by(|a, b| self.unrest(a, side).total_cmp(&self.unrest(b, side)));
+        best.or_else(|| parts.iter().next().map(|part| self.frame_of(view, part))).unwrap_or_else(Isometry3::identity)
+    }
+
+    /// How far a frame is from lying on its side: 1 at the limit of tilt or of height.
+    fn unrest(&self, frame: &Isometry3<f32>, side: usize) -> f32 {
+        let tilt = (frame.rotation * self.up(side)).angle(&Vector3::z());
+        (tilt / MAX_TILT_RAD).max(self.lift_m(frame, side).abs() / MAX_LIFT_M)
     }
 
     fn frame_of(&self, view: &View, part: usize) -> Isometry3<f32> {
@@ -175,8 +183,7 @@ impl Expert {
 
     /// Sets the base down if it does not lie on its side on free ground.
     fn settle(&mut self, view: &View, base: &Base) -> Option<Command> {
-        let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
-        let lies = tilt <= MAX_TILT_RAD && self.lift_m(&base.frame, base.side).abs() <= MAX_LIFT_M;
+        let lies = self.unrest(&base.frame, base.side) <= 1.0;
         let gripped = self.gripped(view, base.parts);
         let fetching = view
             .held
@@ -193,7 +200,11 @@ impl Expert {
         }
         let frame = self.frame_at(&base.frame, base.side, target);
         let part = view.part_of[gripped.get()]?;
-        let twist = Load::new(view, gripped).go(view, &self.limits, &(frame * self.place(part)));
+        let load = Load::new(view, gripped);
+        let mut target = frame * self.place(part);
+        // A structure that has sagged would go into the ground.
+        target.translation.z += (-load.lowest_m(view, &target)).max(0.0);
+        let twist = load.go(view, &self.limits, &target);
         Some(Command { block: gripped, twist })
     }
 

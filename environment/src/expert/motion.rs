@@ -148,6 +148,14 @@ impl Load {
 }
 
 impl Load {
+    /// Height of the lowest corner of the load at `pose`, m.
+    pub(super) fn lowest_m(&self, view: &View, pose: &Isometry3<f32>) -> f32 {
+        let low = |(block, relative): &(BlockIdx, Isometry3<f32>)| {
+            lowest(&(pose * relative), &view.half_extents[block.get()])
+        };
+        self.boxes.iter().map(low).fold(f32::INFINITY, f32::min)
+    }
+
     /// Whether the load at `pose` is at least `margin` metres from all of `boxes`.
     pub(super) fn is_apart(
         &self,
