@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::{BlockIdx, BlueprintId, Catalogue, N_BLOCKS, Split};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
 use environment::sample_assignment;
 use proto::{Start, Task};
 use rand::RngExt;
@@ -44,7 +44,7 @@ pub enum TaskFilter {
         /// Most blocks.
         max: usize,
     },
-    /// These, by id.
+    /// These, by id; generated ones too, such as `gen1-arch-7_6_000`.
     Blueprints(Vec<BlueprintId>),
 }
 
@@ -52,7 +52,7 @@ pub enum TaskFilter {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FilterError {
     /// An id that the training split does not have.
-    #[error("blueprint {0} is not in the training split of the catalogue")]
+    #[error("blueprint {0} is neither in the training split of the catalogue nor a generated one")]
     NotForTraining(BlueprintId),
     /// Nothing remains.
     #[error("no training blueprint has between {min} and {max} blocks")]
@@ -121,7 +121,9 @@ impl TaskFilter {
                 .map(|blueprint| blueprint.id().clone())
                 .collect(),
             Self::Blueprints(ids) => {
-                let known = |id: &BlueprintId| training.iter().any(|blueprint| blueprint.id() == id);
+                let trainable =
+                    |blueprint: &Blueprint| blueprint.split() == Split::Train && catalogue.is_for_training(blueprint);
+                let known = |id: &BlueprintId| catalogue.find(id).is_some_and(|blueprint| trainable(&blueprint));
                 if let Some(unknown) = ids.iter().find(|id| !known(id)) {
                     return Err(FilterError::NotForTraining(unknown.clone()));
                 }
@@ -147,7 +149,7 @@ impl TaskSampler {
         let ids = config.filter.select(catalogue)?;
         let goals = ids
             .into_iter()
-            .filter_map(|id| catalogue.get(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
+            .filter_map(|id| catalogue.find(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
         let prebuilt = catalogue.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
         Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
     }

@@ -29,7 +29,7 @@ impl Toy {
 impl Env for Toy {
     fn reset(&mut self, task: &Task, catalogue: &Catalogue) -> Result<(), ResetError> {
         let unknown = || ResetError::UnknownBlueprint(task.blueprint.clone());
-        self.blueprint = catalogue.get(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
+        self.blueprint = catalogue.find(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
         self.tasks.push(task.clone());
         Ok(())
     }

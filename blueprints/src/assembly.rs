@@ -24,8 +24,11 @@ const MAX_VISITS: usize = 4000;
 
 /// The blueprint has no order of assembly.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is no order in which single blocks can be added so that every intermediate structure stands")]
-pub struct NoAssembly;
+#[error("whichever side it lies on, it cannot be put together block by block: blocks {missing:?} are never reached")]
+pub struct NoAssembly {
+    /// The blocks that are left when the search got furthest, on the side where it did.
+    pub missing: Vec<BlockIdx>,
+}
 
 /// A blueprint and the ways to build it; queries are cached, so they take `&mut self`, but depend on nothing else.
 #[derive(Clone, Debug)]
@@ -42,6 +45,14 @@ struct Side {
     up: [i32; 3],
     /// Whether the structure can be completed from here.
     safe: BTreeMap<Parts, bool>,
+    /// The largest structure that was reached.
+    furthest: Parts,
+}
+
+impl Side {
+    fn new(up: [i32; 3]) -> Self {
+        Self { up, safe: BTreeMap::new(), furthest: Parts::default() }
+    }
 }
 
 impl Assembly {
@@ -57,24 +68,31 @@ impl Assembly {
         let geometry = Geometry::new(placements);
         let blocks = placements.iter().map(|p| p.block).collect();
         let mut ranked = Vec::new();
+        let mut furthest = Parts::default();
         for up in UPS {
-            let mut side = Side { up, safe: BTreeMap::new() };
+            let mut side = Side::new(up);
             if let Some(margin_u) = side.least_margin(&geometry) {
                 let ample = margin_u.min(AMPLE_MARGIN_U);
                 ranked.push((ample - 0.05 * f64::from(geometry.height(up)), side));
+            } else if side.furthest.len() > furthest.len() {
+                furthest = side.furthest;
             }
         }
         // A stable sort: among equals the drawing's own up comes first.
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         let sides: Vec<Side> = ranked.into_iter().map(|(_, side)| side).collect();
-        if sides.is_empty() { Err(NoAssembly) } else { Ok(Self { geometry, blocks, sides }) }
+        if sides.is_empty() {
+            let missing = geometry.all().without(furthest).iter().map(|part| placements[part].block).collect();
+            return Err(NoAssembly { missing });
+        }
+        Ok(Self { geometry, blocks, sides })
     }
 
     /// Whether there is a side to build the placements on, without ranking the sides: several times as fast as
     /// [`of_placements`](Self::of_placements), for those who judge many structures.
     pub(crate) fn is_possible(placements: &[Placement]) -> bool {
         let geometry = Geometry::new(placements);
-        UPS.into_iter().any(|up| Side { up, safe: BTreeMap::new() }.is_safe(&geometry, Parts::default()))
+        UPS.into_iter().any(|up| Side::new(up).is_safe(&geometry, Parts::default()))
     }
 
     /// The blocks by part index.
@@ -185,6 +203,9 @@ impl Side {
             return false;
         }
         *visits -= 1;
+        if placed.len() > self.furthest.len() {
+            self.furthest = placed;
+        }
         let candidates = self.candidates(geometry, placed);
         let safe = candidates.into_iter().any(|part| self.search(geometry, placed.with(part), visits));
         // A search that was cut short proves nothing.

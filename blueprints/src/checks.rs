@@ -12,7 +12,9 @@ use crate::error::{BlueprintError, BlueprintFileError};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
 use crate::strength::{Joint, overloaded};
-use crate::{Blueprint, BlueprintId, Inventory, Link, Placement, RelativePlacement, Split};
+use crate::{
+    Assembly, BlockIdx, Blueprint, BlueprintId, Inventory, Link, NoAssembly, Placement, RelativePlacement, Split,
+};
 
 /// A check of one file, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -34,8 +36,14 @@ pub enum Check {
     Stands,
     /// No connection carries more than half of what would break it in the default world, as far as statics tells.
     Strength,
+    /// There is an order in which single blocks can be added so that every intermediate structure stands.
+    Assembly,
     /// No other file has its id or its structure.
     Unique,
+    /// Built in a world, it hardly moves for two seconds and loses no connection.
+    Settles,
+    /// The scripted expert builds it in the time of an episode.
+    Expert,
 }
 
 /// How a check went.
@@ -77,8 +85,11 @@ pub struct Report {
 }
 
 impl Check {
-    /// All checks in order.
-    pub const ALL: [Self; 9] = [
+    /// The checks that need a world; this crate only names them.
+    pub const PHYSICAL: [Self; 2] = [Self::Settles, Self::Expert];
+
+    /// All checks of the text and the geometry, in order.
+    pub const ALL: [Self; 10] = [
         Self::Format,
         Self::Inventory,
         Self::Overlap,
@@ -87,6 +98,7 @@ impl Check {
         Self::Connected,
         Self::Stands,
         Self::Strength,
+        Self::Assembly,
         Self::Unique,
     ];
 }
@@ -102,7 +114,10 @@ impl fmt::Display for Check {
             Self::Connected => "connected",
             Self::Stands => "stands",
             Self::Strength => "strength",
+            Self::Assembly => "assembly",
             Self::Unique => "unique",
+            Self::Settles => "settles",
+            Self::Expert => "expert",
         })
     }
 }
@@ -129,6 +144,10 @@ pub fn check_text(file: &str, text: &str) -> Report {
         run.record(Check::Connected, structure.connected());
         run.record(Check::Stands, structure.stands());
         run.record(Check::Strength, structure.strength());
+        // What is wrong already need not have an order of assembly.
+        if run.first_error.is_none() {
+            run.record(Check::Assembly, structure.assembly());
+        }
         blueprint = run.first_error.is_none().then(|| structure.blueprint());
     }
     for check in Check::ALL.into_iter().take(Check::ALL.len() - 1).skip(run.results.len()) {
@@ -164,6 +183,7 @@ pub(crate) fn check_placements(
     structure.connected()?;
     structure.stands()?;
     structure.strength()?;
+    structure.assembly()?;
     Ok(structure.blueprint())
 }
 
@@ -326,6 +346,13 @@ impl<'a> Structure<'a> {
                 max_force_n: load.max_force_n,
                 max_torque_nm: load.max_torque_nm,
             })
+        })
+    }
+
+    fn assembly(&self) -> Result<(), BlueprintError> {
+        Assembly::of_placements(self.placements).map(|_| ()).map_err(|NoAssembly { missing }| {
+            let name = |block: &BlockIdx| self.placements.iter().position(|p| p.block == *block).map(|i| self.name(i));
+            BlueprintError::NoAssembly { blocks: missing.iter().filter_map(name).collect() }
         })
     }
 

@@ -82,6 +82,12 @@ pub enum BlueprintError {
         max_force_n: f64,
         max_torque_nm: f64,
     },
+    /// Nobody can put it together.
+    #[error(
+        "whichever side it lies on, it cannot be put together block by block so that all stands and each block has a \
+         straight way in: blocks {blocks:?} are never reached"
+    )]
+    NoAssembly { blocks: Vec<String> },
 }
 
 /// A [`BlueprintError`] with the file it was found in.

@@ -243,3 +243,6 @@ impl Expert {
         action
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -122,7 +122,7 @@ impl World {
 impl Env for World {
     fn reset(&mut self, task: &Task, catalogue: &Catalogue) -> Result<(), ResetError> {
         check_assignment(&task.assignment)?;
-        let find = |id| catalogue.get(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
+        let find = |id| catalogue.find(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
         let blueprint = find(&task.blueprint)?.permuted(&task.assignment);
         let mut rng = ChaCha8Rng::seed_from_u64(task.seed);
         let config = &self.config.reset;

@@ -226,3 +226,6 @@ fn run_episode(
         return Ok(Trial { played, failure: Some(failure) });
     }
 }
+
+#[cfg(test)]
+mod tests;

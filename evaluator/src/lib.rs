@@ -16,6 +16,7 @@ pub mod reset_free;
 mod run;
 mod schedule;
 pub mod table;
+pub mod trials;
 
 pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts};
 pub use environment::EnvironmentConfig;

@@ -56,7 +56,7 @@ impl Batch {
         };
         let mut last_scenes = Vec::new();
         for trajectory in trajectories {
-            let Some(blueprint) = catalogue.get(&trajectory.task.blueprint) else { continue };
+            let Some(blueprint) = catalogue.find(&trajectory.task.blueprint) else { continue };
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
             let policy_lag = policy_lag(version, &trajectory);
             let first = batch.actions.len();

@@ -84,7 +84,7 @@ impl Learner {
         if setup.tasks.is_empty() {
             return Err(LearnerError::NoTasks);
         }
-        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalogue.get(id).is_none()) {
+        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalogue.find(id).is_none()) {
             return Err(LearnerError::UnknownTask(unknown.clone()));
         }
         let device = setup.device.open()?;

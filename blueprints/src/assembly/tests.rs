@@ -56,7 +56,8 @@ fn a_jack_with_long_arms_has_no_order() {
         block("2x1x1", 0, [0, 0, 1], [1, 1, 2]),
         block("2x1x1", 1, [0, 0, -2], [1, 1, 2]),
     ];
-    assert_eq!(Assembly::of_placements(&jack).err(), Some(NoAssembly));
+    let NoAssembly { missing } = Assembly::of_placements(&jack).unwrap_err();
+    assert!(!missing.is_empty() && missing.len() < jack.len(), "{missing:?}");
 }
 
 #[test]

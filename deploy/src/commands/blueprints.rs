@@ -1,6 +1,7 @@
 //! What is done with blueprints: `list` and `check` here, `generate` and `show` in files of their own.
 
 mod generate;
+mod physical;
 mod show;
 mod table;
 
@@ -75,7 +76,10 @@ fn row(blueprint: &Blueprint) -> Row<'_> {
 
 fn check(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
     let files = files(&args.paths)?;
-    let reports = check_all(files.iter().map(|(file, text)| (file.as_str(), text.as_str())));
+    let mut reports = check_all(files.iter().map(|(file, text)| (file.as_str(), text.as_str())));
+    for report in &mut reports {
+        physical::check(report)?;
+    }
     if args.json {
         let verdicts: Vec<Verdict<'_>> = reports.iter().map(verdict).collect();
         terminal.print(&json(&verdicts));

@@ -1,5 +1,6 @@
 //! `expert eval`: judges the scripted expert on blueprints.
 
+use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
@@ -55,7 +56,8 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     }
     let environment = valid("", "the defaults", &overrides)?.environment;
     let catalogue = Catalogue::builtin();
-    let blueprints = select(catalogue, &args.ids, &args.split)?;
+    let selected = select(catalogue, &args.ids, &args.split)?;
+    let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     if let Some(folder) = &args.explain {
         fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     }
@@ -92,13 +94,17 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
 }
 
 /// The blueprints of those ids, or of those splits, or all.
-fn select<'c>(catalogue: &'c Catalogue, ids: &[BlueprintId], splits: &[Split]) -> Result<Vec<&'c Blueprint>, Failure> {
+fn select<'c>(
+    catalogue: &'c Catalogue,
+    ids: &[BlueprintId],
+    splits: &[Split],
+) -> Result<Vec<Cow<'c, Blueprint>>, Failure> {
     if ids.is_empty() {
         let wanted = |blueprint: &&Blueprint| splits.is_empty() || splits.contains(&blueprint.split());
-        return Ok(catalogue.iter().filter(wanted).collect());
+        return Ok(catalogue.iter().filter(wanted).map(Cow::Borrowed).collect());
     }
-    let find = |id| catalogue.get(id).ok_or_else(|| Failure::Usage(format!("the catalogue has no blueprint {id}")));
-    ids.iter().map(find).collect()
+    let unknown = |id| Failure::Usage(format!("there is no blueprint {id}, neither in the catalogue nor generated"));
+    ids.iter().map(|id| catalogue.find(id).ok_or_else(|| unknown(id))).collect()
 }
 
 /// Writes one file per replay and the list of causes.

@@ -101,7 +101,11 @@ impl Expert {
         let low = blocks.map(|b| lowest(view.pose(b), &view.half_extents[b.get()])).fold(f32::INFINITY, f32::min);
         let from = view.pose(own);
         let mut to = *from;
-        let turn = UnitQuaternion::rotation_between(&direction, &Vector3::z());
+        // What is above loads the connection with its weight, so the heavier side goes there.
+        let volume = |b: BlockIdx| view.half_extents[b.get()].product();
+        let rest: f32 = BlockIdx::all().filter(|&b| b != own && view.together(b, own)).map(volume).sum();
+        let up = if volume(own) > rest { direction } else { -direction };
+        let turn = UnitQuaternion::rotation_between(&up, &Vector3::z());
         let turn = turn.filter(|turn| turn.angle() > UPRIGHT_RAD);
         if let Some(turn) = turn {
             to.rotation = turn * to.rotation;

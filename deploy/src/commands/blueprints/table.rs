@@ -5,7 +5,7 @@ use blueprints::checks::{Check, Outcome, Report};
 /// A line for each file with its id and how each check went, `-` for one that could not run; then a line for each failure
 /// and one with the sum.
 pub(super) fn render(reports: &[Report]) -> String {
-    let header = ["file".to_owned(), "id".to_owned()].into_iter().chain(Check::ALL.map(|check| check.to_string()));
+    let header = ["file".to_owned(), "id".to_owned()].into_iter().chain(checks().map(|check| check.to_string()));
     let rows: Vec<Vec<String>> = std::iter::once(header.collect()).chain(reports.iter().map(cells)).collect();
     let n_columns = rows[0].len();
     let widest = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
@@ -15,6 +15,10 @@ pub(super) fn render(reports: &[Report]) -> String {
     let n_passed = reports.iter().filter(|report| report.passed()).count();
     lines.push(format!("{n_passed} of {} blueprints passed all checks", reports.len()));
     lines.join("\n")
+}
+
+fn checks() -> impl Iterator<Item = Check> {
+    Check::ALL.into_iter().chain(Check::PHYSICAL)
 }
 
 fn cells(report: &Report) -> Vec<String> {
@@ -27,7 +31,7 @@ fn cells(report: &Report) -> Vec<String> {
             Some(Outcome::Skipped) | None => "-",
         }
     };
-    [report.file.clone(), id].into_iter().chain(Check::ALL.map(|check| outcome(check).to_owned())).collect()
+    [report.file.clone(), id].into_iter().chain(checks().map(|check| outcome(check).to_owned())).collect()
 }
 
 fn line(row: &[String], widths: &[usize]) -> String {

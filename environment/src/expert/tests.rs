@@ -1,0 +1,142 @@
+use blueprints::{BlueprintId, Catalogue};
+use proto::{Start, Status, Task};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::{Env, World, sample_assignment};
+
+fn id(text: &str) -> BlueprintId {
+    text.parse().unwrap()
+}
+
+/// A world at the start of an episode, and the expert for its goal.
+fn begin(config: &EnvironmentConfig, goal: &str, start: Start, seed: u64) -> (World, Expert) {
+    let mut world = World::new(config).unwrap();
+    let assignment = sample_assignment(&mut ChaCha8Rng::seed_from_u64(seed));
+    world.reset(&Task { blueprint: id(goal), assignment, start, seed }, Catalogue::builtin()).unwrap();
+    let expert = Expert::new(config, world.blueprint()).unwrap();
+    (world, expert)
+}
+
+/// Lets the expert work to the end of the episode; `true` if it succeeds.
+fn finish(world: &mut World, expert: &mut Expert) -> bool {
+    loop {
+        let action = expert.act(world.scene());
+        match world.step(&action).status {
+            Status::Running => {}
+            status => return status == Status::Success,
+        }
+    }
+}
+
+fn two_grippers() -> EnvironmentConfig {
+    EnvironmentConfig::default()
+}
+
+#[test]
+fn it_builds_from_scattered_and_from_prebuilt_starts() {
+    for (goal, start) in [
+        ("2_000", Start::Scattered),
+        ("3_001", Start::Scattered),
+        ("4_000", Start::Prebuilt(id("4_002"))),
+        ("6_005", Start::Scattered),
+        ("8_000", Start::Prebuilt(id("6_000"))),
+        ("12_000", Start::Scattered),
+        ("16_001", Start::Scattered),
+    ] {
+        let (mut world, mut expert) = begin(&two_grippers(), goal, start.clone(), 3);
+        assert!(finish(&mut world, &mut expert), "{goal} from {start:?}");
+    }
+}
+
+#[test]
+fn one_gripper_builds_and_takes_down_what_stands() {
+    let config = EnvironmentConfig { n_grippers: 1, ..EnvironmentConfig::default() };
+    let mut n_built = 0;
+    for (goal, start) in [
+        ("2_000", Start::Scattered),
+        ("4_000", Start::Scattered),
+        ("2_003", Start::Prebuilt(id("2_000"))),
+        ("2_004", Start::Prebuilt(id("3_000"))),
+    ] {
+        let (mut world, mut expert) = begin(&config, goal, start, 3);
+        assert_eq!(expert.act(world.scene()).choices[1], None, "there is no second gripper");
+        n_built += u32::from(finish(&mut world, &mut expert));
+    }
+    assert!(n_built >= 3, "{n_built} of 4");
+}
+
+#[test]
+fn an_action_depends_on_the_scene_and_the_blueprint_alone() {
+    // An expert that has seen the whole episode and one that sees only this scene do the same.
+    for (goal, start) in [("4_000", Start::Prebuilt(id("6_000"))), ("12_000", Start::Scattered)] {
+        let config = two_grippers();
+        let (mut world, mut expert) = begin(&config, goal, start, 1);
+        loop {
+            let action = expert.act(world.scene());
+            let newcomer = Expert::new(&config, world.blueprint()).unwrap().act(world.scene());
+            assert_eq!(action, newcomer, "step {}", world.n_steps());
+            if world.step(&action).status != Status::Running {
+                break;
+            }
+        }
+    }
+}
+
+#[test]
+fn its_actions_are_those_of_a_policy() {
+    let (mut world, mut expert) = begin(&two_grippers(), "6_005", Start::Scattered, 5);
+    loop {
+        let action = expert.act(world.scene());
+        // There is no null action: every gripper chooses a block, and no entry is beyond the limits.
+        assert!(action.choices.iter().all(Option::is_some));
+        assert!(action.moves.iter().flatten().all(|x| (-1.0..=1.0).contains(x)));
+        if world.step(&action).status != Status::Running {
+            break;
+        }
+    }
+}
+
+#[test]
+fn it_recovers_from_what_it_did_not_do() {
+    // Random actions for a while, which drop and knock things about, then the expert again.
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut n_built = 0;
+    for seed in 0..4 {
+        let (mut world, mut expert) = begin(&two_grippers(), "4_000", Start::Scattered, seed);
+        for step in 0..20 {
+            let mut action = expert.act(world.scene());
+            if step % 2 == 1 {
+                action.choices = action.choices.map(|_| BlockIdx::try_from(rng.random_range(0..16)).ok());
+                action.moves.iter_mut().flatten().for_each(|x| *x = rng.random_range(-1.0..1.0));
+            }
+            world.step(&action);
+        }
+        n_built += u32::from(finish(&mut world, &mut expert));
+    }
+    assert!(n_built >= 3, "{n_built} of 4");
+}
+
+#[test]
+fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
+    let (world, expert) = begin(&two_grippers(), "2_000", Start::Scattered, 1);
+    let mut scene = world.scene().clone();
+    // Three cubes in a row, 0.3 m apart, and everything else far away.
+    for (i, pose) in scene.blocks.iter_mut().enumerate() {
+        let x = if i < 3 { 0.3 * i as f32 } else { 5.0 + i as f32 };
+        (pose.position, pose.orientation) = ([x, 0.0, 0.05], [0.0, 0.0, 0.0, 1.0]);
+    }
+    let view = View::new(&scene, &expert.blueprint);
+    let cube = BlockIdx::try_from(0).unwrap();
+    let load = Load::new(&view, cube);
+    let from = *view.pose(cube);
+    let at = |x: f32, z: f32| Isometry3::from_parts(Translation3::new(x, 0.0, z), UnitQuaternion::identity());
+    assert!(!load.is_free(&view, &expert.limits, &from, &at(0.45, 0.05)), "through the second cube");
+    assert!(load.is_free(&view, &expert.limits, &from, &at(0.15, 0.05)), "up to its side");
+    assert!(load.is_free(&view, &expert.limits, &at(0.0, 0.3), &at(0.6, 0.3)), "over both");
+    assert!(!load.is_free(&view, &expert.limits, &from, &at(0.0, 0.0)), "into the ground");
+    // On the way to the far side it goes up first.
+    let twist = load.go(&view, &expert.limits, &at(0.45, 0.05));
+    assert!(twist.linear.z > 0.5, "{twist:?}");
+}

@@ -1,0 +1,113 @@
+//! What physics says of a blueprint: whether it stands, and whether it can be built.
+
+use blueprints::{Blueprint, Catalogue, N_BLOCKS};
+use environment::{Env, EnvironmentConfig, World};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use proto::{Action, N_GRIPPERS, Pose, Start, Task};
+
+use crate::config::Starts;
+use crate::episodes::EvalError;
+use crate::expert::{ExpertSetup, evaluate_expert};
+
+/// Greatest distance that a block of a standing blueprint may move, m (0.2 units).
+pub const MAX_DRIFT_M: f32 = 0.02;
+/// Greatest angle that it may turn, rad.
+pub const MAX_TURN_RAD: f32 = 0.1;
+
+/// Control steps that a blueprint stands: two seconds.
+const SETTLE_STEPS: usize = 20;
+/// Episodes in which the expert tries.
+const N_EPISODES: u32 = 3;
+
+/// What two seconds in a world did to a blueprint that was built.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settling {
+    /// Greatest distance that one of its blocks moved, m.
+    pub drift_m: f32,
+    /// Greatest angle that one of them turned, rad.
+    pub turn_rad: f32,
+    /// Connections that broke.
+    pub n_lost: usize,
+}
+
+impl Settling {
+    /// Whether it stayed as it was.
+    pub fn is_calm(&self) -> bool {
+        self.drift_m < MAX_DRIFT_M && self.turn_rad < MAX_TURN_RAD && self.n_lost == 0
+    }
+}
+
+/// Lets a blueprint stand for two seconds with nobody touching it.
+///
+/// # Errors
+/// When the world cannot be made or has no room.
+pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<Settling, EvalError> {
+    let mut world = World::new(environment)?;
+    let catalogue = Catalogue::of_one(blueprint.clone());
+    let id = blueprint.id().clone();
+    let assignment = std::array::from_fn(|i| blueprints::BlockIdx::all().nth(i).expect("there are 16 blocks"));
+    let task = Task { blueprint: id.clone(), assignment, start: Start::Prebuilt(id.clone()), seed: 0 };
+    world.reset(&task, &catalogue).map_err(|source| EvalError::Reset { blueprint: id, source })?;
+    let before = world.scene().clone();
+    let nothing = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
+    for _ in 0..SETTLE_STEPS {
+        world.step(&nothing);
+    }
+    let after = world.scene();
+    let mut found = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
+    for placement in blueprint.placements() {
+        let (from, to) = (&before.blocks[placement.block.get()], &after.blocks[placement.block.get()]);
+        let moved = Vector3::from(to.position) - Vector3::from(from.position);
+        found.drift_m = found.drift_m.max(moved.norm());
+        found.turn_rad = found.turn_rad.max(rotation(from).angle_to(&rotation(to)));
+    }
+    found.n_lost = before.joints.iter().filter(|joint| !after.joints.contains(joint)).count();
+    Ok(found)
+}
+
+/// In how many of how many tries from scattered starts the expert builds a blueprint.
+///
+/// # Errors
+/// When the world cannot be made or has no room.
+pub fn try_building(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<(u64, u64), EvalError> {
+    let catalogue = Catalogue::of_one(blueprint.clone());
+    let setup = ExpertSetup {
+        catalogue: &catalogue,
+        environment: environment.clone(),
+        n_episodes: N_EPISODES,
+        starts: Starts::Scattered,
+        reset_free: None,
+        n_threads: 1,
+        seed: 0,
+    };
+    let report = evaluate_expert(&setup, &[blueprint], &|| true)?;
+    let n_successes = report.blueprints.iter().map(|found| found.outcome.success.n_successes).sum();
+    Ok((n_successes, u64::from(N_EPISODES)))
+}
+
+fn rotation(pose: &Pose) -> UnitQuaternion<f32> {
+    let [x, y, z, w] = pose.orientation;
+    UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_built_in_blueprint_stands_for_two_seconds() {
+        for blueprint in Catalogue::builtin().iter() {
+            let found = settle(&EnvironmentConfig::default(), blueprint).unwrap();
+            assert!(found.is_calm(), "{}: {found:?}", blueprint.id());
+        }
+    }
+
+    #[test]
+    fn what_falls_over_is_not_calm() {
+        // Without strength, whatever hangs on a magnet falls off.
+        let mut weak = EnvironmentConfig::default();
+        weak.magnets.break_force_n = 1.0;
+        let blueprint = Catalogue::builtin().get(&"6_000".parse().unwrap()).unwrap();
+        assert!(!settle(&weak, blueprint).unwrap().is_calm());
+    }
+}
