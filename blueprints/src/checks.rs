@@ -380,3 +380,6 @@ impl<'a> Structure<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
