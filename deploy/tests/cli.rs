@@ -42,6 +42,9 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["eval"], &["--checkpoint"]),
         (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),
         (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=10000"]),
+        (&["expert", "eval", "--grippers", "3"], &["--grippers", "3 is not in 1..=2"]),
+        (&["expert", "eval", "--start", "flying"], &["--start", "flying", "scattered, prebuilt, mixed"]),
+        (&["expert", "eval", "2_000", "--split", "train"], &["--split", "cannot be used with"]),
         (&["router"], &["--listen"]),
         (&["tarin"], &["tarin", "train"]),
     ] {
@@ -71,6 +74,8 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["actor"], None, &["bus.connect is empty", "router"]),
         (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
         (&["blueprints", "list", "gone"], None, &["gone", "cannot read"]),
+        (&["expert", "eval", "6-005"], None, &["`6-005`", "did you mean `6_005`"]),
+        (&["expert", "eval", "--set", "environment.n_griper=1"], None, &["did you mean `n_grippers`"]),
         (
             &["blueprints", "generate", "--size", "3", "--style", "ring", "--out", "made"],
             None,
@@ -187,4 +192,32 @@ fn generated_blueprints_pass_the_checks_and_replace_nothing() {
     let again = lodestone(folder.path(), &args, &[]);
     assert_eq!(again.status.code(), Some(64));
     assert!(String::from_utf8_lossy(&again.stderr).contains("exists already; nothing was written"));
+}
+
+#[test]
+fn the_expert_is_judged_and_its_failures_are_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let judge = |args: &[&str]| {
+        let output = lodestone(folder.path(), &[&["expert", "eval", "--episodes", "2", "--json"], args].concat(), &[]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    // A generated goal is as good as one of the catalogue.
+    let good = judge(&["2_000", "gen1-any-0_6_000"]);
+    assert_eq!(good["blueprints"].as_array().unwrap().len(), 2);
+    assert_eq!(good["groups"][0]["outcome"]["success"]["n_episodes"], 4);
+    assert!(good["steps_per_second"].as_f64().unwrap() > 0.0);
+    assert_eq!(judge(&["2_000", "--grippers", "1"])["groups"][0]["n_built"], 1);
+    let bad = judge(&["16_000", "--set", "environment.episode_steps=5", "--explain", "why"]);
+    assert_eq!(bad["groups"][0]["outcome"]["success"]["n_successes"], 0);
+    let causes = std::fs::read_to_string(folder.path().join("why/failures.json")).unwrap();
+    let causes: serde_json::Value = serde_json::from_str(&causes).unwrap();
+    assert_eq!((causes[0]["cause"].as_str(), causes[1]["episode_idx"].as_u64()), (Some("time"), Some(1)));
+    let replay = folder.path().join("why").join(causes[0]["replay"].as_str().unwrap());
+    let replay = proto::codec::decode_trajectory(&std::fs::read(replay).unwrap()).unwrap();
+    assert_eq!((replay.task.blueprint.as_str(), replay.transitions.len()), ("16_000", 5));
+    // A folder that is there already is not written into.
+    let again = lodestone(folder.path(), &["expert", "eval", "2_000", "--explain", "why"], &[]);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("cannot make the folder why"));
 }

@@ -147,7 +147,7 @@ pub fn evaluate_expert(
         name: g.name.clone(),
         n_blueprints: g.n_blueprints,
         n_built: n_built(&g.name),
-        outcome: g.mode.clone(),
+        outcome: g.mode,
     });
     let groups = groups.collect();
     let reset_free = setup.reset_free.as_ref().map(|config| run_reset_free(setup, config, keep_going)).transpose()?;

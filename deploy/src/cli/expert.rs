@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use blueprints::{BlueprintId, Split};
+use blueprints::Split;
 use clap::{Args, Subcommand, ValueEnum};
 
 /// What the scripted expert is to do.
@@ -17,7 +17,7 @@ pub enum ExpertCommand {
 pub struct ExpertEvalArgs {
     /// These blueprints of the catalogue only; generated ones by their id as well.
     #[arg(value_name = "ID")]
-    pub ids: Vec<BlueprintId>,
+    pub ids: Vec<String>,
     /// This part of the catalogue: train, test, test-literal, test-longest or test-tallest; may be repeated [default: all].
     #[arg(long, value_name = "S", conflicts_with = "ids")]
     pub split: Vec<Split>,

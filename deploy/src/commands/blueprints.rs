@@ -5,6 +5,7 @@ mod physical;
 mod show;
 mod table;
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 
 use blueprints::catalogue::{BUILTIN_FILES, read_files};
@@ -13,6 +14,7 @@ use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
 use serde::Serialize;
 
 use crate::cli::{BlueprintsArgs, BlueprintsCommand};
+use crate::config::nearest;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -46,6 +48,18 @@ pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<()
         BlueprintsCommand::Generate(args) => generate::run(args, terminal),
         BlueprintsCommand::Show(args) => show::run(args, terminal),
     }
+}
+
+/// The blueprint of the catalogue or of the generator with that id.
+///
+/// # Errors
+/// When there is none; the error has the nearest id of the catalogue.
+pub(super) fn find<'c>(catalogue: &'c Catalogue, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
+    let found = id.parse::<BlueprintId>().ok().and_then(|id| catalogue.find(&id));
+    found.ok_or_else(|| Failure::UnknownBlueprint {
+        id: id.to_owned(),
+        nearest: nearest(id, catalogue.iter().map(|blueprint| blueprint.id().as_str())),
+    })
 }
 
 fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {

@@ -6,13 +6,14 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
+use blueprints::{Blueprint, Catalogue, Split};
 use evaluator::{
     Detail, ExpertFailure, ExpertReport, ExpertSetup, ResetFreeConfig, Starts, evaluate_expert, render_expert,
 };
 use proto::codec::encode_trajectory;
 use serde::Serialize;
 
+use super::blueprints::find;
 use super::eval::valid;
 use crate::cli::{ExpertCommand, ExpertEvalArgs, StartArg};
 use crate::config::Override;
@@ -49,12 +50,10 @@ pub(super) fn run(command: &ExpertCommand, terminal: &Terminal) -> Result<(), Fa
 }
 
 fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let mut overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
-    if let Some(n) = args.grippers {
-        overrides.push(Override::flag("--grippers", "environment.n_grippers", i64::from(n)));
-        overrides.push(Override::flag("--grippers", "policy.network.n_grippers", i64::from(n)));
-    }
-    let environment = valid("", "the defaults", &overrides)?.environment;
+    let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
+    let mut environment = valid("", "the defaults", &overrides)?.environment;
+    // Past the check that the policy has as many: no policy acts here.
+    environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
     let catalogue = Catalogue::builtin();
     let selected = select(catalogue, &args.ids, &args.split)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
@@ -94,17 +93,12 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
 }
 
 /// The blueprints of those ids, or of those splits, or all.
-fn select<'c>(
-    catalogue: &'c Catalogue,
-    ids: &[BlueprintId],
-    splits: &[Split],
-) -> Result<Vec<Cow<'c, Blueprint>>, Failure> {
+fn select<'c>(catalogue: &'c Catalogue, ids: &[String], splits: &[Split]) -> Result<Vec<Cow<'c, Blueprint>>, Failure> {
     if ids.is_empty() {
         let wanted = |blueprint: &&Blueprint| splits.is_empty() || splits.contains(&blueprint.split());
         return Ok(catalogue.iter().filter(wanted).map(Cow::Borrowed).collect());
     }
-    let unknown = |id| Failure::Usage(format!("there is no blueprint {id}, neither in the catalogue nor generated"));
-    ids.iter().map(|id| catalogue.find(id).ok_or_else(|| unknown(id))).collect()
+    ids.iter().map(|id| find(catalogue, id)).collect()
 }
 
 /// Writes one file per replay and the list of causes.

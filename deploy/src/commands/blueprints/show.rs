@@ -1,5 +1,6 @@
 //! `blueprints show`: pictures of blueprints as PNG files.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -8,8 +9,8 @@ use anyhow::Context;
 use blueprints::{Blueprint, Catalogue};
 use evaluator::picture::{MAX_TILES, Painter, card, encode, sheet};
 
+use super::find;
 use crate::cli::ShowArgs;
-use crate::config::nearest;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -29,7 +30,8 @@ type File = (String, Vec<u8>);
 /// When the catalogue cannot be read, an id is not in it, or a file cannot be written.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalogue::load).transpose()?;
-    let shown = select(loaded.as_ref().unwrap_or_else(|| Catalogue::builtin()), args)?;
+    let selected = select(loaded.as_ref().unwrap_or_else(|| Catalogue::builtin()), args)?;
+    let shown: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let mut painter = Painter::default();
     let mut files = Vec::new();
     if !args.only_sheets {
@@ -52,24 +54,20 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
 }
 
 /// The blueprints that were asked for: by id in the order given, of a split, or all.
-fn select<'a>(catalogue: &'a Catalogue, args: &ShowArgs) -> Result<Vec<&'a Blueprint>, Failure> {
+fn select<'a>(catalogue: &'a Catalogue, args: &ShowArgs) -> Result<Vec<Cow<'a, Blueprint>>, Failure> {
     if args.ids.is_empty() {
         let shown: Vec<_> = match args.split {
-            Some(split) => catalogue.of_split(split),
-            None => catalogue.iter().collect(),
+            Some(split) => catalogue.of_split(split).into_iter().map(Cow::Borrowed).collect(),
+            None => catalogue.iter().map(Cow::Borrowed).collect(),
         };
         return match (shown.is_empty(), args.split) {
             (true, Some(split)) => Err(Failure::EmptySplit(split)),
             _ => Ok(shown),
         };
     }
-    let mut shown: Vec<&Blueprint> = Vec::new();
+    let mut shown: Vec<Cow<'a, Blueprint>> = Vec::new();
     for id in &args.ids {
-        let found = catalogue.iter().find(|blueprint| blueprint.id().as_str() == id);
-        let blueprint = found.ok_or_else(|| Failure::UnknownBlueprint {
-            id: id.clone(),
-            nearest: nearest(id, catalogue.iter().map(|blueprint| blueprint.id().as_str())),
-        })?;
+        let blueprint = find(catalogue, id)?;
         if shown.iter().all(|other| other.id() != blueprint.id()) {
             shown.push(blueprint);
         }
