@@ -51,7 +51,7 @@ pub enum TaskFilter {
 /// Why a filter selects no goals.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FilterError {
-    /// An id that the training split does not have.
+    /// An id that neither the training split nor the generator has, or one of a held-out structure.
     #[error("blueprint {0} is neither in the training split of the catalogue nor a generated one")]
     NotForTraining(BlueprintId),
     /// Nothing remains.
@@ -243,6 +243,8 @@ mod tests {
         assert!(!two.is_empty() && two.iter().all(|id| id.as_str().starts_with("2_")));
         let named = TaskFilter::Blueprints(vec![id("3_000"), id("2_001"), id("3_000")]);
         assert_eq!(named.select(catalogue).unwrap(), [id("2_001"), id("3_000")]);
+        let generated = TaskFilter::Blueprints(vec![id("gen1-arch-7_6_000")]);
+        assert_eq!(generated.select(catalogue).unwrap(), [id("gen1-arch-7_6_000")]);
     }
 
     #[test]
@@ -252,7 +254,12 @@ mod tests {
             (TaskFilter::Blueprints(vec![]), "the list of goals is empty"),
             (
                 TaskFilter::Blueprints(vec![id("2_000"), id("2_999")]),
-                "blueprint 2_999 is not in the training split of the catalogue",
+                "blueprint 2_999 is neither in the training split of the catalogue nor a generated one",
+            ),
+            (
+                // The generator's name of a held-out tower.
+                TaskFilter::Blueprints(vec![id("gen1-tallest-17_14_024")]),
+                "blueprint gen1-tallest-17_14_024 is neither in the training split of the catalogue nor a generated one",
             ),
         ];
         for (filter, message) in table {

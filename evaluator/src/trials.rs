@@ -104,10 +104,10 @@ mod tests {
 
     #[test]
     fn what_falls_over_is_not_calm() {
-        // Without strength, whatever hangs on a magnet falls off.
+        // The giraffe's tail hangs on two magnets; without strength it falls off.
         let mut weak = EnvironmentConfig::default();
         weak.magnets.break_force_n = 1.0;
-        let blueprint = Catalogue::builtin().get(&"6_000".parse().unwrap()).unwrap();
+        let blueprint = Catalogue::builtin().get(&"literal_14_000".parse().unwrap()).unwrap();
         assert!(!settle(&weak, blueprint).unwrap().is_calm());
     }
 }

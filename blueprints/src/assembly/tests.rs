@@ -1,3 +1,5 @@
+//! Orders of assembly of structures worked out by hand, and of the whole catalogue.
+
 use super::*;
 use crate::{Catalogue, CubeRotation};
 

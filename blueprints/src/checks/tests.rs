@@ -1,3 +1,5 @@
+//! What single checks say of blueprints made for them.
+
 use super::*;
 use crate::assembly::tests::jack;
 

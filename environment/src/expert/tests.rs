@@ -1,3 +1,5 @@
+//! The expert builds, takes apart and never contradicts itself.
+
 use blueprints::{BlueprintId, Catalogue};
 use proto::{Start, Status, Task};
 use rand::{RngExt, SeedableRng};

@@ -1,3 +1,5 @@
+//! Episodes are shared out, judged and explained as they happened.
+
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::*;

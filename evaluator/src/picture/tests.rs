@@ -33,12 +33,14 @@ fn pixel(image: &Image, x: usize, y: usize) -> Rgb {
     image.get(x, y).expect("tests look inside the picture")
 }
 
-fn is_red([red, green, blue]: Rgb) -> bool {
+fn is_red(color: Rgb) -> bool {
+    let [red, green, blue] = color.map(u16::from);
     red > 2 * green && red > 2 * blue
 }
 
-fn is_blue([red, green, blue]: Rgb) -> bool {
-    blue > 2 * red && u16::from(blue) * 2 > 3 * u16::from(green)
+fn is_blue(color: Rgb) -> bool {
+    let [red, green, blue] = color.map(u16::from);
+    blue > 2 * red && 2 * blue > 3 * green
 }
 
 fn brightness(color: Rgb) -> u16 {

@@ -62,10 +62,14 @@ mod tests {
         let text = render(&reports);
         let lines: Vec<&str> = text.lines().collect();
         let expected = [
-            "file       id     format  inventory  overlap  polarity  connections  connected  stands  unique",
-            "good.toml  2_000  ok      ok         ok       ok        ok           ok         ok      ok",
-            "same.toml  2_000  ok      ok         ok       ok        ok           ok         ok      FAILED",
-            "bad.toml   -      FAILED  -          -        -         -            -          -       -",
+            "file       id     format  inventory  overlap  polarity  connections  connected  stands  strength  assembly  \
+             unique  settles  expert",
+            "good.toml  2_000  ok      ok         ok       ok        ok           ok         ok      ok        ok        \
+             ok      -        -",
+            "same.toml  2_000  ok      ok         ok       ok        ok           ok         ok      ok        ok        \
+             FAILED  -        -",
+            "bad.toml   -      FAILED  -          -        -         -            -          -       -         -         \
+             -       -        -",
             "same.toml, unique: good.toml has the same id",
         ];
         assert_eq!(lines[..5], expected, "{text}");
