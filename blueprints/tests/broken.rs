@@ -165,15 +165,15 @@ connections = [
     // Board: 3 cells of 1.962 N at 1.5 u are 0.88 N m. With the post, 5 cells at 1.2 u: 1.18 N m.
     let report = check_text("board.toml", text);
     assert!(report.passed(), "{report:#?}");
-    // On the foot: post and a board two cells wide are 8 cells, their centre at x = (2·0.5 + 6·2.5) / 8 = 2 u and
-    // y = (2·0.5 + 6·1) / 8 = 0.875 u, the contact's at 0.5 u, so 15.70 N at 0.155 m.
-    let wider = text.replace("type = \"3x1x1\"", "type = \"3x2x1\"");
-    let report = check_text("board.toml", &wider);
+    // On the foot: post and a board of four are 6 cells, their centre at x = (2·0.5 + 4·3) / 6 = 2.17 u, the contact's at
+    // 0.5 u, so 11.77 N at 0.167 m.
+    let longer = text.replace("3x1x1\", at = [1", "4x1x1\", at = [1").replace("+x(2,0,0)", "+x(3,0,0)");
+    let report = check_text("board.toml", &longer);
     let strength = report.results.iter().find(|r| r.check == Check::Strength).expect("all checks are listed");
-    let error = "the connection of \"foot\" and \"post\" carries 15.7 N and 2.43 N m; 1 magnet pair(s) may \
-                 carry 20 N and 2.00 N m";
+    let error = "the connection of \"foot\" and \"post\" carries 11.8 N and 1.96 N m; 1 magnet pair(s) may \
+                 carry 15 N and 1.50 N m";
     assert_eq!(strength.outcome, Outcome::Failed { error: error.to_owned() });
-    assert_eq!(report.blueprint.expect_err("too heavy").to_string(), format!("board.toml: {error}"));
+    assert_eq!(report.blueprint.expect_err("too long").to_string(), format!("board.toml: {error}"));
 }
 
 #[test]

@@ -14,7 +14,7 @@ struct Connection {
     handle: JointHandle,
     /// Magnet pairs that count for its strength.
     n_strong_pairs: f32,
-    /// Substeps of the soft and unbreakable beginning that are left.
+    /// Substeps of the unbreakable beginning that are left, which is soft after a snap.
     snap_left: u16,
     /// Running mean of its load; it breaks above 1.
     load: f32,
@@ -53,9 +53,10 @@ impl Connections {
         self.regroup();
     }
 
-    /// Connects two blocks that stand as `joint` says, with no snap.
+    /// Connects two blocks that stand as `joint` says: stiff at once, but unbreakable until the structure has taken up
+    /// its own weight, as after a snap.
     pub(crate) fn insert_built(&mut self, engine: &mut Engine, joint: Joint) {
-        self.insert(engine, joint, 0);
+        self.insert(engine, joint, self.config.hold_frequency_hz);
     }
 
     /// The connections, sorted.
@@ -163,10 +164,10 @@ impl Connections {
         if self.same_component(a, b) && self.relative_in_component(a, b) != Some(relative) {
             return;
         }
-        self.insert(engine, Joint { a, b, relative }, self.substeps(self.config.snap_ms));
+        self.insert(engine, Joint { a, b, relative }, self.config.snap_frequency_hz);
     }
 
-    fn insert(&mut self, engine: &mut Engine, joint: Joint, snap_left: u16) {
+    fn insert(&mut self, engine: &mut Engine, joint: Joint, frequency_hz: f32) {
         let inventory = Inventory::standard();
         let pairs = inventory.magnet_pairs(joint.a, joint.b, joint.relative);
         if pairs.is_empty() {
@@ -179,8 +180,8 @@ impl Connections {
         let b_in_a = Isometry3::from_parts(joint.relative.position_m().into(), joint.relative.rotation.quaternion());
         let frame_a = Isometry3::translation(middle.x, middle.y, middle.z);
         let frame_b = b_in_a.inverse() * frame_a;
-        let frequency = if snap_left > 0 { self.config.snap_frequency_hz } else { self.config.hold_frequency_hz };
-        let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency);
+        let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency_hz);
+        let snap_left = self.substeps(self.config.snap_ms);
         let n_strong_pairs = pairs.len().min(usize::from(self.config.break_max_pairs)) as f32;
         self.live.push(Connection { joint, handle, n_strong_pairs, snap_left, load: 0.0 });
         self.regroup();

@@ -16,6 +16,8 @@ pub const MAX_TURN_RAD: f32 = 0.1;
 
 /// Control steps that a blueprint stands: two seconds.
 const SETTLE_STEPS: usize = 20;
+/// Places on the ground, each with a turn of its own, in which it stands.
+const N_PLACES: u64 = 6;
 /// Episodes in which the expert tries.
 const N_EPISODES: u32 = 3;
 
@@ -37,17 +39,28 @@ impl Settling {
     }
 }
 
-/// Lets a blueprint stand for two seconds with nobody touching it.
+/// Lets a blueprint stand for two seconds with nobody touching it, in several places; the worst that happened in any.
 ///
 /// # Errors
 /// When the world cannot be made or has no room.
 pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<Settling, EvalError> {
     let mut world = World::new(environment)?;
     let catalogue = Catalogue::of_one(blueprint.clone());
-    let id = blueprint.id().clone();
-    let assignment = std::array::from_fn(|i| blueprints::BlockIdx::all().nth(i).expect("there are 16 blocks"));
-    let task = Task { blueprint: id.clone(), assignment, start: Start::Prebuilt(id.clone()), seed: 0 };
-    world.reset(&task, &catalogue).map_err(|source| EvalError::Reset { blueprint: id, source })?;
+    let mut worst = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
+    for seed in 0..N_PLACES {
+        let id = blueprint.id().clone();
+        let assignment = std::array::from_fn(|i| blueprints::BlockIdx::all().nth(i).expect("there are 16 blocks"));
+        let task = Task { blueprint: id.clone(), assignment, start: Start::Prebuilt(id.clone()), seed };
+        world.reset(&task, &catalogue).map_err(|source| EvalError::Reset { blueprint: id, source })?;
+        let found = stand(&mut world, blueprint);
+        worst.drift_m = worst.drift_m.max(found.drift_m);
+        worst.turn_rad = worst.turn_rad.max(found.turn_rad);
+        worst.n_lost = worst.n_lost.max(found.n_lost);
+    }
+    Ok(worst)
+}
+
+fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
     let before = world.scene().clone();
     let nothing = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
     for _ in 0..SETTLE_STEPS {
@@ -62,7 +75,7 @@ pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<
         found.turn_rad = found.turn_rad.max(rotation(from).angle_to(&rotation(to)));
     }
     found.n_lost = before.joints.iter().filter(|joint| !after.joints.contains(joint)).count();
-    Ok(found)
+    found
 }
 
 /// In how many of how many tries from scattered starts the expert builds a blueprint.

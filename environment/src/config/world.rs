@@ -57,7 +57,7 @@ pub struct MagnetConfig {
     pub snap_frequency_hz: f32,
     /// Stiffness of the joint afterwards, Hz, 1 to 1000. Default 60.
     pub hold_frequency_hz: f32,
-    /// Force that breaks a connection, N per magnet pair, 1 to 10000. Default 40. The torque that does is this times
+    /// Force that breaks a connection, N per magnet pair, 1 to 10000. Default 30. The torque that does is this times
     /// one unit (0.1 m).
     pub break_force_n: f32,
     /// Magnet pairs beyond this many add no strength, 1 to 6. Default 3.
@@ -96,7 +96,7 @@ impl Default for MagnetConfig {
             snap_ms: 200.0,
             snap_frequency_hz: 20.0,
             hold_frequency_hz: 60.0,
-            break_force_n: 40.0,
+            break_force_n: 30.0,
             break_max_pairs: 3,
             load_smoothing: 0.5,
             cooldown_ms: 200.0,
