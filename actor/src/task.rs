@@ -258,8 +258,8 @@ mod tests {
             ),
             (
                 // The generator's name of a held-out tower.
-                TaskFilter::Blueprints(vec![id("gen1-tallest-15_14_167")]),
-                "blueprint gen1-tallest-15_14_167 is neither in the training split of the catalogue nor a generated one",
+                TaskFilter::Blueprints(vec![id("gen1-tallest-16_14_162")]),
+                "blueprint gen1-tallest-16_14_162 is neither in the training split of the catalogue nor a generated one",
             ),
         ];
         for (filter, message) in table {

@@ -28,7 +28,7 @@ pub struct Settling {
     pub drift_m: f32,
     /// Greatest angle that one of them turned, rad.
     pub turn_rad: f32,
-    /// Connections that broke.
+    /// Greatest number of connections that were broken at a time.
     pub n_lost: usize,
 }
 
@@ -63,18 +63,20 @@ pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<
 fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
     let before = world.scene().clone();
     let nothing = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
+    let mut found = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for _ in 0..SETTLE_STEPS {
         world.step(&nothing);
+        // Some that break snap again.
+        let n_lost = before.joints.iter().filter(|joint| !world.scene().joints.contains(joint)).count();
+        found.n_lost = found.n_lost.max(n_lost);
     }
     let after = world.scene();
-    let mut found = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for placement in blueprint.placements() {
         let (from, to) = (&before.blocks[placement.block.get()], &after.blocks[placement.block.get()]);
         let moved = Vector3::from(to.position) - Vector3::from(from.position);
         found.drift_m = found.drift_m.max(moved.norm());
         found.turn_rad = found.turn_rad.max(rotation(from).angle_to(&rotation(to)));
     }
-    found.n_lost = before.joints.iter().filter(|joint| !after.joints.contains(joint)).count();
     found
 }
 
