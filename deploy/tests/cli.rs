@@ -43,6 +43,8 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),
         (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=10000"]),
         (&["router"], &["--listen"]),
+        (&["render", "x.trajectory"], &["--out"]),
+        (&["render", "x", "--out", "films", "--width", "3"], &["--width", "480..=1920"]),
         (&["tarin"], &["tarin", "train"]),
     ] {
         check_refused(args, &[], None, 2, words);
@@ -70,6 +72,10 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
         (&["actor"], None, &["bus.connect is empty", "router"]),
         (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
+        (&["render", "gone", "--out", "films"], None, &["gone", "cannot be read"]),
+        (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
+        (&["render", "my.toml", "--out", "films"], Some(""), &["my.toml", "is empty"]),
+        (&["render", "my.toml", "--out", "films"], Some("\u{8}\u{1}\u{12}\u{6}exp"), &["my.toml", "cut off"]),
         (&["blueprints", "list", "gone"], None, &["gone", "cannot read"]),
         (
             &["blueprints", "generate", "--size", "3", "--style", "ring", "--out", "made"],

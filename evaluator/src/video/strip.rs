@@ -22,7 +22,7 @@ const HAIRLINE: Rgb = [214, 219, 228];
 pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let n_frames = n_frames.max(2);
     let tile = (width.max(super::MIN_WIDTH) - (N_COLUMNS - 1) * GAP) / N_COLUMNS;
-    let height = tile * 3 / 4;
+    let height = tile * 2 / 3;
     let n_rows = (n_frames + 1).div_ceil(N_COLUMNS);
     let full_height = n_rows * (height + FOOT + GAP) - GAP;
     let mut image = Image::filled(N_COLUMNS * (tile + GAP) - GAP, full_height, WHITE);
