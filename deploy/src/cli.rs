@@ -8,9 +8,11 @@ use clap::{Args, Parser, Subcommand};
 
 mod blueprints;
 mod expert;
+mod render;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
+pub use self::render::{FilmFormat, RenderArgs};
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 use crate::run_dir::CONFIG_FILE;
@@ -46,6 +48,8 @@ pub enum Command {
     /// Let the scripted expert build.
     #[command(subcommand)]
     Expert(ExpertCommand),
+    /// Make films of recorded episodes.
+    Render(RenderArgs),
     /// Look at blueprints.
     #[command(subcommand)]
     Blueprints(BlueprintsCommand),

@@ -56,6 +56,14 @@ pub enum Failure {
         /// The existing id that looks most like it.
         nearest: Option<String>,
     },
+    /// A recorded episode cannot be shown; code 64.
+    #[error("{files}: {reason}")]
+    Recording {
+        /// The files of the episode.
+        files: String,
+        /// What is wrong with them.
+        reason: String,
+    },
     /// A part of the catalogue without blueprints; code 64.
     #[error("the catalogue has no blueprints of the split {0}")]
     EmptySplit(Split),
@@ -102,6 +110,7 @@ impl Failure {
             | Self::BlueprintExists(_)
             | Self::BlueprintFile { .. }
             | Self::UnknownBlueprint { .. }
+            | Self::Recording { .. }
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
             Self::Checkpoint(_) => 66,

@@ -46,6 +46,8 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["expert", "eval", "--start", "flying"], &["--start", "flying", "scattered, prebuilt, mixed"]),
         (&["expert", "eval", "2_000", "--split", "train"], &["--split", "cannot be used with"]),
         (&["router"], &["--listen"]),
+        (&["render", "x.trajectory"], &["--out"]),
+        (&["render", "x", "--out", "films", "--width", "3"], &["--width", "480..=1920"]),
         (&["tarin"], &["tarin", "train"]),
     ] {
         check_refused(args, &[], None, 2, words);
@@ -73,6 +75,10 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
         (&["actor"], None, &["bus.connect is empty", "router"]),
         (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
+        (&["render", "gone", "--out", "films"], None, &["gone", "cannot be read"]),
+        (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
+        (&["render", "my.toml", "--out", "films"], Some(""), &["my.toml", "is empty"]),
+        (&["render", "my.toml", "--out", "films"], Some("\u{8}\u{1}\u{12}\u{6}exp"), &["my.toml", "cut off"]),
         (&["blueprints", "list", "gone"], None, &["gone", "cannot read"]),
         (&["expert", "eval", "6-005"], None, &["`6-005`", "did you mean `6_005`"]),
         (&["expert", "eval", "--set", "environment.n_griper=1"], None, &["did you mean `n_grippers`"]),

@@ -33,6 +33,8 @@ pub struct ExpertSetup<'c> {
     pub n_threads: usize,
     /// Seed of the start states, the same as those of a policy's evaluation with this seed.
     pub seed: u64,
+    /// Keep a replay of the first success of each blueprint.
+    pub keeps_successes: bool,
 }
 
 /// How the expert did.
@@ -48,6 +50,10 @@ pub struct ExpertReport {
     pub n_steps: u64,
     /// Episodes that failed, in the order of the blueprints.
     pub failures: Vec<ExpertFailure>,
+    /// The first success of each blueprint that was built, step by step, if the setup asks for it; not part of the
+    /// report's JSON.
+    #[serde(skip)]
+    pub successes: Vec<Trajectory>,
 }
 
 /// Blueprints that are reported together.
@@ -106,6 +112,7 @@ pub struct ExpertFailure {
 struct Trial {
     played: Played,
     failure: Option<ExpertFailure>,
+    success: Option<Trajectory>,
 }
 
 /// Judges the expert on `blueprints`, then on reset-free runs if the setup has any. `keep_going` is asked at every step.
@@ -122,11 +129,12 @@ pub fn evaluate_expert(
         (0..u64::from(setup.n_episodes)).map(job).collect()
     };
     let lanes: Vec<Vec<Job>> = blueprints.iter().map(|blueprint| lane(blueprint)).collect();
-    let trials = run_all(setup, &lanes, keep_going)?;
-    let mut failures = Vec::new();
+    let trials = run_all(setup, &lanes, setup.keeps_successes, keep_going)?;
+    let (mut failures, mut successes) = (Vec::new(), Vec::new());
     let mut episodes = Vec::new();
     for trial in trials.into_iter().flatten() {
         failures.extend(trial.failure);
+        successes.extend(trial.success);
         episodes.push(trial.played.episode);
     }
     let n_steps = episodes.iter().map(|episode| u64::from(episode.n_steps)).sum();
@@ -151,7 +159,7 @@ pub fn evaluate_expert(
     });
     let groups = groups.collect();
     let reset_free = setup.reset_free.as_ref().map(|config| run_reset_free(setup, config, keep_going)).transpose()?;
-    Ok(ExpertReport { groups, blueprints, reset_free, n_steps, failures })
+    Ok(ExpertReport { groups, blueprints, reset_free, n_steps, failures, successes })
 }
 
 fn run_reset_free(
@@ -160,7 +168,7 @@ fn run_reset_free(
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<ExpertResetFree, EvalError> {
     let lanes = reset_free::lanes(setup.catalogue, config, setup.seed)?;
-    let trials = run_all(setup, &lanes, keep_going)?;
+    let trials = run_all(setup, &lanes, false, keep_going)?;
     let runs: Vec<Vec<Played>> =
         trials.into_iter().map(|run| run.into_iter().map(|trial| trial.played).collect()).collect();
     let score: EvalResetFree = reset_free::score(config, &runs, Acting::Mode);
@@ -170,6 +178,7 @@ fn run_reset_free(
 fn run_all(
     setup: &ExpertSetup<'_>,
     lanes: &[Vec<Job>],
+    keeps_successes: bool,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Vec<Trial>>, EvalError> {
     let success = &setup.environment.success;
@@ -179,12 +188,17 @@ fn run_all(
         let mut results = Vec::with_capacity(lanes.len());
         for (lane_idx, lane) in lanes.iter().enumerate().filter(|(_, lane)| !lane.is_empty()) {
             let (mut seat, _) = Seat::begin(&rules, world, (lane_idx, lane))?;
-            let mut trials = Vec::with_capacity(lane.len());
+            let mut trials: Vec<Trial> = Vec::with_capacity(lane.len());
             for (job_idx, job) in lane.iter().enumerate() {
                 if job_idx > 0 {
                     seat.start(&rules, lane_idx, job)?;
                 }
-                trials.push(run_episode(&rules, &setup.environment, &mut seat, job, job_idx as u64)?);
+                let mut trial = run_episode(&rules, &setup.environment, &mut seat, job, job_idx as u64)?;
+                // One is enough to look at, and all of them would be gigabytes.
+                if !keeps_successes || trials.iter().any(|earlier| earlier.success.is_some()) {
+                    trial.success = None;
+                }
+                trials.push(trial);
             }
             results.push(trials);
             world = seat.env;
@@ -213,17 +227,21 @@ fn run_episode(
             Err(_) => diary::nothing(),
         };
         let played = seat.step(rules, &decision.action);
-        diary.note(scene, decision, seat.env.scene(), seat.env.blueprint());
+        let after = seat.end_scene.as_ref().unwrap_or_else(|| seat.env.scene());
+        diary.note(scene, decision, seat.reward, after, seat.env.blueprint());
         let Some(played) = played else { continue };
         let status = match played.episode.end {
-            End::Success { .. } => return Ok(Trial { played, failure: None }),
+            End::Success { .. } => Status::Success,
             End::TimeLimit => Status::TimeLimit,
             End::Diverged => Status::Diverged,
         };
         let trouble = diary.trouble(status, expert.is_err());
-        let replay = diary.into_replay(job.task(), seat.env.scene());
+        let replay = diary.into_replay(job.task(), after, &played.episode);
+        if status == Status::Success {
+            return Ok(Trial { played, failure: None, success: replay });
+        }
         let failure = ExpertFailure { blueprint: job.task().blueprint.clone(), episode_idx, trouble, replay };
-        return Ok(Trial { played, failure: Some(failure) });
+        return Ok(Trial { played, failure: Some(failure), success: None });
     }
 }
 

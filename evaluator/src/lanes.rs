@@ -4,7 +4,7 @@ use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
 use environment::config::SuccessConfig;
 use environment::{Env, ResetError, StableSuccess, sample_assignment};
 use policy::{ActionMode, Policy};
-use proto::{Action, RewardTerms, Start, Status, Task};
+use proto::{Action, RewardTerms, Scene, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -140,6 +140,10 @@ pub(crate) struct Seat<'a, E> {
     forced_reset: bool,
     n_steps: u32,
     episode_return: RewardTerms,
+    /// Of the last step.
+    pub(crate) reward: RewardTerms,
+    /// The scene of a success, as the world goes on after it to see whether it is stable.
+    pub(crate) end_scene: Option<Scene>,
 }
 
 impl<'a, E: Env> Seat<'a, E> {
@@ -149,8 +153,9 @@ impl<'a, E: Env> Seat<'a, E> {
         (lane_idx, lane): (usize, &'a [Job]),
     ) -> Result<(Self, ChaCha8Rng), EvalError> {
         let job = &lane[0];
-        let episode_return = RewardTerms::default();
-        let mut seat = Self { env, lane_idx, job, forced_reset: false, n_steps: 0, episode_return };
+        let (episode_return, reward) = (RewardTerms::default(), RewardTerms::default());
+        let mut seat =
+            Self { env, lane_idx, job, forced_reset: false, n_steps: 0, episode_return, reward, end_scene: None };
         let rng = seat.start(rules, lane_idx, job)?;
         Ok((seat, rng))
     }
@@ -175,6 +180,7 @@ impl<'a, E: Env> Seat<'a, E> {
         }
         (self.lane_idx, self.job, self.n_steps) = (lane_idx, job, 0);
         self.episode_return = RewardTerms::default();
+        self.end_scene = None;
         // Stream 0 of the seed belongs to the world.
         let mut rng = ChaCha8Rng::seed_from_u64(job.task.seed);
         rng.set_stream(1);
@@ -185,10 +191,14 @@ impl<'a, E: Env> Seat<'a, E> {
     pub(crate) fn step(&mut self, rules: &Rules<'_>, action: &Action) -> Option<Played> {
         let result = self.env.step(action);
         self.n_steps += 1;
+        self.reward = result.reward;
         self.episode_return = sum(&self.episode_return, &result.reward);
         let end = match result.status {
             Status::Running => return None,
-            Status::Success => End::Success { stable: self.settles(rules, action) },
+            Status::Success => {
+                self.end_scene = Some(self.env.scene().clone());
+                End::Success { stable: self.settles(rules, action) }
+            }
             Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };

@@ -1,7 +1,8 @@
 //! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] and [`group`] (what is counted) → `lanes` (worlds side by side) →
-//! [`episodes`] and [`reset_free`] (what is run) → [`table`] → [`run()`] (the service on the bus); [`picture`] draws blocks.
+//! [`episodes`] and [`reset_free`] (what is run) → [`table`] → [`run()`] (the service on the bus); [`picture`] draws blocks,
+//! [`video`] makes films of episodes.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -17,6 +18,7 @@ mod run;
 mod schedule;
 pub mod table;
 pub mod trials;
+pub mod video;
 
 pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts};
 pub use environment::EnvironmentConfig;

@@ -7,16 +7,16 @@
 mod camera;
 mod coat;
 mod ground;
-mod image;
+pub(crate) mod image;
 mod model;
 mod painter;
-mod palette;
+pub(crate) mod palette;
 mod png;
 mod raster;
 mod sheet;
 #[cfg(test)]
 mod tests;
-mod text;
+pub(crate) mod text;
 
 pub use ::png::EncodingError;
 pub use camera::{Camera, View};

@@ -92,6 +92,7 @@ pub fn try_building(environment: &EnvironmentConfig, blueprint: &Blueprint) -> R
         n_episodes: N_EPISODES,
         starts: Starts::Scattered,
         reset_free: None,
+        keeps_successes: false,
         n_threads: 1,
         seed: 0,
     };

@@ -42,6 +42,10 @@ pub struct ExpertEvalArgs {
     /// Write the cause of each failure (failures.json) and a replay of it into this new folder.
     #[arg(long, value_name = "DIR")]
     pub explain: Option<PathBuf>,
+    /// Write a replay of the first success and of the first failure of each group into this new folder, for
+    /// `lodestone render`.
+    #[arg(long, value_name = "DIR")]
+    pub record: Option<PathBuf>,
     /// Set one key of the configuration, for example environment.max_speed_mps=2; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,

@@ -1,6 +1,7 @@
 //! `expert eval`: judges the scripted expert on blueprints.
 
 use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
@@ -8,8 +9,9 @@ use std::time::Instant;
 use anyhow::Context;
 use blueprints::{Blueprint, Catalogue, Split};
 use evaluator::{
-    Detail, ExpertFailure, ExpertReport, ExpertSetup, ResetFreeConfig, Starts, evaluate_expert, render_expert,
+    Detail, ExpertFailure, ExpertReport, ExpertSetup, Group, ResetFreeConfig, Starts, evaluate_expert, render_expert,
 };
+use proto::Trajectory;
 use proto::codec::encode_trajectory;
 use serde::Serialize;
 
@@ -57,7 +59,7 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let catalogue = Catalogue::builtin();
     let selected = select(catalogue, &args.ids, &args.split)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
-    if let Some(folder) = &args.explain {
+    for folder in args.explain.iter().chain(&args.record) {
         fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     }
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
@@ -74,6 +76,7 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         reset_free: args.reset_free.then(ResetFreeConfig::default),
         n_threads,
         seed: args.seed,
+        keeps_successes: args.record.is_some(),
     };
     let start = Instant::now();
     // A signal ends the process: nothing is lost but the episodes so far.
@@ -81,6 +84,9 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let steps_per_second = report.n_steps as f64 / start.elapsed().as_secs_f64();
     if let Some(folder) = &args.explain {
         explain(folder, &report.failures)?;
+    }
+    if let Some(folder) = &args.record {
+        record(folder, catalogue, &report)?;
     }
     if args.json {
         let judged = Judged { report: &report, steps_per_second, n_threads };
@@ -101,6 +107,27 @@ fn select<'c>(catalogue: &'c Catalogue, ids: &[String], splits: &[Split]) -> Res
     ids.iter().map(|id| find(catalogue, id)).collect()
 }
 
+/// Writes replays of the first success and of the first failure of each group.
+fn record(folder: &Path, catalogue: &Catalogue, report: &ExpertReport) -> anyhow::Result<()> {
+    let successes = report.successes.iter().map(|replay| ("success", replay));
+    let failures =
+        report.failures.iter().filter_map(|failure| failure.replay.as_ref()).map(|replay| ("failure", replay));
+    let mut known = BTreeSet::new();
+    for (end, replay) in successes.chain(failures) {
+        let id = &replay.task.blueprint;
+        let group = catalogue.find(id).and_then(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks()));
+        if known.insert((end, group)) {
+            write_replay(folder, &format!("{id}-{end}.trajectory"), replay)?;
+        }
+    }
+    Ok(())
+}
+
+fn write_replay(folder: &Path, name: &str, replay: &Trajectory) -> anyhow::Result<()> {
+    let path = folder.join(name);
+    fs::write(&path, encode_trajectory(replay)).with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// Writes one file per replay and the list of causes.
 fn explain(folder: &Path, failures: &[ExpertFailure]) -> anyhow::Result<()> {
     let mut entries = Vec::with_capacity(failures.len());
@@ -108,8 +135,7 @@ fn explain(folder: &Path, failures: &[ExpertFailure]) -> anyhow::Result<()> {
         let mut file = None;
         if let Some(replay) = &failure.replay {
             let name = format!("{}-{:03}.trajectory", failure.blueprint, failure.episode_idx);
-            let path = folder.join(&name);
-            fs::write(&path, encode_trajectory(replay)).with_context(|| format!("cannot write {}", path.display()))?;
+            write_replay(folder, &name, replay)?;
             file = Some(name);
         }
         entries.push(Explained { failure, replay: file });

@@ -3,6 +3,7 @@
 mod blueprints;
 mod eval;
 mod expert;
+mod render;
 mod router;
 mod services;
 mod train;
@@ -32,6 +33,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Expert(command) => expert::run(&command, terminal),
+        Command::Render(args) => render::run(&args, terminal),
         Command::Eval(args) => eval::run(&args, terminal),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
         Command::Train(args) => {

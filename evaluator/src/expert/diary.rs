@@ -5,9 +5,12 @@ use std::fmt;
 use blueprints::Blueprint;
 use environment::{Activity, Decision};
 use proto::{
-    Action, ActorId, Joint, N_GRIPPERS, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
+    Action, ActorId, Joint, N_GRIPPERS, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition,
+    WeightsVersion,
 };
 use serde::{Deserialize, Serialize};
+
+use crate::report::{End, Episode};
 
 /// This many steps of one trouble are enough to call it the cause.
 const MANY_STEPS: u32 = 15;
@@ -83,8 +86,15 @@ impl Diary {
         Self { transitions: Vec::new(), trouble, has_fetched: false, n_right, steps_since_gain: 0 }
     }
 
-    /// Takes a step: the scene before, what was decided, the scene after.
-    pub(super) fn note(&mut self, before: Scene, decision: Decision, after: &Scene, blueprint: &Blueprint) {
+    /// Takes a step: the scene before, what was decided, what that earned, the scene after.
+    pub(super) fn note(
+        &mut self,
+        before: Scene,
+        decision: Decision,
+        reward: RewardTerms,
+        after: &Scene,
+        blueprint: &Blueprint,
+    ) {
         let trouble = &mut self.trouble;
         trouble.n_steps += 1;
         match decision.activity {
@@ -107,7 +117,7 @@ impl Diary {
             action: decision.action,
             behavior_log_prob: 0.0,
             value: 0.0,
-            reward: RewardTerms::default(),
+            reward,
         });
     }
 
@@ -132,9 +142,20 @@ impl Diary {
         Trouble { cause, ..*t }
     }
 
-    /// The episode as a trajectory; without log-probabilities, values and rewards, as nobody learns from it.
-    pub(super) fn into_replay(self, task: &Task, last: &Scene) -> Option<Trajectory> {
+    /// The episode as a trajectory; without log-probabilities and values, as nobody learns from it.
+    pub(super) fn into_replay(self, task: &Task, last: &Scene, end: &Episode) -> Option<Trajectory> {
         let actor = ActorId::try_from("expert".to_owned()).ok()?;
+        let status = match end.end {
+            End::Success { .. } => Status::Success,
+            End::TimeLimit => Status::TimeLimit,
+            // A diverged episode has no status of its own on the wire; what was seen of it is cut there.
+            End::Diverged => Status::Running,
+        };
+        let outcome = Outcome {
+            success: status == Status::Success,
+            n_steps: u16::try_from(end.n_steps).ok()?,
+            episode_return: end.episode_return,
+        };
         (!self.transitions.is_empty()).then(|| Trajectory {
             actor,
             epoch: 0,
@@ -144,10 +165,9 @@ impl Diary {
             first_step: 0,
             transitions: self.transitions,
             last_scene: last.clone(),
-            // A diverged episode has no status of its own on the wire; what was seen of it is cut there.
-            status: Status::Running,
+            status,
             bootstrap_value: 0.0,
-            outcome: None,
+            outcome: (status != Status::Running).then_some(outcome),
         })
     }
 }

@@ -7,7 +7,7 @@ const MAX_COLORS: usize = 256;
 
 /// Colours that stand for all colours of an image.
 #[derive(Debug)]
-pub(super) struct Palette {
+pub(crate) struct Palette {
     colors: Vec<Rgb>,
     /// Every colour of the image in order, with the number of the one that stands for it.
     known: Vec<(Rgb, u8)>,
@@ -27,7 +27,7 @@ impl Palette {
     ///
     /// Otherwise the group of colours that is worst served by its mean is split there, until there are enough groups.
     /// What many pixels have exactly (paper, flat sides) stays exact.
-    pub(super) fn of(pixels: &[Rgb], n_colors: usize) -> Self {
+    pub(crate) fn of(pixels: &[Rgb], n_colors: usize) -> Self {
         let n_colors = n_colors.clamp(1, MAX_COLORS);
         let mut groups = vec![Group::new(counted(pixels))];
         while groups.len() < n_colors {
@@ -45,12 +45,12 @@ impl Palette {
     }
 
     /// The colours by number.
-    pub(super) fn colors(&self) -> &[Rgb] {
+    pub(crate) fn colors(&self) -> &[Rgb] {
         &self.colors
     }
 
     /// The numbers of pixels that the palette was made of.
-    pub(super) fn indices(&self, pixels: &[Rgb]) -> Vec<u8> {
+    pub(crate) fn indices(&self, pixels: &[Rgb]) -> Vec<u8> {
         let mut last = (Rgb::default(), None);
         let number = |color: &Rgb| {
             // Most pixels are like the one before.

@@ -1,0 +1,50 @@
+//! An episode seen from one place.
+
+use nalgebra::{Point3, Vector2};
+use proto::Scene;
+
+use super::episode::Episode;
+use crate::picture::{Camera, Ground, Image, Painter, View, corners, of_scene};
+
+/// Blocks farther than this from the middle of the others, in metres along the ground or upwards, are not framed: one that
+/// was thrown away must not make all others small.
+const REACH_M: f32 = 1.6;
+
+/// Free space around what is framed, as a share of the height.
+const MARGIN: f32 = 0.035;
+
+/// Camera and ground for a whole episode, so that nothing moves but blocks.
+#[derive(Clone, Debug)]
+pub(super) struct Stage {
+    camera: Camera,
+    ground: Ground,
+}
+
+impl Stage {
+    /// A stage that shows all steps of an episode in pictures of this size in pixels.
+    pub(super) fn new(episode: &Episode, size_px: [usize; 2]) -> Self {
+        let points = framed(episode);
+        let margin_px = MARGIN * size_px[1] as f32;
+        let camera = Camera::framing(View::FrontQuarter, &points, size_px, margin_px, f32::INFINITY);
+        let start = of_scene(&episode.scenes()[0]);
+        Self { camera, ground: Ground::under(&start) }
+    }
+
+    /// The world as it is in a scene.
+    pub(super) fn picture(&self, painter: &mut Painter, scene: &Scene) -> Image {
+        painter.paint(&of_scene(scene), &self.camera, self.ground)
+    }
+}
+
+/// Corners of all blocks in all scenes, but for those far off.
+fn framed(episode: &Episode) -> Vec<Point3<f32>> {
+    let start = &episode.scenes()[0];
+    let median = |axis: usize| {
+        let mut values = start.blocks.map(|pose| pose.position[axis]);
+        values.sort_by(f32::total_cmp);
+        values[values.len() / 2]
+    };
+    let middle = Vector2::new(median(0), median(1));
+    let is_near = |point: &Point3<f32>| (point.coords.xy() - middle).amax() < REACH_M && point.z.abs() < REACH_M;
+    episode.scenes().iter().flat_map(|scene| corners(&of_scene(scene))).filter(is_near).collect()
+}
