@@ -154,7 +154,7 @@ pub struct EvaluatorArgs {
     /// As for all members of a run.
     #[command(flatten)]
     pub member: MemberArgs,
-    /// Append reports to metrics.jsonl in this folder.
+    /// Keep reports in this folder: in metrics.jsonl and eval.db.
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
 }
