@@ -8,9 +8,11 @@ use clap::{Args, Parser, Subcommand};
 
 mod blueprints;
 mod expert;
+mod report;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
+pub use self::report::ReportArgs;
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 use crate::run_dir::CONFIG_FILE;
@@ -43,6 +45,8 @@ pub enum Command {
     Router(RouterArgs),
     /// Judge a checkpoint.
     Eval(EvalArgs),
+    /// Draw how success grew in a run: heat map of blueprints, curves and table of groups.
+    Report(ReportArgs),
     /// Let the scripted expert build.
     #[command(subcommand)]
     Expert(ExpertCommand),

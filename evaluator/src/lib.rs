@@ -2,7 +2,7 @@
 //!
 //! Reading order: [`config`] → [`report`] and [`group`] (what is counted) → `lanes` (worlds side by side) →
 //! [`episodes`] and [`reset_free`] (what is run) → [`table`] and [`history`] (what is shown and kept) → [`run()`] (the
-//! service on the bus); [`picture`] draws blocks.
+//! service on the bus); [`picture`] draws blocks, [`plot`] trainings.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -13,6 +13,7 @@ pub mod group;
 pub mod history;
 mod lanes;
 pub mod picture;
+pub mod plot;
 mod records;
 pub mod report;
 pub mod reset_free;

@@ -3,6 +3,8 @@
 mod blueprints;
 mod eval;
 mod expert;
+mod files;
+mod report;
 mod router;
 mod services;
 mod train;
@@ -33,6 +35,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Expert(command) => expert::run(&command, terminal),
         Command::Eval(args) => eval::run(&args, terminal),
+        Command::Report(args) => report::run(&args, terminal),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
         Command::Train(args) => {
             let listen =

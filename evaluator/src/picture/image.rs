@@ -47,7 +47,7 @@ impl Image {
     }
 
     /// Puts `color` over a pixel with an opacity of 0 to 255; nothing happens outside.
-    pub(super) fn blend(&mut self, x: usize, y: usize, color: Rgb, opacity: u8) {
+    pub(crate) fn blend(&mut self, x: usize, y: usize, color: Rgb, opacity: u8) {
         if x < self.width && y < self.height {
             let pixel = &mut self.pixels[y * self.width + x];
             *pixel = mix(*pixel, color, f32::from(opacity) / 255.0);
@@ -55,7 +55,7 @@ impl Image {
     }
 
     /// Fills a rectangle given by its upper left corner and size in pixels, as far as it lies inside.
-    pub(super) fn fill(&mut self, [x, y]: [usize; 2], [width, height]: [usize; 2], color: Rgb) {
+    pub(crate) fn fill(&mut self, [x, y]: [usize; 2], [width, height]: [usize; 2], color: Rgb) {
         let (right, bottom) = ((x + width).min(self.width), (y + height).min(self.height));
         for row in y..bottom {
             self.row_mut(row)[x.min(right)..right].fill(color);
@@ -74,7 +74,7 @@ impl Image {
 }
 
 /// The colour at `share` of the way from `a` to `b`, 0 to 1.
-pub(super) fn mix(a: Rgb, b: Rgb, share: f32) -> Rgb {
+pub(crate) fn mix(a: Rgb, b: Rgb, share: f32) -> Rgb {
     std::array::from_fn(|i| {
         let (a, b) = (f32::from(a[i]), f32::from(b[i]));
         (a + (b - a) * share + 0.5) as u8

@@ -6,7 +6,7 @@ use super::image::{Image, Rgb};
 
 /// What letters look like.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Type {
+pub(crate) enum Type {
     /// For captions.
     Small,
     /// For most text.
@@ -34,18 +34,18 @@ impl Type {
     }
 
     /// Height of a line in pixels.
-    pub(super) fn height(self) -> usize {
+    pub(crate) fn height(self) -> usize {
         self.raster_height().val()
     }
 
     /// Width of a text in pixels.
-    pub(super) fn width(self, text: &str) -> usize {
+    pub(crate) fn width(self, text: &str) -> usize {
         get_raster_width(self.weight(), self.raster_height()) * text.chars().count()
     }
 }
 
 /// Writes a line with its upper left corner at `at`, in pixels; letters that the font lacks become question marks.
-pub(super) fn write(image: &mut Image, [left, top]: [usize; 2], text: &str, kind: Type, color: Rgb) {
+pub(crate) fn write(image: &mut Image, [left, top]: [usize; 2], text: &str, kind: Type, color: Rgb) {
     let (weight, size) = (kind.weight(), kind.raster_height());
     let width = get_raster_width(weight, size);
     for (i, letter) in text.chars().enumerate() {
