@@ -20,6 +20,8 @@ const FIELD: [f64; 2] = [820.0, 460.0];
 const PAPER: [usize; 2] = [1256, 648];
 /// Opacity of intervals, 0 to 255: light enough that curves show through several of them.
 const BAND: u8 = 46;
+/// From group to group where there is one pass only, pixels.
+const ASIDE: f64 = 24.0;
 /// Least distance between two labels, pixels.
 const LABEL_HEIGHT: f64 = 46.0;
 /// Radius of a marker, pixels; with more passes than this they would touch and are left out but for the last.
@@ -57,12 +59,14 @@ pub fn curves(passes: &[&Pass], acting: Acting, title: &str, subtitle: &str) -> 
         let share = if high > low { (steps - low) / (high - low) } else { 0.5 };
         LEFT + 12.0 + share * (FIELD[0] - 24.0)
     };
+    // Groups of the only pass stand side by side, or their intervals would hide each other.
+    let aside = |i: usize| if high > low { 0.0 } else { ASIDE * (i as f64 - (curves.len() - 1) as f64 / 2.0) };
     axes(&mut drawing, low, high, x);
     for (i, curve) in curves.iter().enumerate() {
-        intervals(&mut drawing, curve, x, i as f64 - (curves.len() - 1) as f64 / 2.0);
+        intervals(&mut drawing, curve, x, aside(i));
     }
     for (i, curve) in curves.iter().enumerate() {
-        line(&mut drawing, curve, x, i as f64 - (curves.len() - 1) as f64 / 2.0);
+        line(&mut drawing, curve, x, aside(i));
     }
     legend(&mut drawing, &curves);
     Some(drawing)
@@ -90,11 +94,11 @@ fn axes(drawing: &mut Drawing, low: f64, high: f64, x: impl Fn(f64) -> f64) {
     drawing.text("success (%)", [36.0, TOP + FIELD[1] / 2.0], Anchor::Turned, Type::Body, INK);
 }
 
-/// A band, or a bar where there is one pass only; `aside` keeps bars of several groups apart.
+/// A band, or a bar where there is one pass only, so many pixels to the side.
 fn intervals(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside: f64) {
     let color = of_group(curve.group);
     if let [(steps, rate)] = curve.points[..] {
-        let x = x(steps) + aside * 24.0;
+        let x = x(steps) + aside;
         for y in [y(rate.wilson_low), y(rate.wilson_high)] {
             drawing.line(vec![[x - 6.0, y], [x + 6.0, y]], 2.0, color);
         }
@@ -108,7 +112,6 @@ fn intervals(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside
 
 fn line(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside: f64) {
     let color = of_group(curve.group);
-    let aside = if curve.points.len() == 1 { aside * 24.0 } else { 0.0 };
     let points: Vec<[f64; 2]> = curve.points.iter().map(|(steps, rate)| [x(*steps) + aside, y(rate.rate)]).collect();
     let n_unmarked = if points.len() > MAX_MARKED { points.len() - 1 } else { 0 };
     let marked = points[n_unmarked..].to_vec();
