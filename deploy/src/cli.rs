@@ -9,10 +9,12 @@ use clap::{Args, Parser, Subcommand};
 mod blueprints;
 mod expert;
 mod render;
+mod report;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 pub use self::render::{FilmFormat, RenderArgs};
+pub use self::report::ReportArgs;
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 use crate::run_dir::CONFIG_FILE;
@@ -45,6 +47,8 @@ pub enum Command {
     Router(RouterArgs),
     /// Judge a checkpoint.
     Eval(EvalArgs),
+    /// Draw how success grew in a run: heat map of blueprints, curves and table of groups.
+    Report(ReportArgs),
     /// Let the scripted expert build.
     #[command(subcommand)]
     Expert(ExpertCommand),
@@ -158,7 +162,7 @@ pub struct EvaluatorArgs {
     /// As for all members of a run.
     #[command(flatten)]
     pub member: MemberArgs,
-    /// Append reports to metrics.jsonl in this folder.
+    /// Keep reports in this folder: in metrics.jsonl and eval.db.
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
 }

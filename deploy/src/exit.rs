@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use blueprints::Split;
+use evaluator::HistoryError;
 use learner::{CheckpointError, LearnerError};
 use proto::bus::BusError;
 
@@ -70,6 +71,12 @@ pub enum Failure {
     /// A checkpoint or run directory cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
+    /// The history of a run's evaluations cannot be read; code 66.
+    #[error(transparent)]
+    History(#[from] HistoryError),
+    /// A history without what is to be shown; code 66.
+    #[error("{0}")]
+    NothingToShow(String),
     /// A service failed while it ran; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
@@ -86,7 +93,9 @@ impl From<anyhow::Error> for Failure {
     fn from(error: anyhow::Error) -> Self {
         let is_checkpoint = |cause: &(dyn std::error::Error + 'static)| {
             let of_learner = cause.downcast_ref::<LearnerError>();
-            cause.is::<CheckpointError>() || matches!(of_learner, Some(LearnerError::Checkpoint(_)))
+            cause.is::<CheckpointError>()
+                || cause.is::<HistoryError>()
+                || matches!(of_learner, Some(LearnerError::Checkpoint(_)))
         };
         if error.chain().any(is_checkpoint) {
             Self::Checkpoint(error)
@@ -113,7 +122,7 @@ impl Failure {
             | Self::Recording { .. }
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
-            Self::Checkpoint(_) => 66,
+            Self::Checkpoint(_) | Self::History(_) | Self::NothingToShow(_) => 66,
             Self::Service(_) => 1,
         })
     }

@@ -44,7 +44,7 @@ fn a_run_is_saved_judged_and_continued() {
     assert!(String::from_utf8_lossy(&trained.stdout).contains("eval --checkpoint run"));
     let n_steps = n_saved_steps(&run_dir);
     assert!(n_steps >= 512, "{n_steps}");
-    for file in ["config.toml", "meta.json", "metrics.jsonl"] {
+    for file in ["config.toml", "meta.json", "metrics.jsonl", "eval.db"] {
         assert!(run_dir.join(file).is_file(), "{file}");
     }
 

@@ -1,8 +1,8 @@
 //! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] and [`group`] (what is counted) → `lanes` (worlds side by side) →
-//! [`episodes`] and [`reset_free`] (what is run) → [`table`] → [`run()`] (the service on the bus); [`picture`] draws blocks,
-//! [`video`] makes films of episodes.
+//! [`episodes`] and [`reset_free`] (what is run) → [`table`] and [`history`] (what is shown and kept) → [`run()`] (the
+//! service on the bus); [`picture`] draws blocks, [`plot`] trainings, [`video`] films of episodes.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -10,8 +10,11 @@ pub mod config;
 pub mod episodes;
 pub mod expert;
 pub mod group;
+pub mod history;
 mod lanes;
 pub mod picture;
+pub mod plot;
+mod records;
 pub mod report;
 pub mod reset_free;
 mod run;
@@ -25,7 +28,8 @@ pub use environment::EnvironmentConfig;
 pub use episodes::{EvalError, EvalSetup, evaluate};
 pub use expert::{Cause, ExpertFailure, ExpertReport, ExpertSetup, evaluate_expert};
 pub use group::Group;
+pub use history::{HISTORY, History, HistoryError, Pass};
 pub use policy::PolicyConfig;
 pub use report::{Acting, EvalReport};
-pub use run::{EvaluatorSetup, run};
+pub use run::{EvaluatorSetup, RecordPaths, run};
 pub use table::{Detail, render, render_expert};

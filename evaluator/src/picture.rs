@@ -27,3 +27,6 @@ pub use model::{Block, Finish, GRIPPER_COLORS, TYPE_COLORS, corners, of_blueprin
 pub use painter::Painter;
 pub use png::encode;
 pub use sheet::{MAX_TILES, card, sheet};
+
+pub(crate) use image::mix;
+pub(crate) use text::{Type, write};

@@ -21,6 +21,30 @@ pub enum Acting {
     Sampled,
 }
 
+/// The error of a text that is no way of acting.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a way of acting: mode or sampled")]
+pub struct InvalidActing(pub String);
+
+impl Acting {
+    /// The name as it stands in reports: `mode` or `sampled`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mode => "mode",
+            Self::Sampled => "sampled",
+        }
+    }
+}
+
+impl std::str::FromStr for Acting {
+    type Err = InvalidActing;
+
+    fn from_str(text: &str) -> Result<Self, InvalidActing> {
+        let all = [Self::Mode, Self::Sampled];
+        all.into_iter().find(|acting| acting.name() == text).ok_or_else(|| InvalidActing(text.to_owned()))
+    }
+}
+
 /// One finished episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {

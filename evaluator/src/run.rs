@@ -1,11 +1,9 @@
 //! The evaluator as a service: judges weights as they come and tells the bus, a file and the caller.
 
 use std::collections::BTreeMap;
-use std::fs::OpenOptions;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalogue};
@@ -13,12 +11,12 @@ use environment::EnvironmentConfig;
 use policy::PolicyConfig;
 use proto::bus::{Bus, MetricsPublisher};
 use proto::{Role, Weights, keys};
-use serde::Serialize;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::EvaluatorConfig;
 use crate::episodes::{EvalError, EvalSetup, evaluate};
+use crate::records::Records;
 use crate::report::EvalReport;
 use crate::schedule::{Due, LastPass, due};
 
@@ -35,19 +33,28 @@ pub struct EvaluatorSetup {
     pub id: String,
     /// Seed of start states and sampled actions.
     pub seed: u64,
-    /// File to which each report is appended as lines of JSON, `metrics.jsonl` in a run's folder; none writes nothing.
-    pub history: Option<PathBuf>,
+    /// Where reports are kept; none keeps nothing.
+    pub records: Option<RecordPaths>,
+}
+
+/// The files that keep reports.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordPaths {
+    /// Each report is appended as lines of JSON; `metrics.jsonl` in a run's folder, where others write too.
+    pub metrics: PathBuf,
+    /// Database of all reports; [`HISTORY`](crate::HISTORY) in a run's folder.
+    pub history: PathBuf,
 }
 
 /// Judges the newest weights whenever a pass is due, the first ones at once, until `shutdown`; a pass under way is then
 /// given up. Returns the number of passes.
 ///
-/// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the history file, and into
+/// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of records, and into
 /// `reports`, which may have no receiver. Passes run on threads of their own, and weights that come meanwhile wait.
 ///
 /// # Errors
 /// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
-/// started, or the history cannot be written.
+/// started, or the records cannot be written; also when another evaluator writes the same history.
 pub async fn run(
     setup: EvaluatorSetup,
     bus: &Bus,
@@ -57,6 +64,7 @@ pub async fn run(
     setup.config.validate().context("invalid evaluator configuration")?;
     let catalogue = Catalogue::builtin();
     let selected = setup.config.selection.select(catalogue)?;
+    let mut records = setup.records.as_ref().map(Records::open).transpose()?;
     let _alive = bus.declare_alive(Role::Evaluator, &setup.id).await?;
     let subscriber = bus.weights_subscriber().await?;
     let mut publishers = Publishers::new(bus).await?;
@@ -77,8 +85,11 @@ pub async fn run(
         report.summary.elapsed_s = start.elapsed().as_secs_f64();
         report.summary.bus = bus.counts();
         n_passes += 1;
-        if let Some(history) = &setup.history {
-            append(history, &report).with_context(|| format!("cannot write {}", history.display()))?;
+        if let Some(open) = records.take() {
+            let (report, ended_unix_ms) = (report.clone(), unix_ms());
+            // Off the runtime: the disk and whoever reads the history may take their time.
+            let kept = tokio::task::spawn_blocking(move || open.keep(&report, ended_unix_ms));
+            records = Some(kept.await.context("the recording thread panicked")??);
         }
         publishers.publish(&report).await?;
         reports.send_replace(Some(Arc::new(report)));
@@ -115,6 +126,12 @@ async fn next_due(
     }
 }
 
+/// Milliseconds since 1970, 0 before.
+fn unix_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
+
 /// One pass on a thread of its own.
 async fn judge(
     setup: &EvaluatorSetup,
@@ -135,36 +152,6 @@ async fn judge(
     let pass =
         tokio::task::spawn_blocking(move || evaluate(&eval_setup, &weights, &selected, &|| !shutdown.is_cancelled()));
     pass.await.context("the evaluating thread panicked")
-}
-
-/// A line of the history.
-#[derive(Serialize)]
-struct Line<'a, M> {
-    /// Key of the metrics on the bus after `metrics/`.
-    key: String,
-    #[serde(flatten)]
-    metrics: &'a M,
-}
-
-/// Appends a line for the summary and one for each blueprint, in one write because others append to the same file.
-fn append(path: &Path, report: &EvalReport) -> anyhow::Result<()> {
-    let mut lines = String::new();
-    let mut push = |line: String| {
-        lines.push_str(&line);
-        lines.push('\n');
-    };
-    let key = keys::METRICS_EVAL_SUMMARY.to_owned();
-    push(serde_json::to_string(&Line { key, metrics: &report.summary })?);
-    for score in &report.blueprints {
-        let key = keys::metrics_eval(score.split, &score.blueprint);
-        push(serde_json::to_string(&Line { key, metrics: score })?);
-    }
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
-    let mut file = OpenOptions::new().create(true).append(true).open(path)?;
-    file.write_all(lines.as_bytes())?;
-    Ok(())
 }
 
 /// The keys that reports go to.

@@ -3,7 +3,9 @@
 mod blueprints;
 mod eval;
 mod expert;
+mod files;
 mod render;
+mod report;
 mod router;
 mod services;
 mod train;
@@ -35,6 +37,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Expert(command) => expert::run(&command, terminal),
         Command::Render(args) => render::run(&args, terminal),
         Command::Eval(args) => eval::run(&args, terminal),
+        Command::Report(args) => report::run(&args, terminal),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
         Command::Train(args) => {
             let listen =

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use actor::Lockstep;
 use blueprints::Catalogue;
-use evaluator::{EvalReport, EvaluatorSetup};
+use evaluator::{EvalReport, EvaluatorSetup, HISTORY, RecordPaths};
 use learner::run::METRICS;
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::ActorId;
@@ -99,7 +99,7 @@ pub(super) async fn evaluator(
     Ok(())
 }
 
-/// What an evaluator needs; its reports are appended to the metrics in `run_dir`.
+/// What an evaluator needs; its reports are kept in `run_dir`.
 pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path>) -> EvaluatorSetup {
     EvaluatorSetup {
         config: config.evaluator.clone(),
@@ -107,7 +107,7 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
         environment: config.environment.clone(),
         id,
         seed: config.seed,
-        history: run_dir.map(|folder| folder.join(METRICS)),
+        records: run_dir.map(|folder| RecordPaths { metrics: folder.join(METRICS), history: folder.join(HISTORY) }),
     }
 }
 

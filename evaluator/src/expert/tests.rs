@@ -11,6 +11,7 @@ fn setup() -> ExpertSetup<'static> {
         n_episodes: 5,
         starts: Starts::Mixed,
         reset_free: None,
+        keeps_successes: false,
         n_threads: 2,
         seed: 1,
     }

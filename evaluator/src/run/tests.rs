@@ -15,21 +15,21 @@ async fn within<T>(future: impl Future<Output = T>) -> T {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn reports_reach_the_bus_the_file_and_the_caller() {
+async fn reports_reach_the_bus_the_files_and_the_caller() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let episodes = EpisodeConfig { n_episodes: 1, ..Default::default() };
     let small = small_setup(episodes.clone());
     let selection = Selection { sizes: [2, 2], ..Default::default() };
     let n_selected = selection.select(Catalogue::builtin()).unwrap().len();
-    let history = dir.path().join("metrics.jsonl");
+    let records = RecordPaths { metrics: dir.path().join("metrics.jsonl"), history: dir.path().join(crate::HISTORY) };
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None },
         policy: small.policy.clone(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
         seed: 3,
-        history: Some(history.clone()),
+        records: Some(records.clone()),
     };
     let (reports, mut seen) = watch::channel(None);
     let shutdown = CancellationToken::new();
@@ -55,7 +55,7 @@ async fn reports_reach_the_bus_the_file_and_the_caller() {
     shutdown.cancel();
     assert_eq!(within(service).await.unwrap().unwrap(), 2);
 
-    let text = std::fs::read_to_string(&history).unwrap();
+    let text = std::fs::read_to_string(&records.metrics).unwrap();
     let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), 2 * (1 + n_selected));
     assert_eq!(lines[0]["key"], "eval/summary");
@@ -64,5 +64,10 @@ async fn reports_reach_the_bus_the_file_and_the_caller() {
     let first: EvalBlueprint = serde_json::from_value(lines[1].clone()).unwrap();
     assert_eq!(first, report.blueprints[0]);
     assert_eq!(lines[1]["key"], format!("eval/train/{}", first.blueprint));
+    let passes = crate::History::read(&records.history).unwrap();
+    assert_eq!(passes.len(), 2);
+    assert_eq!(passes[0], crate::Pass::new(&report, passes[0].ended_unix_ms));
+    // Ended in order, after 2026 began.
+    assert!(1_767_225_600_000 < passes[0].ended_unix_ms && passes[0].ended_unix_ms <= passes[1].ended_unix_ms);
     bus.close().await.unwrap();
 }

@@ -2,8 +2,6 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::Path;
 
 use anyhow::Context;
 use blueprints::{Blueprint, Catalogue};
@@ -11,6 +9,7 @@ use evaluator::picture::{MAX_TILES, Painter, card, encode, sheet};
 
 use super::find;
 use crate::cli::ShowArgs;
+use crate::commands::files::write_files;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -20,9 +19,6 @@ const LINE_EVERY: usize = 20;
 /// Colours in a card, and in a contact sheet, which is to be small enough to keep in a repository.
 const CARD_COLORS: usize = 256;
 const SHEET_COLORS: usize = 96;
-
-/// A file to be written: its name and its bytes.
-type File = (String, Vec<u8>);
 
 /// Runs the subcommand. Everything is drawn before the first file is written.
 ///
@@ -48,7 +44,7 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
         terminal.print(&format!("{name}: {} blueprints{}", members.len(), sizes(&members)));
         files.push((name, bytes));
     }
-    write(&args.out, &files)?;
+    write_files(&args.out, &files)?;
     terminal.print(&format!("{} files in {}", files.len(), args.out.display()));
     Ok(())
 }
@@ -111,18 +107,6 @@ fn sizes(blueprints: &[&Blueprint]) -> String {
         (Some(size), _) => format!(" of {size} blocks"),
         (None, _) => String::new(),
     }
-}
-
-/// Writes each file under another name first, so that none is ever seen half.
-fn write(folder: &Path, files: &[File]) -> anyhow::Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    for (name, bytes) in files {
-        let (path, part) = (folder.join(name), folder.join(format!(".{name}.part")));
-        fs::write(&part, bytes)
-            .and_then(|()| fs::rename(&part, &path))
-            .with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -1,0 +1,132 @@
+//! `report`: pictures and tables of a run's evaluations.
+
+use std::path::Path;
+
+use anyhow::Context;
+use evaluator::plot::series::outcome_of;
+use evaluator::plot::{self, Difference, Drawing, Grid, groups, lineage};
+use evaluator::{Acting, HISTORY, History, Pass};
+
+use super::files::{File, write_files};
+use crate::cli::ReportArgs;
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// Folder in a run's folder where reports go.
+const REPORT: &str = "report";
+
+/// Runs the subcommand. Everything is drawn before the first file is written.
+///
+/// # Errors
+/// When a history is missing, of a newer program, damaged or without such actions, the two runs have no blueprint in
+/// common, or a file cannot be written.
+pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let (acting, name) = (args.acting, name(&args.run));
+    let all = History::read(&args.run.join(HISTORY))?;
+    let passes = shown(&all, &args.run, terminal);
+    let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
+    let what = format!("{name}, {} actions, {}", acting.name(), episodes(&passes, acting));
+    let map = plot::success_map(&grid, "Success by blueprint over training", &what);
+    let mut files = picture("success", &map)?;
+    let what = format!("{what}, 95 % intervals");
+    if let Some(curves) = plot::curves(&passes, acting, "Success by group over training", &what) {
+        files.extend(picture("curves", &curves)?);
+    }
+    if let Some(last) = passes.last() {
+        let rows = groups::rows(last);
+        files.push(("groups.md".to_owned(), groups::markdown(&rows).into_bytes()));
+        files.push(("groups.csv".to_owned(), groups::csv(&rows).into_bytes()));
+    }
+    if let Some(minus) = &args.minus {
+        files.extend(difference(&passes, args, minus, terminal)?);
+    }
+    let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
+    write_files(&out, &files)?;
+    let n_passes = count(passes.len(), "evaluation");
+    terminal.print(&format!("{n_passes} of {} drawn", count(grid.rows.len(), "blueprint")));
+    for (file, _) in files {
+        terminal.print(&format!("  {}", out.join(file).display()));
+    }
+    Ok(())
+}
+
+fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Terminal) -> Result<Vec<File>, Failure> {
+    let all = History::read(&minus.join(HISTORY))?;
+    let others = shown(&all, minus, terminal);
+    if Grid::success(&others, args.acting).is_none() {
+        return Err(nothing(minus, &others, args.acting));
+    }
+    let difference = Difference::new(passes, &others, args.acting).ok_or_else(|| {
+        Failure::NothingToShow(format!(
+            "{} and {} judged no blueprint in common with {} actions: give --minus a run with the same `evaluator.selection`",
+            args.run.display(),
+            minus.display(),
+            args.acting.name(),
+        ))
+    })?;
+    let title = format!("Success of {} minus {}", name(&args.run), name(minus));
+    let apart = match difference.max_apart {
+        0 => "at equal steps".to_owned(),
+        n_steps => format!("at most {} environment steps apart", digits(n_steps)),
+    };
+    let what = format!("{} actions, blue: {} is better, evaluations {apart}", args.acting.name(), name(&args.run));
+    picture("difference", &plot::difference_map(&difference, &title, &what))
+}
+
+/// The passes to show; says how many are left out.
+fn shown<'p>(all: &'p [Pass], run: &Path, terminal: &Terminal) -> Vec<&'p Pass> {
+    let passes = lineage(all);
+    let n_left_out = all.len() - passes.len();
+    if n_left_out > 0 {
+        let (run, left_out) = (run.display(), count(n_left_out, "evaluation"));
+        terminal.print(&format!("{run}: left out {left_out} that the run repeated after it was resumed"));
+    }
+    passes
+}
+
+fn nothing(run: &Path, passes: &[&Pass], acting: Acting) -> Failure {
+    let other = match acting {
+        Acting::Mode => Acting::Sampled,
+        Acting::Sampled => Acting::Mode,
+    };
+    let (run, acting) = (run.join(HISTORY), acting.name());
+    let run = run.display();
+    Failure::NothingToShow(if Grid::success(passes, other).is_some() {
+        format!("{run} has no evaluation of {acting} actions: use --acting {}", other.name())
+    } else {
+        format!("{run} has no evaluation yet: wait for the first one, which a run makes as it starts")
+    })
+}
+
+/// How many episodes a cell stands for.
+fn episodes(passes: &[&Pass], acting: Acting) -> String {
+    let scores = passes.iter().flat_map(|pass| &pass.blueprints);
+    let counts = scores.filter_map(|score| Some(outcome_of(score, acting)?.success.n_episodes));
+    match (counts.clone().min(), counts.max()) {
+        (Some(least), Some(most)) if least < most => format!("{least} to {most} episodes per blueprint"),
+        (Some(1), _) => "1 episode per blueprint".to_owned(),
+        (n_episodes, _) => format!("{} episodes per blueprint", n_episodes.unwrap_or_default()),
+    }
+}
+
+fn picture(name: &str, drawing: &Drawing) -> Result<Vec<File>, Failure> {
+    let png = drawing.to_png().context("encoding a picture")?;
+    Ok(vec![(format!("{name}.svg"), drawing.to_svg().into_bytes()), (format!("{name}.png"), png)])
+}
+
+/// The name of a run's folder, also if it is given as `.`.
+fn name(run: &Path) -> String {
+    let whole = run.canonicalize().unwrap_or_else(|_| run.to_owned());
+    whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// A number with its digits in groups of three.
+fn digits(n: u64) -> String {
+    let text = n.to_string();
+    let groups = text.as_bytes().rchunks(3).rev().map(String::from_utf8_lossy);
+    groups.collect::<Vec<_>>().join(" ")
+}
+
+fn count(n: usize, what: &str) -> String {
+    if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
+}
