@@ -7,8 +7,11 @@ use proto::Weights;
 
 use crate::config::{EpisodeConfig, ResetFreeConfig};
 use crate::lanes::{Job, Played, Rules, run_lanes};
-use crate::report::{Acting, EvalReport, Judged};
+use crate::report::{Acting, Episode, EvalReport, Judged};
 use crate::reset_free;
+
+/// Episodes with each way of acting before an evaluation first says what it has found.
+pub const FIRST_PART: usize = 32;
 
 /// All that an evaluation needs besides weights and blueprints.
 #[derive(Clone, Debug)]
@@ -70,24 +73,57 @@ pub fn evaluate(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
+    evaluate_in_parts(setup, weights, blueprints, keep_going, &mut |_| {})
+}
+
+/// Like [`evaluate`], and tells `on_part` what the first episodes found: the first [`FIRST_PART`] of them, then twice as
+/// many, and so on. Every part is spread over all blueprints, so that its groups are fair samples of the whole.
+///
+/// # Errors
+/// As for [`evaluate`].
+pub fn evaluate_in_parts(
+    setup: &EvalSetup<'_>,
+    weights: &Weights,
+    blueprints: &[&Blueprint],
+    keep_going: &(dyn Fn() -> bool + Sync),
+    on_part: &mut dyn FnMut(EvalReport),
+) -> Result<EvalReport, EvalError> {
     let n_episodes = u64::from(setup.episodes.n_episodes);
     let (catalogue, starts) = (setup.catalogue, setup.episodes.starts);
     let lane = |blueprint, episode_idx| vec![Job::one_of(catalogue, blueprint, starts, setup.seed, episode_idx)];
-    let lanes: Vec<Vec<Job>> = blueprints
-        .iter()
-        .flat_map(|&blueprint| (0..n_episodes).map(move |episode_idx| lane(blueprint, episode_idx)))
+    let spread = spread(blueprints);
+    let lanes: Vec<Vec<Job>> = (0..n_episodes)
+        .flat_map(|episode_idx| spread.iter().map(move |&blueprint| lane(blueprint, episode_idx)))
         .collect();
+    let report = |episodes: &[Episode], is_complete| {
+        let (weights_version, n_env_steps, seed) = (weights.version, weights.n_env_steps, setup.seed);
+        let n_planned = lanes.len() as u64;
+        EvalReport::new(Judged { weights_version, n_env_steps, seed, n_planned, is_complete }, episodes)
+    };
     let mut episodes = Vec::new();
-    for &acting in &setup.episodes.acting {
-        let played = run_all(setup, weights, &lanes, acting, keep_going)?;
-        episodes.extend(played.into_iter().flatten().map(|played| played.episode));
+    let mut n_played = 0;
+    while n_played < lanes.len() {
+        let part = &lanes[n_played..lanes.len().min(FIRST_PART.max(2 * n_played))];
+        for &acting in &setup.episodes.acting {
+            let played = run_all(setup, weights, part, acting, keep_going)?;
+            episodes.extend(played.into_iter().flatten().map(|played| played.episode));
+        }
+        n_played += part.len();
+        if n_played < lanes.len() {
+            on_part(report(&episodes, false));
+        }
     }
-    let judged = Judged { weights_version: weights.version, n_env_steps: weights.n_env_steps, seed: setup.seed };
-    let mut report = EvalReport::new(judged, &episodes);
+    let mut report = report(&episodes, true);
     if let Some(config) = &setup.reset_free {
         report.summary.reset_free = Some(reset_free::evaluate(setup, config, weights, keep_going)?);
     }
     Ok(report)
+}
+
+/// The same blueprints in an order in which the first few are spread over the list, which goes by split and size.
+fn spread<'b>(blueprints: &[&'b Blueprint]) -> Vec<&'b Blueprint> {
+    let stride = blueprints.len().div_ceil(FIRST_PART).max(1);
+    (0..stride).flat_map(|first| blueprints.iter().skip(first).step_by(stride).copied()).collect()
 }
 
 /// Runs the lanes with the policy; the results have the shape of `lanes`.

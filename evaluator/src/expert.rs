@@ -138,7 +138,13 @@ pub fn evaluate_expert(
         episodes.push(trial.played.episode);
     }
     let n_steps = episodes.iter().map(|episode| u64::from(episode.n_steps)).sum();
-    let judged = Judged { weights_version: proto::WeightsVersion(0), n_env_steps: 0, seed: setup.seed };
+    let judged = Judged {
+        weights_version: proto::WeightsVersion(0),
+        n_env_steps: 0,
+        seed: setup.seed,
+        n_planned: episodes.len() as u64,
+        is_complete: true,
+    };
     let EvalReport { summary, blueprints } = EvalReport::new(judged, &episodes);
     let blueprints: Vec<ExpertBlueprint> = blueprints
         .into_iter()

@@ -96,6 +96,10 @@ pub struct Judged {
     pub n_env_steps: u64,
     /// Seed of the start states.
     pub seed: u64,
+    /// Episodes of the whole pass with each way of acting.
+    pub n_planned: u64,
+    /// Whether these are all episodes of the pass.
+    pub is_complete: bool,
 }
 
 impl EvalReport {
@@ -126,6 +130,8 @@ impl EvalReport {
             weights_version: judged.weights_version,
             n_env_steps: judged.n_env_steps,
             elapsed_s: 0.0,
+            is_complete: judged.is_complete,
+            n_planned: judged.n_planned,
             seed: judged.seed,
             all: score_group("all", &episodes.iter().collect::<Vec<_>>()),
             groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),
@@ -217,7 +223,8 @@ mod tests {
             episode("2_000", Split::Train, 2, Acting::Mode, End::TimeLimit, 100),
             episode("2_000", Split::Train, 2, Acting::Sampled, success, 9),
         ];
-        let judged = Judged { weights_version: WeightsVersion(7), n_env_steps: 11, seed: 3 };
+        let judged =
+            Judged { weights_version: WeightsVersion(7), n_env_steps: 11, seed: 3, n_planned: 4, is_complete: true };
         let report = EvalReport::new(judged, &episodes);
         let ids: Vec<&str> = report.blueprints.iter().map(|score| score.blueprint.as_str()).collect();
         assert_eq!(ids, ["2_000", "3_000", "10_000"]);

@@ -15,7 +15,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::EvaluatorConfig;
-use crate::episodes::{EvalError, EvalSetup, evaluate};
+use crate::episodes::{EvalError, EvalSetup, evaluate_in_parts};
 use crate::records::Records;
 use crate::report::EvalReport;
 use crate::schedule::{Due, LastPass, due};
@@ -50,7 +50,8 @@ pub struct RecordPaths {
 /// given up. Returns the number of passes.
 ///
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of records, and into
-/// `reports`, which may have no receiver. Passes run on threads of their own, and weights that come meanwhile wait.
+/// `reports`, which may have no receiver. While a pass is under way its first numbers go to the bus, see
+/// [`evaluate_in_parts`]. Passes run on threads of their own, and weights that come meanwhile wait.
 ///
 /// # Errors
 /// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
@@ -78,12 +79,31 @@ pub async fn run(
         };
         let start = Instant::now();
         last = Some((start, newest.clone()));
-        let mut report = match judge(&setup, catalogue, selected.clone(), newest, &shutdown).await? {
-            Err(EvalError::Interrupted) => return Ok(n_passes),
-            report => report?,
+        let (parts, mut newest_part) = watch::channel(None);
+        let pass = judge(&setup, catalogue, selected.clone(), newest, parts, &shutdown);
+        tokio::pin!(pass);
+        let stamp = |mut report: EvalReport| {
+            report.summary.elapsed_s = start.elapsed().as_secs_f64();
+            report.summary.bus = bus.counts();
+            report
         };
-        report.summary.elapsed_s = start.elapsed().as_secs_f64();
-        report.summary.bus = bus.counts();
+        let ended = loop {
+            tokio::select! {
+                // A part that came just before the end is still told.
+                biased;
+                Ok(()) = newest_part.changed() => {
+                    let part = newest_part.borrow_and_update().clone();
+                    if let Some(part) = part {
+                        publishers.publish(&stamp(part)).await?;
+                    }
+                }
+                ended = &mut pass => break ended?,
+            }
+        };
+        let report = match ended {
+            Err(EvalError::Interrupted) => return Ok(n_passes),
+            report => stamp(report?),
+        };
         n_passes += 1;
         if let Some(open) = records.take() {
             let (report, ended_unix_ms) = (report.clone(), unix_ms());
@@ -132,12 +152,13 @@ fn unix_ms() -> u64 {
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// One pass on a thread of its own.
+/// One pass on a thread of its own; what it has found so far goes to `parts`.
 async fn judge(
     setup: &EvaluatorSetup,
     catalogue: &'static Catalogue,
     selected: Vec<&'static Blueprint>,
     weights: Arc<Weights>,
+    parts: watch::Sender<Option<EvalReport>>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
@@ -149,8 +170,11 @@ async fn judge(
         seed: setup.seed,
     };
     let shutdown = shutdown.clone();
-    let pass =
-        tokio::task::spawn_blocking(move || evaluate(&eval_setup, &weights, &selected, &|| !shutdown.is_cancelled()));
+    let pass = tokio::task::spawn_blocking(move || {
+        let keep_going = || !shutdown.is_cancelled();
+        let mut on_part = |part| drop(parts.send_replace(Some(part)));
+        evaluate_in_parts(&eval_setup, &weights, &selected, &keep_going, &mut on_part)
+    });
     pass.await.context("the evaluating thread panicked")
 }
 

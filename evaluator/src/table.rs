@@ -131,7 +131,8 @@ mod tests {
             n_steps,
             episode_return: RewardTerms { connected: 1.0, wrong: -0.25, ..RewardTerms::default() },
         });
-        let judged = Judged { weights_version: WeightsVersion(4), n_env_steps: 8192, seed: 0 };
+        let judged =
+            Judged { weights_version: WeightsVersion(4), n_env_steps: 8192, seed: 0, n_planned: 3, is_complete: true };
         let text = render(&EvalReport::new(judged, &episodes), Detail::Blueprints);
         let expected = "\
 weights 4 after 8192 environment steps

@@ -211,8 +211,14 @@ pub struct EvalSummary {
     pub weights_version: WeightsVersion,
     /// Environment steps that the learner had consumed for them.
     pub n_env_steps: u64,
-    /// Duration of the evaluation, seconds.
+    /// Duration of the evaluation so far, seconds.
     pub elapsed_s: f64,
+    /// Whether the pass has ended. Before that, numbers of some of its episodes are reported, spread over all blueprints.
+    #[serde(default = "complete")]
+    pub is_complete: bool,
+    /// Episodes of the whole pass with each way of acting, without the reset-free runs.
+    #[serde(default)]
+    pub n_planned: u64,
     /// Seed of the start states; passes with the same seed start from the same states.
     pub seed: u64,
     /// All blueprints together.
@@ -223,6 +229,11 @@ pub struct EvalSummary {
     pub reset_free: Option<EvalResetFree>,
     /// What the bus dropped.
     pub bus: BusCounts,
+}
+
+/// What a summary is that does not say: early ones were only made at the end of a pass.
+fn complete() -> bool {
+    true
 }
 
 /// Blueprints that are reported together.

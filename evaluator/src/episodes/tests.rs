@@ -54,6 +54,25 @@ fn the_same_weights_get_the_same_report() {
 }
 
 #[test]
+fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
+    let setup = small_setup(EpisodeConfig { n_episodes: 2, acting: vec![Acting::Mode], ..Default::default() });
+    // 62 of 2 to 4 blocks: 124 episodes in parts of 32, 64 and 124.
+    let blueprints = blueprints(62);
+    let mut parts = Vec::new();
+    let whole =
+        evaluate_in_parts(&setup, &weights(&setup), &blueprints, &|| true, &mut |part| parts.push(part)).unwrap();
+    let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
+    assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
+    assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));
+    assert!(parts.iter().all(|part| part.summary.n_planned == 124 && !part.summary.is_complete));
+    // Every second blueprint first, then the others.
+    let first: Vec<_> = parts[0].blueprints.iter().map(|score| &score.blueprint).collect();
+    assert!(blueprints.iter().step_by(2).all(|blueprint| first.contains(&blueprint.id())), "{first:?}");
+    assert_eq!(parts[1].blueprints.len(), 62);
+    assert_eq!(whole, evaluate(&setup, &weights(&setup), &blueprints, &|| true).unwrap());
+}
+
+#[test]
 fn an_episode_is_the_same_whatever_runs_beside_it() {
     let alone = small_setup(EpisodeConfig { n_episodes: 2, n_worlds: 1, ..Default::default() });
     let crowded = small_setup(EpisodeConfig { n_episodes: 2, n_worlds: 3, n_threads: 2, ..Default::default() });

@@ -2,12 +2,14 @@
 
 use std::time::Duration;
 
+use blueprints::Split;
 use proto::WeightsVersion;
 use proto::metrics::{EvalBlueprint, EvalSummary};
 
 use super::*;
 use crate::config::{EpisodeConfig, Every, Selection};
 use crate::episodes::tests::{small_setup, weights};
+use crate::report::Acting;
 
 /// Ends a test that waits for what does not come.
 async fn within<T>(future: impl Future<Output = T>) -> T {
@@ -69,5 +71,44 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     assert_eq!(passes[0], crate::Pass::new(&report, passes[0].ended_unix_ms));
     // Ended in order, after 2026 began.
     assert!(1_767_225_600_000 < passes[0].ended_unix_ms && passes[0].ended_unix_ms <= passes[1].ended_unix_ms);
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let episodes = EpisodeConfig { n_episodes: 1, acting: vec![Acting::Mode], ..Default::default() };
+    let small = small_setup(episodes.clone());
+    // 45 blueprints: parts of 32 and 45 episodes.
+    let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
+    let setup = EvaluatorSetup {
+        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, reset_free: None },
+        policy: small.policy.clone(),
+        environment: small.environment.clone(),
+        id: "judge".to_owned(),
+        seed: 3,
+        records: None,
+    };
+    let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
+    let (reports, seen) = watch::channel(None);
+    let shutdown = CancellationToken::new();
+    let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
+    let service = tokio::spawn(async move { run(setup, &its_bus, reports, its_shutdown).await });
+    let publisher = bus.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(weights(&small))).await.unwrap();
+
+    let mut progress = Vec::new();
+    while !progress.last().is_some_and(|&(is_complete, _)| is_complete) {
+        let sample = within(summaries.recv()).await.unwrap();
+        let summary: EvalSummary = serde_json::from_value(sample.value).unwrap();
+        assert_eq!(summary.n_planned, 45);
+        progress.push((summary.is_complete, summary.all.mode.success.n_episodes));
+    }
+    assert_eq!(progress, [(false, 32), (true, 45)]);
+    shutdown.cancel();
+    within(service).await.unwrap().unwrap();
+    // Whoever follows the caller's channel sees whole passes only.
+    assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
     bus.close().await.unwrap();
 }
