@@ -1,0 +1,62 @@
+"""Follows a run's success from Python: the latest numbers at once, then every new one.
+
+Usage: pip install eclipse-zenoh; python success.py tcp/127.0.0.1:7447 [--run NAME] [--once]
+
+Needs a router (`lodestone router --listen tcp/127.0.0.1:7447`) and, for numbers to come, an evaluator. Prints one line per
+group and pass; the fields of the JSON are described in README.md, section "Live metrics".
+"""
+
+import argparse
+import json
+import queue
+
+import zenoh
+
+SCHEMA_VERSION = 1
+
+
+def lines(summary):
+    """One line per group of a summary that this program understands."""
+    if summary["schema_version"] != SCHEMA_VERSION:
+        yield f"schema version {summary['schema_version']} is not {SCHEMA_VERSION}; fetch a newer success.py"
+        return
+    progress = "" if summary["is_complete"] else " so far"
+    for group in [*summary["groups"], summary["all"]]:
+        for acting in ("mode", "sampled"):
+            success = group[acting]["success"]
+            if success["n_episodes"]:
+                yield (
+                    f"version {summary['weights_version']}  {summary['n_env_steps']} steps  "
+                    f"{group['name']}, {acting}: {100 * success['rate']:.1f} % "
+                    f"({100 * success['wilson_low']:.1f} to {100 * success['wilson_high']:.1f}) of {success['n_episodes']}{progress}"
+                )
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("endpoint", help="the router's, for example tcp/127.0.0.1:7447")
+    parser.add_argument("--run", default="*", help="name of the run (`bus.run`, or the preset); all by default")
+    parser.add_argument("--once", action="store_true", help="print the first complete summary as JSON and end")
+    args = parser.parse_args()
+
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([args.endpoint]))
+    key = f"lodestone/{args.run}/metrics/eval/summary"
+    samples = queue.SimpleQueue()
+    with zenoh.open(config) as session:
+        # Subscribed before it asks, so that nothing falls between the two; a value may then come twice.
+        session.declare_subscriber(key, lambda sample: samples.put(sample.payload.to_string()))
+        session.get(key, lambda reply: reply.ok and samples.put(reply.ok.payload.to_string()))
+        while True:
+            summary = json.loads(samples.get())
+            if args.once:
+                if summary["is_complete"]:
+                    print(json.dumps(summary))
+                    return
+            else:
+                print(*lines(summary), sep="\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
