@@ -121,3 +121,55 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     assert!(report.starts_with("weights"), "{report}");
     assert!(cluster.folder.path().join("judged/metrics.jsonl").is_file());
 }
+
+/// A Python that has the packages of `deploy/examples/requirements.txt`; `.ci/run` makes one.
+fn python() -> Option<std::ffi::OsString> {
+    let python = std::env::var_os("LODESTONE_PYTHON");
+    if python.is_none() {
+        eprintln!("LODESTONE_PYTHON names no Python with eclipse-zenoh and tensorboard, so nothing was read with one");
+    }
+    python
+}
+
+/// Runs a script from the folder of examples and returns the JSON that it prints.
+fn told_by(python: &std::ffi::OsStr, script: &str, args: &[&str]) -> serde_json::Value {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script);
+    let read = Command::new(python).arg(script).args(args).output().unwrap();
+    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
+    serde_json::from_slice(&read.stdout).unwrap()
+}
+
+#[test]
+fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
+    let Some(python) = python() else { return };
+    let cluster = Cluster::start();
+    let _actor = cluster.member("actor", &[]);
+    let _evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    cluster.learn(["--run-dir", "run"], 2048);
+
+    let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--once"]);
+    let record = |key: &str, file: &str, is_same: &dyn Fn(&serde_json::Value) -> bool| {
+        let recorded = std::fs::read_to_string(cluster.folder.path().join(file)).unwrap();
+        let mut lines = recorded.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let mut same = lines.find(|line| line["key"] == key && is_same(line)).unwrap();
+        same.as_object_mut().unwrap().remove("key");
+        same
+    };
+    let version = |line: &serde_json::Value| line["weights_version"] == told["weights_version"];
+    assert_eq!(told, record("eval/summary", "judged/metrics.jsonl", &version));
+    assert!(told["all"]["mode"]["success"]["n_episodes"].as_u64().unwrap() > 0);
+
+    // Event files hold numbers with 24 bits.
+    let same = |number: &serde_json::Value, recorded: &serde_json::Value| {
+        assert_eq!(number.as_f64().unwrap() as f32, recorded.as_f64().unwrap() as f32);
+    };
+    let path = |folder: &str| cluster.folder.path().join(folder).display().to_string();
+    let plotted = told_by(&python, "scalars.py", &[&path("run/tb/learner")]);
+    let [step, entropy] = [0, 1].map(|i| &plotted["ppo/entropy"][0][i]);
+    let update = record("learner", "run/metrics.jsonl", &|line| line["n_env_steps"] == *step);
+    same(entropy, &update["ppo"]["entropy"]);
+    let plotted = told_by(&python, "scalars.py", &[&path("judged/tb/evaluator")]);
+    let [step, success] = [0, 1].map(|i| &plotted["success-mode/all"][0][i]);
+    let summary = record("eval/summary", "judged/metrics.jsonl", &|line| line["n_env_steps"] == *step);
+    same(success, &summary["all"]["mode"]["success"]["rate"]);
+}

@@ -44,6 +44,8 @@ pub struct RecordPaths {
     pub metrics: PathBuf,
     /// Database of all reports; [`HISTORY`](crate::HISTORY) in a run's folder.
     pub history: PathBuf,
+    /// Folder of event files for TensorBoard.
+    pub tensorboard: PathBuf,
 }
 
 /// Judges the newest weights whenever a pass is due, the first ones at once, until `shutdown`; a pass under way is then

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use proto::bus::{Bus, BusCounts, IngestCounts, WeightsPublisher};
 use proto::metrics::{LearnerMetrics, METRICS_SCHEMA_VERSION};
+use proto::tensorboard::{self, EventWriter};
 use proto::{Role, Trajectory, Weights, WeightsVersion, keys};
 use serde::Serialize;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -23,6 +24,9 @@ pub const CHECKPOINTS: &str = "checkpoints";
 /// File of the metrics in the run's folder; one JSON object a line.
 pub const METRICS: &str = "metrics.jsonl";
 
+/// Metrics that TensorBoard is not told: no measure of anything, or one curve for each blueprint.
+const UNPLOTTED: [&str; 3] = ["schema_version", "task_probabilities", "success_by_blueprint"];
+
 /// How long the updating thread waits for trajectories before it looks whether it should stop.
 const PATIENCE: Duration = Duration::from_millis(100);
 
@@ -31,7 +35,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 pub struct RunOptions {
     /// What the learner is made of.
     pub setup: LearnerSetup,
-    /// Folder of the run, for `checkpoints/` and `metrics.jsonl`.
+    /// Folder of the run, for `checkpoints/`, `metrics.jsonl` and `tb/`.
     pub run_dir: PathBuf,
     /// A run's folder, its `checkpoints` or one checkpoint to go on from.
     pub resume: Option<PathBuf>,
@@ -98,6 +102,7 @@ pub async fn run(
         learner,
         feed,
         metrics: open_metrics(&options.run_dir)?,
+        tensorboard: open_tensorboard(&options.run_dir)?,
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
         news,
@@ -150,6 +155,11 @@ fn open_metrics(run_dir: &Path) -> anyhow::Result<File> {
     file.with_context(|| format!("opening {}", path.display()))
 }
 
+fn open_tensorboard(run_dir: &Path) -> anyhow::Result<EventWriter> {
+    let folder = run_dir.join(tensorboard::FOLDER).join(Role::Learner.as_str());
+    EventWriter::create(&folder).with_context(|| format!("writing to {}", folder.display()))
+}
+
 /// The updating thread.
 struct Worker {
     learner: Learner,
@@ -158,6 +168,7 @@ struct Worker {
     feed: Option<Feed>,
     options: RunOptions,
     metrics: File,
+    tensorboard: EventWriter,
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
     news: mpsc::Sender<News>,
     shutdown: CancellationToken,
@@ -246,7 +257,9 @@ impl Worker {
         let mut line = serde_json::to_vec(&Line { key: keys::METRICS_LEARNER, metrics })?;
         line.push(b'\n');
         // One write a line, so that other writers of the file cannot come between.
-        Ok(self.metrics.write_all(&line)?)
+        self.metrics.write_all(&line)?;
+        let scalars = tensorboard::flatten("learner", &serde_json::to_value(metrics)?, &UNPLOTTED);
+        Ok(self.tensorboard.scalars(metrics.n_env_steps, scalars)?)
     }
 
     fn report(&self, update: &UpdateMetrics, pace: &Pace) -> LearnerMetrics {

@@ -1,7 +1,7 @@
 //! All that two processes must agree on: the plain validated types, their wire form, the key expressions and the bus.
 //!
 //! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`] →
-//! [`codec`] → [`keys`] → [`bus`].
+//! [`codec`] → [`keys`] → [`bus`]; [`tensorboard`] writes the reports for others.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -14,6 +14,7 @@ pub mod keys;
 pub mod metrics;
 pub mod scene;
 pub mod step;
+pub mod tensorboard;
 pub mod trajectory;
 pub mod weights;
 pub mod wilson;

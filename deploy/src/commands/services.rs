@@ -8,8 +8,8 @@ use blueprints::Catalogue;
 use evaluator::{EvalReport, EvaluatorSetup, HISTORY, RecordPaths};
 use learner::run::METRICS;
 use learner::{Feed, LearnerSetup, RunOptions};
-use proto::ActorId;
 use proto::bus::Bus;
+use proto::{ActorId, Role, tensorboard};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
@@ -107,7 +107,11 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
         environment: config.environment.clone(),
         id,
         seed: config.seed,
-        records: run_dir.map(|folder| RecordPaths { metrics: folder.join(METRICS), history: folder.join(HISTORY) }),
+        records: run_dir.map(|folder| RecordPaths {
+            metrics: folder.join(METRICS),
+            history: folder.join(HISTORY),
+            tensorboard: folder.join(tensorboard::FOLDER).join(Role::Evaluator.as_str()),
+        }),
     }
 }
 

@@ -24,7 +24,11 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let small = small_setup(episodes.clone());
     let selection = Selection { sizes: [2, 2], ..Default::default() };
     let n_selected = selection.select(Catalogue::builtin()).unwrap().len();
-    let records = RecordPaths { metrics: dir.path().join("metrics.jsonl"), history: dir.path().join(crate::HISTORY) };
+    let records = RecordPaths {
+        metrics: dir.path().join("metrics.jsonl"),
+        history: dir.path().join(crate::HISTORY),
+        tensorboard: dir.path().join("tb"),
+    };
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None },
         policy: small.policy.clone(),
