@@ -10,11 +10,13 @@ mod blueprints;
 mod expert;
 mod render;
 mod report;
+mod watch;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 pub use self::render::{FilmFormat, RenderArgs};
 pub use self::report::ReportArgs;
+pub use self::watch::WatchArgs;
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 use crate::run_dir::CONFIG_FILE;
@@ -45,6 +47,8 @@ pub enum Command {
     Evaluator(EvaluatorArgs),
     /// Connect the processes of runs, and nothing else.
     Router(RouterArgs),
+    /// Watch a run: success, throughput, losses, actors and drops as they come.
+    Watch(WatchArgs),
     /// Judge a checkpoint.
     Eval(EvalArgs),
     /// Draw how success grew in a run: heat map of blueprints, curves and table of groups.

@@ -74,7 +74,7 @@ pub enum Failure {
     /// The history of a run's evaluations cannot be read; code 66.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// A history without what is to be shown; code 66.
+    /// A history or run without what is to be shown; code 66.
     #[error("{0}")]
     NothingToShow(String),
     /// A service failed while it ran; code 1.

@@ -17,13 +17,15 @@ const ALLOWED: [(&str, &[&str]); 8] = [
 ];
 
 /// External crates, by the beginning of their name, with the only crates that may name them.
-const HOMES: [(&str, &[&str]); 6] = [
+const HOMES: [(&str, &[&str]); 8] = [
     ("rapier", &["environment"]),
     ("burn", &["policy", "learner"]),
     ("cubecl", &["policy", "learner"]),
     ("zenoh", &["proto"]),
     ("prost", &["proto"]),
     ("clap", &["deploy"]),
+    ("ratatui", &["deploy"]),
+    ("crossterm", &["deploy"]),
 ];
 
 /// Crates whose results depend on their arguments alone.

@@ -9,6 +9,7 @@ mod report;
 mod router;
 mod services;
 mod train;
+mod watch;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -39,6 +40,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Eval(args) => eval::run(&args, terminal),
         Command::Report(args) => report::run(&args, terminal),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
+        Command::Watch(args) => on_runtime(async |shutdown| watch::run(&args, terminal, shutdown).await),
         Command::Train(args) => {
             let listen =
                 (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));

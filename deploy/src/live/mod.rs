@@ -12,7 +12,7 @@ use proto::metrics::LearnerMetrics;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-pub use terminal::Terminal;
+pub use terminal::{HeldLog, Terminal};
 
 /// Least time between two lines where there is no terminal, so that a log stays readable.
 const LINE_PERIOD: Duration = Duration::from_secs(10);

@@ -1,15 +1,31 @@
 //! One owner of the terminal, so that log lines, results and a progress bar do not overwrite each other.
 
 use std::io::{self, IsTerminal, Write};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tracing_subscriber::fmt::MakeWriter;
+
+/// Bytes of log lines that are held back at most.
+const MAX_HELD: usize = 1 << 16;
 
 /// The terminal or whatever stands in its place; clones share it.
 #[derive(Clone, Debug)]
 pub struct Terminal {
     bars: MultiProgress,
+    held: Arc<Mutex<Option<Held>>>,
 }
+
+/// Log lines that wait until the screen is free again.
+#[derive(Debug, Default)]
+struct Held {
+    lines: Vec<u8>,
+    n_left_out: u64,
+}
+
+/// Holds log lines back until it is dropped.
+#[derive(Debug)]
+pub struct HeldLog(Option<Terminal>);
 
 /// A progress bar, drawn only on a terminal.
 #[derive(Debug)]
@@ -19,14 +35,14 @@ pub(super) struct Progress {
 
 /// Writes log lines to stderr, above the bar.
 #[derive(Debug)]
-pub struct LogWriter(MultiProgress);
+pub struct LogWriter(Terminal);
 
 impl Default for Terminal {
     fn default() -> Self {
         // Results and bar must both be seen for a bar to make sense.
         let is_terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
         let target = if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        Self { bars: MultiProgress::with_draw_target(target) }
+        Self { bars: MultiProgress::with_draw_target(target), held: Arc::default() }
     }
 }
 
@@ -37,6 +53,15 @@ impl Terminal {
         if let Err(error) = written {
             tracing::debug!(%error, "stdout is closed");
         }
+    }
+
+    /// Holds log lines back from now on if they would appear on a terminal, where something else is drawn.
+    pub fn hold_log(&self) -> HeldLog {
+        if !io::stderr().is_terminal() {
+            return HeldLog(None);
+        }
+        *self.held.lock().unwrap_or_else(PoisonError::into_inner) = Some(Held::default());
+        HeldLog(Some(self.clone()))
     }
 
     /// A bar that is full at `n_env_steps`.
@@ -62,17 +87,41 @@ impl Progress {
     }
 }
 
+impl Drop for HeldLog {
+    fn drop(&mut self) {
+        let Some(terminal) = &self.0 else { return };
+        let held = terminal.held.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
+        let mut stderr = io::stderr();
+        let left_out = match held.n_left_out {
+            0 => Ok(()),
+            n => writeln!(stderr, "{n} more log lines were left out"),
+        };
+        if let Err(error) = stderr.write_all(&held.lines).and(left_out) {
+            tracing::debug!(%error, "stderr is closed");
+        }
+    }
+}
+
 impl<'a> MakeWriter<'a> for Terminal {
     type Writer = LogWriter;
 
     fn make_writer(&'a self) -> LogWriter {
-        LogWriter(self.bars.clone())
+        LogWriter(self.clone())
     }
 }
 
 impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.suspend(|| io::stderr().write(bytes))
+        // A panic while it is locked leaves whole lines all the same.
+        if let Some(held) = self.0.held.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+            if held.lines.len() + bytes.len() <= MAX_HELD {
+                held.lines.extend_from_slice(bytes);
+            } else {
+                held.n_left_out += 1;
+            }
+            return Ok(bytes.len());
+        }
+        self.0.bars.suspend(|| io::stderr().write(bytes))
     }
 
     fn flush(&mut self) -> io::Result<()> {

@@ -112,6 +112,12 @@ impl MetricsSubscriber {
     pub async fn recv(&mut self) -> Option<MetricsSample> {
         self.samples.recv().await
     }
+
+    /// Appends what has come to `samples`, at least one and at most `limit`, and says how many; 0 after the session is
+    /// closed.
+    pub async fn recv_many(&mut self, samples: &mut Vec<MetricsSample>, limit: usize) -> usize {
+        self.samples.recv_many(samples, limit).await
+    }
 }
 
 struct Inbox {

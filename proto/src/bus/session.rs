@@ -45,6 +45,11 @@ impl Bus {
         self.counters.counts()
     }
 
+    /// Whether a router is reached now; what only routers carry arrives from no one else while none is.
+    pub async fn has_router(&self) -> bool {
+        self.session.info().routers_zid().await.next().is_some()
+    }
+
     /// Leaves the bus: what is queued is still sent, tokens and queryables vanish for the others.
     ///
     /// # Errors

@@ -1,0 +1,139 @@
+//! The terminal as a screen: taken and given back, keys, and when to draw.
+
+use std::io::{self, Stdout, stdout};
+use std::panic;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use ratatui::Terminal;
+use ratatui::backend::CrosstermBackend;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode};
+use ratatui::crossterm::{cursor, execute};
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::board::Board;
+use super::view::{self, Source};
+
+/// Ages are shown in seconds.
+const TICK: Duration = Duration::from_secs(1);
+
+/// Least time between two drawings that metrics ask for.
+const FRAME: Duration = Duration::from_millis(50);
+
+/// How often the thread that waits for keys looks whether it shall end.
+const KEYS_PERIOD: Duration = Duration::from_millis(100);
+
+/// The terminal in raw mode on its alternate screen, until it is dropped or the program panics.
+struct Screen {
+    terminal: Terminal<CrosstermBackend<Stdout>>,
+    is_taken: Arc<AtomicBool>,
+}
+
+/// Draws the board as it changes until a key asks for the end, `shutdown`, or the board's writer is gone.
+///
+/// # Errors
+/// If the terminal cannot be taken, read or drawn on; it is given back all the same.
+pub(super) async fn show(
+    mut board: watch::Receiver<Board>,
+    source: &Source,
+    start: Instant,
+    shutdown: &CancellationToken,
+) -> io::Result<()> {
+    let mut screen = Screen::take(shutdown.clone())?;
+    let (keys, mut events) = mpsc::channel(16);
+    let end = shutdown.child_token();
+    let _end_of_keys = end.clone().drop_guard();
+    // A thread of its own, because waiting for keys blocks. It is not waited for: it ends within its period.
+    std::thread::Builder::new().name("keys".to_owned()).spawn(move || read_events(&keys, &end))?;
+    loop {
+        screen.terminal.draw(|frame| view::draw(frame, &board.borrow_and_update(), source, start.elapsed()))?;
+        let changed = async {
+            tokio::time::sleep(FRAME).await;
+            board.changed().await
+        };
+        tokio::select! {
+            () = shutdown.cancelled() => return Ok(()),
+            event = events.recv() => match event {
+                Some(Ok(Event::Key(key))) if asks_for_end(key) => return Ok(()),
+                // A resize needs no more than the next drawing.
+                Some(Ok(_)) => {}
+                Some(Err(error)) => return Err(error),
+                None => return Ok(()),
+            },
+            is_open = changed => if is_open.is_err() {
+                return Ok(());
+            },
+            () = tokio::time::sleep(TICK) => {}
+        }
+    }
+}
+
+impl Screen {
+    /// Takes the terminal; a panic anywhere gives it back before it prints its message, and cancels `shutdown`.
+    fn take(shutdown: CancellationToken) -> io::Result<Self> {
+        let is_taken = Arc::new(AtomicBool::new(true));
+        let (before, was_taken) = (panic::take_hook(), is_taken.clone());
+        panic::set_hook(Box::new(move |panic| {
+            give_back(&was_taken);
+            shutdown.cancel();
+            before(panic);
+        }));
+        // From here on it is given back even if taking it fails halfway.
+        let mut screen = Self { terminal: Terminal::new(CrosstermBackend::new(stdout()))?, is_taken };
+        enable_raw_mode()?;
+        execute!(stdout(), EnterAlternateScreen, cursor::Hide)?;
+        screen.terminal.clear()?;
+        Ok(screen)
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        give_back(&self.is_taken);
+    }
+}
+
+/// Leaves the terminal as it was found, once.
+fn give_back(is_taken: &AtomicBool) {
+    if is_taken.swap(false, Ordering::SeqCst) {
+        // Each is tried: a terminal that refuses one may still take the other.
+        let shown = execute!(stdout(), LeaveAlternateScreen, cursor::Show);
+        if let Err(error) = disable_raw_mode().and(shown) {
+            tracing::debug!(%error, "the terminal is gone");
+        }
+    }
+}
+
+fn read_events(events: &mpsc::Sender<io::Result<Event>>, end: &CancellationToken) {
+    while !end.is_cancelled() {
+        let event = match event::poll(KEYS_PERIOD) {
+            Ok(false) => continue,
+            Ok(true) => event::read(),
+            Err(error) => Err(error),
+        };
+        let is_last = match &event {
+            // The shell's keys are left unread.
+            Ok(Event::Key(key)) => asks_for_end(*key),
+            Ok(_) => false,
+            Err(_) => true,
+        };
+        if events.blocking_send(event).is_err() || is_last {
+            return;
+        }
+    }
+}
+
+fn asks_for_end(key: KeyEvent) -> bool {
+    let with_control = key.modifiers.contains(KeyModifiers::CONTROL);
+    key.kind != KeyEventKind::Release
+        && match key.code {
+            KeyCode::Esc => true,
+            KeyCode::Char('q' | 'Q') => !with_control,
+            // Raw mode makes no signal of it.
+            KeyCode::Char('c') => with_control,
+            _ => false,
+        }
+}
