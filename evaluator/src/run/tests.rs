@@ -24,7 +24,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let n_selected = selection.select(Catalogue::builtin()).unwrap().len();
     let records = RecordPaths { metrics: dir.path().join("metrics.jsonl"), history: dir.path().join(crate::HISTORY) };
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None },
+        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None, web: None },
         policy: small.policy.clone(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
@@ -34,7 +34,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let (reports, mut seen) = watch::channel(None);
     let shutdown = CancellationToken::new();
     let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, reports, its_shutdown).await });
+    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_shutdown).await });
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights(&small);
