@@ -7,7 +7,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::{Child, Command, Output, Stdio};
 
-use program::lodestone;
+use program::{lodestone, n_saved_steps};
 
 /// A process that does not outlive its test.
 struct Process(Child);
@@ -76,6 +76,7 @@ fn a_page_shows_a_run_while_it_lasts() {
     events.for_each(drop);
     assert!(run.0.wait().unwrap().success());
     assert!(TcpStream::connect(&address).is_err());
+    assert!(n_saved_steps(&folder.path().join("run")) > 0);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! One web page about a running training, served by the evaluator: success over training, who is there, how learning goes.
 //!
-//! Reading order: [`config`] → `passes` and `board` (what is shown) → `events` (browsers that listen) → `prometheus` →
+//! Reading order: [`config`] → `passes` and `board` (what is shown) → `events` (browsers that listen) → `replay` → `prometheus` →
 //! `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up the evaluator: whoever
 //! writes to the board takes a lock for a moment, and what a browser does not take in time is dropped and counted.
 
@@ -10,6 +10,7 @@ mod events;
 mod feed;
 mod passes;
 mod prometheus;
+mod replay;
 mod routes;
 mod server;
 
@@ -24,6 +25,7 @@ use tokio_util::sync::CancellationToken;
 use crate::history::{History, Pass};
 use board::Board;
 use config::{Token, WebConfig};
+use replay::Replays;
 
 /// Why the page cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -80,10 +82,13 @@ impl Page {
         }
         let feed = feed::Feed::open(bus).await?;
         let shutdown = CancellationToken::new();
-        let routes = routes::routes(board.clone(), self.token);
+        let replays = Arc::new(Replays::default());
+        let routes = routes::routes(board.clone(), replays.clone(), self.token);
         let feeding = tokio::spawn(feed.run(board.clone(), shutdown.clone()));
+        let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
+        let recording = tokio::spawn(async move { replays.run(its_bus, its_shutdown).await });
         let serving = tokio::spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
-        Ok(OpenPage { board, shutdown, tasks: vec![feeding, serving] })
+        Ok(OpenPage { board, shutdown, tasks: vec![feeding, recording, serving] })
     }
 }
 

@@ -47,10 +47,22 @@ impl Scrape {
     }
 
     fn gauge(&mut self, name: &str, help: &str, value: Option<f64>) {
-        self.gauges(name, help, value.map(|value| (Labels::new(), value)));
+        if let Some(value) = value {
+            let gauge = Gauge::<f64, AtomicU64>::default();
+            gauge.set(value);
+            self.0.register(name, help, gauge);
+        }
     }
 
-    /// The encoder puts `_total` after `name`.
+    /// The encoder puts `_total` after `name`, here and in `counters`.
+    fn counter(&mut self, name: &str, help: &str, value: Option<u64>) {
+        if let Some(value) = value {
+            let counter: Counter = Counter::default();
+            counter.inc_by(value);
+            self.0.register(name, help, counter);
+        }
+    }
+
     fn counters(&mut self, name: &str, help: &str, values: impl IntoIterator<Item = (Labels, u64)>) {
         let family = Family::<Labels, Counter>::default();
         for (labels, value) in values {
@@ -97,12 +109,12 @@ fn success(page: &mut Scrape, state: &State) {
 
 fn learner(page: &mut Scrape, state: &State) {
     let learner = state.learner.as_ref();
-    let steps = learner.map(|learner| (Labels::new(), learner.n_env_steps));
-    page.counters("learner_env_steps", "Environment steps consumed by the learner", steps);
-    let updates = learner.map(|learner| (Labels::new(), learner.n_updates));
-    page.counters("learner_updates", "PPO updates", updates);
-    let episodes = learner.map(|learner| (Labels::new(), learner.n_episodes));
-    page.counters("learner_episodes", "Training episodes whose end was seen", episodes);
+    let steps = learner.map(|learner| learner.n_env_steps);
+    page.counter("learner_env_steps", "Environment steps consumed by the learner", steps);
+    let updates = learner.map(|learner| learner.n_updates);
+    page.counter("learner_updates", "PPO updates", updates);
+    let episodes = learner.map(|learner| learner.n_episodes);
+    page.counter("learner_episodes", "Training episodes whose end was seen", episodes);
     let mut gauge = |name, help, value: fn(&proto::metrics::LearnerMetrics) -> f64| {
         page.gauge(name, help, learner.map(value));
     };

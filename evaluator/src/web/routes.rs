@@ -17,6 +17,7 @@ use axum::routing::get;
 use super::board::Board;
 use super::config::Token;
 use super::prometheus;
+use super::replay::Replays;
 use super::server::Connection;
 
 /// Name of the cookie that holds the token.
@@ -48,17 +49,19 @@ pub(super) const ASSETS: [Asset; 4] = [
             include_str!("assets/heat.js"),
             include_str!("assets/curves.js"),
             include_str!("assets/health.js"),
+            include_str!("assets/replay.js"),
             include_str!("assets/app.js"),
         ),
     ),
 ];
 
 /// The routes; all but the two for probes ask for `token`, or, if there is none, for a name of this machine.
-pub(super) fn routes(board: Arc<Board>, token: Option<Token>) -> Router {
+pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, token: Option<Token>) -> Router {
     let guard = Arc::new(Guard { board: board.clone(), token });
     let mut guarded = Router::new()
         .route("/api/history", get(history))
         .route("/api/events", get(events))
+        .route("/api/replay", get(move || async move { replay(&replays) }))
         .route("/metrics", get(metrics));
     for (path, content_type, text) in ASSETS {
         guarded = guarded.route(path, get(move || async move { ([(CONTENT_TYPE, content_type)], text) }));
@@ -101,6 +104,14 @@ async fn events(State(board): State<Arc<Board>>, Extension(connection): Extensio
             ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
         }
         None => (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "10")], "too many browsers listen\n").into_response(),
+    }
+}
+
+/// The newest episode; 202 while there is none yet. Each question lets a newer one be recorded.
+fn replay(replays: &Replays) -> Response {
+    match replays.ask() {
+        Some(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        None => (StatusCode::ACCEPTED, [(RETRY_AFTER, "2")], "an episode is being recorded\n").into_response(),
     }
 }
 

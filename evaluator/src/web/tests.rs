@@ -66,10 +66,6 @@ fn status(answer: &str) -> u16 {
     answer.split(' ').nth(1).unwrap_or_else(|| panic!("no status: {answer:?}")).parse().unwrap()
 }
 
-fn body(answer: &str) -> &str {
-    answer.split_once("\r\n\r\n").unwrap().1
-}
-
 /// Reads events until one is as wanted; returns its data.
 async fn event_with(lines: &mut BufReader<TcpStream>, name: &str, wanted: impl Fn(&Value) -> bool) -> Value {
     let (mut line, mut found) = (String::new(), String::new());
@@ -99,6 +95,7 @@ async fn only_what_is_meant_to_be_seen_is_served() {
         ("GET /style.css HTTP/1.1", &host, 200),
         ("GET /icon.svg HTTP/1.1", &host, 200),
         ("GET /api/history HTTP/1.1", &host, 200),
+        ("GET /api/replay HTTP/1.1", &host, 202),
         ("GET /metrics HTTP/1.1", &host, 200),
         ("GET /healthz HTTP/1.1", &host, 200),
         ("GET /readyz HTTP/1.1", &host, 503),

@@ -10,6 +10,11 @@ const model = {
 };
 const $ = (id) => document.getElementById(id);
 const heat = new Heat($("heat"), $("heat-cell"));
+const replay = new Replay({
+  canvas: $("replay"), slider: $("replay-slider"), playButton: $("replay-play"),
+  back: $("replay-back"), forth: $("replay-forth"), text: $("replay-text"),
+});
+$("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
 const stale = new Set();
 
 /** Draws the named parts in the next frame, however often it is asked for. */
