@@ -108,6 +108,18 @@ pub struct TrainArgs {
     /// Let other processes join here, for example tcp/127.0.0.1:7447; may be repeated.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
+    /// The page.
+    #[command(flatten)]
+    pub page: PageArgs,
+}
+
+/// Where the evaluator's page is.
+#[derive(Clone, Debug, Default, Args)]
+pub struct PageArgs {
+    /// Serve a page about the training here, for example 127.0.0.1:0 for a free port; an address that others can reach
+    /// needs evaluator.web.token.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub web: Option<std::net::SocketAddr>,
 }
 
 /// What a learner writes and how long it goes on.
@@ -169,6 +181,9 @@ pub struct EvaluatorArgs {
     /// Keep reports in this folder: in metrics.jsonl and eval.db.
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
+    /// The page.
+    #[command(flatten)]
+    pub page: PageArgs,
 }
 
 /// Arguments of `router`.
@@ -239,6 +254,13 @@ impl RunArgs {
     /// The flags that change the configuration.
     pub fn overrides(&self) -> Vec<Override> {
         self.steps.map(|steps| Override::flag("--steps", "n_env_steps", steps)).into_iter().collect()
+    }
+}
+
+impl PageArgs {
+    /// The flag that changes the configuration.
+    pub fn overrides(&self) -> Option<Override> {
+        self.web.map(|address| Override::flag("--web", "evaluator.web.listen", address.to_string()))
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use blueprints::Split;
-use evaluator::HistoryError;
+use evaluator::{HistoryError, WebError};
 use learner::{CheckpointError, LearnerError};
 use proto::bus::BusError;
 
@@ -20,6 +20,9 @@ pub enum Failure {
     /// The configuration cannot be used; code 64.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The page cannot be served where the configuration says; code 64.
+    #[error(transparent)]
+    Page(#[from] WebError),
     /// The bus cannot be opened, or was lost; code 65.
     #[error("{0:#}")]
     Bus(anyhow::Error),
@@ -113,6 +116,7 @@ impl Failure {
         ExitCode::from(match self {
             Self::Usage(_) => 2,
             Self::Config(_)
+            | Self::Page(_)
             | Self::Catalogue(_)
             | Self::Blueprints { .. }
             | Self::Generate(_)

@@ -4,6 +4,7 @@ use blueprints::{Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
 use serde::{Deserialize, Serialize};
 
 use crate::report::Acting;
+use crate::web::config::{WebConfig, WebConfigError};
 
 /// When, on what and how weights are judged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,6 +18,8 @@ pub struct EvaluatorConfig {
     pub episodes: EpisodeConfig,
     /// Goals in a row without a reset, after the episodes; absent means none. Default: absent.
     pub reset_free: Option<ResetFreeConfig>,
+    /// A page about the training; absent means none. Default: absent.
+    pub web: Option<WebConfig>,
 }
 
 /// The distance between the starts of two passes; a pass that takes longer is followed by the next at once.
@@ -105,6 +108,9 @@ pub enum EvaluatorConfigError {
     /// No blueprint is left to judge.
     #[error("the selection of splits, sizes and blueprints leaves nothing to evaluate")]
     NothingSelected,
+    /// The page would be open to anybody, or its token is unusable.
+    #[error(transparent)]
+    Web(#[from] WebConfigError),
 }
 
 impl Default for EvaluatorConfig {
@@ -114,6 +120,7 @@ impl Default for EvaluatorConfig {
             selection: Selection::default(),
             episodes: EpisodeConfig::default(),
             reset_free: None,
+            web: None,
         }
     }
 }
@@ -154,7 +161,8 @@ impl EvaluatorConfig {
         let sizes_ok = 1 <= low && low <= high && high <= N_BLOCKS;
         check("selection.sizes", self.selection.sizes, sizes_ok, "two ascending numbers from 1 to 16")?;
         self.episodes.validate()?;
-        self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)
+        self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)?;
+        Ok(self.web.as_ref().map_or(Ok(()), WebConfig::validate)?)
     }
 }
 

@@ -2,7 +2,8 @@
 //!
 //! Reading order: [`config`] → [`report`] and [`group`] (what is counted) → `lanes` (worlds side by side) →
 //! [`episodes`] and [`reset_free`] (what is run) → [`table`] and [`history`] (what is shown and kept) → [`run()`] (the
-//! service on the bus); [`picture`] draws blocks, [`plot`] trainings, [`video`] films of episodes.
+//! service on the bus); [`web`] serves a page about a running training, [`picture`] draws blocks, [`plot`] trainings, [`video`] films of
+//! episodes.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -22,6 +23,7 @@ mod schedule;
 pub mod table;
 pub mod trials;
 pub mod video;
+pub mod web;
 
 pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts};
 pub use environment::EnvironmentConfig;
@@ -33,3 +35,4 @@ pub use policy::PolicyConfig;
 pub use report::{Acting, EvalReport};
 pub use run::{EvaluatorSetup, RecordPaths, run};
 pub use table::{Detail, render, render_expert};
+pub use web::{Page, WebError};

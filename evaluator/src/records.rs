@@ -30,10 +30,10 @@ impl Records {
         Ok(Self { metrics: paths.metrics.clone(), history, tensorboard })
     }
 
-    /// Keeps a report that was finished at `ended_unix_ms`, and gives the files back.
-    pub(crate) fn keep(mut self, report: &EvalReport, ended_unix_ms: u64) -> anyhow::Result<Self> {
+    /// Keeps a report, which is `pass` in the history, and gives the files back.
+    pub(crate) fn keep(mut self, report: &EvalReport, pass: &Pass) -> anyhow::Result<Self> {
         append(&self.metrics, report).with_context(|| format!("cannot write {}", self.metrics.display()))?;
-        self.history.append(&Pass::new(report, ended_unix_ms))?;
+        self.history.append(pass)?;
         self.tensorboard.scalars(report.summary.n_env_steps, scalars(report)).context("writing for TensorBoard")?;
         Ok(self)
     }

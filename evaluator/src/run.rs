@@ -16,9 +16,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::EvaluatorConfig;
 use crate::episodes::{EvalError, EvalSetup, evaluate_in_parts};
+use crate::history::Pass;
 use crate::records::Records;
 use crate::report::EvalReport;
 use crate::schedule::{Due, LastPass, due};
+use crate::web::{OpenPage, Page};
 
 /// What an evaluator process needs besides the bus.
 #[derive(Clone, Debug)]
@@ -53,7 +55,8 @@ pub struct RecordPaths {
 ///
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of records, and into
 /// `reports`, which may have no receiver. While a pass is under way its first numbers go to the bus, see
-/// [`evaluate_in_parts`]. Passes run on threads of their own, and weights that come meanwhile wait.
+/// [`evaluate_in_parts`]. Passes run on threads of their own, and weights that come meanwhile wait. A `page` is served
+/// for as long.
 ///
 /// # Errors
 /// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
@@ -62,27 +65,46 @@ pub async fn run(
     setup: EvaluatorSetup,
     bus: &Bus,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
+    page: Option<Page>,
     shutdown: CancellationToken,
 ) -> anyhow::Result<u64> {
     setup.config.validate().context("invalid evaluator configuration")?;
-    let catalogue = Catalogue::builtin();
-    let selected = setup.config.selection.select(catalogue)?;
-    let mut records = setup.records.as_ref().map(Records::open).transpose()?;
+    let selected = setup.config.selection.select(Catalogue::builtin())?;
+    let records = setup.records.as_ref().map(Records::open).transpose()?;
+    let page = match page {
+        Some(page) => Some(page.open(bus, setup.records.as_ref().map(|paths| paths.history.clone())).await?),
+        None => None,
+    };
+    let outlets = Outlets { records, publishers: Publishers::new(bus).await?, reports, page: page.as_ref() };
+    let ended = judge_all(&setup, bus, &selected, outlets, &shutdown).await;
+    if let Some(page) = page {
+        page.close().await;
+    }
+    ended
+}
+
+/// Judges whenever a pass is due, until `shutdown`.
+async fn judge_all(
+    setup: &EvaluatorSetup,
+    bus: &Bus,
+    selected: &[&'static Blueprint],
+    mut outlets: Outlets<'_>,
+    shutdown: &CancellationToken,
+) -> anyhow::Result<u64> {
     let _alive = bus.declare_alive(Role::Evaluator, &setup.id).await?;
     let subscriber = bus.weights_subscriber().await?;
-    let mut publishers = Publishers::new(bus).await?;
     let mut weights = subscriber.watch();
     let mut last: Option<(Instant, Arc<Weights>)> = None;
     let mut n_passes = 0;
     loop {
         let newest = tokio::select! {
             () = shutdown.cancelled() => return Ok(n_passes),
-            newest = next_due(&setup, &mut weights, last.as_ref()) => newest?,
+            newest = next_due(setup, &mut weights, last.as_ref()) => newest?,
         };
         let start = Instant::now();
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
-        let pass = judge(&setup, catalogue, selected.clone(), newest, parts, &shutdown);
+        let pass = judge(setup, selected.to_vec(), newest, parts, shutdown);
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -96,7 +118,7 @@ pub async fn run(
                 Ok(()) = newest_part.changed() => {
                     let part = newest_part.borrow_and_update().clone();
                     if let Some(part) = part {
-                        publishers.publish(&stamp(part)).await?;
+                        outlets.publishers.publish(&stamp(part)).await?;
                     }
                 }
                 ended = &mut pass => break ended?,
@@ -107,14 +129,33 @@ pub async fn run(
             report => stamp(report?),
         };
         n_passes += 1;
-        if let Some(open) = records.take() {
-            let (report, ended_unix_ms) = (report.clone(), unix_ms());
-            // Off the runtime: the disk and whoever reads the history may take their time.
-            let kept = tokio::task::spawn_blocking(move || open.keep(&report, ended_unix_ms));
-            records = Some(kept.await.context("the recording thread panicked")??);
+        outlets.put(report).await?;
+    }
+}
+
+/// Where reports go.
+struct Outlets<'r> {
+    records: Option<Records>,
+    publishers: Publishers<'r>,
+    reports: watch::Sender<Option<Arc<EvalReport>>>,
+    page: Option<&'r OpenPage>,
+}
+
+impl Outlets<'_> {
+    async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
+        let pass = Pass::new(&report, unix_ms());
+        if let Some(page) = self.page {
+            page.judged(&pass);
         }
-        publishers.publish(&report).await?;
-        reports.send_replace(Some(Arc::new(report)));
+        if let Some(open) = self.records.take() {
+            let report = report.clone();
+            // Off the runtime: the disk and whoever reads the history may take their time.
+            let kept = tokio::task::spawn_blocking(move || open.keep(&report, &pass));
+            self.records = Some(kept.await.context("the recording thread panicked")??);
+        }
+        self.publishers.publish(&report).await?;
+        self.reports.send_replace(Some(Arc::new(report)));
+        Ok(())
     }
 }
 
@@ -157,14 +198,13 @@ fn unix_ms() -> u64 {
 /// One pass on a thread of its own; what it has found so far goes to `parts`.
 async fn judge(
     setup: &EvaluatorSetup,
-    catalogue: &'static Catalogue,
     selected: Vec<&'static Blueprint>,
     weights: Arc<Weights>,
     parts: watch::Sender<Option<EvalReport>>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
-        catalogue,
+        catalogue: Catalogue::builtin(),
         policy: setup.policy.clone(),
         environment: setup.environment.clone(),
         episodes: setup.config.episodes.clone(),

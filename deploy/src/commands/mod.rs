@@ -46,7 +46,8 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
                 (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
             let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));
             let lockstep = args.lockstep.then(|| Override::flag("--lockstep", "lockstep", true));
-            let flags = args.run.overrides().into_iter().chain(listen).chain(actors).chain(lockstep).collect();
+            let given = [listen, actors, lockstep, args.page.overrides()];
+            let flags = args.run.overrides().into_iter().chain(given.into_iter().flatten()).collect();
             let Some(config) = configure(&args.config, args.run.resume.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
@@ -65,7 +66,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             on_runtime(async |shutdown| services::run_learner(&config, &args.run, terminal, shutdown).await)
         }
         Command::Evaluator(args) => {
-            let flags = args.member.endpoints.overrides();
+            let flags = args.member.endpoints.overrides().into_iter().chain(args.page.overrides()).collect();
             let Some(config) = configure(&args.member.config, None, flags, terminal)? else { return Ok(()) };
             on_runtime(async |shutdown| services::run_evaluator(&config, &args, terminal, shutdown).await)
         }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use actor::Lockstep;
 use blueprints::Catalogue;
-use evaluator::{EvalReport, EvaluatorSetup, HISTORY, RecordPaths};
+use evaluator::{EvalReport, EvaluatorSetup, HISTORY, Page, RecordPaths};
 use learner::run::METRICS;
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::bus::Bus;
@@ -48,9 +48,10 @@ pub(super) async fn run_evaluator(
 ) -> Result<(), Failure> {
     let id = args.member.id.clone().unwrap_or_else(|| format!("evaluator-{}", std::process::id()));
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
+    let page = page(config, terminal).await?;
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
-    let ended = on_bus(config, async |bus| evaluator(setup, reports, bus, shutdown).await).await;
+    let ended = on_bus(config, async |bus| evaluator(setup, reports, page, bus, shutdown).await).await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
 }
@@ -92,11 +93,20 @@ pub(super) fn lockstep_feed(config: &Config) -> Feed {
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
+    page: Option<Page>,
     bus: Bus,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    evaluator::run(setup, &bus, reports, shutdown).await?;
+    evaluator::run(setup, &bus, reports, page, shutdown).await?;
     Ok(())
+}
+
+/// Takes the address of the page, if there is to be one, and says it.
+pub(super) async fn page(config: &Config, terminal: &Terminal) -> Result<Option<Page>, Failure> {
+    let Some(web) = &config.evaluator.web else { return Ok(None) };
+    let page = Page::bind(web).await?;
+    terminal.print(&format!("page at http://{}", page.address()));
+    Ok(Some(page))
 }
 
 /// What an evaluator needs; its reports are kept in `run_dir`.

@@ -28,6 +28,8 @@ pub(super) async fn run(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let setup = services::learner_setup(config)?;
+    // Before anything is written, because the address may be taken.
+    let page = services::page(config, terminal).await?;
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
     terminal.print(&introduction(config, args, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
@@ -46,7 +48,7 @@ pub(super) async fn run(
     if !config.lockstep {
         running.spawn(services::actor(config.clone(), id, bus.clone(), shutdown.clone()));
     }
-    running.spawn(services::evaluator(evaluator, reports, bus.clone(), shutdown.clone()));
+    running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), shutdown.clone()));
     let mut ended = Ok(());
     while let Some(service) = running.join_next().await {
         // Whoever ends, well or not, ends the run: the others have nothing to do without it.

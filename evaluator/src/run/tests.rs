@@ -30,7 +30,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         tensorboard: dir.path().join("tb"),
     };
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None },
+        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None, web: None },
         policy: small.policy.clone(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
@@ -40,7 +40,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let (reports, mut seen) = watch::channel(None);
     let shutdown = CancellationToken::new();
     let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, reports, its_shutdown).await });
+    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_shutdown).await });
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights(&small);
@@ -87,7 +87,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     // 45 blueprints: parts of 32 and 45 episodes.
     let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, reset_free: None },
+        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, reset_free: None, web: None },
         policy: small.policy.clone(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
@@ -98,7 +98,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     let (reports, seen) = watch::channel(None);
     let shutdown = CancellationToken::new();
     let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, reports, its_shutdown).await });
+    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_shutdown).await });
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(weights(&small))).await.unwrap();
 

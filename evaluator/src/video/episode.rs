@@ -122,16 +122,21 @@ impl Episode {
 
     /// Reward so far at a time in seconds.
     pub(super) fn return_at(&self, time_s: f32) -> f32 {
-        self.returns[self.n_done(time_s)]
+        self.return_after(self.n_done(time_s))
+    }
+
+    /// Reward of so many steps.
+    pub(crate) fn return_after(&self, n_done: usize) -> f32 {
+        self.returns[n_done]
     }
 
     /// All scenes.
-    pub(super) fn scenes(&self) -> &[Scene] {
+    pub(crate) fn scenes(&self) -> &[Scene] {
         &self.scenes
     }
 
     /// Number of the goal's connections that are there after so many steps.
-    pub(super) fn n_connected(&self, n_done: usize) -> usize {
+    pub(crate) fn n_connected(&self, n_done: usize) -> usize {
         let is_right = |joint: &&proto::Joint| {
             self.goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative)
         };

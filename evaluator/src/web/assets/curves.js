@@ -1,0 +1,73 @@
+// Success by group against environment steps, with 95 % intervals, and the table of the newest evaluation.
+
+const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "all"];
+const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "1 2"];
+
+/** Round numbers from 0 on, about `n` of them. */
+function ticks(most, n) {
+  const rough = Math.max(most, 1) / n;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough);
+  const all = [];
+  for (let at = 0; at <= most * 1.0001; at += step) all.push(at);
+  return all;
+}
+
+function drawCurves(place, history, acting) {
+  const passes = history.passes.filter((pass) => pass.all[acting]);
+  if (passes.length === 0) {
+    place.replaceChildren(element("p", { class: "empty" }, "No evaluation yet; the first comes with the first weights."));
+    return;
+  }
+  const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
+  const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
+  const most = Math.max(...passes.map((pass) => pass.n_env_steps), 1);
+  const x = (steps) => left + (steps / most) * (width - left - right);
+  const y = (rate) => top + (1 - rate) * (height - top - bottom);
+  const last = passes[passes.length - 1];
+  const said = last.groups.filter((group) => group[acting]).map((group) => `${group.name} ${percent(group[acting].rate)}`);
+  const label = `Success by group over ${passes.length} evaluations; newest: ${said.join(", ") || percent(last.all[acting].rate)}`;
+  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
+  for (const rate of [0, 0.25, 0.5, 0.75, 1]) {
+    drawing.append(svg("line", { class: "grid", x1: left, x2: width - right, y1: y(rate), y2: y(rate) }));
+    drawing.append(svg("text", { x: left - 6, y: y(rate) + 4, "text-anchor": "end" }, `${100 * rate} %`));
+  }
+  for (const steps of ticks(most, width < 500 ? 3 : 6)) {
+    const anchor = x(steps) > width - 30 ? "end" : "middle";
+    drawing.append(svg("text", { x: x(steps), y: height - 8, "text-anchor": anchor }, steps === 0 ? "0 steps" : count(steps)));
+  }
+  GROUPS.forEach((name, i) => {
+    const points = passes
+      .map((pass) => ({ steps: pass.n_env_steps, rate: (pass.groups.find((group) => group.name === name) || {})[acting] }))
+      .filter((point) => point.rate);
+    if (points.length === 0) return;
+    const upper = points.map((point) => `${x(point.steps)},${y(point.rate.wilson_high)}`);
+    const lower = points.map((point) => `${x(point.steps)},${y(point.rate.wilson_low)}`).reverse();
+    drawing.append(svg("polygon", { class: `band g${i}`, points: [...upper, ...lower].join(" ") }));
+    const line = points.map((point) => `${x(point.steps)},${y(point.rate.rate)}`).join(" ");
+    drawing.append(svg("polyline", { class: `curve g${i}`, "stroke-dasharray": DASHES[i], points: line }));
+    if (points.length < 40) {
+      points.forEach((point) => drawing.append(svg("circle", { class: `g${i}`, cx: x(point.steps), cy: y(point.rate.rate), r: 2.5 })));
+    }
+  });
+  place.replaceChildren(drawing);
+}
+
+function drawGroups(table, history) {
+  const last = history.passes[history.passes.length - 1];
+  if (!last) {
+    table.replaceChildren();
+    return;
+  }
+  const cells = (rate) => (rate ? [percent(rate.rate), interval(rate), String(rate.n_episodes)] : ["–", "–", "–"]);
+  const rows = [...last.groups, last.all].map((group) => {
+    const i = GROUPS.indexOf(group.name);
+    const dot = svg("svg", { class: "dot", viewBox: "0 0 22 12", "aria-hidden": "true" },
+      svg("line", { class: `curve g${i}`, x1: 0, x2: 22, y1: 6, y2: 6, "stroke-dasharray": DASHES[i] }));
+    const first = group.name === "all" ? ["all"] : [dot, group.name];
+    return [first, String(group.n_blueprints), ...cells(group.mode), ...cells(group.sampled)];
+  });
+  const caption = `Newest evaluation: weights ${last.weights_version}, ${count(last.n_env_steps)} steps, took ${minutes(last.elapsed_s)}`;
+  const heads = ["group", "blueprints", "most probable", "95 % interval", "episodes", "sampled", "95 % interval", "episodes"];
+  fill(table, caption, heads, rows);
+}

@@ -1,0 +1,79 @@
+// The learner's numbers over time, who is there, and what was dropped.
+
+const HEALTH = [
+  ["env_steps_per_s", "steps per second", (learner) => learner.env_steps_per_s],
+  ["policy_lag_mean", "lag, versions", (learner) => learner.policy_lag_mean],
+  ["policy_loss", "policy loss", (learner) => learner.ppo.policy_loss],
+  ["value_loss", "value loss", (learner) => learner.ppo.value_loss],
+  ["entropy", "entropy, nats", (learner) => learner.ppo.entropy],
+  ["approx_kl", "KL of an update, nats", (learner) => learner.ppo.approx_kl],
+  ["explained_variance", "explained variance", (learner) => learner.ppo.explained_variance],
+];
+
+/** The point of a learner's metrics, as `/api/history` has it. */
+function toPoint(learner) {
+  const point = { n_env_steps: learner.n_env_steps, elapsed_s: learner.elapsed_s, weights_version: learner.weights_version };
+  for (const [name, , value] of HEALTH) point[name] = value(learner);
+  return point;
+}
+
+function spark(points, name, title) {
+  const [width, height] = [210, 46];
+  const known = points.filter((point) => isNumber(point[name]));
+  const values = known.map((point) => point[name]);
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const [from, to] = [known[0].n_env_steps, known[known.length - 1].n_env_steps];
+  const x = (steps) => (to > from ? ((steps - from) / (to - from)) * width : width);
+  const y = (value) => (high > low ? 4 + (1 - (value - low) / (high - low)) * (height - 8) : height / 2);
+  const line = known.map((point) => `${x(point.n_env_steps).toFixed(1)},${y(point[name]).toFixed(1)}`).join(" ");
+  const label = `${title}: from ${decimal(low)} to ${decimal(high)}, now ${decimal(values[values.length - 1])}`;
+  return svg("svg", { class: "spark", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none", role: "img", "aria-label": label },
+    svg("polyline", { class: "curve g0", points: line }));
+}
+
+function drawHealth(place, points) {
+  if (points.length === 0) {
+    place.replaceChildren(element("p", { class: "empty" }, "No update yet."));
+    return;
+  }
+  const last = points[points.length - 1];
+  const charts = HEALTH.filter(([name]) => points.some((point) => isNumber(point[name])));
+  place.replaceChildren(...charts.map(([name, title]) =>
+    element("div", {}, element("h3", {}, title, element("b", {}, decimal(last[name]))), spark(points, name, title))));
+}
+
+const sum = (counts) => Object.values(counts || {}).reduce((total, n) => total + (isNumber(n) ? n : 0), 0);
+
+function drawRoster(table, roster, actors, learner) {
+  const rows = [];
+  for (const name of roster.learners) {
+    rows.push([`learner ${name}`, learner ? count(learner.env_steps_per_s) : "–", learner ? String(learner.weights_version) : "–", "–", "–"]);
+  }
+  for (const name of roster.actors) {
+    const actor = actors.get(name);
+    rows.push(actor
+      ? [`actor ${name}`, count(actor.env_steps_per_s), String(actor.weights_version), String(actor.policy_lag), String(sum(actor.dropped))]
+      : [`actor ${name}`, "–", "–", "–", "–"]);
+  }
+  for (const name of roster.evaluators) rows.push([`evaluator ${name}`, "–", "–", "–", "–"]);
+  const caption = rows.length ? "Alive now" : "Nobody is there.";
+  fill(table, caption, ["member", "steps/s", "weights", "lag", "dropped"], rows);
+}
+
+function drawDrops(table, actors, learner) {
+  const totals = new Map();
+  const add = (who, reason, n) => {
+    if (isNumber(n) && n > 0) totals.set(`${who}: ${reason}`, (totals.get(`${who}: ${reason}`) || 0) + n);
+  };
+  const words = (name) => name.replace(/_total$/, "").replaceAll("_", " ");
+  for (const actor of actors.values()) {
+    for (const [reason, n] of Object.entries(actor.dropped || {})) add("actors", words(reason), n);
+  }
+  if (learner) {
+    for (const reason of ["duplicates_total", "stale_total", "full_total", "invalid_total"]) add("learner", words(reason), learner.ingest[reason]);
+    add("learner", "expired", learner.expired_total);
+    for (const [reason, n] of Object.entries(learner.bus || {})) add("learner's bus", words(reason), n);
+  }
+  const rows = [...totals].sort().map(([reason, n]) => [reason, count(n)]);
+  fill(table, rows.length ? "Since the start" : "Nothing was dropped.", rows.length ? ["who and why", "how many"] : [], rows);
+}

@@ -1,0 +1,150 @@
+// The heat map: one row per blueprint, one column per evaluation.
+
+const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+
+function heatColor(rate) {
+  const place = Math.min(Math.max(rate, 0), 1) * (STOPS.length - 1);
+  const low = Math.min(Math.floor(place), STOPS.length - 2);
+  const mix = STOPS[low].map((from, i) => Math.round(from + (STOPS[low + 1][i] - from) * (place - low)));
+  return `rgb(${mix.join(",")})`;
+}
+
+class Heat {
+  constructor(canvas, cellText) {
+    this.canvas = canvas;
+    this.cellText = cellText;
+    this.cursor = null;
+    this.rows = [];
+    canvas.addEventListener("pointermove", (event) => this.point(event));
+    canvas.addEventListener("pointerdown", (event) => this.point(event));
+    canvas.addEventListener("pointerleave", () => this.move(null));
+    canvas.addEventListener("keydown", (event) => this.key(event));
+    new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    const scale = document.getElementById("heat-scale");
+    [scale.width, scale.height] = [60, 1];
+    const pen = scale.getContext("2d");
+    for (let x = 0; x < 60; x += 1) {
+      pen.fillStyle = heatColor(x / 59);
+      pen.fillRect(x, 0, 1, 1);
+    }
+  }
+
+  show(history, acting) {
+    this.passes = history.passes.filter((pass) => pass[acting].some((cell) => cell !== null));
+    this.acting = acting;
+    // The order is the server's, by split and size, so that groups are together.
+    this.rows = history.blueprints.map((blueprint, place) => ({ ...blueprint, place, group: blueprint.group || "other" }));
+    this.draw();
+  }
+
+  layout(width) {
+    const n = Math.max(this.rows.length, 1);
+    const height = Math.max(Math.min(420 / n, 26), 4);
+    const names = height >= 12;
+    const left = names ? 132 : 88;
+    let y = 4;
+    let group = null;
+    const groups = [];
+    for (const row of this.rows) {
+      if (row.group !== group) {
+        y += group === null ? 0 : 8;
+        group = row.group;
+        groups.push({ name: group, y });
+      }
+      row.y = y;
+      y += height;
+      groups[groups.length - 1].end = y;
+    }
+    const column = (width - left) / Math.max(this.passes.length, 1);
+    return { height, names, left, groups, column, total: y };
+  }
+
+  draw() {
+    if (!this.passes) return;
+    const width = this.canvas.clientWidth;
+    if (width === 0) return;
+    const at = this.layout(width);
+    this.at = at;
+    const total = Math.max(at.total, 40) + 20;
+    const ratio = window.devicePixelRatio || 1;
+    this.canvas.style.height = `${total}px`;
+    [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(total * ratio)];
+    const pen = this.canvas.getContext("2d");
+    pen.scale(ratio, ratio);
+    const style = getComputedStyle(document.documentElement);
+    const color = (name) => style.getPropertyValue(name);
+    pen.font = "12px system-ui, sans-serif";
+    pen.fillStyle = color("--quiet");
+    if (this.passes.length === 0) {
+      pen.fillText("No evaluation with these actions yet.", 0, 20);
+      return;
+    }
+    const gap = at.column > 6 ? 1 : 0;
+    for (const row of this.rows) {
+      this.passes.forEach((pass, i) => {
+        const cell = pass[this.acting][row.place];
+        pen.fillStyle = cell ? heatColor(cell[0] / cell[1]) : color("--none");
+        const x = Math.round((at.left + i * at.column) * ratio) / ratio;
+        const end = Math.round((at.left + (i + 1) * at.column) * ratio) / ratio;
+        pen.fillRect(x, row.y, end - x - gap, at.height - (at.height > 8 ? 1 : 0));
+      });
+    }
+    pen.textBaseline = "middle";
+    for (const group of at.groups) {
+      pen.fillStyle = color("--quiet");
+      if (at.names || group.end - group.y >= 10) pen.fillText(group.name, 0, at.names ? group.y + at.height / 2 : (group.y + group.end) / 2);
+    }
+    if (at.names) {
+      pen.fillStyle = color("--text");
+      pen.textAlign = "right";
+      for (const row of this.rows) pen.fillText(row.id, at.left - 6, row.y + at.height / 2);
+    }
+    pen.fillStyle = color("--quiet");
+    pen.textBaseline = "alphabetic";
+    pen.textAlign = "left";
+    pen.fillText(`${count(this.passes[0].n_env_steps)} steps`, at.left, at.total + 15);
+    if (this.passes.length > 1) {
+      pen.textAlign = "right";
+      pen.fillText(`${count(this.passes[this.passes.length - 1].n_env_steps)} steps`, width, at.total + 15);
+    }
+    if (this.cursor) {
+      const row = this.rows[this.cursor.row];
+      pen.strokeStyle = color("--text");
+      pen.lineWidth = 2;
+      pen.strokeRect(at.left + this.cursor.column * at.column, row.y, Math.max(at.column - gap, 2), at.height);
+    }
+  }
+
+  point(event) {
+    if (!this.at || this.rows.length === 0) return;
+    const column = Math.floor((event.offsetX - this.at.left) / this.at.column);
+    const row = this.rows.findIndex((one) => event.offsetY >= one.y && event.offsetY < one.y + this.at.height);
+    this.move(row >= 0 && column >= 0 && column < this.passes.length ? { row, column } : null);
+  }
+
+  key(event) {
+    const steps = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
+    const step = steps[event.key];
+    if (event.key === "Escape") this.move(null);
+    if (!step || this.rows.length === 0 || !this.passes || this.passes.length === 0) return;
+    event.preventDefault();
+    const from = this.cursor || { row: 0, column: this.passes.length - 1 };
+    const clamp = (value, n) => Math.min(Math.max(value, 0), n - 1);
+    const move = this.cursor ? step : [0, 0];
+    this.move({ row: clamp(from.row + move[0], this.rows.length), column: clamp(from.column + move[1], this.passes.length) });
+  }
+
+  move(cursor) {
+    this.cursor = cursor;
+    this.draw();
+    if (!cursor) {
+      this.cellText.textContent = "\u00a0";
+      return;
+    }
+    const [row, pass] = [this.rows[cursor.row], this.passes[cursor.column]];
+    const cell = pass[this.acting][row.place];
+    const found = cell ? `${cell[0]} of ${cell[1]} episodes (${percent(cell[0] / cell[1])})` : "not judged";
+    this.cellText.textContent = `${row.id}, ${row.split}, ${row.n_blocks} blocks, after ${count(pass.n_env_steps)} steps: ${found}`;
+  }
+}
