@@ -33,6 +33,8 @@ pub(super) fn count(n: u64) -> String {
 
 /// A rate per second without its fraction; beyond a million million in powers of ten.
 pub(super) fn rate(per_s: f64) -> String {
+    // A sum of no rates is −0.
+    let per_s = per_s.round() + 0.0;
     if per_s.abs() < 1e12 { grouped(&format!("{per_s:.0}")) } else { format!("{per_s:.1e}") }
 }
 
@@ -92,7 +94,7 @@ mod tests {
         for (n, text) in [(0, "0"), (999, "999"), (1000, "1 000"), (3_326_976, "3 326 976")] {
             assert_eq!(count(n), text);
         }
-        for (per_s, text) in [(-123_456.4, "-123 456"), (1e12, "1.0e12"), (0.4, "0")] {
+        for (per_s, text) in [(-123_456.4, "-123 456"), (1e12, "1.0e12"), (-0.4, "0")] {
             assert_eq!(rate(per_s), text);
         }
     }

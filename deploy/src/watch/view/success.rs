@@ -6,7 +6,7 @@ use proto::metrics::{EvalBlueprint, EvalGroup, EvalSummary};
 use proto::wilson::SuccessRate;
 use ratatui::text::Line;
 
-use super::format::{age, count, name, seconds, success};
+use super::format::{age, count, name, success};
 use super::{columns, heading, plain};
 use crate::watch::board::Board;
 
@@ -17,16 +17,15 @@ pub(super) fn lines(board: &Board, now: Duration, width: usize) -> Vec<Line<'sta
     };
     let summary = &heard.value;
     let (version, n_env_steps) = (summary.weights_version.0, count(summary.n_env_steps));
-    let (age, took) = (age(now, heard.at), seconds(summary.elapsed_s));
+    let judged = age(now, heard.at);
     let mut lines = vec![
-        heading(format!("Success in % of weights {version} at {n_env_steps} environment steps")),
+        heading(format!("Success in %: weights {version}, {n_env_steps} environment steps, judged {judged}")),
         columns(format!(
             "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
             "group", " mode (95 % interval)", "of", " sampled (95 %)", "of"
         )),
     ];
     lines.extend(summary.groups.iter().chain([&summary.all]).map(group));
-    lines.push(plain(format!("  judged {age}, took {took}")));
     lines.extend(extremes(&board.judged_blueprints(), summary, width));
     lines
 }

@@ -47,8 +47,33 @@ fn screen(board: &Board, now: Duration, width: u16, height: u16) -> Vec<String> 
 
 #[test]
 fn a_run_fits_on_80_by_24() {
-    let lines = screen(&busy(), seconds(42), 80, 24);
-    assert_eq!(lines.join("\n"), "");
+    let expected = [
+        "Run two-blocks at tcp/127.0.0.1:7447",
+        "learner heard 12 s ago, evaluator heard 22 s ago",
+        "Success in %: weights 800, 3 276 800 environment steps, judged 22 s ago",
+        "  group          mode (95 % interval)       of   sampled (95 %)             of",
+        "  train 2-6     100.0 ( 91.2 to 100.0)      40   95.0 ( 83.5 to  98.6)      40",
+        "  test 12-16     50.0 ( 35.2 to  64.8)      40   80.0 ( 65.2 to  89.5)      40",
+        "  all            75.0 ( 64.5 to  83.2)      80   87.5 ( 78.5 to  93.1)      80",
+        "  worst  2_002 5.0  2_003 50.0  2_001 97.5",
+        "  best   2_004 100.0  2_000 100.0",
+        "Learning: weights 812, 3 326 976 environment steps in 42 min",
+        "  throughput  1 234 steps/s, 2 048 waiting; policy lag 1.25, at most 3",
+        "  loss        total 0.031, policy -0.004, value 0.250, gradient norm 0.520",
+        "  policy      KL 4.5e-4, entropy 5.432, clipped 0.080, explained variance 0.875",
+        "  episodes    success 50.0 ( 23.7 to  76.3) of 10, return 3.250, 45.2 steps",
+        "Actors: 2 alive, 1 lost; 640 steps/s",
+        "  actor                       steps/s  weights  lag  accepted  dropped  heard",
+        "  actor-1              alive      640      811    1     2 500       12  11 s ago",
+        "  quiet                alive has said nothing so far",
+        "  actor-2              lost       640      811    1     2 500       12  37 s ago",
+        "Dropped",
+        "  actors.dropped.full_total 14  actors.dropped.stale_total 10",
+        "  evaluator.n_diverged 2  learner.expired_total 4  learner.ingest.stale_total 12",
+        "",
+        "",
+    ];
+    assert_eq!(screen(&busy(), seconds(42), 80, 24), expected);
 }
 
 #[test]
