@@ -5,7 +5,8 @@ const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "1 2"];
 
 /** Round numbers from 0 on, about `n` of them. */
 function ticks(most, n) {
-  const rough = Math.max(most, 1) / n;
+  if (most < n) return [0];
+  const rough = most / n;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough);
   const all = [];

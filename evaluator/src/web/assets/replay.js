@@ -76,13 +76,12 @@ class Replay {
     this.episode = episode;
     this.n = episode.scenes.length - 1;
     this.slider.max = this.n;
-    // Framed by where the goal's blocks are over the whole episode, not by blocks that flew away.
-    const wanted = episode.goal.map(([block]) => block);
-    const places = [episode.scenes[0], episode.scenes[this.n]].flatMap((scene) => wanted.map((block) => scene.blocks[block]));
+    // Framed by where the blocks begin, most of them: some may lie far away, and a policy that learns throws some.
+    const places = episode.scenes[0].blocks;
     const middle = (i) => places.map((place) => place[i]).sort((a, b) => a - b)[places.length >> 1];
     this.target = [middle(0), middle(1), 0.15];
     const away = places.map((place) => Math.hypot(place[0] - this.target[0], place[1] - this.target[1])).sort((a, b) => a - b);
-    this.reach = Math.min(Math.max(away[Math.floor(away.length * 0.9)] || 0.5, 0.6), 3);
+    this.reach = Math.min(Math.max(away[Math.floor(away.length * 0.9)], 0.5), 1.5);
     this.seek(0);
     this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
