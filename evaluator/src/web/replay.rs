@@ -227,7 +227,7 @@ mod tests {
             last_scene: scene(9.0),
             status: if ends { Status::Success } else { Status::Running },
             bootstrap_value: 0.0,
-            outcome: ends.then(|| Outcome { success: true, n_steps: 3, episode_return: reward }),
+            outcome: ends.then_some(Outcome { success: true, n_steps: 3, episode_return: reward }),
         }
     }
 
