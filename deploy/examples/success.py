@@ -1,6 +1,6 @@
 """Follows a run's success from Python: the latest numbers at once, then every new one.
 
-Usage: pip install eclipse-zenoh; python success.py tcp/127.0.0.1:7447 [--run NAME] [--once]
+Usage: pip install eclipse-zenoh; python success.py tcp/127.0.0.1:7447 [--run NAME] [--once | --history]
 
 Needs a router (`lodestone router --listen tcp/127.0.0.1:7447`) and, for numbers to come, an evaluator. Prints one line per
 group and pass; the fields of the JSON are described in README.md, section "Live metrics".
@@ -37,6 +37,7 @@ def main():
     parser.add_argument("endpoint", help="the router's, for example tcp/127.0.0.1:7447")
     parser.add_argument("--run", default="*", help="name of the run (`bus.run`, or the preset); all by default")
     parser.add_argument("--once", action="store_true", help="print the first complete summary as JSON and end")
+    parser.add_argument("--history", action="store_true", help="print all passes so far as JSON and end")
     args = parser.parse_args()
 
     config = zenoh.Config()
@@ -45,6 +46,11 @@ def main():
     key = f"lodestone/{args.run}/metrics/eval/summary"
     samples = queue.SimpleQueue()
     with zenoh.open(config) as session:
+        if args.history:
+            for reply in session.get(f"lodestone/{args.run}/history/eval"):
+                if reply.ok:
+                    print(reply.ok.payload.to_string())
+            return
         # Subscribed before it asks, so that nothing falls between the two; a value may then come twice.
         session.declare_subscriber(key, lambda sample: samples.put(sample.payload.to_string()))
         session.get(key, lambda reply: reply.ok and samples.put(reply.ok.payload.to_string()))

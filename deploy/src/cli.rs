@@ -179,8 +179,11 @@ pub struct EvaluatorArgs {
     #[command(flatten)]
     pub member: MemberArgs,
     /// Keep reports in this folder: in metrics.jsonl and eval.db.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "assist")]
     pub run_dir: Option<PathBuf>,
+    /// Judge nothing, and run episodes for the evaluator of the run instead; as many as there are share its passes.
+    #[arg(long)]
+    pub assist: bool,
     /// The page.
     #[command(flatten)]
     pub page: PageArgs,

@@ -18,6 +18,9 @@ pub struct EvaluatorConfig {
     pub episodes: EpisodeConfig,
     /// Goals in a row without a reset, after the episodes; absent means none. Default: absent.
     pub reset_free: Option<ResetFreeConfig>,
+    /// How far the evaluation's threads stand back when others want the processor, 0 to 19 as for the command `nice`; Linux
+    /// only. Default 10, so that training is not held up.
+    pub nice: i32,
     /// A page about the training; absent means none. Default: absent.
     pub web: Option<WebConfig>,
 }
@@ -120,6 +123,7 @@ impl Default for EvaluatorConfig {
             selection: Selection::default(),
             episodes: EpisodeConfig::default(),
             reset_free: None,
+            nice: 10,
             web: None,
         }
     }
@@ -161,6 +165,7 @@ impl EvaluatorConfig {
         let sizes_ok = 1 <= low && low <= high && high <= N_BLOCKS;
         check("selection.sizes", self.selection.sizes, sizes_ok, "two ascending numbers from 1 to 16")?;
         self.episodes.validate()?;
+        check("nice", self.nice, (0..=19).contains(&self.nice), "0 to 19")?;
         self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)?;
         Ok(self.web.as_ref().map_or(Ok(()), WebConfig::validate)?)
     }

@@ -1,17 +1,24 @@
 //! The evaluation itself: a frozen policy, blueprints, episodes with fixed seeds.
 
+use std::sync::Arc;
+use std::time::Duration;
+
 use blueprints::{Blueprint, BlueprintId, Catalogue};
 use environment::{EnvironmentConfig, EnvironmentConfigError, ResetError, World};
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::Weights;
 
 use crate::config::{EpisodeConfig, ResetFreeConfig};
+use crate::desk::Desk;
 use crate::lanes::{Job, Played, Rules, run_lanes};
 use crate::report::{Acting, Episode, EvalReport, Judged};
 use crate::reset_free;
 
 /// Episodes with each way of acting before an evaluation first says what it has found.
 pub const FIRST_PART: usize = 32;
+
+/// How long threads without work wait before they ask whether to go on.
+const PATIENCE: Duration = Duration::from_millis(100);
 
 /// All that an evaluation needs besides weights and blueprints.
 #[derive(Clone, Debug)]
@@ -73,21 +80,22 @@ pub fn evaluate(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
-    evaluate_in_parts(setup, weights, blueprints, keep_going, &mut |_| {})
+    let desk = Desk::new(Arc::new(weights.clone()));
+    evaluate_in_parts(&Workshop { setup, desk: &desk, keep_going }, blueprints, &mut |_| {})
 }
 
-/// Like [`evaluate`], and tells `on_part` what the first episodes found: the first [`FIRST_PART`] of them, then twice as
-/// many, and so on. Every part is spread over all blueprints, so that its groups are fair samples of the whole.
+/// Like [`evaluate`] with the weights of the workshop's desk, and tells `on_part` what the first episodes found: the first
+/// [`FIRST_PART`] of them, then twice as many, and so on. Every part is spread over all blueprints, so that its groups are
+/// fair samples of the whole.
 ///
 /// # Errors
 /// As for [`evaluate`].
-pub fn evaluate_in_parts(
-    setup: &EvalSetup<'_>,
-    weights: &Weights,
+pub(crate) fn evaluate_in_parts(
+    workshop: &Workshop<'_>,
     blueprints: &[&Blueprint],
-    keep_going: &(dyn Fn() -> bool + Sync),
     on_part: &mut dyn FnMut(EvalReport),
 ) -> Result<EvalReport, EvalError> {
+    let (setup, weights) = (workshop.setup, workshop.desk.weights());
     let n_episodes = u64::from(setup.episodes.n_episodes);
     let (catalogue, starts) = (setup.catalogue, setup.episodes.starts);
     let lane = |blueprint, episode_idx| vec![Job::one_of(catalogue, blueprint, starts, setup.seed, episode_idx)];
@@ -105,7 +113,7 @@ pub fn evaluate_in_parts(
     while n_played < lanes.len() {
         let part = &lanes[n_played..lanes.len().min(FIRST_PART.max(2 * n_played))];
         for &acting in &setup.episodes.acting {
-            let played = run_all(setup, weights, part, acting, keep_going)?;
+            let played = workshop.run(part, acting)?;
             episodes.extend(played.into_iter().flatten().map(|played| played.episode));
         }
         n_played += part.len();
@@ -115,8 +123,9 @@ pub fn evaluate_in_parts(
     }
     let mut report = report(&episodes, true);
     if let Some(config) = &setup.reset_free {
-        report.summary.reset_free = Some(reset_free::evaluate(setup, config, weights, keep_going)?);
+        report.summary.reset_free = Some(reset_free::evaluate(workshop, config)?);
     }
+    report.summary.n_assisted = workshop.desk.n_assisted();
     Ok(report)
 }
 
@@ -126,47 +135,55 @@ fn spread<'b>(blueprints: &[&'b Blueprint]) -> Vec<&'b Blueprint> {
     (0..stride).flat_map(|first| blueprints.iter().skip(first).step_by(stride).copied()).collect()
 }
 
-/// Runs the lanes with the policy; the results have the shape of `lanes`.
-pub(crate) fn run_all(
-    setup: &EvalSetup<'_>,
-    weights: &Weights,
-    lanes: &[Vec<Job>],
-    acting: Acting,
-    keep_going: &(dyn Fn() -> bool + Sync),
-) -> Result<Vec<Vec<Played>>, EvalError> {
-    share_out(lanes, setup.episodes.n_threads, |lanes| {
-        let mut policy = Policy::new(&setup.policy)?;
-        policy.load(weights)?;
-        let n_worlds = setup.episodes.n_worlds.min(lanes.len());
-        let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&setup.environment)).collect();
-        let success = &setup.environment.success;
-        let rules = Rules { catalogue: setup.catalogue, acting, success, keep_going };
-        run_lanes(&rules, &policy, worlds?, lanes)
-    })
+/// Runs lanes with frozen weights, by threads of this process and whoever else takes some from the desk.
+pub(crate) struct Workshop<'a> {
+    pub(crate) setup: &'a EvalSetup<'a>,
+    pub(crate) desk: &'a Desk,
+    pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
 }
 
-/// Shares the lanes out among threads; the results are in the order of the lanes.
-pub(crate) fn share_out<T: Send>(
-    lanes: &[Vec<Job>],
-    n_threads: usize,
-    run: impl Fn(&[Vec<Job>]) -> Result<Vec<T>, EvalError> + Sync,
-) -> Result<Vec<T>, EvalError> {
-    if n_threads <= 1 {
-        return run(lanes);
+impl Workshop<'_> {
+    /// Runs the lanes; the results have their shape.
+    pub(crate) fn run(&self, lanes: &[Vec<Job>], acting: Acting) -> Result<Vec<Vec<Played>>, EvalError> {
+        self.desk.post(lanes, acting);
+        let n_threads = self.setup.episodes.n_threads.min(lanes.len()).max(1);
+        let n_worlds = self.setup.episodes.n_worlds.min(lanes.len().div_ceil(n_threads));
+        let ended: Result<(), EvalError> = std::thread::scope(|scope| {
+            let others: Vec<_> = (1..n_threads).map(|_| scope.spawn(|| self.work(acting, n_worlds))).collect();
+            let own = self.work(acting, n_worlds);
+            let join = |thread: std::thread::ScopedJoinHandle<'_, _>| {
+                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            others.into_iter().map(join).fold(own, Result::and)
+        });
+        let played = self.desk.clear();
+        ended.map(|()| played)
     }
-    // Dealt out in turn, because neighbours cost alike.
-    let n_shares = n_threads.min(lanes.len()).max(1);
-    let shares: Vec<Vec<Vec<Job>>> =
-        (0..n_shares).map(|first| lanes.iter().skip(first).step_by(n_shares).cloned().collect()).collect();
-    std::thread::scope(|scope| {
-        let run = &run;
-        let threads: Vec<_> = shares.iter().map(|lanes| scope.spawn(move || run(lanes))).collect();
-        let mut piles = Vec::with_capacity(n_shares);
-        for thread in threads {
-            piles.push(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?.into_iter());
+
+    /// Takes lanes from the desk until all are done.
+    fn work(&self, acting: Acting, n_worlds: usize) -> Result<(), EvalError> {
+        let mut policy = Policy::new(&self.setup.policy)?;
+        policy.load(self.desk.weights())?;
+        let rules = Rules {
+            catalogue: self.setup.catalogue,
+            acting,
+            success: &self.setup.environment.success,
+            keep_going: self.keep_going,
+        };
+        loop {
+            let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
+            let bring = |lane_idx, played| self.desk.bring(lane_idx, played);
+            run_lanes(&rules, &policy, worlds?, || self.desk.take(), bring)?;
+            if self.desk.is_done() {
+                return Ok(());
+            }
+            // Others have the last lanes; if they do not bring them, somebody must run them.
+            self.desk.wait(PATIENCE);
+            if !(self.keep_going)() {
+                return Err(EvalError::Interrupted);
+            }
         }
-        Ok((0..lanes.len()).filter_map(|lane_idx| piles[lane_idx % n_shares].next()).collect())
-    })
+    }
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use proto::{Status, Trajectory};
 use serde::{Deserialize, Serialize};
 
 use crate::config::{ResetFreeConfig, Starts};
-use crate::episodes::{EvalError, share_out};
+use crate::episodes::EvalError;
 use crate::lanes::{Job, Played, Rules, Seat};
 use crate::report::{Acting, End, EvalReport, Judged};
 use crate::reset_free;
@@ -193,11 +193,11 @@ fn run_all(
         let mut world = World::new(&setup.environment)?;
         let mut results = Vec::with_capacity(lanes.len());
         for (lane_idx, lane) in lanes.iter().enumerate().filter(|(_, lane)| !lane.is_empty()) {
-            let (mut seat, _) = Seat::begin(&rules, world, (lane_idx, lane))?;
+            let (mut seat, _) = Seat::begin(&rules, world, lane_idx, lane.as_slice().into())?;
             let mut trials: Vec<Trial> = Vec::with_capacity(lane.len());
             for (job_idx, job) in lane.iter().enumerate() {
                 if job_idx > 0 {
-                    seat.start(&rules, lane_idx, job)?;
+                    seat.start(&rules, job_idx)?;
                 }
                 let mut trial = run_episode(&rules, &setup.environment, &mut seat, job, job_idx as u64)?;
                 // One is enough to look at, and all of them would be gigabytes.
@@ -213,10 +213,34 @@ fn run_all(
     })
 }
 
+/// Shares the lanes out among threads; the results are in the order of the lanes.
+fn share_out<T: Send>(
+    lanes: &[Vec<Job>],
+    n_threads: usize,
+    run: impl Fn(&[Vec<Job>]) -> Result<Vec<T>, EvalError> + Sync,
+) -> Result<Vec<T>, EvalError> {
+    if n_threads <= 1 {
+        return run(lanes);
+    }
+    // Dealt out in turn, because neighbours cost alike.
+    let n_shares = n_threads.min(lanes.len()).max(1);
+    let shares: Vec<Vec<Vec<Job>>> =
+        (0..n_shares).map(|first| lanes.iter().skip(first).step_by(n_shares).cloned().collect()).collect();
+    std::thread::scope(|scope| {
+        let run = &run;
+        let threads: Vec<_> = shares.iter().map(|lanes| scope.spawn(move || run(lanes))).collect();
+        let mut piles = Vec::with_capacity(n_shares);
+        for thread in threads {
+            piles.push(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?.into_iter());
+        }
+        Ok((0..lanes.len()).filter_map(|lane_idx| piles[lane_idx % n_shares].next()).collect())
+    })
+}
+
 fn run_episode(
     rules: &Rules<'_>,
     config: &EnvironmentConfig,
-    seat: &mut Seat<'_, World>,
+    seat: &mut Seat<World>,
     job: &Job,
     episode_idx: u64,
 ) -> Result<Trial, EvalError> {

@@ -4,6 +4,7 @@
 //! killed in the middle. Not a write-ahead log: that is for many small writes, leaves two more files that a copy must not
 //! forget, and does not work on the network file systems of clusters. A pass comes once in minutes.
 
+pub(crate) mod overview;
 mod rows;
 mod schema;
 

@@ -1,5 +1,7 @@
 //! Runs many short sequences of episodes side by side: one forward pass moves all worlds.
 
+use std::sync::Arc;
+
 use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
 use environment::config::SuccessConfig;
 use environment::{Env, ResetError, StableSuccess, sample_assignment};
@@ -73,27 +75,44 @@ impl Job {
         Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
     }
 
+    /// The episode that a task of another process names; none if the catalogue does not have the goal.
+    pub(crate) fn of_task(catalogue: &Catalogue, task: Task) -> Option<Self> {
+        let blueprint = catalogue.get(&task.blueprint)?;
+        Some(Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() })
+    }
+
     pub(crate) fn task(&self) -> &Task {
         &self.task
     }
+
+    /// What came of it.
+    pub(crate) fn played(
+        &self,
+        acting: Acting,
+        end: End,
+        n_steps: u32,
+        episode_return: RewardTerms,
+        forced_reset: bool,
+    ) -> Played {
+        let (blueprint, split, n_blocks) = (self.task.blueprint.clone(), self.split, self.n_blocks);
+        Played { episode: Episode { blueprint, split, n_blocks, acting, end, n_steps, episode_return }, forced_reset }
+    }
 }
 
-/// Runs each lane's jobs one after the other in one world; worlds take the next lane when theirs is over.
-///
-/// The results have the shape of `lanes`.
+/// Runs the lanes of `next`: the jobs of each one after the other in one world. Worlds take the next lane when theirs is
+/// over; what came of a lane goes to `done` with its number.
 pub(crate) fn run_lanes<E: Env>(
     rules: &Rules<'_>,
     policy: &Policy,
     worlds: Vec<E>,
-    lanes: &[Vec<Job>],
-) -> Result<Vec<Vec<Played>>, EvalError> {
-    let mut results: Vec<Vec<Played>> = lanes.iter().map(|lane| Vec::with_capacity(lane.len())).collect();
-    let mut waiting = lanes.iter().enumerate().filter(|(_, lane)| !lane.is_empty());
-    let mut seats: Vec<Seat<'_, E>> = Vec::new();
+    mut next: impl FnMut() -> Option<(usize, Arc<[Job]>)>,
+    mut done: impl FnMut(usize, Vec<Played>),
+) -> Result<(), EvalError> {
+    let mut seats: Vec<Seat<E>> = Vec::new();
     let mut rngs: Vec<ChaCha8Rng> = Vec::new();
     for env in worlds {
-        let Some(lane) = waiting.next() else { break };
-        let (seat, rng) = Seat::begin(rules, env, (lane.0, lane.1.as_slice()))?;
+        let Some((lane_idx, lane)) = next() else { break };
+        let (seat, rng) = Seat::begin(rules, env, lane_idx, lane)?;
         seats.push(seat);
         rngs.push(rng);
     }
@@ -109,34 +128,36 @@ pub(crate) fn run_lanes<E: Env>(
         batch.clear();
         seats.iter().for_each(|seat| batch.push(seat.env.scene(), seat.env.blueprint()));
         let decisions = policy.act(&batch, &mut rngs, mode);
-        let mut done = Vec::new();
+        let mut free = Vec::new();
         for (seat_idx, decision) in decisions.into_iter().enumerate() {
             let seat = &mut seats[seat_idx];
             let Some(played) = seat.step(rules, &decision.action) else { continue };
-            let played_of_lane = &mut results[seat.lane_idx];
-            played_of_lane.push(played);
-            let next_job = lanes[seat.lane_idx].get(played_of_lane.len());
-            let next = next_job
-                .map(|job| (seat.lane_idx, job))
-                .or_else(|| waiting.next().and_then(|(lane_idx, lane)| lane.first().map(|job| (lane_idx, job))));
-            match next {
-                Some((lane_idx, job)) => rngs[seat_idx] = seat.start(rules, lane_idx, job)?,
-                None => done.push(seat_idx),
+            seat.played.push(played);
+            if seat.played.len() == seat.lane.len() {
+                done(seat.lane_idx, std::mem::take(&mut seat.played));
+                let Some((lane_idx, lane)) = next() else {
+                    free.push(seat_idx);
+                    continue;
+                };
+                (seat.lane_idx, seat.lane) = (lane_idx, lane);
             }
+            rngs[seat_idx] = seat.start(rules, seat.played.len())?;
         }
-        for seat_idx in done.into_iter().rev() {
+        for seat_idx in free.into_iter().rev() {
             seats.remove(seat_idx);
             rngs.remove(seat_idx);
         }
     }
-    Ok(results)
+    Ok(())
 }
 
 /// A world and its current episode.
-pub(crate) struct Seat<'a, E> {
+pub(crate) struct Seat<E> {
     pub(crate) env: E,
     lane_idx: usize,
-    job: &'a Job,
+    lane: Arc<[Job]>,
+    job_idx: usize,
+    played: Vec<Played>,
     forced_reset: bool,
     n_steps: u32,
     episode_return: RewardTerms,
@@ -146,23 +167,34 @@ pub(crate) struct Seat<'a, E> {
     pub(crate) end_scene: Option<Scene>,
 }
 
-impl<'a, E: Env> Seat<'a, E> {
+impl<E: Env> Seat<E> {
+    /// Starts the first episode of a lane, which has at least one, and returns the generator of its actions.
     pub(crate) fn begin(
         rules: &Rules<'_>,
         env: E,
-        (lane_idx, lane): (usize, &'a [Job]),
+        lane_idx: usize,
+        lane: Arc<[Job]>,
     ) -> Result<(Self, ChaCha8Rng), EvalError> {
-        let job = &lane[0];
-        let (episode_return, reward) = (RewardTerms::default(), RewardTerms::default());
-        let mut seat =
-            Self { env, lane_idx, job, forced_reset: false, n_steps: 0, episode_return, reward, end_scene: None };
-        let rng = seat.start(rules, lane_idx, job)?;
+        let mut seat = Self {
+            env,
+            lane_idx,
+            lane,
+            job_idx: 0,
+            played: Vec::new(),
+            forced_reset: false,
+            n_steps: 0,
+            episode_return: RewardTerms::default(),
+            reward: RewardTerms::default(),
+            end_scene: None,
+        };
+        let rng = seat.start(rules, 0)?;
         Ok((seat, rng))
     }
 
-    /// Starts an episode and returns the generator of its actions.
-    pub(crate) fn start(&mut self, rules: &Rules<'_>, lane_idx: usize, job: &'a Job) -> Result<ChaCha8Rng, EvalError> {
-        let mut task = job.task.clone();
+    /// Starts an episode of the lane and returns the generator of its actions.
+    pub(crate) fn start(&mut self, rules: &Rules<'_>, job_idx: usize) -> Result<ChaCha8Rng, EvalError> {
+        let seed = self.lane[job_idx].task.seed;
+        let mut task = self.lane[job_idx].task.clone();
         let mut n_tried = 0;
         self.forced_reset = false;
         while let Err(source) = self.env.reset(&task, rules.catalogue) {
@@ -178,11 +210,11 @@ impl<'a, E: Env> Seat<'a, E> {
                 source => return Err(EvalError::Reset { blueprint: task.blueprint, source }),
             }
         }
-        (self.lane_idx, self.job, self.n_steps) = (lane_idx, job, 0);
+        (self.job_idx, self.n_steps) = (job_idx, 0);
         self.episode_return = RewardTerms::default();
         self.end_scene = None;
         // Stream 0 of the seed belongs to the world.
-        let mut rng = ChaCha8Rng::seed_from_u64(job.task.seed);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(1);
         Ok(rng)
     }
@@ -202,16 +234,8 @@ impl<'a, E: Env> Seat<'a, E> {
             Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };
-        let episode = Episode {
-            blueprint: self.job.task.blueprint.clone(),
-            split: self.job.split,
-            n_blocks: self.job.n_blocks,
-            acting: rules.acting,
-            end,
-            n_steps: self.n_steps,
-            episode_return: self.episode_return,
-        };
-        Some(Played { episode, forced_reset: self.forced_reset })
+        let job = &self.lane[self.job_idx];
+        Some(job.played(rules.acting, end, self.n_steps, self.episode_return, self.forced_reset))
     }
 
     /// Whether a success proves stable while the grippers hold the last chosen blocks still.

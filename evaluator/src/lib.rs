@@ -1,18 +1,22 @@
 //! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] and [`group`] (what is counted) → `lanes` (worlds side by side) →
-//! [`episodes`] and [`reset_free`] (what is run) → [`table`] and [`history`] (what is shown and kept) → [`run()`] (the
-//! service on the bus); [`web`] serves a page about a running training, [`picture`] draws blocks, [`plot`] trainings, [`video`] films of
+//! `desk` (who runs which) → [`episodes`] and [`reset_free`] (what is run) → [`table`] and [`history`] (what is shown and kept) → [`run()`] (the
+//! service on the bus), which shares its work by `clerks` with processes that [`assist()`]; [`web`] serves a page about a running training, [`picture`] draws blocks, [`plot`] trainings, [`video`] films of
 //! episodes.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod assist;
+mod clerks;
 pub mod config;
+mod desk;
 pub mod episodes;
 pub mod expert;
 pub mod group;
 pub mod history;
 mod lanes;
+mod nice;
 pub mod picture;
 pub mod plot;
 mod records;
@@ -25,6 +29,7 @@ pub mod trials;
 pub mod video;
 pub mod web;
 
+pub use assist::assist;
 pub use config::{EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts};
 pub use environment::EnvironmentConfig;
 pub use episodes::{EvalError, EvalSetup, evaluate};

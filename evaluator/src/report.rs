@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::{BlueprintId, Split};
 use proto::bus::BusCounts;
 use proto::metrics::{EvalBlueprint, EvalGroup, EvalOutcome, EvalSummary, METRICS_SCHEMA_VERSION};
+pub use proto::unit::End;
 use proto::wilson::SuccessRate;
 use proto::{RewardTerms, WeightsVersion};
 use serde::{Deserialize, Serialize};
@@ -64,20 +65,6 @@ pub struct Episode {
     pub episode_return: RewardTerms,
 }
 
-/// The end of an episode.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum End {
-    /// The blueprint stands.
-    Success {
-        /// Whether it still stood some steps later, as the environment's rule of stable success asks.
-        stable: bool,
-    },
-    /// The time limit came first.
-    TimeLimit,
-    /// The physics left the rails; counts as a failure.
-    Diverged,
-}
-
 /// What one pass over frozen weights found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalReport {
@@ -103,7 +90,7 @@ pub struct Judged {
 }
 
 impl EvalReport {
-    /// Sorts episodes into blueprints and groups; the duration and the counts of the bus are left at 0.
+    /// Sorts episodes into blueprints and groups; the duration, the share of assistants and the counts of the bus are left at 0.
     pub fn new(judged: Judged, episodes: &[Episode]) -> Self {
         let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&Episode>> = BTreeMap::new();
         let mut by_group: BTreeMap<Group, Vec<&Episode>> = BTreeMap::new();
@@ -132,6 +119,7 @@ impl EvalReport {
             elapsed_s: 0.0,
             is_complete: judged.is_complete,
             n_planned: judged.n_planned,
+            n_assisted: 0,
             seed: judged.seed,
             all: score_group("all", &episodes.iter().collect::<Vec<_>>()),
             groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),

@@ -1,33 +1,29 @@
 //! Goals one after the other in a world that is never reset (paper, section "Reset-Free Evaluation").
 
 use blueprints::{Blueprint, Catalogue, Split};
+use proto::Start;
 use proto::metrics::{EvalResetFree, EvalRuns};
-use proto::{Start, Weights};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::ResetFreeConfig;
-use crate::episodes::{EvalError, EvalSetup, run_all};
+use crate::episodes::{EvalError, Workshop};
 use crate::lanes::{Job, Played};
 use crate::report::{Acting, End, Episode, outcome};
 
-/// Judges `weights` on runs over several goals: a run begins scattered, and each goal begins where the last one ended,
-/// by success or at the time limit. Goals are training blueprints of some size, never the same twice in a row.
+/// Judges the weights of a workshop on runs over several goals: a run begins scattered, and each goal begins where the
+/// last one ended, by success or at the time limit. Goals are training blueprints of some size, never the same twice in a
+/// row.
 ///
 /// A world that diverged is reset and the reset is counted. Runs depend on the setup's seed only.
 ///
 /// # Errors
-/// When the weights do not fit, no blueprint is large enough, or `keep_going` says no.
-pub fn evaluate(
-    setup: &EvalSetup<'_>,
-    config: &ResetFreeConfig,
-    weights: &Weights,
-    keep_going: &(dyn Fn() -> bool + Sync),
-) -> Result<EvalResetFree, EvalError> {
-    let lanes = lanes(setup.catalogue, config, setup.seed)?;
+/// When the weights do not fit, no blueprint is large enough, or the workshop is not to go on.
+pub(crate) fn evaluate(workshop: &Workshop<'_>, config: &ResetFreeConfig) -> Result<EvalResetFree, EvalError> {
+    let lanes = lanes(workshop.setup.catalogue, config, workshop.setup.seed)?;
     let mut score = EvalResetFree::default();
-    for &acting in &setup.episodes.acting {
-        let found = self::score(config, &run_all(setup, weights, &lanes, acting, keep_going)?, acting);
+    for &acting in &workshop.setup.episodes.acting {
+        let found = self::score(config, &workshop.run(&lanes, acting)?, acting);
         (score.n_runs, score.n_goals) = (found.n_runs, found.n_goals);
         match acting {
             Acting::Mode => score.mode = found.mode,

@@ -9,14 +9,19 @@ use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalogue};
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
-use proto::bus::{Bus, MetricsPublisher};
+use proto::bus::{Bus, HistoryAnswer, MetricsPublisher};
 use proto::{Role, Weights, keys};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use crate::assist::setup_hash;
+use crate::clerks::Clerks;
 use crate::config::EvaluatorConfig;
-use crate::episodes::{EvalError, EvalSetup, evaluate_in_parts};
-use crate::history::Pass;
+use crate::desk::Desk;
+use crate::episodes::{EvalError, EvalSetup, Workshop, evaluate_in_parts};
+use crate::history::overview::Passes;
+use crate::history::{History, Pass};
+use crate::nice::on_thread;
 use crate::records::Records;
 use crate::report::EvalReport;
 use crate::schedule::{Due, LastPass, due};
@@ -55,8 +60,8 @@ pub struct RecordPaths {
 ///
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of records, and into
 /// `reports`, which may have no receiver. While a pass is under way its first numbers go to the bus, see
-/// [`evaluate_in_parts`]. Passes run on threads of their own, and weights that come meanwhile wait. A `page` is served
-/// for as long.
+/// [`FIRST_PART`](crate::episodes::FIRST_PART). Passes run on threads of their own and share their episodes with all
+/// [assistants](crate::assist()); weights that come meanwhile wait. A `page` is served for as long.
 ///
 /// # Errors
 /// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
@@ -71,16 +76,30 @@ pub async fn run(
     setup.config.validate().context("invalid evaluator configuration")?;
     let selected = setup.config.selection.select(Catalogue::builtin())?;
     let records = setup.records.as_ref().map(Records::open).transpose()?;
+    let history = past(setup.records.as_ref()).await?;
     let page = match page {
-        Some(page) => Some(page.open(bus, setup.records.as_ref().map(|paths| paths.history.clone())).await?),
+        Some(page) => Some(page.open(bus, &history).await?),
         None => None,
     };
-    let outlets = Outlets { records, publishers: Publishers::new(bus).await?, reports, page: page.as_ref() };
+    let mut passes = Passes::default();
+    history.iter().for_each(|pass| passes.push(pass));
+    let publishers = Publishers::new(bus).await?;
+    publishers.history.set(&passes.overview())?;
+    let outlets = Outlets { records, passes, publishers, reports, page: page.as_ref() };
     let ended = judge_all(&setup, bus, &selected, outlets, &shutdown).await;
     if let Some(page) = page {
         page.close().await;
     }
     ended
+}
+
+/// The passes that are recorded already.
+async fn past(records: Option<&RecordPaths>) -> anyhow::Result<Vec<Pass>> {
+    let Some(path) = records.map(|paths| paths.history.clone()).filter(|path| path.is_file()) else {
+        return Ok(Vec::new());
+    };
+    // Off the runtime, because it waits for the disk.
+    Ok(tokio::task::spawn_blocking(move || History::read(&path)).await??)
 }
 
 /// Judges whenever a pass is due, until `shutdown`.
@@ -92,6 +111,7 @@ async fn judge_all(
     shutdown: &CancellationToken,
 ) -> anyhow::Result<u64> {
     let _alive = bus.declare_alive(Role::Evaluator, &setup.id).await?;
+    let mut clerks = Clerks::hire(bus, setup_hash(setup)).await?;
     let subscriber = bus.weights_subscriber().await?;
     let mut weights = subscriber.watch();
     let mut last: Option<(Instant, Arc<Weights>)> = None;
@@ -104,7 +124,9 @@ async fn judge_all(
         let start = Instant::now();
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
-        let pass = judge(setup, selected.to_vec(), newest, parts, shutdown);
+        let desk = Arc::new(Desk::new(newest));
+        clerks.open(desk.clone());
+        let pass = judge(setup, selected.to_vec(), desk, parts, shutdown);
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -124,6 +146,7 @@ async fn judge_all(
                 ended = &mut pass => break ended?,
             }
         };
+        clerks.close();
         let report = match ended {
             Err(EvalError::Interrupted) => return Ok(n_passes),
             report => stamp(report?),
@@ -136,6 +159,7 @@ async fn judge_all(
 /// Where reports go.
 struct Outlets<'r> {
     records: Option<Records>,
+    passes: Passes,
     publishers: Publishers<'r>,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
     page: Option<&'r OpenPage>,
@@ -147,6 +171,8 @@ impl Outlets<'_> {
         if let Some(page) = self.page {
             page.judged(&pass);
         }
+        self.passes.push(&pass);
+        self.publishers.history.set(&self.passes.overview())?;
         if let Some(open) = self.records.take() {
             let report = report.clone();
             // Off the runtime: the disk and whoever reads the history may take their time.
@@ -199,7 +225,7 @@ fn unix_ms() -> u64 {
 async fn judge(
     setup: &EvaluatorSetup,
     selected: Vec<&'static Blueprint>,
-    weights: Arc<Weights>,
+    desk: Arc<Desk>,
     parts: watch::Sender<Option<EvalReport>>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
@@ -212,17 +238,18 @@ async fn judge(
         seed: setup.seed,
     };
     let shutdown = shutdown.clone();
-    let pass = tokio::task::spawn_blocking(move || {
+    on_thread(setup.config.nice, move || {
         let keep_going = || !shutdown.is_cancelled();
-        let mut on_part = |part| drop(parts.send_replace(Some(part)));
-        evaluate_in_parts(&eval_setup, &weights, &selected, &keep_going, &mut on_part)
-    });
-    pass.await.context("the evaluating thread panicked")
+        let workshop = Workshop { setup: &eval_setup, desk: &desk, keep_going: &keep_going };
+        evaluate_in_parts(&workshop, &selected, &mut |part| drop(parts.send_replace(Some(part))))
+    })
+    .await
 }
 
 /// The keys that reports go to.
 struct Publishers<'b> {
     bus: &'b Bus,
+    history: HistoryAnswer,
     summary: MetricsPublisher,
     blueprints: BTreeMap<BlueprintId, MetricsPublisher>,
 }
@@ -230,7 +257,7 @@ struct Publishers<'b> {
 impl<'b> Publishers<'b> {
     async fn new(bus: &'b Bus) -> anyhow::Result<Self> {
         let summary = bus.metrics_publisher(keys::METRICS_EVAL_SUMMARY).await?;
-        Ok(Self { bus, summary, blueprints: BTreeMap::new() })
+        Ok(Self { bus, history: bus.history_answer().await?, summary, blueprints: BTreeMap::new() })
     }
 
     async fn publish(&mut self, report: &EvalReport) -> anyhow::Result<()> {

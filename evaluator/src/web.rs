@@ -1,6 +1,6 @@
 //! One web page about a running training, served by the evaluator: success over training, who is there, how learning goes.
 //!
-//! Reading order: [`config`] → `passes` and `board` (what is shown) → `events` (browsers that listen) → `replay` → `prometheus` →
+//! Reading order: [`config`] → `board` (what is shown) → `events` (browsers that listen) → `replay` → `prometheus` →
 //! `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up the evaluator: whoever
 //! writes to the board takes a lock for a moment, and what a browser does not take in time is dropped and counted.
 
@@ -8,21 +8,19 @@ mod board;
 pub mod config;
 mod events;
 mod feed;
-mod passes;
 mod prometheus;
 mod replay;
 mod routes;
 mod server;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use proto::bus::Bus;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use crate::history::{History, Pass};
+use crate::history::Pass;
 use board::Board;
 use config::{Token, WebConfig};
 use replay::Replays;
@@ -72,14 +70,10 @@ impl Page {
         self.address
     }
 
-    /// Serves until [`OpenPage::close`], beginning with the passes of `history` if it is there.
-    pub(crate) async fn open(self, bus: &Bus, history: Option<PathBuf>) -> anyhow::Result<OpenPage> {
+    /// Serves until [`OpenPage::close`], beginning with the passes of `history`.
+    pub(crate) async fn open(self, bus: &Bus, history: &[Pass]) -> anyhow::Result<OpenPage> {
         let board = Arc::new(Board::default());
-        if let Some(path) = history.filter(|path| path.is_file()) {
-            // Off the runtime, because it waits for the disk.
-            let passes = tokio::task::spawn_blocking(move || History::read(&path)).await??;
-            passes.iter().for_each(|pass| board.judged(pass));
-        }
+        history.iter().for_each(|pass| board.judged(pass));
         let feed = feed::Feed::open(bus).await?;
         let shutdown = CancellationToken::new();
         let replays = Arc::new(Replays::default());

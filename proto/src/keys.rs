@@ -39,6 +39,14 @@ pub const WEIGHTS_LATEST: &str = "weights/latest";
 /// Notices of newer weights.
 pub const WEIGHTS_VERSION: &str = "weights/version";
 
+/// Where an assistant of evaluators takes units of work.
+pub fn assist(assistant: &str) -> String {
+    format!("assist/{assistant}")
+}
+
+/// The evaluator's queryable with all passes.
+pub const HISTORY_EVAL: &str = "history/eval";
+
 /// Key suffix of the learner's metrics.
 pub const METRICS_LEARNER: &str = "learner";
 
@@ -69,6 +77,8 @@ pub enum Role {
     Learner,
     /// Judges.
     Evaluator,
+    /// Runs episodes for evaluators.
+    Assistant,
 }
 
 impl Role {
@@ -78,6 +88,7 @@ impl Role {
             Self::Actor => "actor",
             Self::Learner => "learner",
             Self::Evaluator => "evaluator",
+            Self::Assistant => "assistant",
         }
     }
 }

@@ -1,6 +1,6 @@
 //! All that two processes must agree on: the plain validated types, their wire form, the key expressions and the bus.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`] →
+//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`], [`unit`] of shared evaluations →
 //! [`codec`] → [`keys`] → [`bus`]; [`tensorboard`] writes the reports for others.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -16,6 +16,7 @@ pub mod scene;
 pub mod step;
 pub mod tensorboard;
 pub mod trajectory;
+pub mod unit;
 pub mod weights;
 pub mod wilson;
 mod wire;

@@ -219,6 +219,9 @@ pub struct EvalSummary {
     /// Episodes of the whole pass with each way of acting, without the reset-free runs.
     #[serde(default)]
     pub n_planned: u64,
+    /// Episodes, or reset-free runs, that other processes ran for the evaluator, in both ways of acting.
+    #[serde(default)]
+    pub n_assisted: u64,
     /// Seed of the start states; passes with the same seed start from the same states.
     pub seed: u64,
     /// All blueprints together.

@@ -22,7 +22,7 @@ use crate::run_dir::RunDir;
 /// Runs `actor`.
 pub(super) async fn run_actor(config: &Config, id: Option<String>, shutdown: CancellationToken) -> Result<(), Failure> {
     let id = actor_id(id)?;
-    on_bus(config, async |bus| actor(config.clone(), id, bus, shutdown).await).await
+    on_bus(config, &shutdown, async |bus| actor(config.clone(), id, bus, shutdown.clone()).await).await
 }
 
 /// Runs `learner`.
@@ -36,10 +36,10 @@ pub(super) async fn run_learner(
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let options = run_options(setup, config, &run_dir, args.resume.clone());
-    on_bus(config, async |bus| learner(options, None, bus, shutdown).await).await
+    on_bus(config, &shutdown, async |bus| learner(options, None, bus, shutdown.clone()).await).await
 }
 
-/// Runs `evaluator`, which prints its reports.
+/// Runs `evaluator`, which prints its reports, or assists another.
 pub(super) async fn run_evaluator(
     config: &Config,
     args: &EvaluatorArgs,
@@ -48,17 +48,33 @@ pub(super) async fn run_evaluator(
 ) -> Result<(), Failure> {
     let id = args.member.id.clone().unwrap_or_else(|| format!("evaluator-{}", std::process::id()));
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
+    if args.assist {
+        return on_bus(config, &shutdown, async |bus| {
+            let n_units = evaluator::assist(setup, &bus, shutdown.clone()).await?;
+            tracing::info!(n_units, "assisted");
+            Ok(())
+        })
+        .await;
+    }
     let page = page(config, terminal).await?;
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
-    let ended = on_bus(config, async |bus| evaluator(setup, reports, page, bus, shutdown).await).await;
+    let ended =
+        on_bus(config, &shutdown, async |bus| evaluator(setup, reports, page, bus, shutdown.clone()).await).await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
 }
 
-/// Joins the bus for as long as `service` runs.
-async fn on_bus(config: &Config, service: impl AsyncFnOnce(Bus) -> Result<(), Failure>) -> Result<(), Failure> {
-    let bus = Bus::open(&config.bus).await?;
+/// Joins the bus for as long as `service` runs; does nothing if `shutdown` comes before a router is there.
+async fn on_bus(
+    config: &Config,
+    shutdown: &CancellationToken,
+    service: impl AsyncFnOnce(Bus) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let bus = tokio::select! {
+        () = shutdown.cancelled() => return Ok(()),
+        bus = Bus::open(&config.bus) => bus?,
+    };
     let ended = service(bus.clone()).await;
     bus.close().await?;
     ended

@@ -59,8 +59,9 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     // 62 of 2 to 4 blocks: 124 episodes in parts of 32, 64 and 124.
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
-    let whole =
-        evaluate_in_parts(&setup, &weights(&setup), &blueprints, &|| true, &mut |part| parts.push(part)).unwrap();
+    let desk = Desk::new(Arc::new(weights(&setup)));
+    let workshop = Workshop { setup: &setup, desk: &desk, keep_going: &|| true };
+    let whole = evaluate_in_parts(&workshop, &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));

@@ -69,7 +69,10 @@ fn run(worlds: Vec<Toy>, lanes: &[Vec<Job>], keep_going: bool) -> Result<Vec<Vec
         success: &SuccessConfig::default(),
         keep_going: &|| keep_going,
     };
-    run_lanes(&rules, &policy, worlds, lanes)
+    let mut waiting = lanes.iter().map(|lane| Arc::from(lane.as_slice())).enumerate();
+    let mut results = vec![Vec::new(); lanes.len()];
+    run_lanes(&rules, &policy, worlds, || waiting.next(), |lane_idx, played| results[lane_idx] = played)?;
+    Ok(results)
 }
 
 fn lane(starts: &[Start]) -> Vec<Job> {

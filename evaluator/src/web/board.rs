@@ -12,11 +12,8 @@ use serde_json::json;
 use tokio_util::sync::CancellationToken;
 
 use super::events::{Events, Viewers, event};
-use super::passes::{Passes, PassesView};
 use crate::history::Pass;
-
-/// Version of `/api/history`. Fields are only ever added within a version.
-const HISTORY_SCHEMA_VERSION: u32 = 1;
+use crate::history::overview::{Passes, PassesView, SCHEMA_VERSION};
 
 /// Most keys of metrics that are remembered; the whole catalogue and hundreds of actors fit.
 const MAX_KEYS: usize = 1024;
@@ -173,7 +170,7 @@ impl Board {
     pub(super) fn history(&self) -> serde_json::Result<Vec<u8>> {
         let state = self.state();
         serde_json::to_vec(&HistoryView {
-            schema_version: HISTORY_SCHEMA_VERSION,
+            schema_version: SCHEMA_VERSION,
             passes: state.passes.view(),
             learner: &state.points.kept,
         })

@@ -29,7 +29,7 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let token = token.map(|token| Token::from(token.to_owned()));
     let page = Page::bind(&WebConfig { token, ..Default::default() }).await.unwrap();
     let address = page.address();
-    let page = page.open(&bus, None).await.unwrap();
+    let page = page.open(&bus, &[]).await.unwrap();
     Served { bus, address, page }
 }
 

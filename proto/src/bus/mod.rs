@@ -7,9 +7,11 @@
 //! tokio tasks through bounded channels, and what does not fit is counted.
 
 mod alive;
+mod assist;
 mod config;
 mod counters;
 mod error;
+mod history;
 mod ingest;
 mod latest;
 mod matching;
@@ -21,9 +23,11 @@ mod viewer;
 mod weights;
 
 pub use alive::{AliveToken, AliveWatch};
+pub use assist::{AssistantCaller, CallError, UnitCall, UnitServer};
 pub use config::{BusConfig, BusConfigError, BusMode};
 pub use counters::{BusCounts, IngestCounts};
 pub use error::{BusError, SendError};
+pub use history::HistoryAnswer;
 pub use ingest::TrajectoryServer;
 pub use metrics::{MetricsPublisher, MetricsSample, MetricsSubscriber};
 pub use sender::TrajectorySender;

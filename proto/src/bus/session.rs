@@ -18,17 +18,20 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Joins the bus; a client waits until its router is there.
+    /// Joins the bus; a client waits until its router is there. Dropping the future gives up at once, but a thread of the
+    /// runtime is then left behind that goes on trying.
     ///
     /// # Errors
     /// If the configuration breaks a rule, an endpoint makes no sense or cannot be listened on.
     pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
         config.validate()?;
         let zenoh_config = config.to_zenoh().map_err(BusError::during("configuring the bus"))?;
-        let session = zenoh::open(zenoh_config).await.map_err(BusError::during(format!(
-            "joining the bus (listening on {:?}, connecting to {:?})",
-            config.listen, config.connect
-        )))?;
+        let joining =
+            || format!("joining the bus (listening on {:?}, connecting to {:?})", config.listen, config.connect);
+        // Zenoh blocks the thread that polls this until it has joined; on a task of its own it can be given up.
+        let opening = tokio::spawn(async move { zenoh::open(zenoh_config).await });
+        let opened = opening.await.map_err(|panic| BusError::during(joining())(panic.into()))?;
+        let session = opened.map_err(BusError::during(joining()))?;
         Ok(Self { session, config: Arc::new(config.clone()), counters: Arc::default() })
     }
 

@@ -110,7 +110,7 @@ fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
     Ok(())
 }
 
-fn task_to_wire(task: &Task) -> wire::Task {
+pub(super) fn task_to_wire(task: &Task) -> wire::Task {
     use wire::task::Start as WireStart;
     wire::Task {
         blueprint: task.blueprint.to_string(),
@@ -125,7 +125,7 @@ fn task_to_wire(task: &Task) -> wire::Task {
     }
 }
 
-fn task_from_wire(task: wire::Task) -> Result<Task, DecodeError> {
+pub(super) fn task_from_wire(task: wire::Task) -> Result<Task, DecodeError> {
     use wire::task::Start as WireStart;
     let start = match present("task.start", task.start)? {
         WireStart::Scattered(wire::Scattered {}) => Start::Scattered,

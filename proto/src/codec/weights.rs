@@ -38,6 +38,11 @@ pub struct PublishedWeights {
 
 /// The bytes of weights published by the learner process that started at `epoch`.
 pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
+    weights_to_wire(weights, epoch).encode_to_vec()
+}
+
+/// Weights as a message, which units of an evaluation carry too.
+pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
     let statistics = |i: usize| {
         Some(wire::FeatureStatistics {
             mean: weights.normalisation.feature_mean[i].clone(),
@@ -64,7 +69,6 @@ pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
             .map(|(id, &probability)| wire::TaskProbability { blueprint: id.to_string(), probability })
             .collect(),
     }
-    .encode_to_vec()
 }
 
 /// Reads weights and checks every rule that [`Weights`] documents.
@@ -72,7 +76,11 @@ pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
 /// # Errors
 /// Names the first field that breaks a rule, and its value.
 pub fn decode_weights(bytes: &[u8]) -> Result<PublishedWeights, DecodeError> {
-    let message: wire::Weights = parse("Weights", bytes, MAX_WEIGHTS_BYTES)?;
+    weights_from_wire(parse("Weights", bytes, MAX_WEIGHTS_BYTES)?)
+}
+
+/// Checks a message as [`decode_weights`] does.
+pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeights, DecodeError> {
     check_version(message.protocol_version)?;
     let n_parameters = message.parameters.len();
     if !(1..=MAX_PARAMETERS).contains(&n_parameters) {

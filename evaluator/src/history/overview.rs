@@ -1,4 +1,4 @@
-//! The passes that the page shows, small enough to be kept and sent whole.
+//! The passes of a training in short: small enough to be kept in memory and sent whole, to the page and over the bus.
 
 use std::collections::BTreeMap;
 
@@ -11,20 +11,31 @@ use crate::history::Pass;
 use crate::plot::series::{Row, group_of, group_rates, outcome_of};
 use crate::report::Acting;
 
+/// Version of the overview. Fields are only ever added within a version.
+pub(crate) const SCHEMA_VERSION: u32 = 1;
+
 /// Most passes that are kept. Beyond, every second one goes, and the newest always stays.
 const MAX_PASSES: usize = 400;
 
 /// The passes of a training with rising environment steps.
 #[derive(Debug, Default)]
-pub(super) struct Passes {
+pub(crate) struct Passes {
     kept: Vec<Kept>,
     n_left_out: u64,
+}
+
+/// The answer to a query for the history on the bus.
+#[derive(Debug, Serialize)]
+pub(crate) struct Overview<'p> {
+    schema_version: u32,
+    #[serde(flatten)]
+    passes: PassesView<'p>,
 }
 
 /// Successes and episodes.
 type Counts = [u64; 2];
 
-/// A pass without what the page does not show.
+/// A pass without what the overview does not show.
 #[derive(Debug)]
 struct Kept {
     head: Head,
@@ -33,27 +44,27 @@ struct Kept {
 
 /// What a pass is about, and its groups.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Head {
+pub(crate) struct Head {
     ended_unix_ms: u64,
     elapsed_s: f64,
-    pub(super) weights_version: u64,
-    pub(super) n_env_steps: u64,
+    pub(crate) weights_version: u64,
+    pub(crate) n_env_steps: u64,
     seed: u64,
     /// The paper's groups in its order.
-    pub(super) groups: Vec<GroupView>,
+    pub(crate) groups: Vec<GroupView>,
     /// All blueprints together.
-    pub(super) all: GroupView,
+    pub(crate) all: GroupView,
 }
 
 /// A group of blueprints in one pass.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct GroupView {
-    pub(super) name: &'static str,
+pub(crate) struct GroupView {
+    pub(crate) name: &'static str,
     n_blueprints: usize,
     /// `None` if the most probable actions were not judged.
-    pub(super) mode: Option<SuccessRate>,
+    pub(crate) mode: Option<SuccessRate>,
     /// `None` if sampled actions were not judged.
-    pub(super) sampled: Option<SuccessRate>,
+    pub(crate) sampled: Option<SuccessRate>,
 }
 
 /// A row of the heat map.
@@ -76,7 +87,7 @@ struct PassView<'p> {
 
 /// All passes as they are sent.
 #[derive(Debug, Serialize)]
-pub(super) struct PassesView<'p> {
+pub(crate) struct PassesView<'p> {
     blueprints: Vec<BlueprintView<'p>>,
     n_left_out: u64,
     passes: Vec<PassView<'p>>,
@@ -85,7 +96,7 @@ pub(super) struct PassesView<'p> {
 impl Passes {
     /// Adds a pass. Those that it makes obsolete go, as in [`lineage`](crate::plot::lineage): a run that was resumed from
     /// an older checkpoint passes the same steps twice.
-    pub(super) fn push(&mut self, pass: &Pass) {
+    pub(crate) fn push(&mut self, pass: &Pass) {
         while self.kept.last().is_some_and(|last| last.head.n_env_steps >= pass.n_env_steps) {
             self.kept.pop();
         }
@@ -102,12 +113,12 @@ impl Passes {
     }
 
     /// The newest pass.
-    pub(super) fn last(&self) -> Option<&Head> {
+    pub(crate) fn last(&self) -> Option<&Head> {
         Some(&self.kept.last()?.head)
     }
 
     /// Successes and episodes of the newest pass by blueprint, as `(blueprint, way of acting, counts)`.
-    pub(super) fn newest(&self) -> impl Iterator<Item = (&Row, Acting, Counts)> {
+    pub(crate) fn newest(&self) -> impl Iterator<Item = (&Row, Acting, Counts)> {
         let rates = self.kept.last().into_iter().flat_map(|pass| &pass.rates);
         rates.flat_map(|(row, [mode, sampled])| {
             let both = [(Acting::Mode, *mode), (Acting::Sampled, *sampled)];
@@ -115,8 +126,13 @@ impl Passes {
         })
     }
 
+    /// All that is kept, as the bus tells it.
+    pub(crate) fn overview(&self) -> Overview<'_> {
+        Overview { schema_version: SCHEMA_VERSION, passes: self.view() }
+    }
+
     /// All that is kept.
-    pub(super) fn view(&self) -> PassesView<'_> {
+    pub(crate) fn view(&self) -> PassesView<'_> {
         let mut rows: Vec<&Row> = self.kept.iter().flat_map(|pass| pass.rates.keys()).collect();
         rows.sort();
         rows.dedup();
