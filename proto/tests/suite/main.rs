@@ -9,5 +9,6 @@ mod metrics;
 mod samples;
 mod strangers;
 mod trajectories;
+mod units;
 mod viewer;
 mod weights;

@@ -2,6 +2,7 @@
 
 use super::samples;
 use crate::codec::*;
+use crate::unit::EvalAnswer;
 use crate::{Start, WeightsVersion};
 
 const GOLDEN: &str = include_str!("../../../tests/golden/v1.txt");
@@ -36,6 +37,10 @@ fn the_bytes_are_those_committed() {
         line("trajectory-one-gripper", near_goal, encode_trajectory, decode_trajectory),
         line("weights", published, |p| encode_weights(&p.weights, p.epoch), decode_weights),
         line("notice", notice, |&n| encode_notice(n), decode_notice),
+        line("unit", samples::unit(), encode_unit, decode_unit),
+        line("episodes", samples::episodes(), encode_answer, decode_answer),
+        line("needs-weights", EvalAnswer::NeedsWeights, encode_answer, decode_answer),
+        line("unit-refused", EvalAnswer::Refused("no".into()), encode_answer, decode_answer),
         line("ack", Ack { weights_version: version }, |&a| encode_ack(a), decode_ack),
         line("refusal-stale", refused(Refusal::Stale), encode_refused, decode_refused),
         line("refusal-full", refused(Refusal::Full), encode_refused, decode_refused),

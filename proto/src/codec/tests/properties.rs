@@ -131,6 +131,8 @@ fn decode_all(bytes: &[u8]) {
     let _ = decode_weights(bytes);
     let _ = decode_notice(bytes);
     let _ = decode_ack(bytes);
+    let _ = decode_unit(bytes);
+    let _ = decode_answer(bytes);
     let _ = decode_refused(bytes);
 }
 

@@ -160,3 +160,24 @@ fn the_weights_must_be_usable() {
         "task_probabilities.probability is -0.5, expected a number in 0..=1",
     );
 }
+
+#[test]
+fn units_and_their_answers_have_rules_too() {
+    let check = |change: fn(&mut wire::EvalUnit), message: &str| {
+        let mut unit = wire::EvalUnit::decode(encode_unit(&samples::unit()).as_slice()).unwrap();
+        change(&mut unit);
+        assert_eq!(decode_unit(&unit.encode_to_vec()).unwrap_err().to_string(), message);
+    };
+    check(|unit| unit.lanes.clear(), "lanes is 0, expected 1 to 1000");
+    check(|unit| unit.lanes[1].tasks.clear(), "lanes.tasks is 0, expected 1 to 1000");
+    check(|unit| unit.lanes = vec![unit.lanes[0].clone(); 1001], "lanes is 1001, expected 1 to 1000");
+    let check = |change: fn(&mut wire::EvalEpisode), message: &str| {
+        let mut answer = wire::EvalAnswer::decode(encode_answer(&samples::episodes()).as_slice()).unwrap();
+        let Some(wire::eval_answer::Answer::Episodes(episodes)) = &mut answer.answer else { panic!("{answer:?}") };
+        change(&mut episodes.lanes[0].episodes[1]);
+        assert_eq!(decode_answer(&answer.encode_to_vec()).unwrap_err().to_string(), message);
+    };
+    check(|episode| episode.n_steps = 0, "episode.n_steps is 0, expected a number in 1..=65535");
+    check(|episode| episode.n_steps = 1 << 16, "episode.n_steps is 65536, expected a number in 1..=65535");
+    check(|episode| episode.end = None, "episode.end is missing");
+}
