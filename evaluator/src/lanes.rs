@@ -228,7 +228,7 @@ impl<'a, E: Env> Seat<'a, E> {
     }
 }
 
-fn sum(a: &RewardTerms, b: &RewardTerms) -> RewardTerms {
+pub(crate) fn sum(a: &RewardTerms, b: &RewardTerms) -> RewardTerms {
     RewardTerms {
         connected: a.connected + b.connected,
         wrong: a.wrong + b.wrong,
