@@ -73,7 +73,7 @@ class Replay {
     const scene = this.episode.scenes[Math.floor(time)];
     this.slider.setAttribute("aria-valuetext", `step ${Math.floor(time)} of ${this.n}`);
     const end = this.n === Math.floor(time) ? `, ${this.episode.end}` : "";
-    this.text.textContent = `step ${Math.floor(time)} of ${this.n}, ${scene.n_connected} connections, reward ${scene.reward.toFixed(2)}${end}`;
+    this.text.textContent = `step ${Math.floor(time)} of ${this.n}, ${scene.n_connected} ${scene.n_connected === 1 ? "connection" : "connections"}, reward ${scene.reward.toFixed(2)}${end}`;
     this.terms.seek(time);
     this.draw();
   }
@@ -136,6 +136,8 @@ class Replay {
 async function askReplay(replay, note, button) {
   button.disabled = true;
   note.textContent = "Recording an episode …";
+  // What there is at first may be of any age: it was recorded after somebody asked before.
+  let first = null;
   for (let i = 0; i < 40; i += 1) {
     let answer = null;
     try {
@@ -145,9 +147,8 @@ async function askReplay(replay, note, button) {
     }
     if (answer.status === 200) {
       const text = await answer.text();
-      // The first answer to a second wish is still the old one.
-      if (text !== replay.shown || i > 5) {
-        replay.shown = text;
+      if (i === 0) first = text;
+      else if (text !== first || i > 5) {
         const episode = JSON.parse(text);
         note.textContent = `${episode.blueprint} by actor ${episode.actor}, weights ${episode.weights_version}`;
         $("replay-player").hidden = false;
