@@ -1,47 +1,23 @@
 //! The page of a real run: found by the line that is printed, filled while training goes on, gone afterwards.
 #![allow(clippy::unwrap_used)]
 
+mod judges;
 mod program;
+mod served;
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 
+use evaluator::History;
+use judges::{python, told_by};
 use program::{lodestone, n_saved_steps};
+use serde_json::Value;
+use served::{Process, endless, events, get, train};
 
-/// A process that does not outlive its test.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Both fail only for a process that has ended already, which is what is wanted.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// The smallest run that is judged.
-fn train(command: &mut Command) -> &mut Command {
-    command.args(["train", "--preset", "near-goal", "--run-dir", "run"]);
-    for setting in [
-        "learner.steps_per_update=256",
-        "actor.n_worlds=8",
-        "evaluator.episodes.n_episodes=2",
-        "policy.network.width=16",
-        "policy.network.value_hidden=[16]",
-    ] {
-        command.args(["--set", setting]);
-    }
-    command
-}
-
-fn get(address: &str, path: &str) -> (String, String) {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    (head.to_owned(), body.to_owned())
+fn interrupt(run: &Process) {
+    assert!(Command::new("kill").args(["-INT", &run.0.id().to_string()]).status().unwrap().success());
 }
 
 fn error(output: &Output) -> String {
@@ -51,32 +27,82 @@ fn error(output: &Output) -> String {
 #[test]
 fn a_page_shows_a_run_while_it_lasts() {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = lodestone(folder.path());
-    let run = train(&mut command).args(["--steps", "1000000000", "--web", "127.0.0.1:0"]);
-    let mut run = Process(run.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut lines = BufReader::new(run.0.stdout.take().unwrap()).lines().map(Result::unwrap);
-    let address = lines.find_map(|line| Some(line.strip_prefix("page at http://")?.to_owned())).unwrap();
+    let (mut run, _printed, address) = endless(folder.path());
     // Events come until something was judged; each connection that is read to its end waits for the run.
-    let mut stream = TcpStream::connect(&address).unwrap();
-    stream.write_all(format!("GET /api/events HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
-    let mut events = BufReader::new(stream).lines().map_while(Result::ok);
+    let mut events = events(&address);
     assert!(events.any(|line| line == "event: pass"));
     assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
 
     assert!(get(&address, "/readyz").0.starts_with("HTTP/1.1 200"));
     assert!(get(&address, "/").1.contains("<title>Lodestone</title>"));
-    let history: serde_json::Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
+    let history: Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
     assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"2_000".into()));
     assert_eq!(history["passes"][0]["all"]["mode"]["n_episodes"], 2);
     assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{role=\"actor\"} 1.0\n"));
 
-    let interrupted = Command::new("kill").args(["-INT", &run.0.id().to_string()]).status().unwrap();
-    assert!(interrupted.success());
+    interrupt(&run);
     // The stream of events ends with the run, and does not hold it up.
     events.for_each(drop);
     assert!(run.0.wait().unwrap().success());
     assert!(TcpStream::connect(&address).is_err());
     assert!(n_saved_steps(&folder.path().join("run")) > 0);
+}
+
+#[test]
+fn prometheus_reads_the_numbers_that_were_recorded() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (mut run, mut printed, address) = endless(folder.path());
+    let mut events = events(&address);
+    assert!(events.any(|line| line == "event: pass"));
+    assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
+    assert!(events.any(|line| line.contains("\"key\":\"actor/")));
+    // The one request that is refused.
+    let mut stranger = TcpStream::connect(&address).unwrap();
+    stranger.write_all(b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").unwrap();
+    let mut status = [0; 12];
+    stranger.read_exact(&mut status).unwrap();
+    assert_eq!(&status, b"HTTP/1.1 403");
+    let told = told_by(&python, "scrape.py", &[&format!("http://{address}/metrics")]);
+    interrupt(&run);
+    events.for_each(drop);
+    printed.read_to_string(&mut String::new()).unwrap();
+    assert!(run.0.wait().unwrap().success());
+
+    // After the run has ended, all that it has measured is on the disk.
+    let samples = |name: &str, kind: &str| {
+        let family = &told[format!("lodestone_{name}")];
+        assert_eq!(family["type"], kind, "{name}");
+        let of = |sample: &Value| {
+            let labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
+            (labels.into_values().collect::<Vec<_>>().join(" "), sample[2].as_f64().unwrap())
+        };
+        family["samples"].as_array().unwrap().iter().map(of).collect::<BTreeMap<String, f64>>()
+    };
+    let of_all = |name| samples(name, "gauge")["mode all"];
+    let version = samples("eval_weights_version", "gauge")[""];
+    let passes = History::read(&folder.path().join("run").join(evaluator::HISTORY)).unwrap();
+    let pass = passes.iter().find(|pass| pass.weights_version.0 as f64 == version).unwrap();
+    let success = pass.blueprints[0].mode.success;
+    assert_eq!(of_all("eval_group_success_ratio"), success.rate);
+    assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
+    assert_eq!(samples("eval_group_episodes", "gauge")["mode train 2-6"], success.n_episodes as f64);
+    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["mode 2_000 train"], success.rate);
+
+    let recorded = std::fs::read_to_string(folder.path().join("run/metrics.jsonl")).unwrap();
+    let mut lines = recorded.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let n_updates = samples("learner_updates", "counter")[""];
+    let is_same = |line: &Value| line["key"] == "learner" && line["n_updates"].as_f64() == Some(n_updates);
+    let learner = lines.find(is_same).unwrap();
+    let recorded = |value: &Value| value.as_f64().unwrap();
+    assert_eq!(samples("learner_env_steps", "counter")[""], recorded(&learner["n_env_steps"]));
+    assert_eq!(samples("learner_entropy_nats", "gauge")[""], recorded(&learner["ppo"]["entropy"]));
+    let drops = samples("learner_trajectories_dropped", "counter");
+    for reason in ["stale", "full", "invalid"] {
+        assert_eq!(drops[reason], recorded(&learner["ingest"][format!("{reason}_total")]), "{reason}");
+    }
+    assert_eq!(samples("actor_trajectories_dropped", "counter").len(), 8);
+    assert_eq!(samples("page_dropped", "counter")["request_refused"], 1.0);
 }
 
 #[test]

@@ -252,7 +252,7 @@ impl<E: Env> Seat<E> {
     }
 }
 
-fn sum(a: &RewardTerms, b: &RewardTerms) -> RewardTerms {
+pub(crate) fn sum(a: &RewardTerms, b: &RewardTerms) -> RewardTerms {
     RewardTerms {
         connected: a.connected + b.connected,
         wrong: a.wrong + b.wrong,

@@ -2,7 +2,9 @@
 
 use blueprints::{Blueprint, BlueprintId};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use proto::{Pose, Scene, Status, Trajectory};
+use proto::{Pose, RewardTerms, Scene, Status, Trajectory};
+
+use crate::lanes::sum;
 
 /// Length of a control step in seconds. Trajectories do not carry it; worlds configured otherwise are shown at this pace.
 pub const STEP_S: f32 = 0.1;
@@ -14,8 +16,8 @@ pub struct Episode {
     first_step: usize,
     /// One more than steps.
     scenes: Vec<Scene>,
-    /// Reward before each scene, summed from the first.
-    returns: Vec<f32>,
+    /// Reward before each scene by term, summed from the first.
+    returns: Vec<RewardTerms>,
     status: Status,
 }
 
@@ -68,8 +70,8 @@ impl Episode {
             return Err(EpisodeError::OtherGoal { expected, given });
         }
         let first_step = usize::from(first.first_step);
-        let (mut scenes, mut returns) = (Vec::new(), vec![0.0]);
-        let mut sum = 0.0;
+        let (mut scenes, mut returns) = (Vec::new(), vec![RewardTerms::default()]);
+        let mut so_far = RewardTerms::default();
         for segment in &ordered {
             let (found, expected) = (usize::from(segment.first_step), first_step + scenes.len());
             if !is_same_episode(first, segment) {
@@ -80,8 +82,8 @@ impl Episode {
             }
             for transition in &segment.transitions {
                 scenes.push(transition.scene.clone());
-                sum += transition.reward.total();
-                returns.push(sum);
+                so_far = sum(&so_far, &transition.reward);
+                returns.push(so_far);
             }
         }
         scenes.push(last.last_scene.clone());
@@ -122,11 +124,11 @@ impl Episode {
 
     /// Reward so far at a time in seconds.
     pub(super) fn return_at(&self, time_s: f32) -> f32 {
-        self.return_after(self.n_done(time_s))
+        self.return_after(self.n_done(time_s)).total()
     }
 
-    /// Reward of so many steps.
-    pub(crate) fn return_after(&self, n_done: usize) -> f32 {
+    /// Reward of so many steps by term.
+    pub(crate) fn return_after(&self, n_done: usize) -> RewardTerms {
         self.returns[n_done]
     }
 

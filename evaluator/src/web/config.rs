@@ -117,6 +117,8 @@ mod tests {
                 Some("web.token has 16 characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _"),
             ),
         ];
+        let default = WebConfig::default();
+        assert!(default.listen.ip().is_loopback() && default.token.is_none() && default.validate().is_ok());
         for (listen, token, error) in table {
             let token = token.map(|token| Token(token.to_owned()));
             let config = WebConfig { listen: listen.parse().unwrap(), token };

@@ -6,9 +6,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::body::Bytes;
-use blueprints::{BlockIdx, Catalogue, Inventory};
+use blueprints::{BlockIdx, Catalogue, Inventory, UNIT_M};
 use proto::bus::{Bus, TrajectoryViewer};
-use proto::{Scene, Status, Trajectory};
+use proto::{RewardTerms, Scene, Status, Trajectory};
 use serde::Serialize;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
@@ -43,6 +43,8 @@ struct ReplayView {
     end: &'static str,
     /// Time between two scenes in seconds.
     step_s: f32,
+    /// Edge of a unit cell, metres. In the middle of each on a block's sides is a magnet, positive on the sides +x, +y, +z.
+    unit_m: f32,
     /// Half the length of each block along its axes, metres.
     half_extents_m: Vec<[f32; 3]>,
     /// Colour of each block's type.
@@ -62,6 +64,8 @@ struct SceneView {
     n_connected: usize,
     /// Undiscounted reward so far.
     reward: f32,
+    /// The same by term.
+    reward_terms: RewardTerms,
 }
 
 impl Replays {
@@ -150,6 +154,7 @@ fn view(segments: &[Trajectory]) -> Option<ReplayView> {
         blueprint: first.task.blueprint.to_string(),
         end: if episode.status() == Status::Success { "success" } else { "time limit" },
         step_s: STEP_S,
+        unit_m: UNIT_M,
         half_extents_m: BlockIdx::all().map(|block| inventory.half_extents_m(block)).collect(),
         colors: BlockIdx::all().map(|block| TYPE_COLORS[inventory.type_idx(block)]).collect(),
         goal: goal.collect(),
@@ -167,12 +172,13 @@ fn pose(position: [f32; 3], orientation: [f32; 4]) -> [f32; 7] {
 }
 
 impl SceneView {
-    fn new(scene: &Scene, n_connected: usize, reward: f32) -> Self {
+    fn new(scene: &Scene, n_connected: usize, reward_terms: RewardTerms) -> Self {
         Self {
             blocks: scene.blocks.iter().map(|block| pose(block.position, block.orientation)).collect(),
             held: scene.grippers.iter().flatten().map(|gripper| gripper.held.map(BlockIdx::get)).collect(),
             n_connected,
-            reward,
+            reward: reward_terms.total(),
+            reward_terms,
         }
     }
 }
@@ -266,6 +272,8 @@ mod tests {
         let scenes = json["scenes"].as_array().unwrap();
         let rewards: Vec<f64> = scenes.iter().map(|scene| scene["reward"].as_f64().unwrap()).collect();
         assert_eq!(rewards, [0.0, 0.5, 1.0, 1.5]);
+        assert_eq!(scenes[3]["reward_terms"]["connected"], 1.5);
+        assert_eq!(scenes[3]["reward_terms"]["wrong"], 0.0);
         assert_eq!(scenes[0]["held"], serde_json::json!([3]));
         let y = scenes[0]["blocks"][0][1].as_f64().unwrap();
         assert!((y - 0.1235).abs() < 1e-6, "{y}");

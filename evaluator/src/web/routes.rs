@@ -49,6 +49,8 @@ pub(super) const ASSETS: [Asset; 4] = [
             include_str!("assets/heat.js"),
             include_str!("assets/curves.js"),
             include_str!("assets/health.js"),
+            include_str!("assets/solid.js"),
+            include_str!("assets/terms.js"),
             include_str!("assets/replay.js"),
             include_str!("assets/app.js"),
         ),

@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 use super::board::Board;
 
 /// Open connections; of these, [`MAX_VIEWERS`](super::events::MAX_VIEWERS) may last.
-const MAX_CONNECTIONS: usize = 64;
+pub(super) const MAX_CONNECTIONS: usize = 64;
 
 /// Time to send the head of a request.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);

@@ -8,6 +8,8 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 
+use super::events::MAX_VIEWERS;
+use super::server::MAX_CONNECTIONS;
 use super::*;
 use crate::history::tests::pass;
 
@@ -175,6 +177,59 @@ async fn a_token_keeps_others_out_but_not_probes() {
     assert!(served.get(&format!("//evil.example?token={TOKEN}")).await.contains("location: /evil.example\r\n"));
     let metrics = served.get_with("/metrics", &format!("Authorization: Bearer {TOKEN}\r\n")).await;
     assert!(metrics.contains("lodestone_page_dropped_total{reason=\"request_refused\"} 9\n"), "{metrics}");
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn too_many_browsers_leave_room_for_probes() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let mut listeners = Vec::new();
+    for _ in 0..MAX_VIEWERS {
+        let mut stream = TcpStream::connect(served.address).await.unwrap();
+        let request = format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address);
+        stream.write_all(request.as_bytes()).await.unwrap();
+        let mut lines = BufReader::new(stream);
+        // Only one that is answered holds a place.
+        within(event_with(&mut lines, "roster", |_| true)).await;
+        listeners.push(lines);
+    }
+    assert_eq!(served.status("/api/events", "").await, 503);
+    assert_eq!(served.status("/healthz", "").await, 200);
+    let metrics = served.get("/metrics").await;
+    assert!(metrics.contains(&format!("lodestone_page_viewers {MAX_VIEWERS}.0\n")), "{metrics}");
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn connections_that_say_nothing_are_few_and_short() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let mut silent = Vec::new();
+    for _ in 0..MAX_CONNECTIONS {
+        let mut stream = TcpStream::connect(served.address).await.unwrap();
+        stream.write_all(b"GET / HTTP/1.1\r\n").await.unwrap();
+        silent.push(stream);
+    }
+    // Accepted in order, so this one is too many: it is closed without a word.
+    assert_eq!(served.get("/healthz").await, "");
+    // Nobody waits for the rest of a head for ever.
+    for mut stream in silent {
+        within(stream.read_to_end(&mut Vec::new())).await.unwrap();
+    }
+    // The last one may still be counted when its end is seen here.
+    let answer = within(async {
+        loop {
+            match served.get("/metrics").await {
+                answer if answer.is_empty() => {}
+                answer => return answer,
+            }
+        }
+    });
+    let refused = answer.await.lines().find_map(|line| {
+        line.strip_prefix("lodestone_page_dropped_total{reason=\"connection_refused\"} ")?.parse::<u64>().ok()
+    });
+    assert!(refused >= Some(1), "{refused:?}");
     served.end().await;
 }
 

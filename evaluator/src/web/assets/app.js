@@ -13,6 +13,7 @@ const heat = new Heat($("heat"), $("heat-cell"));
 const replay = new Replay({
   canvas: $("replay"), slider: $("replay-slider"), playButton: $("replay-play"),
   back: $("replay-back"), forth: $("replay-forth"), text: $("replay-text"),
+  terms: new Terms($("replay-terms"), $("replay-values")),
 });
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
 const stale = new Set();

@@ -1,0 +1,174 @@
+//! A browser, driven by the W3C WebDriver protocol: JSON over HTTP, of which a dozen calls are needed.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use serde_json::{Value, json};
+
+/// Longest time that a condition on a page is waited for.
+const PATIENCE_MS: u64 = 120_000;
+
+/// Under which name the protocol hands out elements.
+const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
+
+/// A headless Chromium with one window; it ends with its test.
+pub(crate) struct Browser {
+    driver: Child,
+    port: u16,
+    /// Path of the session, without a slash at its end.
+    session: String,
+}
+
+/// An element of the page.
+pub(crate) struct Element<'b> {
+    browser: &'b Browser,
+    id: String,
+}
+
+impl Browser {
+    /// Starts `chromedriver` and a browser with a new profile in `folder`.
+    pub(crate) fn start(chromedriver: &std::ffi::OsStr, folder: &Path) -> Self {
+        let mut driver = Command::new(chromedriver).arg("--port=0").stdout(Stdio::piped()).spawn().unwrap();
+        let lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
+        let port_of = |line: String| line.strip_suffix('.')?.rsplit_once("on port ")?.1.parse().ok();
+        let port = lines.filter_map(port_of).next().unwrap();
+        let mut browser = Self { driver, port, session: String::new() };
+        let profile = format!("--user-data-dir={}", folder.join("profile").display());
+        // Without a sandbox, because containers run as root; the page is ours.
+        let mut args = vec!["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"];
+        args.extend(["--disable-background-networking", "--disable-component-update", "--disable-sync", &profile]);
+        let wanted = json!({ "capabilities": { "alwaysMatch": {
+            "goog:chromeOptions": { "args": args },
+            "goog:loggingPrefs": { "browser": "ALL", "performance": "ALL" },
+            "timeouts": { "script": PATIENCE_MS },
+        } } });
+        let session = browser.ask("POST", "/session", &wanted);
+        browser.session = format!("/session/{}", session["sessionId"].as_str().unwrap());
+        browser
+    }
+
+    pub(crate) fn open(&self, url: &str) {
+        self.post("/url", &json!({ "url": url }));
+    }
+
+    /// What a function with this body returns on the page.
+    pub(crate) fn run(&self, body: &str) -> Value {
+        self.post("/execute/sync", &json!({ "script": body, "args": [] }))
+    }
+
+    /// Waits on the page until `expression` is truthy; returns its value.
+    pub(crate) fn until(&self, expression: &str) -> Value {
+        let script = format!(
+            "const done = arguments[arguments.length - 1];
+             const look = () => {{ const found = ({expression}); if (found) done(found); else setTimeout(look, 20); }};
+             look();"
+        );
+        self.post("/execute/async", &json!({ "script": script, "args": [] }))
+    }
+
+    /// The words of the first element that `selector` finds.
+    pub(crate) fn text(&self, selector: &str) -> String {
+        self.run(&format!("return document.querySelector({selector:?}).textContent")).as_str().unwrap().to_owned()
+    }
+
+    pub(crate) fn elements(&self, selector: &str) -> Vec<Element<'_>> {
+        let found = self.post("/elements", &json!({ "using": "css selector", "value": selector }));
+        let id = |element: &Value| element[ELEMENT].as_str().unwrap().to_owned();
+        found.as_array().unwrap().iter().map(|element| Element { browser: self, id: id(element) }).collect()
+    }
+
+    /// The only element that `selector` finds.
+    pub(crate) fn element(&self, selector: &str) -> Element<'_> {
+        let mut all = self.elements(selector);
+        assert_eq!(all.len(), 1, "{selector}");
+        all.remove(0)
+    }
+
+    /// What was logged since the last question: `browser` is the console, `performance` has the requests.
+    pub(crate) fn log(&self, kind: &str) -> Vec<Value> {
+        self.post("/se/log", &json!({ "type": kind })).as_array().unwrap().clone()
+    }
+
+    /// A command of Chromium's own protocol.
+    pub(crate) fn devtools(&self, command: &str, params: &Value) -> Value {
+        self.post("/goog/cdp/execute", &json!({ "cmd": command, "params": params }))
+    }
+
+    fn post(&self, path: &str, body: &Value) -> Value {
+        self.ask("POST", &format!("{}{path}", self.session), body)
+    }
+
+    /// The `value` of an answer; panics with the browser's words if it is an error.
+    fn ask(&self, method: &str, path: &str, body: &Value) -> Value {
+        let body = if method == "POST" { body.to_string() } else { String::new() };
+        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
+        let head =
+            format!("{method} {path} HTTP/1.1\r\nHost: 127.0.0.1:{}\r\nContent-Length: {}", self.port, body.len());
+        stream.write_all(format!("{head}\r\n\r\n{body}").as_bytes()).unwrap();
+        let mut answer = BufReader::new(stream);
+        let status = line(&mut answer);
+        let mut length = 0;
+        loop {
+            let header = line(&mut answer).to_ascii_lowercase();
+            match header.strip_prefix("content-length:") {
+                Some(n) => length = n.trim().parse().unwrap(),
+                None if header.is_empty() => break,
+                None => {}
+            }
+        }
+        let mut json = vec![0; length];
+        answer.read_exact(&mut json).unwrap();
+        let mut json: Value = serde_json::from_slice(&json).unwrap();
+        assert!(status.contains(" 200"), "{path} {body}: {}", json["value"]["message"]);
+        json["value"].take()
+    }
+}
+
+fn line(answer: &mut impl BufRead) -> String {
+    let mut line = String::new();
+    answer.read_line(&mut line).unwrap();
+    line.trim_end().to_owned()
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // The end of the session is the end of Chromium, which would outlive a driver that is killed. When a failed test
+        // is being unwound, another panic would end the process before its folders are removed.
+        if !self.session.is_empty() && !std::thread::panicking() {
+            self.ask("DELETE", &self.session, &Value::Null);
+        } else if let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.port)) {
+            let _ = write!(stream, "DELETE {} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", self.session);
+            let _ = stream.read(&mut [0]);
+        }
+        let _ = self.driver.kill();
+        let _ = self.driver.wait();
+    }
+}
+
+impl Element<'_> {
+    pub(crate) fn click(&self) {
+        self.browser.post(&format!("/element/{}/click", self.id), &json!({}));
+    }
+
+    /// Types into it, with the focus on it; special keys are in the protocol's private code points.
+    pub(crate) fn press(&self, keys: &str) {
+        self.browser.post(&format!("/element/{}/value", self.id), &json!({ "text": keys }));
+    }
+
+    /// Presses the mouse in its middle, moves it by so many pixels and lets go.
+    pub(crate) fn drag(&self, by: [i32; 2]) {
+        let middle = json!({ "type": "pointerMove", "origin": { ELEMENT: self.id }, "x": 0, "y": 0 });
+        let moved = json!({ "type": "pointerMove", "origin": "pointer", "x": by[0], "y": by[1] });
+        let [down, up] = ["pointerDown", "pointerUp"].map(|kind| json!({ "type": kind, "button": 0 }));
+        let actions = json!([{ "type": "pointer", "id": "mouse", "actions": [middle, down, moved, up] }]);
+        self.browser.post("/actions", &json!({ "actions": actions }));
+    }
+
+    /// What a screen reader calls it.
+    pub(crate) fn label(&self) -> String {
+        let path = format!("{}/element/{}/computedlabel", self.browser.session, self.id);
+        self.browser.ask("GET", &path, &Value::Null).as_str().unwrap().to_owned()
+    }
+}
