@@ -1,6 +1,8 @@
 //! Router, learner, actors and evaluator as separate processes over TCP, killed and replaced while they work.
 #![allow(clippy::unwrap_used)]
 
+#[path = "program/judges.rs"]
+mod judges;
 mod program;
 
 use std::io::{BufRead, BufReader};
@@ -8,6 +10,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
+use judges::{python, told_by};
 use program::{lodestone, n_saved_steps};
 
 /// The task of CI's learning test, saved often enough to be killed at any time.
@@ -120,23 +123,6 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     let report = lines.map(Result::unwrap).find(|line| !line.is_empty()).unwrap();
     assert!(report.starts_with("weights"), "{report}");
     assert!(cluster.folder.path().join("judged/metrics.jsonl").is_file());
-}
-
-/// A Python that has the packages of `deploy/examples/requirements.txt`; `.ci/run` makes one.
-fn python() -> Option<std::ffi::OsString> {
-    let python = std::env::var_os("LODESTONE_PYTHON");
-    if python.is_none() {
-        eprintln!("LODESTONE_PYTHON names no Python with eclipse-zenoh and tensorboard, so nothing was read with one");
-    }
-    python
-}
-
-/// Runs a script from the folder of examples and returns the JSON that it prints.
-fn told_by(python: &std::ffi::OsStr, script: &str, args: &[&str]) -> serde_json::Value {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script);
-    let read = Command::new(python).arg(script).args(args).output().unwrap();
-    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
-    serde_json::from_slice(&read.stdout).unwrap()
 }
 
 #[test]

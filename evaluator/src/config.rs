@@ -3,6 +3,7 @@
 use blueprints::{Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
 use serde::{Deserialize, Serialize};
 
+use crate::films::FilmsConfig;
 use crate::report::Acting;
 use crate::web::config::{WebConfig, WebConfigError};
 
@@ -18,6 +19,8 @@ pub struct EvaluatorConfig {
     pub episodes: EpisodeConfig,
     /// Goals in a row without a reset, after the episodes; absent means none. Default: absent.
     pub reset_free: Option<ResetFreeConfig>,
+    /// Films of some episodes. Default: a success and a failure of every group.
+    pub films: FilmsConfig,
     /// A page about the training; absent means none. Default: absent.
     pub web: Option<WebConfig>,
 }
@@ -120,6 +123,7 @@ impl Default for EvaluatorConfig {
             selection: Selection::default(),
             episodes: EpisodeConfig::default(),
             reset_free: None,
+            films: FilmsConfig::default(),
             web: None,
         }
     }
@@ -162,6 +166,7 @@ impl EvaluatorConfig {
         check("selection.sizes", self.selection.sizes, sizes_ok, "two ascending numbers from 1 to 16")?;
         self.episodes.validate()?;
         self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)?;
+        self.films.validate()?;
         Ok(self.web.as_ref().map_or(Ok(()), WebConfig::validate)?)
     }
 }
@@ -212,7 +217,7 @@ impl ResetFreeConfig {
     }
 }
 
-fn check<T: std::fmt::Debug>(
+pub(crate) fn check<T: std::fmt::Debug>(
     field: &'static str,
     value: T,
     ok: bool,
@@ -224,6 +229,7 @@ fn check<T: std::fmt::Debug>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::group::Group;
 
     #[test]
     fn the_defaults_are_valid() {
@@ -250,6 +256,13 @@ mod tests {
                     ..Default::default()
                 },
                 "reset_free.min_blocks is 17, valid is 1 to 16",
+            ),
+            (
+                EvaluatorConfig {
+                    films: FilmsConfig { groups: vec![Group::Train2To6; 2], ..Default::default() },
+                    ..Default::default()
+                },
+                "films.groups is [Train2To6, Train2To6], valid is names of groups, none twice",
             ),
         ];
         for (config, message) in table {

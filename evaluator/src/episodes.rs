@@ -6,6 +6,7 @@ use policy::{Policy, PolicyConfig, PolicyError};
 use proto::Weights;
 
 use crate::config::{EpisodeConfig, ResetFreeConfig};
+use crate::films::Casting;
 use crate::lanes::{Job, Played, Rules, run_lanes};
 use crate::report::{Acting, Episode, EvalReport, Judged};
 use crate::reset_free;
@@ -73,11 +74,12 @@ pub fn evaluate(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
-    evaluate_in_parts(setup, weights, blueprints, keep_going, &mut |_| {})
+    evaluate_in_parts(setup, weights, blueprints, None, keep_going, &mut |_| {})
 }
 
 /// Like [`evaluate`], and tells `on_part` what the first episodes found: the first [`FIRST_PART`] of them, then twice as
-/// many, and so on. Every part is spread over all blueprints, so that its groups are fair samples of the whole.
+/// many, and so on. Every part is spread over all blueprints, so that its groups are fair samples of the whole. Episodes that
+/// `films` asks for are recorded; reset-free runs are not.
 ///
 /// # Errors
 /// As for [`evaluate`].
@@ -85,6 +87,7 @@ pub fn evaluate_in_parts(
     setup: &EvalSetup<'_>,
     weights: &Weights,
     blueprints: &[&Blueprint],
+    films: Option<&Casting>,
     keep_going: &(dyn Fn() -> bool + Sync),
     on_part: &mut dyn FnMut(EvalReport),
 ) -> Result<EvalReport, EvalError> {
@@ -105,7 +108,7 @@ pub fn evaluate_in_parts(
     while n_played < lanes.len() {
         let part = &lanes[n_played..lanes.len().min(FIRST_PART.max(2 * n_played))];
         for &acting in &setup.episodes.acting {
-            let played = run_all(setup, weights, part, acting, keep_going)?;
+            let played = run_all(setup, weights, part, acting, films, keep_going)?;
             episodes.extend(played.into_iter().flatten().map(|played| played.episode));
         }
         n_played += part.len();
@@ -132,6 +135,7 @@ pub(crate) fn run_all(
     weights: &Weights,
     lanes: &[Vec<Job>],
     acting: Acting,
+    films: Option<&Casting>,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Vec<Played>>, EvalError> {
     share_out(lanes, setup.episodes.n_threads, |lanes| {
@@ -140,7 +144,7 @@ pub(crate) fn run_all(
         let n_worlds = setup.episodes.n_worlds.min(lanes.len());
         let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&setup.environment)).collect();
         let success = &setup.environment.success;
-        let rules = Rules { catalogue: setup.catalogue, acting, success, keep_going };
+        let rules = Rules { catalogue: setup.catalogue, acting, success, keep_going, films };
         run_lanes(&rules, &policy, worlds?, lanes)
     })
 }

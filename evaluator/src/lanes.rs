@@ -10,6 +10,8 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::Starts;
 use crate::episodes::EvalError;
+use crate::films::Casting;
+use crate::recording::Recording;
 use crate::report::{Acting, End, Episode};
 
 /// Steps in which a success can prove stable while the grippers hold still.
@@ -40,6 +42,8 @@ pub(crate) struct Rules<'a> {
     pub(crate) acting: Acting,
     pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
+    /// Which episodes become films.
+    pub(crate) films: Option<&'a Casting>,
 }
 
 impl Job {
@@ -144,6 +148,8 @@ pub(crate) struct Seat<'a, E> {
     pub(crate) reward: RewardTerms,
     /// The scene of a success, as the world goes on after it to see whether it is stable.
     pub(crate) end_scene: Option<Scene>,
+    /// Of the current episode, if that may become a film.
+    recording: Option<Recording>,
 }
 
 impl<'a, E: Env> Seat<'a, E> {
@@ -154,8 +160,17 @@ impl<'a, E: Env> Seat<'a, E> {
     ) -> Result<(Self, ChaCha8Rng), EvalError> {
         let job = &lane[0];
         let (episode_return, reward) = (RewardTerms::default(), RewardTerms::default());
-        let mut seat =
-            Self { env, lane_idx, job, forced_reset: false, n_steps: 0, episode_return, reward, end_scene: None };
+        let mut seat = Self {
+            env,
+            lane_idx,
+            job,
+            forced_reset: false,
+            n_steps: 0,
+            episode_return,
+            reward,
+            end_scene: None,
+            recording: None,
+        };
         let rng = seat.start(rules, lane_idx, job)?;
         Ok((seat, rng))
     }
@@ -181,6 +196,7 @@ impl<'a, E: Env> Seat<'a, E> {
         (self.lane_idx, self.job, self.n_steps) = (lane_idx, job, 0);
         self.episode_return = RewardTerms::default();
         self.end_scene = None;
+        self.recording = rules.films.and_then(|films| films.begin(&job.task, job.split, job.n_blocks, rules.acting));
         // Stream 0 of the seed belongs to the world.
         let mut rng = ChaCha8Rng::seed_from_u64(job.task.seed);
         rng.set_stream(1);
@@ -189,7 +205,11 @@ impl<'a, E: Env> Seat<'a, E> {
 
     /// One step; the episode if that ended it.
     pub(crate) fn step(&mut self, rules: &Rules<'_>, action: &Action) -> Option<Played> {
+        let before = self.recording.is_some().then(|| self.env.scene().clone());
         let result = self.env.step(action);
+        if let (Some(recording), Some(before)) = (&mut self.recording, before) {
+            recording.note(before, action.clone(), result.reward);
+        }
         self.n_steps += 1;
         self.reward = result.reward;
         self.episode_return = sum(&self.episode_return, &result.reward);
@@ -211,6 +231,10 @@ impl<'a, E: Env> Seat<'a, E> {
             n_steps: self.n_steps,
             episode_return: self.episode_return,
         };
+        if let (Some(films), Some(recording)) = (rules.films, self.recording.take()) {
+            let last = self.end_scene.as_ref().unwrap_or_else(|| self.env.scene());
+            films.end(recording, &self.job.task, last, &episode);
+        }
         Some(Played { episode, forced_reset: self.forced_reset })
     }
 

@@ -27,7 +27,7 @@ pub fn evaluate(
     let lanes = lanes(setup.catalogue, config, setup.seed)?;
     let mut score = EvalResetFree::default();
     for &acting in &setup.episodes.acting {
-        let found = self::score(config, &run_all(setup, weights, &lanes, acting, keep_going)?, acting);
+        let found = self::score(config, &run_all(setup, weights, &lanes, acting, None, keep_going)?, acting);
         (score.n_runs, score.n_goals) = (found.n_runs, found.n_goals);
         match acting {
             Acting::Mode => score.mode = found.mode,

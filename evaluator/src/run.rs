@@ -16,6 +16,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::EvaluatorConfig;
 use crate::episodes::{EvalError, EvalSetup, evaluate_in_parts};
+use crate::films::{Casting, Studio};
 use crate::history::Pass;
 use crate::records::Records;
 use crate::report::EvalReport;
@@ -48,6 +49,10 @@ pub struct RecordPaths {
     pub history: PathBuf,
     /// Folder of event files for TensorBoard.
     pub tensorboard: PathBuf,
+    /// Folder of films, with one for each blueprint in it.
+    pub videos: PathBuf,
+    /// Folder of the recordings that films are made of, likewise.
+    pub replays: PathBuf,
 }
 
 /// Judges the newest weights whenever a pass is due, the first ones at once, until `shutdown`; a pass under way is then
@@ -71,12 +76,20 @@ pub async fn run(
     setup.config.validate().context("invalid evaluator configuration")?;
     let selected = setup.config.selection.select(Catalogue::builtin())?;
     let records = setup.records.as_ref().map(Records::open).transpose()?;
+    let films = match &setup.records {
+        Some(paths) => Studio::open(&setup.config.films, paths)?,
+        None => None,
+    };
     let page = match page {
         Some(page) => Some(page.open(bus, setup.records.as_ref().map(|paths| paths.history.clone())).await?),
         None => None,
     };
     let outlets = Outlets { records, publishers: Publishers::new(bus).await?, reports, page: page.as_ref() };
-    let ended = judge_all(&setup, bus, &selected, outlets, &shutdown).await;
+    let ended = judge_all(&setup, bus, &selected, films.as_ref(), outlets, &shutdown).await;
+    if let Some(films) = films {
+        // Off the runtime: the film in hand takes a moment.
+        tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
+    }
     if let Some(page) = page {
         page.close().await;
     }
@@ -88,6 +101,7 @@ async fn judge_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
     selected: &[&'static Blueprint],
+    films: Option<&Studio>,
     mut outlets: Outlets<'_>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<u64> {
@@ -104,11 +118,13 @@ async fn judge_all(
         let start = Instant::now();
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
-        let pass = judge(setup, selected.to_vec(), newest, parts, shutdown);
+        let casting = films.and_then(|films| films.casting(&newest, &setup.config.episodes.acting));
+        let pass = judge(setup, selected.to_vec(), newest, casting, parts, shutdown);
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
             report.summary.bus = bus.counts();
+            report.summary.films = films.map(Studio::counts);
             report
         };
         let ended = loop {
@@ -200,6 +216,7 @@ async fn judge(
     setup: &EvaluatorSetup,
     selected: Vec<&'static Blueprint>,
     weights: Arc<Weights>,
+    films: Option<Casting>,
     parts: watch::Sender<Option<EvalReport>>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
@@ -215,7 +232,7 @@ async fn judge(
     let pass = tokio::task::spawn_blocking(move || {
         let keep_going = || !shutdown.is_cancelled();
         let mut on_part = |part| drop(parts.send_replace(Some(part)));
-        evaluate_in_parts(&eval_setup, &weights, &selected, &keep_going, &mut on_part)
+        evaluate_in_parts(&eval_setup, &weights, &selected, films.as_ref(), &keep_going, &mut on_part)
     });
     pass.await.context("the evaluating thread panicked")
 }

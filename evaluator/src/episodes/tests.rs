@@ -60,7 +60,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
     let whole =
-        evaluate_in_parts(&setup, &weights(&setup), &blueprints, &|| true, &mut |part| parts.push(part)).unwrap();
+        evaluate_in_parts(&setup, &weights(&setup), &blueprints, None, &|| true, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));

@@ -28,9 +28,11 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         metrics: dir.path().join("metrics.jsonl"),
         history: dir.path().join(crate::HISTORY),
         tensorboard: dir.path().join("tb"),
+        videos: dir.path().join("videos"),
+        replays: dir.path().join("replays"),
     };
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, reset_free: None, web: None },
+        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, ..Default::default() },
         policy: small.policy.clone(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
@@ -87,7 +89,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     // 45 blueprints: parts of 32 and 45 episodes.
     let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, reset_free: None, web: None },
+        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() },
         policy: small.policy.clone(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
