@@ -40,7 +40,7 @@ pub struct Miniature {
 /// none to leave out, and then is `None`.
 ///
 /// # Errors
-/// As for [`gif`].
+/// As for [`gif()`].
 pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
     let [width, height] = MINIATURE_PX;
     let stage = Stage::new(episode, [width, height - FOOT_PX]);
