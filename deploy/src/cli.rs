@@ -14,7 +14,7 @@ mod watch;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
-pub use self::render::{FilmFormat, RenderArgs};
+pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
 pub use self::report::ReportArgs;
 pub use self::watch::WatchArgs;
 

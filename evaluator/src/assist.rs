@@ -90,7 +90,8 @@ impl Assistant {
                 seed: setup.seed,
             };
             let keep_going = || !shutdown.is_cancelled();
-            Workshop { setup: &setup, desk: &Desk::new(weights), keep_going: &keep_going }.run(&lanes, acting)
+            Workshop { setup: &setup, desk: &Desk::new(weights), films: None, keep_going: &keep_going }
+                .run(&lanes, acting)
         });
         Ok(match ran.await? {
             Ok(played) => Some(told(&played)),

@@ -3,6 +3,7 @@
 use blueprints::{Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
 use serde::{Deserialize, Serialize};
 
+use crate::films::FilmsConfig;
 use crate::report::Acting;
 use crate::web::config::{WebConfig, WebConfigError};
 
@@ -21,6 +22,8 @@ pub struct EvaluatorConfig {
     /// How far the evaluation's threads stand back when others want the processor, 0 to 19 as for the command `nice`; Linux
     /// only. Default 10, so that training is not held up.
     pub nice: i32,
+    /// Films of some episodes. Default: a success and a failure of every group.
+    pub films: FilmsConfig,
     /// A page about the training; absent means none. Default: absent.
     pub web: Option<WebConfig>,
 }
@@ -124,6 +127,7 @@ impl Default for EvaluatorConfig {
             episodes: EpisodeConfig::default(),
             reset_free: None,
             nice: 10,
+            films: FilmsConfig::default(),
             web: None,
         }
     }
@@ -167,6 +171,7 @@ impl EvaluatorConfig {
         self.episodes.validate()?;
         check("nice", self.nice, (0..=19).contains(&self.nice), "0 to 19")?;
         self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)?;
+        self.films.validate()?;
         Ok(self.web.as_ref().map_or(Ok(()), WebConfig::validate)?)
     }
 }
@@ -217,7 +222,7 @@ impl ResetFreeConfig {
     }
 }
 
-fn check<T: std::fmt::Debug>(
+pub(crate) fn check<T: std::fmt::Debug>(
     field: &'static str,
     value: T,
     ok: bool,
@@ -229,6 +234,7 @@ fn check<T: std::fmt::Debug>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::group::Group;
 
     #[test]
     fn the_defaults_are_valid() {
@@ -255,6 +261,13 @@ mod tests {
                     ..Default::default()
                 },
                 "reset_free.min_blocks is 17, valid is 1 to 16",
+            ),
+            (
+                EvaluatorConfig {
+                    films: FilmsConfig { groups: vec![Group::Train2To6; 2], ..Default::default() },
+                    ..Default::default()
+                },
+                "films.groups is [Train2To6, Train2To6], valid is names of groups, none twice",
             ),
         ];
         for (config, message) in table {

@@ -10,6 +10,7 @@ use proto::Weights;
 
 use crate::config::{EpisodeConfig, ResetFreeConfig};
 use crate::desk::Desk;
+use crate::films::Casting;
 use crate::lanes::{Job, Played, Rules, run_lanes};
 use crate::report::{Acting, Episode, EvalReport, Judged};
 use crate::reset_free;
@@ -81,12 +82,12 @@ pub fn evaluate(
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
     let desk = Desk::new(Arc::new(weights.clone()));
-    evaluate_in_parts(&Workshop { setup, desk: &desk, keep_going }, blueprints, &mut |_| {})
+    evaluate_in_parts(&Workshop { setup, desk: &desk, films: None, keep_going }, blueprints, &mut |_| {})
 }
 
 /// Like [`evaluate`] with the weights of the workshop's desk, and tells `on_part` what the first episodes found: the first
 /// [`FIRST_PART`] of them, then twice as many, and so on. Every part is spread over all blueprints, so that its groups are
-/// fair samples of the whole.
+/// fair samples of the whole. Episodes that the workshop's films ask for are recorded; reset-free runs are not.
 ///
 /// # Errors
 /// As for [`evaluate`].
@@ -123,7 +124,7 @@ pub(crate) fn evaluate_in_parts(
     }
     let mut report = report(&episodes, true);
     if let Some(config) = &setup.reset_free {
-        report.summary.reset_free = Some(reset_free::evaluate(workshop, config)?);
+        report.summary.reset_free = Some(reset_free::evaluate(&Workshop { films: None, ..*workshop }, config)?);
     }
     report.summary.n_assisted = workshop.desk.n_assisted();
     Ok(report)
@@ -135,10 +136,13 @@ fn spread<'b>(blueprints: &[&'b Blueprint]) -> Vec<&'b Blueprint> {
     (0..stride).flat_map(|first| blueprints.iter().skip(first).step_by(stride).copied()).collect()
 }
 
-/// Runs lanes with frozen weights, by threads of this process and whoever else takes some from the desk.
+/// Runs lanes with frozen weights, by threads of this process and whoever else takes some from the desk. Only episodes of
+/// this process become films.
+#[derive(Clone, Copy)]
 pub(crate) struct Workshop<'a> {
     pub(crate) setup: &'a EvalSetup<'a>,
     pub(crate) desk: &'a Desk,
+    pub(crate) films: Option<&'a Casting>,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
 }
 
@@ -169,6 +173,7 @@ impl Workshop<'_> {
             acting,
             success: &self.setup.environment.success,
             keep_going: self.keep_going,
+            films: self.films,
         };
         loop {
             let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();

@@ -188,7 +188,7 @@ fn run_all(
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Vec<Trial>>, EvalError> {
     let success = &setup.environment.success;
-    let rules = Rules { catalogue: setup.catalogue, acting: Acting::Mode, success, keep_going };
+    let rules = Rules { catalogue: setup.catalogue, acting: Acting::Mode, success, keep_going, films: None };
     share_out(lanes, setup.n_threads, |lanes| {
         let mut world = World::new(&setup.environment)?;
         let mut results = Vec::with_capacity(lanes.len());

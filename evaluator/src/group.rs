@@ -1,9 +1,11 @@
 //! The groups of blueprints that the paper reports.
 
 use blueprints::Split;
+use serde::{Deserialize, Serialize};
 
 /// A column of the paper's table of ablations; the order is the paper's.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub enum Group {
     /// Training blueprints of 2 to 6 blocks.
     Train2To6,
@@ -17,7 +19,30 @@ pub enum Group {
     TestSpecial,
 }
 
+/// The error of a text that names no group.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16 or test special")]
+pub struct InvalidGroup(pub String);
+
+impl TryFrom<String> for Group {
+    type Error = InvalidGroup;
+
+    fn try_from(name: String) -> Result<Self, InvalidGroup> {
+        Self::ALL.into_iter().find(|group| group.name() == name).ok_or(InvalidGroup(name))
+    }
+}
+
+impl From<Group> for String {
+    fn from(group: Group) -> Self {
+        group.name().to_owned()
+    }
+}
+
 impl Group {
+    /// All groups in the paper's order.
+    pub const ALL: [Self; 5] =
+        [Self::Train2To6, Self::Train7To11, Self::Train12To16, Self::Test12To16, Self::TestSpecial];
+
     /// The group of a blueprint of `n_blocks` blocks; `None` for a size that the paper does not report.
     pub fn of(split: Split, n_blocks: usize) -> Option<Self> {
         match (split, n_blocks) {

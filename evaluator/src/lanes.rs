@@ -12,6 +12,8 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::Starts;
 use crate::episodes::EvalError;
+use crate::films::Casting;
+use crate::recording::Recording;
 use crate::report::{Acting, End, Episode};
 
 /// Steps in which a success can prove stable while the grippers hold still.
@@ -42,6 +44,8 @@ pub(crate) struct Rules<'a> {
     pub(crate) acting: Acting,
     pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
+    /// Which episodes become films.
+    pub(crate) films: Option<&'a Casting>,
 }
 
 impl Job {
@@ -165,6 +169,8 @@ pub(crate) struct Seat<E> {
     pub(crate) reward: RewardTerms,
     /// The scene of a success, as the world goes on after it to see whether it is stable.
     pub(crate) end_scene: Option<Scene>,
+    /// Of the current episode, if that may become a film.
+    recording: Option<Recording>,
 }
 
 impl<E: Env> Seat<E> {
@@ -186,6 +192,7 @@ impl<E: Env> Seat<E> {
             episode_return: RewardTerms::default(),
             reward: RewardTerms::default(),
             end_scene: None,
+            recording: None,
         };
         let rng = seat.start(rules, 0)?;
         Ok((seat, rng))
@@ -213,6 +220,8 @@ impl<E: Env> Seat<E> {
         (self.job_idx, self.n_steps) = (job_idx, 0);
         self.episode_return = RewardTerms::default();
         self.end_scene = None;
+        let job = &self.lane[job_idx];
+        self.recording = rules.films.and_then(|films| films.begin(&job.task, job.split, job.n_blocks, rules.acting));
         // Stream 0 of the seed belongs to the world.
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(1);
@@ -221,7 +230,11 @@ impl<E: Env> Seat<E> {
 
     /// One step; the episode if that ended it.
     pub(crate) fn step(&mut self, rules: &Rules<'_>, action: &Action) -> Option<Played> {
+        let before = self.recording.is_some().then(|| self.env.scene().clone());
         let result = self.env.step(action);
+        if let (Some(recording), Some(before)) = (&mut self.recording, before) {
+            recording.note(before, action.clone(), result.reward);
+        }
         self.n_steps += 1;
         self.reward = result.reward;
         self.episode_return = sum(&self.episode_return, &result.reward);
@@ -235,7 +248,12 @@ impl<E: Env> Seat<E> {
             Status::Diverged => End::Diverged,
         };
         let job = &self.lane[self.job_idx];
-        Some(job.played(rules.acting, end, self.n_steps, self.episode_return, self.forced_reset))
+        let played = job.played(rules.acting, end, self.n_steps, self.episode_return, self.forced_reset);
+        if let (Some(films), Some(recording)) = (rules.films, self.recording.take()) {
+            let last = self.end_scene.as_ref().unwrap_or_else(|| self.env.scene());
+            films.end(recording, &job.task, last, &played.episode);
+        }
+        Some(played)
     }
 
     /// Whether a success proves stable while the grippers hold the last chosen blocks still.

@@ -125,6 +125,7 @@ impl EvalReport {
             groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),
             reset_free: None,
             bus: BusCounts::default(),
+            films: None,
         };
         Self { summary, blueprints: by_blueprint.into_iter().map(blueprint).collect() }
     }

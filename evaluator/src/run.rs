@@ -19,6 +19,7 @@ use crate::clerks::Clerks;
 use crate::config::EvaluatorConfig;
 use crate::desk::Desk;
 use crate::episodes::{EvalError, EvalSetup, Workshop, evaluate_in_parts};
+use crate::films::{Casting, Studio};
 use crate::history::overview::Passes;
 use crate::history::{History, Pass};
 use crate::nice::on_thread;
@@ -53,6 +54,10 @@ pub struct RecordPaths {
     pub history: PathBuf,
     /// Folder of event files for TensorBoard.
     pub tensorboard: PathBuf,
+    /// Folder of films, with one for each blueprint in it.
+    pub videos: PathBuf,
+    /// Folder of the recordings that films are made of, likewise.
+    pub replays: PathBuf,
 }
 
 /// Judges the newest weights whenever a pass is due, the first ones at once, until `shutdown`; a pass under way is then
@@ -77,6 +82,10 @@ pub async fn run(
     let selected = setup.config.selection.select(Catalogue::builtin())?;
     let records = setup.records.as_ref().map(Records::open).transpose()?;
     let history = past(setup.records.as_ref()).await?;
+    let films = match &setup.records {
+        Some(paths) => Studio::open(&setup.config.films, paths)?,
+        None => None,
+    };
     let page = match page {
         Some(page) => Some(page.open(bus, &history).await?),
         None => None,
@@ -86,7 +95,11 @@ pub async fn run(
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&passes.overview())?;
     let outlets = Outlets { records, passes, publishers, reports, page: page.as_ref() };
-    let ended = judge_all(&setup, bus, &selected, outlets, &shutdown).await;
+    let ended = judge_all(&setup, bus, &selected, films.as_ref(), outlets, &shutdown).await;
+    if let Some(films) = films {
+        // Off the runtime: the film in hand takes a moment.
+        tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
+    }
     if let Some(page) = page {
         page.close().await;
     }
@@ -107,6 +120,7 @@ async fn judge_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
     selected: &[&'static Blueprint],
+    films: Option<&Studio>,
     mut outlets: Outlets<'_>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<u64> {
@@ -124,13 +138,15 @@ async fn judge_all(
         let start = Instant::now();
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
+        let casting = films.and_then(|films| films.casting(&newest, &setup.config.episodes.acting));
         let desk = Arc::new(Desk::new(newest));
         clerks.open(desk.clone());
-        let pass = judge(setup, selected.to_vec(), desk, parts, shutdown);
+        let pass = judge(setup, selected.to_vec(), desk, casting, parts, shutdown);
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
             report.summary.bus = bus.counts();
+            report.summary.films = films.map(Studio::counts);
             report
         };
         let ended = loop {
@@ -226,6 +242,7 @@ async fn judge(
     setup: &EvaluatorSetup,
     selected: Vec<&'static Blueprint>,
     desk: Arc<Desk>,
+    films: Option<Casting>,
     parts: watch::Sender<Option<EvalReport>>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
@@ -240,7 +257,7 @@ async fn judge(
     let shutdown = shutdown.clone();
     on_thread(setup.config.nice, move || {
         let keep_going = || !shutdown.is_cancelled();
-        let workshop = Workshop { setup: &eval_setup, desk: &desk, keep_going: &keep_going };
+        let workshop = Workshop { setup: &eval_setup, desk: &desk, films: films.as_ref(), keep_going: &keep_going };
         evaluate_in_parts(&workshop, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await

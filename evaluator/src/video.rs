@@ -1,20 +1,29 @@
 //! Films of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
 //!
-//! Reading order: `episode` (segments → one episode) → `stage` (an episode from one place, at any time) → `film` (frames
-//! with the goal and the score beside the world) → `mp4` and `gif` (frames → bytes) → `strip` (an episode as one picture).
+//! Reading order: `collect` (segments as they come) → `episode` (segments → one episode) → `stage` (an episode from one place, at any time) → `film` (frames
+//! with the goal and the score beside the world) → `mp4` and `gif` (frames → bytes) → `miniature` (a small GIF of
+//! bounded length) → `strip` (an episode as one picture) → `gaze` and `heads` (what a policy attends to in it).
 
+mod collect;
 mod episode;
 mod film;
+mod gaze;
 mod gif;
+mod heads;
+mod miniature;
 mod mp4;
 mod stage;
 mod strip;
 #[cfg(test)]
 mod tests;
 
+pub use collect::Collector;
 pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
 pub use film::{Film, MAX_WIDTH, MIN_WIDTH};
+pub use gaze::{Gaze, GazeError};
 pub use gif::{MAX_GIF_FPS, gif};
+pub use heads::{AttentionFilm, attention_strip};
+pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, Miniature, miniature};
 pub use mp4::mp4;
 pub use strip::strip;
 

@@ -151,6 +151,11 @@ pub fn mask_logits(logits: &mut [f32], allowed: &[bool]) {
     }
 }
 
+/// Softmax of the logits of 16 blocks.
+pub(crate) fn probabilities(logits: &[f32]) -> [f32; N_BLOCKS] {
+    log_softmax(logits).map(f32::exp)
+}
+
 fn log_softmax(logits: &[f32]) -> [f32; N_BLOCKS] {
     let max = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let log_sum = logits.iter().map(|x| (x - max).exp()).sum::<f32>().ln();

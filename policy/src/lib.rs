@@ -25,4 +25,4 @@ pub use config::{
 pub use device::{DeviceError, DeviceKind};
 pub use features::FeatureSizes;
 pub use network::{BatchTensors, Network, NetworkOutput};
-pub use policy::{ActionMode, Decision, Policy, PolicyError};
+pub use policy::{ActionMode, Attention, Decision, Policy, PolicyError};

@@ -1,5 +1,7 @@
 //! Inference: the newest weights, folded once, applied to batches of scenes.
 
+mod attention;
+
 use burn::tensor::{Device, Tensor};
 use proto::{Action, Normalisation, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
@@ -10,6 +12,8 @@ use crate::distribution::{ActionDistribution, mask_logits};
 use crate::network::{BatchTensors, Folded, Network};
 use crate::normalisation::normalise;
 use crate::parameters::{self, ParameterError};
+
+pub use attention::Attention;
 
 /// How actions are taken from the distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -185,10 +189,7 @@ impl Policy {
         if batch.n == 0 {
             return RawOutput::default();
         }
-        let mut batch = batch.clone();
-        normalise(&mut batch, &self.normalisation);
-        let tensors = BatchTensors::new(&batch, self.network.edge_layout(), &self.device);
-        let output = self.network.forward_folded(&self.folded, &tensors);
+        let output = self.network.forward_folded(&self.folded, &self.tensors(batch));
         let Normalisation { value_mean, value_std, .. } = self.normalisation;
         RawOutput {
             locs: to_vec(output.locs),
@@ -196,6 +197,13 @@ impl Policy {
             logits: to_vec(output.logits),
             values: to_vec(output.values).into_iter().map(|v| v * value_std + value_mean).collect(),
         }
+    }
+
+    /// The normalised features on the device.
+    fn tensors(&self, batch: &FeatureBatch) -> BatchTensors {
+        let mut batch = batch.clone();
+        normalise(&mut batch, &self.normalisation);
+        BatchTensors::new(&batch, self.network.edge_layout(), &self.device)
     }
 
     fn check_normalisation(&self, weights: &Weights) -> Result<(), PolicyError> {

@@ -143,6 +143,32 @@ fn the_mask_admits_blocks_that_may_have_to_be_taken_apart() {
 }
 
 #[test]
+fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
+    let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
+    let mut policy = Policy::new(&config).unwrap();
+    policy.load(&weights(&config, 5)).unwrap();
+    let batch = batch(&config, &[7, 8]);
+    let attention = policy.attention(&batch);
+    let decisions = policy.act(&batch, &mut rngs(&[7, 8]), ActionMode::Mode);
+    assert_eq!(attention.len(), 2);
+    for (seen, decision) in attention.iter().zip(decisions) {
+        assert_eq!((seen.n_layers(), seen.n_heads(), seen.n_grippers()), (1, 2, 2));
+        let is_whole = |row: &[f32]| (row.iter().sum::<f32>() - 1.0).abs() < 1e-5 && row.iter().all(|w| *w >= 0.0);
+        for (receiver, head) in BlockIdx::all().flat_map(|receiver| [0, 1].map(|head| (receiver, head))) {
+            let row = seen.row(0, head, receiver);
+            assert!(is_whole(row) && row[receiver.get()] == 0.0, "{row:?}");
+        }
+        for (gripper, chosen) in decision.action.choices.into_iter().enumerate() {
+            let row = seen.choice(gripper);
+            let likeliest = BlockIdx::all().max_by(|a, b| row[a.get()].total_cmp(&row[b.get()]));
+            assert!(is_whole(row) && chosen == likeliest, "{row:?}");
+            assert!(BlockIdx::all().all(|block| blueprint().contains(block) || row[block.get()] == 0.0));
+        }
+    }
+    assert!(policy.attention(&policy.batch()).is_empty());
+}
+
+#[test]
 fn values_come_back_in_reward_units() {
     let config = small();
     let mut policy = Policy::new(&config).unwrap();

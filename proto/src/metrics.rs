@@ -232,6 +232,26 @@ pub struct EvalSummary {
     pub reset_free: Option<EvalResetFree>,
     /// What the bus dropped.
     pub bus: BusCounts,
+    /// Films of episodes; `null` when none are asked for.
+    #[serde(default)]
+    pub films: Option<FilmCounts>,
+}
+
+/// What became of the films of an evaluator since its start. Those of a pass are mostly made after its summary.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FilmCounts {
+    /// Files written.
+    pub written_total: u64,
+    /// Episodes that wait to be made into films.
+    pub n_waiting: u64,
+    /// Episodes left out because too many waited, or the evaluator ended before their turn.
+    pub dropped_total: u64,
+    /// Episodes that could not be drawn, or files that could not be written or removed.
+    pub failed_total: u64,
+    /// Episodes that were not recorded, though one like them was wanted, because too many were being recorded.
+    pub unrecorded_total: u64,
+    /// Small films that TensorBoard was not given because they were too large.
+    pub oversized_total: u64,
 }
 
 /// What a summary is that does not say: early ones were only made at the end of a pass.

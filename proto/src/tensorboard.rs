@@ -2,11 +2,11 @@
 //!
 //! A file is a row of records (length, its checksum, data, its checksum), each an `Event` message in protobuf; see
 //! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Of the message only what
-//! scalars need is here.
+//! scalars and pictures need is here.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use prost::Message;
@@ -31,21 +31,41 @@ struct Event {
 #[derive(Clone, PartialEq, Message)]
 struct Summary {
     #[prost(message, repeated, tag = "1")]
-    values: Vec<Scalar>,
+    values: Vec<Tagged>,
 }
 
 #[derive(Clone, PartialEq, Message)]
-struct Scalar {
+struct Tagged {
     #[prost(string, tag = "1")]
     tag: String,
     /// Optional, or a 0 would not be written and readers would find no value.
     #[prost(float, optional, tag = "2")]
     simple_value: Option<f32>,
+    #[prost(message, optional, tag = "4")]
+    image: Option<Picture>,
+}
+
+/// A picture as TensorBoard shows it: the bytes of a file whose format browsers know. A GIF moves.
+#[derive(Clone, PartialEq, Message)]
+pub struct Picture {
+    /// Pixels.
+    #[prost(int32, tag = "1")]
+    pub height: i32,
+    /// Pixels.
+    #[prost(int32, tag = "2")]
+    pub width: i32,
+    /// Numbers per pixel: 3 for red, green and blue.
+    #[prost(int32, tag = "3")]
+    pub colorspace: i32,
+    /// The file.
+    #[prost(bytes = "vec", tag = "4")]
+    pub encoded: Vec<u8>,
 }
 
 /// Appends to one event file.
 #[derive(Debug)]
 pub struct EventWriter {
+    path: PathBuf,
     file: File,
 }
 
@@ -59,7 +79,8 @@ impl EventWriter {
         let now = since_1970();
         // The reader asks for this prefix and takes files in the order of their names.
         let name = format!("events.out.tfevents.{now:017.6}.{}", std::process::id());
-        let mut writer = Self { file: File::create_new(folder.join(name))? };
+        let path = folder.join(name);
+        let mut writer = Self { file: File::create_new(&path)?, path };
         let file_version = Some("brain.Event:2".to_owned());
         writer.append(&Event { wall_time: now, step: 0, file_version, summary: None })?;
         Ok(writer)
@@ -70,10 +91,25 @@ impl EventWriter {
     /// # Errors
     /// When they cannot be written.
     pub fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
-        let values = scalars
-            .into_iter()
-            .map(|(tag, value)| Scalar { tag, simple_value: Some(value as f32) })
-            .collect::<Vec<_>>();
+        let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), image: None };
+        self.summary(step, scalars.into_iter().map(number).collect())
+    }
+
+    /// Adds a picture under each of the tags at `step`, in one write.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn picture(&mut self, step: u64, tags: &[String], picture: &Picture) -> io::Result<()> {
+        let tagged = |tag: &String| Tagged { tag: tag.clone(), simple_value: None, image: Some(picture.clone()) };
+        self.summary(step, tags.iter().map(tagged).collect())
+    }
+
+    /// Where the file is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn summary(&mut self, step: u64, values: Vec<Tagged>) -> io::Result<()> {
         let step = i64::try_from(step).unwrap_or(i64::MAX);
         self.append(&Event { wall_time: since_1970(), step, file_version: None, summary: Some(Summary { values }) })
     }
@@ -139,11 +175,14 @@ mod tests {
     }
 
     #[test]
-    fn a_file_begins_with_its_version_and_ends_with_the_scalars() {
+    fn a_file_begins_with_its_version_and_goes_on_with_scalars_and_pictures() {
         let dir = tempfile::tempdir().unwrap();
         let mut writer = EventWriter::create(&dir.path().join("learner")).unwrap();
         writer.scalars(4096, [("ppo/entropy".to_owned(), 1.5), ("learner/n_updates".to_owned(), 0.0)]).unwrap();
+        let picture = Picture { height: 2, width: 3, colorspace: 3, encoded: b"GIF89a".to_vec() };
+        writer.picture(8192, &["train-2-6/success".to_owned()], &picture).unwrap();
         let path = fs::read_dir(dir.path().join("learner")).unwrap().next().unwrap().unwrap().path();
+        assert_eq!(path, writer.path());
         assert!(path.file_name().unwrap().to_str().unwrap().starts_with("events.out.tfevents."));
         let mut rest = fs::read(path).unwrap();
         let mut events = Vec::new();
@@ -152,14 +191,17 @@ mod tests {
             events.push(Event::decode(&rest[12..12 + length]).unwrap());
             rest.drain(..12 + length + 4);
         }
-        assert_eq!(events.len(), 2);
+        assert_eq!(events.len(), 3);
         assert_eq!(events[0].file_version.as_deref(), Some("brain.Event:2"));
         assert_eq!(events[1].step, 4096);
-        let scalar = |tag: &str, value| Scalar { tag: tag.to_owned(), simple_value: Some(value) };
+        let scalar = |tag: &str, value| Tagged { tag: tag.to_owned(), simple_value: Some(value), image: None };
         assert_eq!(
             events[1].summary.as_ref().unwrap().values,
             [scalar("ppo/entropy", 1.5), scalar("learner/n_updates", 0.0)]
         );
+        assert_eq!(events[2].step, 8192);
+        let value = &events[2].summary.as_ref().unwrap().values[0];
+        assert_eq!((value.tag.as_str(), &value.image, value.simple_value), ("train-2-6/success", &Some(picture), None));
     }
 
     #[test]

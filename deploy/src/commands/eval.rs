@@ -1,6 +1,6 @@
 //! `eval`: judges a checkpoint on blueprints.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use blueprints::Catalogue;
 use evaluator::{Detail, EvalSetup, Selection, evaluate, render};
@@ -21,9 +21,8 @@ use crate::run_dir::CONFIG_FILE;
 /// # Errors
 /// When the checkpoint or the run's configuration cannot be read, or an episode cannot be started.
 pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let inside = args.checkpoint.join(CHECKPOINTS);
-    let folder = if inside.is_dir() { &inside } else { &args.checkpoint };
-    let found = Checkpoint::read_latest(folder).map_err(|error| Failure::Checkpoint(error.into()))?;
+    let found = Checkpoint::read_latest(&checkpoint_folder(&args.checkpoint))
+        .map_err(|error| Failure::Checkpoint(error.into()))?;
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let config = run_config(&found.path, &overrides)?;
     tracing::info!(checkpoint = %found.path.display(), "evaluating");
@@ -49,6 +48,12 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         terminal.print(&render(&report, Detail::Blueprints));
     }
     Ok(())
+}
+
+/// Where the checkpoints are of a run's folder, or of one checkpoint's.
+pub(super) fn checkpoint_folder(given: &Path) -> PathBuf {
+    let inside = given.join(CHECKPOINTS);
+    if inside.is_dir() { inside } else { given.to_owned() }
 }
 
 /// The configuration in the nearest folder above the checkpoint that has one, with `overrides` put over it.

@@ -36,7 +36,8 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Expert(command) => expert::run(&command, terminal),
-        Command::Render(args) => render::run(&args, terminal),
+        Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
+        Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
         Command::Eval(args) => eval::run(&args, terminal),
         Command::Report(args) => report::run(&args, terminal),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),

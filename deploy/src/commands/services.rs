@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use actor::Lockstep;
 use blueprints::Catalogue;
-use evaluator::{EvalReport, EvaluatorSetup, HISTORY, Page, RecordPaths};
+use evaluator::{EvalReport, EvaluatorSetup, HISTORY, Page, REPLAYS, RecordPaths, VIDEOS};
 use learner::run::METRICS;
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::bus::Bus;
@@ -137,6 +137,8 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
             metrics: folder.join(METRICS),
             history: folder.join(HISTORY),
             tensorboard: folder.join(tensorboard::FOLDER).join(Role::Evaluator.as_str()),
+            videos: folder.join(VIDEOS),
+            replays: folder.join(REPLAYS),
         }),
     }
 }

@@ -76,7 +76,7 @@ async fn assistants_find_what_the_evaluator_would() {
     let shared = brought(&desk).await;
 
     let alone = Desk::new(desk.weights().clone());
-    let workshop = Workshop { setup: &small, desk: &alone, keep_going: &|| true };
+    let workshop = Workshop { setup: &small, desk: &alone, films: None, keep_going: &|| true };
     assert_eq!(shared, workshop.run(&lanes(), Acting::Sampled).unwrap());
     assert_eq!((desk.n_assisted(), alone.n_assisted()), (12, 0));
     shutdown.cancel();

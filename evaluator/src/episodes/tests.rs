@@ -60,7 +60,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
     let desk = Desk::new(Arc::new(weights(&setup)));
-    let workshop = Workshop { setup: &setup, desk: &desk, keep_going: &|| true };
+    let workshop = Workshop { setup: &setup, desk: &desk, films: None, keep_going: &|| true };
     let whole = evaluate_in_parts(&workshop, &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);

@@ -4,13 +4,11 @@ use std::fmt;
 
 use blueprints::Blueprint;
 use environment::{Activity, Decision};
-use proto::{
-    Action, ActorId, Joint, N_GRIPPERS, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition,
-    WeightsVersion,
-};
+use proto::{Action, ActorId, Joint, N_GRIPPERS, RewardTerms, Scene, Status, Task, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
-use crate::report::{End, Episode};
+use crate::recording::Recording;
+use crate::report::Episode;
 
 /// This many steps of one trouble are enough to call it the cause.
 const MANY_STEPS: u32 = 15;
@@ -62,7 +60,7 @@ pub struct Trouble {
 
 /// The record of an episode.
 pub(super) struct Diary {
-    transitions: Vec<Transition>,
+    recording: Recording,
     trouble: Trouble,
     has_fetched: bool,
     n_right: u32,
@@ -83,7 +81,7 @@ impl Diary {
             n_wrong_left: 0,
             n_missing: 0,
         };
-        Self { transitions: Vec::new(), trouble, has_fetched: false, n_right, steps_since_gain: 0 }
+        Self { recording: Recording::default(), trouble, has_fetched: false, n_right, steps_since_gain: 0 }
     }
 
     /// Takes a step: the scene before, what was decided, what that earned, the scene after.
@@ -112,13 +110,7 @@ impl Diary {
         self.n_right = n_right;
         trouble.n_wrong_left = after.joints.len() as u32 - n_right;
         trouble.n_missing = blueprint.links().len() as u32 - n_right;
-        self.transitions.push(Transition {
-            scene: before,
-            action: decision.action,
-            behavior_log_prob: 0.0,
-            value: 0.0,
-            reward,
-        });
+        self.recording.note(before, decision.action, reward);
     }
 
     /// What went wrong in an episode that ended so.
@@ -142,33 +134,10 @@ impl Diary {
         Trouble { cause, ..*t }
     }
 
-    /// The episode as a trajectory; without log-probabilities and values, as nobody learns from it.
+    /// The episode as a trajectory of no weights.
     pub(super) fn into_replay(self, task: &Task, last: &Scene, end: &Episode) -> Option<Trajectory> {
         let actor = ActorId::try_from("expert".to_owned()).ok()?;
-        let status = match end.end {
-            End::Success { .. } => Status::Success,
-            End::TimeLimit => Status::TimeLimit,
-            // A diverged episode has no status of its own on the wire; what was seen of it is cut there.
-            End::Diverged => Status::Running,
-        };
-        let outcome = Outcome {
-            success: status == Status::Success,
-            n_steps: u16::try_from(end.n_steps).ok()?,
-            episode_return: end.episode_return,
-        };
-        (!self.transitions.is_empty()).then(|| Trajectory {
-            actor,
-            epoch: 0,
-            seq: 0,
-            weights_version: WeightsVersion(0),
-            task: task.clone(),
-            first_step: 0,
-            transitions: self.transitions,
-            last_scene: last.clone(),
-            status,
-            bootstrap_value: 0.0,
-            outcome: (status != Status::Running).then_some(outcome),
-        })
+        self.recording.into_trajectory(actor, WeightsVersion(0), task, last, end)
     }
 }
 

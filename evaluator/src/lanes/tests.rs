@@ -68,6 +68,7 @@ fn run(worlds: Vec<Toy>, lanes: &[Vec<Job>], keep_going: bool) -> Result<Vec<Vec
         acting: Acting::Sampled,
         success: &SuccessConfig::default(),
         keep_going: &|| keep_going,
+        films: None,
     };
     let mut waiting = lanes.iter().map(|lane| Arc::from(lane.as_slice())).enumerate();
     let mut results = vec![Vec::new(); lanes.len()];

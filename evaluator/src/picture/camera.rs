@@ -167,6 +167,11 @@ impl Camera {
         normal.dot(&to_eye) > 1e-6
     }
 
+    /// Where a point (m, world) lands, in pixels from the upper left corner; `None` beside or behind the viewer.
+    pub(crate) fn place(&self, point: &Point3<f32>) -> Option<[f32; 2]> {
+        self.project(point).map(|at| [at.x, at.y])
+    }
+
     /// Where a point (m, world) lands, or `None` behind the viewer.
     pub(super) fn project(&self, point: &Point3<f32>) -> Option<Projected> {
         let [x, y, depth] = self.project_undivided(point);

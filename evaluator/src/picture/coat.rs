@@ -42,6 +42,8 @@ struct Coat {
     rim: Rgb,
     magnet: Rgb,
     sign: Sign,
+    /// Magnets are left out.
+    is_bare: bool,
 }
 
 enum Sign {
@@ -78,8 +80,10 @@ impl Coat {
         let glow = 0.5 + 0.5 * shine;
         let base = lit(block.color(), shine);
         let (breadth_u, edge) = match block.finish {
-            Finish::Plain => (EDGE_U, mix(base, [30, 32, 44], 0.72)),
+            Finish::Plain | Finish::Shaded { frame: None, .. } => (EDGE_U, mix(base, [30, 32, 44], 0.72)),
             Finish::Framed(color) => (FRAME_U, color),
+            // Narrower, or little would be left of a small block's shade.
+            Finish::Shaded { frame: Some(color), .. } => (0.6 * FRAME_U, color),
             Finish::Ghost => (EDGE_U, mix(block.color(), [70, 74, 90], 0.5)),
         };
         let units_per_px = gradients.map(|[x, y]| x.hypot(y));
@@ -103,6 +107,7 @@ impl Coat {
             rim: mix(base, lit(WHITE, glow), 0.8),
             magnet,
             sign,
+            is_bare: matches!(block.finish, Finish::Shaded { .. }),
         })
     }
 
@@ -113,6 +118,9 @@ impl Coat {
             return Some(self.edge);
         }
         let base = self.base?;
+        if self.is_bare {
+            return Some(base);
+        }
         // Places are positive here, so cutting off decimals finds the cell.
         let from_center = place.map(|x| (x - (x as u32) as f32 - 0.5).abs());
         let distance_squared = from_center[0] * from_center[0] + from_center[1] * from_center[1];

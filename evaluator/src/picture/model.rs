@@ -21,6 +21,13 @@ pub enum Finish {
     Plain,
     /// As plain, with broad edges of this colour around each face.
     Framed(Rgb),
+    /// In this colour instead of its own and without magnets, with broad edges of another colour if there is one.
+    Shaded {
+        /// Of its sides.
+        fill: Rgb,
+        /// Of its edges.
+        frame: Option<Rgb>,
+    },
     /// Only its edges, for a place where a block is wanted. It casts no shadow.
     Ghost,
 }
@@ -80,8 +87,11 @@ pub fn corners(blocks: &[Block]) -> Vec<Point3<f32>> {
 }
 
 impl Block {
-    /// The colour of the block's type.
+    /// The colour of the block's type, or of its finish.
     pub(super) fn color(&self) -> Rgb {
+        if let Finish::Shaded { fill, .. } = self.finish {
+            return fill;
+        }
         TYPE_COLORS[Inventory::standard().type_idx(self.block) % TYPE_COLORS.len()]
     }
 

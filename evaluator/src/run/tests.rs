@@ -28,6 +28,8 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         metrics: dir.path().join("metrics.jsonl"),
         history: dir.path().join(crate::HISTORY),
         tensorboard: dir.path().join("tb"),
+        videos: dir.path().join("videos"),
+        replays: dir.path().join("replays"),
     };
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, ..Default::default() },

@@ -15,7 +15,7 @@ pub const MAX_WIDTH: usize = 1920;
 
 pub(super) const INK: Rgb = [34, 38, 50];
 pub(super) const GREY: Rgb = [104, 110, 126];
-const HAIRLINE: Rgb = [214, 219, 228];
+pub(super) const HAIRLINE: Rgb = [214, 219, 228];
 const PANEL: Rgb = [244, 246, 250];
 const TRACK: Rgb = [222, 226, 235];
 const GREEN: Rgb = [24, 132, 84];
@@ -113,18 +113,25 @@ impl<'a> Film<'a> {
             write(image, [x + side + pad / 2, y], &fitted(held, words, room - side - pad / 2), words, INK);
             y += line;
         }
-        let (text, color) = match (n_done == self.episode.n_steps(), self.episode.status()) {
-            (false, _) => return,
-            (true, Status::Success) => ("success", GREEN),
-            (true, Status::TimeLimit) => ("time is up", AMBER),
-            (true, Status::Diverged) => ("diverged", AMBER),
-            (true, Status::Running) => ("cut here", GREY),
-        };
+        if n_done < self.episode.n_steps() {
+            return;
+        }
+        let (text, color) = ending(self.episode.status());
         let height = bold.height() + pad;
         let top = self.size_px[1] - height;
         image.fill([left, top], [width, height], color);
         let middle = left + (width - bold.width(text).min(width)) / 2;
         write(image, [middle, top + pad / 2], text, bold, WHITE);
+    }
+}
+
+/// What is said of an end, and in which colour.
+pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
+    match status {
+        Status::Success => ("success", GREEN),
+        Status::TimeLimit => ("time is up", AMBER),
+        Status::Diverged => ("diverged", AMBER),
+        Status::Running => ("cut here", GREY),
     }
 }
 

@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector2};
 use proto::Scene;
 
 use super::episode::Episode;
-use crate::picture::{Camera, Ground, Image, Painter, View, corners, of_scene};
+use crate::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, corners, of_scene};
 
 /// Blocks farther than this from the middle of the others, in metres along the ground or upwards, are not framed: one that
 /// was thrown away must not make all others small.
@@ -32,7 +32,30 @@ impl Stage {
 
     /// The world as it is in a scene.
     pub(super) fn picture(&self, painter: &mut Painter, scene: &Scene) -> Image {
-        painter.paint(&of_scene(scene), &self.camera, self.ground)
+        self.paint(painter, &of_scene(scene))
+    }
+
+    /// These blocks in the place of the scene's.
+    pub(super) fn paint(&self, painter: &mut Painter, blocks: &[Block]) -> Image {
+        painter.paint(blocks, &self.camera, self.ground)
+    }
+
+    /// Draws a line between two places (m, world) over everything, with an opacity of 0 to 255 and a dot at its second end.
+    pub(super) fn line(&self, image: &mut Image, ends: [[f32; 3]; 2], color: Rgb, opacity: u8) {
+        let [Some(from), Some(to)] = ends.map(|end| self.camera.place(&Point3::from(end))) else { return };
+        let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
+        // Lines that leave the picture by far would take long for nothing.
+        let n = (dx.abs().max(dy.abs()).ceil()).clamp(1.0, 4000.0);
+        let mut dot = |x: f32, y: f32, side: usize| {
+            for (i, j) in (0..side).flat_map(|i| (0..side).map(move |j| (i, j))) {
+                let (x, y) = (x.round() + i as f32 - side as f32 / 2.0, y.round() + j as f32 - side as f32 / 2.0);
+                if x >= 0.0 && y >= 0.0 {
+                    image.blend(x as usize, y as usize, color, opacity);
+                }
+            }
+        };
+        (0..n as usize).for_each(|i| dot(from[0] + dx * i as f32 / n, from[1] + dy * i as f32 / n, 1));
+        dot(to[0], to[1], 4);
     }
 }
 

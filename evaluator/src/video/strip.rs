@@ -3,7 +3,7 @@
 use proto::Status;
 
 use super::episode::Episode;
-use super::film::{GREY, INK, goal_picture};
+use super::film::{GREY, HAIRLINE, INK, goal_picture};
 use super::stage::Stage;
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Image, Painter, Rgb, WHITE};
@@ -14,8 +14,6 @@ const N_COLUMNS: usize = 4;
 /// Space between pictures, and of the words below each, in pixels.
 const GAP: usize = 8;
 const FOOT: usize = 26;
-
-const HAIRLINE: Rgb = [214, 219, 228];
 
 /// Pictures in rows of four, `n_frames` (at least 2) of the world and the goal in front; the whole is `width` pixels wide
 /// (at least 480).

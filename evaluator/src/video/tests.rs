@@ -27,7 +27,7 @@ fn scene(along_m: f32) -> Scene {
 }
 
 /// Steps `first` to `last` of an episode of four in which the first block moves 0.4 m a step, each for a reward of 1.
-fn segment(first: u16, last: u16) -> Trajectory {
+pub(super) fn segment(first: u16, last: u16) -> Trajectory {
     let action = Action { choices: [BlockIdx::all().next(), None], moves: [[0.0; 6]; N_BLOCKS] };
     let reward = RewardTerms { connected: 1.0, ..RewardTerms::default() };
     let transition = |step: u16| Transition {
@@ -214,4 +214,57 @@ fn a_strip_has_the_goal_and_the_scenes_in_rows_of_four() {
     // Tiles are (600 − 3 · 8) / 4 = 144 wide and 96 high, with 26 pixels of words and 8 between: 2 · 130 − 8.
     let strip = strip(&episode(), 7, 600);
     assert_eq!((strip.width(), strip.height()), (600, 252));
+}
+
+/// A policy with two layers of three heads, untrained.
+fn policy(n_grippers: u8, attention: bool) -> policy::Policy {
+    let gat =
+        policy::GatConfig { n_layers: 2, n_heads: 3, head_dim: 4, mlp_hidden: 8, attention, ..Default::default() };
+    let encoder = policy::EncoderConfig::Gat(gat);
+    let network = policy::NetworkConfig { encoder, width: 8, value_hidden: vec![8], n_grippers, ..Default::default() };
+    let features = policy::FeatureConfig { n_grippers, ..Default::default() };
+    policy::Policy::new(&policy::PolicyConfig { network, features, ..Default::default() }).unwrap()
+}
+
+#[test]
+fn attention_is_shown_for_every_head_and_of_no_other_world() {
+    let episode = episode();
+    let gaze = Gaze::new(&policy(1, true), &episode).unwrap();
+    let mut film = AttentionFilm::new(&gaze, 640);
+    let frames: Vec<Image> = film.frames(10).collect();
+    assert_eq!(frames.len(), 5 + 15);
+    // Four tiles in a row, (640 − 3 · 6) / 4 = 155 wide and 87 high with 22 pixels of words; three rows, and the legend.
+    assert_eq!((frames[0].width(), frames[0].height()), (640, 352));
+    assert!(mp4(frames, 10).is_ok());
+    // Tiles are (600 − 152) / 2 − 6 = 218 wide and 122 high, 6 pixels between: the world, a gripper and six heads.
+    let strip = attention_strip(&gaze, 2, 600);
+    assert_eq!((strip.width(), strip.height()), (152 + 2 * 224, 22 + 8 * 128 + 24));
+    // Both blocks of the goal look at each other in the plan; the first block of all is held, and nothing is connected.
+    let mut batch = policy(1, true).batch();
+    batch.push(&episode.scenes()[2], episode.goal());
+    let seen = &policy(1, true).attention(&batch)[0];
+    let [a, b] = [0, 1].map(|i| episode.goal().placements()[i].block);
+    let row = |block| seen.row(1, 2, block);
+    let shares = gaze.shares(1, 2, 2);
+    assert!((shares.planned - 0.5 * (row(a)[b.get()] + row(b)[a.get()])).abs() < 1e-5, "{shares:?}");
+    assert!((shares.held - 0.5 * (row(a)[0] + row(b)[0])).abs() < 1e-5 && shares.joined == 0.0, "{shares:?}");
+    // The episode has one gripper.
+    let refused = |policy| Gaze::new(&policy, &episode).unwrap_err();
+    assert_eq!(refused(policy(2, true)), GazeError::Grippers { episode: 1, network: 2 });
+    assert_eq!(refused(policy(1, false)), GazeError::NoAttention);
+}
+
+#[test]
+fn a_miniature_stays_small_and_has_every_second_step() {
+    let episode = episode();
+    let small = miniature(&episode).unwrap().unwrap();
+    assert!(small.gif.len() <= MAX_MINIATURE_BYTES && small.gif.starts_with(b"GIF89a"));
+    let mut decoder = ::gif::DecodeOptions::new().read_info(small.gif.as_slice()).unwrap();
+    assert_eq!([decoder.width(), decoder.height()].map(usize::from), MINIATURE_PX);
+    let mut n_frames = 0;
+    while decoder.read_next_frame().unwrap().is_some() {
+        n_frames += 1;
+    }
+    // Steps 0 and 2 of four, and six times the last.
+    assert_eq!(n_frames, 2 + 6);
 }

@@ -7,23 +7,20 @@ use std::time::Duration;
 
 use axum::body::Bytes;
 use blueprints::{BlockIdx, Catalogue, Inventory, UNIT_M};
-use proto::bus::{Bus, TrajectoryViewer};
+use proto::bus::Bus;
 use proto::{RewardTerms, Scene, Status, Trajectory};
 use serde::Serialize;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use crate::picture::TYPE_COLORS;
-use crate::video::{Episode, STEP_S, is_same_episode};
+use crate::video::{Collector, Episode, STEP_S};
 
 /// Version of `/api/replay`.
 const SCHEMA_VERSION: u32 = 1;
 
 /// Longest time that the actors are watched for one episode.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// Episodes that are put together at a time; of more, the oldest go.
-const MAX_BEGUN: usize = 256;
 
 /// The newest episode, and whether another is wanted.
 #[derive(Debug, Default)]
@@ -84,7 +81,7 @@ impl Replays {
             }
             let watched = async {
                 let mut viewer = bus.trajectory_viewer(None).await.ok()?;
-                tokio::time::timeout(PATIENCE, next_episode(&mut viewer)).await.ok()?
+                tokio::time::timeout(PATIENCE, Collector::default().next_episode(&mut viewer)).await.ok()?
             };
             let segments = tokio::select! {
                 () = shutdown.cancelled() => return,
@@ -99,42 +96,6 @@ impl Replays {
             }
         }
     }
-}
-
-/// The first episode that is seen from its first step to its end; `None` after the bus is closed.
-async fn next_episode(viewer: &mut TrajectoryViewer) -> Option<Vec<Trajectory>> {
-    let mut begun: Vec<Vec<Trajectory>> = Vec::new();
-    loop {
-        if let Some(episode) = add(&mut begun, viewer.recv().await?) {
-            return Some(episode);
-        }
-    }
-}
-
-/// Puts a segment to those that it follows; returns the episode if that ends it.
-fn add(begun: &mut Vec<Vec<Trajectory>>, segment: Trajectory) -> Option<Vec<Trajectory>> {
-    let place = begun.iter().position(|segments| {
-        let follows = |last: &Trajectory| {
-            let next = usize::from(last.first_step) + last.transitions.len();
-            is_same_episode(last, &segment) && next == usize::from(segment.first_step)
-        };
-        segments.last().is_some_and(follows)
-    });
-    let mut segments = match place {
-        Some(place) => begun.remove(place),
-        None if segment.first_step == 0 => Vec::new(),
-        None => return None,
-    };
-    let is_over = segment.outcome.is_some();
-    segments.push(segment);
-    if is_over {
-        return Some(segments);
-    }
-    if begun.len() >= MAX_BEGUN {
-        begun.remove(0);
-    }
-    begun.push(segments);
-    None
 }
 
 /// `None` for a goal that this program's catalogue lacks.
@@ -235,28 +196,6 @@ mod tests {
             bootstrap_value: 0.0,
             outcome: ends.then_some(Outcome { success: true, n_steps: 3, episode_return: reward }),
         }
-    }
-
-    #[test]
-    fn an_episode_is_whole_or_not_shown() {
-        let mut begun = Vec::new();
-        // The end of an episode whose beginning was not seen, and two that are under way side by side.
-        assert_eq!(add(&mut begun, segment(1, 40, 2, true)), None);
-        assert_eq!(add(&mut begun, segment(2, 0, 2, false)), None);
-        assert_eq!(add(&mut begun, segment(3, 0, 2, false)), None);
-        // A segment in between was missed.
-        assert_eq!(add(&mut begun, segment(3, 3, 1, true)), None);
-        let episode = add(&mut begun, segment(2, 2, 1, true)).unwrap();
-        assert_eq!(episode, [segment(2, 0, 2, false), segment(2, 2, 1, true)]);
-    }
-
-    #[test]
-    fn episodes_that_never_end_do_not_pile_up() {
-        let mut begun = Vec::new();
-        for seed in 0..2 * MAX_BEGUN as u64 {
-            add(&mut begun, segment(seed, 0, 1, false));
-        }
-        assert_eq!(begun.len(), MAX_BEGUN);
     }
 
     #[test]

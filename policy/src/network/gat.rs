@@ -142,11 +142,17 @@ impl GatEncoder {
         FoldedLayer { attend, from_nodes, from_edges, constant, mlp_node }
     }
 
-    /// Encodes a batch.
+    /// Encodes a batch, and shows `seen` the weights of each layer that attends; they are computed in any case.
     ///
     /// # Shapes
-    /// Input as in [`BatchTensors`] with dense edges; output nodes `[B·16, width]` and globals `[B, width]`.
-    pub fn forward(&self, folded: &FoldedGat, batch: &BatchTensors) -> (Tensor<2>, Tensor<2>) {
+    /// Input as in [`BatchTensors`] with dense edges; output nodes `[B·16, width]` and globals `[B, width]`; weights
+    /// `[B, 16 receivers, heads, 16 senders]`.
+    pub fn forward(
+        &self,
+        folded: &FoldedGat,
+        batch: &BatchTensors,
+        seen: &mut dyn FnMut(&Tensor<4>),
+    ) -> (Tensor<2>, Tensor<2>) {
         let [b, _, nd] = batch.nodes.dims();
         let ed = batch.edges.dims()[2];
         let mut nodes = self.embed_node.forward(batch.nodes.clone().reshape([b * N, nd]));
@@ -157,7 +163,11 @@ impl GatEncoder {
         let mean_edges = (!self.config.attention).then(|| self.mean_edges(&edges));
         for (layer, folded) in self.layers.iter().zip(&folded.layers) {
             let residual = match (&folded.attend, &mean_edges) {
-                (Some(attend), _) => self.attended(&nodes, &edges, attend, folded, no_edge.as_ref()),
+                (Some(attend), _) => {
+                    let weights = self.weights(&nodes, &edges, attend, no_edge.as_ref());
+                    seen(&weights);
+                    self.attended(&nodes, &edges, weights, folded)
+                }
                 (None, Some(mean_edges)) => self.averaged(&nodes, mean_edges, folded),
                 (None, None) => unreachable!("folding gives attention exactly when the configuration has it"),
             };
@@ -168,15 +178,14 @@ impl GatEncoder {
         (nodes, global)
     }
 
-    /// The residual of all nodes, `[B·16, w]`, with softmax weights over the edges that enter a node.
-    fn attended(
+    /// Softmax weights over the edges that enter a node, `[B, 16, H, 16]`.
+    fn weights(
         &self,
         nodes: &Tensor<2>,
         edges: &Tensor<3>,
         [to_node, to_edge]: &[Tensor<2>; 2],
-        folded: &FoldedLayer,
         no_edge: Option<&Tensor<4>>,
-    ) -> Tensor<2> {
+    ) -> Tensor<4> {
         let heads = self.config.n_heads;
         let [rows, width] = nodes.dims();
         let ed = edges.dims()[2];
@@ -184,13 +193,22 @@ impl GatEncoder {
         let senders = nodes.clone().reshape([b, N, width]);
         let by_node = nodes.clone().matmul(to_node.clone()).reshape([b, N * heads, width]);
         let by_edge = nodes.clone().matmul(to_edge.clone()).reshape([rows, heads, ed]);
-        let logits = by_node.matmul(senders.clone().swap_dims(1, 2)).reshape([b, N, heads, N])
+        let logits = by_node.matmul(senders.swap_dims(1, 2)).reshape([b, N, heads, N])
             + by_edge.matmul(edges.clone().swap_dims(1, 2)).reshape([b, N, heads, N]);
         let logits = match no_edge {
             Some(mask) => logits + mask.clone(),
             None => logits,
         };
-        let weights = activation::softmax(logits, 3);
+        activation::softmax(logits, 3)
+    }
+
+    /// The residual of all nodes, `[B·16, w]`, with these weights of the edges that enter a node.
+    fn attended(&self, nodes: &Tensor<2>, edges: &Tensor<3>, weights: Tensor<4>, folded: &FoldedLayer) -> Tensor<2> {
+        let heads = self.config.n_heads;
+        let [rows, width] = nodes.dims();
+        let ed = edges.dims()[2];
+        let b = rows / N;
+        let senders = nodes.clone().reshape([b, N, width]);
         let mean_nodes = weights.clone().reshape([b, N * heads, N]).matmul(senders);
         let mean_edges = weights.reshape([rows, heads, N]).matmul(edges.clone());
         mean_nodes.reshape([rows, heads * width]).matmul(folded.from_nodes.clone())

@@ -3,6 +3,7 @@
 //! The oracle is plain `f64` arithmetic over the flat parameters; the sizes are not the paper's, so that no two happen
 //! to be equal.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 
 use crate::common::{generate, relative_error};
@@ -32,6 +33,8 @@ struct Oracle {
     gat: GatConfig,
     grippers: usize,
     value_layers: usize,
+    /// Attention as it was computed: by layer, receiver and head the weight of each sender.
+    seen: RefCell<BTreeMap<(String, usize, usize), [f64; N]>>,
 }
 
 impl Oracle {
@@ -81,10 +84,13 @@ impl Oracle {
                     part.clone().map(|k| query[k] * key[k]).sum::<f64>() / (dim as f64).sqrt()
                 })
                 .collect();
+            let mut row = [0.0; N];
             for (s, weight) in senders.iter().zip(softmax(&logits)) {
+                row[*s] = weight;
                 let message = self.project(&format!("{layer}.message"), &input(*s));
                 part.clone().for_each(|k| gathered[k] += weight * message[k]);
             }
+            self.seen.borrow_mut().insert((layer.to_owned(), r, h), row);
         }
         add(&nodes[r], &self.project(&format!("{layer}.node_proj"), &gathered))
     }
@@ -173,7 +179,7 @@ fn check(gat: GatConfig, n_grippers: u8) {
         at += spec.len();
         named.insert(spec.name.clone(), Matrix { values, n_in: spec.shape[0], n_out: *spec.shape.last().unwrap() });
     }
-    let oracle = Oracle { parameters: named, gat, grippers, value_layers: 3 };
+    let oracle = Oracle { parameters: named, gat, grippers, value_layers: 3, seen: RefCell::default() };
 
     let n_edges = config.n_edges();
     let input = |name: &str, n: usize| -> Vec<f32> { generate(name, 3, n).iter().map(|x| *x as f32).collect() };
@@ -185,6 +191,8 @@ fn check(gat: GatConfig, n_grippers: u8) {
         globals: Tensor::from_data(TensorData::new(raw.clone(), [1, sizes.global]), &device),
     };
     let output = network.forward(&batch);
+    let (beside, attention) = network.attention(&network.fold(), &batch);
+    assert_eq!(beside.logits.into_data(), output.logits.clone().into_data(), "a readout changes nothing");
 
     let wide = |x: &[f32]| -> Vec<f64> { x.iter().map(|v| f64::from(*v)).collect() };
     let pairs = (0..N).flat_map(|s| (0..N).filter(move |r| gat.self_edges || *r != s).map(move |r| (s, r)));
@@ -200,6 +208,21 @@ fn check(gat: GatConfig, n_grippers: u8) {
     for (name, (ours, expected)) in ["locs", "scales", "logits", "values"].iter().zip(ours.iter().zip(&expected)) {
         let error = relative_error(ours, expected);
         assert!(error <= 2e-5, "{name} is off by {error:e} with {gat:?} and {n_grippers} grippers");
+    }
+    if !gat.attention {
+        assert!(attention.is_empty());
+        return;
+    }
+    assert_eq!(attention.len(), gat.n_layers);
+    for (l, weights) in attention.into_iter().enumerate() {
+        assert_eq!(weights.dims(), [1, N, gat.n_heads, N]);
+        let ours: Vec<f32> = weights.into_data().try_to_vec().unwrap();
+        let rows = (0..N).flat_map(|r| (0..gat.n_heads).map(move |h| (format!("layer{l}"), r, h)));
+        let expected: Vec<f64> = rows.flat_map(|row| oracle.seen.borrow()[&row]).collect();
+        let error = relative_error(&ours, &expected);
+        assert!(error <= 2e-5, "attention of layer {l} is off by {error:e} with {gat:?}");
+        let is_self = |i: usize| i / (gat.n_heads * N) == i % N;
+        assert!((0..ours.len()).filter(|i| is_self(*i)).all(|i| gat.self_edges || ours[i] == 0.0));
     }
 }
 

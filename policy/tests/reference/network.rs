@@ -235,6 +235,15 @@ fn check(path: &Path) {
     let inputs = golden.inputs(network.edge_layout(), &device);
     let output = network.forward(&inputs);
     golden.check_outputs(&output);
+    if let Some(expected) = golden.json["info"]["attn_mean_of_max_weight"].as_array() {
+        let (_, layers) = network.attention(&network.fold(), &inputs);
+        assert_eq!(layers.len(), expected.len());
+        for (weights, expected) in layers.into_iter().zip(expected) {
+            let largest: Vec<f32> = values(&weights.max_dim(3));
+            let mean = largest.iter().map(|weight| f64::from(*weight)).sum::<f64>() / largest.len() as f64;
+            assert!((mean - expected.as_f64().unwrap()).abs() < 1e-5, "{mean} instead of {expected}");
+        }
+    }
     let NetworkOutput { locs, scales, logits, values } = output;
     let loss = values.sum() + logits.powi_scalar(2).sum() + locs.powi_scalar(2).sum() + scales.log().sum();
     golden.check_gradients(&network, &golden.json["grads"], &inputs, &loss);

@@ -1,0 +1,29 @@
+"""Prints what moving pictures TensorBoard's event files hold as JSON: tag -> list of pictures with step and size.
+
+Usage: pip install tensorboard; python pictures.py runs/<run>/tb/evaluator/films
+"""
+
+import json
+import sys
+
+from tensorboard.backend.event_processing.event_accumulator import IMAGES, EventAccumulator
+
+
+def about(event):
+    """Of a picture: the format is what browsers go by, the size is as the event has it."""
+    picture = event.encoded_image_string
+    # The logical screen of a GIF: width and height, little-endian, behind its six letters.
+    screen = [int.from_bytes(picture[at : at + 2], "little") for at in (6, 8)]
+    return {
+        "step": event.step,
+        "format": picture[:6].decode("latin-1"),
+        "size": [event.width, event.height],
+        "screen": screen,
+        "n_bytes": len(picture),
+    }
+
+
+# 0 keeps all of them.
+events = EventAccumulator(sys.argv[1], size_guidance={IMAGES: 0})
+events.Reload()
+print(json.dumps({tag: [about(event) for event in events.Images(tag)] for tag in events.Tags()["images"]}))

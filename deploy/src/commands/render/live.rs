@@ -1,0 +1,98 @@
+//! Episodes of running actors, as they come over the bus.
+
+use std::time::Duration;
+
+use anyhow::anyhow;
+use evaluator::video::{Collector, Episode};
+use proto::Trajectory;
+use proto::bus::{Bus, BusConfig, BusMode};
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+
+use super::{Goals, Named, make_all, policy};
+use crate::cli::{LiveArgs, RenderArgs};
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// Waits for whole episodes and makes films of them; until `shutdown`, after which those that came are still made.
+///
+/// # Errors
+/// When the bus cannot be joined, an episode does not come in time, its goal is unknown, or a film cannot be made.
+pub(in crate::commands) async fn run(
+    args: &RenderArgs,
+    terminal: &Terminal,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let (goals, policy) = (Goals::new(args)?, policy(args)?);
+    let (run, connect) = (args.live.run.clone(), args.live.connect.clone());
+    let config = BusConfig { run, connect, mode: BusMode::Client, ..BusConfig::default() };
+    config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
+    let patience = Duration::from_secs(args.live.timeout);
+    // A task of its own, because a session that waits for its router does so without giving way.
+    let its_config = config.clone();
+    let opening = tokio::spawn(async move { Bus::open(&its_config).await });
+    let opened = tokio::select! {
+        () = shutdown.cancelled() => return Ok(()),
+        opened = timeout(patience, opening) => opened,
+    };
+    let Ok(opened) = opened else {
+        let (endpoints, seconds) = (config.connect.join(", "), args.live.timeout);
+        return Err(Failure::Bus(anyhow!("no router answers at {endpoints} after {seconds} s")));
+    };
+    let bus = opened.map_err(|panic| Failure::Service(panic.into()))??;
+    // What came before a failure is shown all the same.
+    let (recorded, ended) = record(&bus, &args.live, patience, &shutdown).await;
+    bus.close().await?;
+    let episodes: Vec<Named> =
+        recorded.iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
+    make_all(&episodes, args, policy.as_ref(), terminal)?;
+    ended
+}
+
+/// The episodes that came, and why there are not more.
+async fn record(
+    bus: &Bus,
+    args: &LiveArgs,
+    patience: Duration,
+    shutdown: &CancellationToken,
+) -> (Vec<Vec<Trajectory>>, Result<(), Failure>) {
+    let mut viewer = match bus.trajectory_viewer(args.actor.as_ref()).await {
+        Ok(viewer) => viewer,
+        Err(error) => return (Vec::new(), Err(error.into())),
+    };
+    let (mut collector, mut recorded) = (Collector::default(), Vec::new());
+    while recorded.len() < args.episodes as usize {
+        tracing::info!(run = args.run, "waiting for an episode");
+        let next = tokio::select! {
+            () = shutdown.cancelled() => return (recorded, Ok(())),
+            next = timeout(patience, collector.next_episode(&mut viewer)) => next,
+        };
+        match next {
+            Ok(Some(segments)) => recorded.push(segments),
+            Ok(None) => return (recorded, Err(Failure::Bus(anyhow!("the bus was closed")))),
+            Err(_) => return (recorded, Err(silent(args, &collector, bus))),
+        }
+    }
+    (recorded, Ok(()))
+}
+
+/// Why no episode came.
+fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus) -> Failure {
+    let who = args.actor.as_ref().map_or_else(|| "any actor".to_owned(), |actor| format!("the actor {actor}"));
+    let (seconds, run, counts) = (args.timeout, &args.run, bus.counts());
+    let n_missed = counts.viewed_dropped_total + counts.viewed_invalid_total;
+    Failure::NothingToShow(format!(
+        "no whole episode of {who} of run `{run}` within {seconds} s (segments of others: {}, missed: {n_missed}); --run \
+         and --actor name others, --timeout waits longer",
+        collector.n_left_out()
+    ))
+}
+
+fn named(idx: usize, segments: &[Trajectory], goals: &Goals) -> Result<Named, Failure> {
+    let refused = |reason| Failure::Recording { files: "a live episode".to_owned(), reason };
+    let first = segments.first().ok_or_else(|| refused("is empty".to_owned()))?;
+    let goal = goals.find(&first.task.blueprint).map_err(refused)?;
+    let episode = Episode::new(segments, &goal).map_err(|error| refused(error.to_string()))?;
+    let (blueprint, version) = (&first.task.blueprint, first.weights_version.0);
+    Ok((format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1), episode))
+}

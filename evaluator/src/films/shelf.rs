@@ -1,0 +1,120 @@
+//! Where films and recordings lie: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use blueprints::BlueprintId;
+use proto::WeightsVersion;
+
+use super::casting::Ending;
+
+/// Files of one kind.
+#[derive(Clone, Debug)]
+pub(super) struct Shelf {
+    pub(super) folder: PathBuf,
+    /// Ending of the files' names.
+    pub(super) kind: &'static str,
+    /// How many of each blueprint and ending stay.
+    pub(super) keep: usize,
+}
+
+/// What a file's name says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Label {
+    pub(super) version: WeightsVersion,
+    pub(super) ending: Ending,
+    /// From 1; only later ones are in the name.
+    pub(super) number: u32,
+}
+
+impl Label {
+    /// The name without the kind: those of a blueprint sort by version.
+    pub(super) fn name(&self) -> String {
+        let (version, ending) = (self.version.0, self.ending.name());
+        match self.number {
+            0 | 1 => format!("{version:08}-{ending}"),
+            number => format!("{version:08}-{ending}-{number}"),
+        }
+    }
+
+    /// The label of which this is exactly the name; files that others put there have none.
+    fn of(name: &str) -> Option<Self> {
+        let mut parts = name.splitn(3, '-');
+        let version = WeightsVersion(parts.next()?.parse().ok()?);
+        let ending = parts.next()?;
+        let ending = Ending::ALL.into_iter().find(|known| known.name() == ending)?;
+        let number = parts.next().map_or(Some(1), |number| number.parse().ok())?;
+        let label = Self { version, ending, number };
+        (label.name() == name).then_some(label)
+    }
+}
+
+impl Shelf {
+    /// Writes a file under another name first, so that none is ever seen half, and removes the oldest ones too many.
+    pub(super) fn put(&self, blueprint: &BlueprintId, label: Label, bytes: &[u8]) -> io::Result<PathBuf> {
+        let folder = self.folder.join(blueprint.as_str());
+        fs::create_dir_all(&folder)?;
+        let (name, kind) = (label.name(), self.kind);
+        let (path, part) = (folder.join(format!("{name}.{kind}")), folder.join(format!(".{name}.{kind}.part")));
+        fs::write(&part, bytes)?;
+        fs::rename(&part, &path)?;
+        self.remove_old(&folder, label.ending)?;
+        Ok(path)
+    }
+
+    fn remove_old(&self, folder: &Path, ending: Ending) -> io::Result<()> {
+        let mut found = Vec::new();
+        for entry in fs::read_dir(folder)? {
+            let name = entry?.file_name();
+            let label = name.to_str().and_then(|name| name.strip_suffix(self.kind)?.strip_suffix('.'));
+            found.extend(label.and_then(Label::of).filter(|label| label.ending == ending));
+        }
+        found.sort_unstable();
+        let n_old = found.len().saturating_sub(self.keep);
+        found[..n_old]
+            .iter()
+            .try_for_each(|label| fs::remove_file(folder.join(format!("{}.{}", label.name(), self.kind))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn label(version: u64, ending: Ending, number: u32) -> Label {
+        Label { version: WeightsVersion(version), ending, number }
+    }
+
+    #[test]
+    fn a_name_is_read_as_it_was_written_and_no_other_is() {
+        for expected in [label(7, Ending::Success, 1), label(123_456_789, Ending::Failure, 3)] {
+            assert_eq!(Label::of(&expected.name()), Some(expected));
+        }
+        assert_eq!(label(7, Ending::Success, 1).name(), "00000007-success");
+        for foreign in ["7-success", "00000007-best", "00000007-success-1", "00000007-success-x", "mine", "00000007"] {
+            assert_eq!(Label::of(foreign), None, "{foreign}");
+        }
+    }
+
+    #[test]
+    fn the_newest_of_each_ending_stay_and_foreign_files_too() {
+        let dir = tempfile::tempdir().unwrap();
+        let shelf = Shelf { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
+        let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
+        let folder = dir.path().join("2_000");
+        fs::create_dir(&folder).unwrap();
+        for foreign in ["mine.mp4", "1-success.mp4", "00000001-success.txt"] {
+            fs::write(folder.join(foreign), "").unwrap();
+        }
+        for version in [1, 3, 2] {
+            shelf.put(&blueprint, label(version, Ending::Success, 1), b"film").unwrap();
+        }
+        shelf.put(&blueprint, label(1, Ending::Failure, 1), b"film").unwrap();
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        let kept = ["00000001-failure.mp4", "00000001-success.txt", "00000002-success.mp4", "00000003-success.mp4"];
+        assert_eq!(names, [&kept[..], &["1-success.mp4", "mine.mp4"]].concat());
+    }
+}

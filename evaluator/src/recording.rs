@@ -1,0 +1,54 @@
+//! An episode written down step by step, so that it can be shown.
+
+use proto::{Action, ActorId, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
+
+use crate::report::{End, Episode};
+
+/// The steps of an episode so far.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Recording {
+    transitions: Vec<Transition>,
+}
+
+impl Recording {
+    /// Takes a step: the scene before, what was done, what that earned.
+    pub(crate) fn note(&mut self, scene: Scene, action: Action, reward: RewardTerms) {
+        self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, value: 0.0, reward });
+    }
+
+    /// The episode as a trajectory; without log-probabilities and values, as nobody learns from it. `None` if it has no
+    /// step to show.
+    pub(crate) fn into_trajectory(
+        self,
+        actor: ActorId,
+        weights_version: WeightsVersion,
+        task: &Task,
+        last: &Scene,
+        end: &Episode,
+    ) -> Option<Trajectory> {
+        let status = match end.end {
+            End::Success { .. } => Status::Success,
+            End::TimeLimit => Status::TimeLimit,
+            // A diverged episode has no status of its own on the wire; what was seen of it is cut there.
+            End::Diverged => Status::Running,
+        };
+        let outcome = Outcome {
+            success: status == Status::Success,
+            n_steps: u16::try_from(end.n_steps).ok()?,
+            episode_return: end.episode_return,
+        };
+        (!self.transitions.is_empty()).then(|| Trajectory {
+            actor,
+            epoch: 0,
+            seq: 0,
+            weights_version,
+            task: task.clone(),
+            first_step: 0,
+            transitions: self.transitions,
+            last_scene: last.clone(),
+            status,
+            bootstrap_value: 0.0,
+            outcome: (status != Status::Running).then_some(outcome),
+        })
+    }
+}

@@ -1,0 +1,87 @@
+//! An episode as a small GIF of bounded length, for TensorBoard and other places that keep many of them.
+
+use super::VideoError;
+use super::episode::{Episode, STEP_S};
+use super::film::{HAIRLINE, INK, ending, goal_picture};
+use super::gif::gif;
+use super::stage::Stage;
+use crate::picture::text::{Type, write};
+use crate::picture::{Image, Painter, WHITE};
+
+/// Width and height in pixels.
+pub const MINIATURE_PX: [usize; 2] = [320, 200];
+
+/// Longest GIF in bytes.
+pub const MAX_MINIATURE_BYTES: usize = 400_000;
+
+/// Frames a second: half of the steps.
+const FPS: u32 = 5;
+
+/// Most frames before the last one.
+const MAX_FRAMES: usize = 60;
+
+/// Times that the last frame is shown; each of them but the first is some bytes.
+const LAST_FRAMES: usize = 6;
+
+/// Height of the line of words, and size of the goal in the upper right corner.
+const FOOT_PX: usize = 20;
+const GOAL_PX: [usize; 2] = [84, 72];
+
+/// A small film.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Miniature {
+    /// The file.
+    pub gif: Vec<u8>,
+    /// Width and height.
+    pub size_px: [usize; 2],
+}
+
+/// The episode in at most [`MAX_MINIATURE_BYTES`]: what does not fit is tried with every second frame, until there are
+/// none to leave out, and then is `None`.
+///
+/// # Errors
+/// As for [`gif()`].
+pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
+    let [width, height] = MINIATURE_PX;
+    let stage = Stage::new(episode, [width, height - FOOT_PX]);
+    let mut painter = Painter::default();
+    let goal = goal_picture(&mut painter, episode, GOAL_PX);
+    // Times are in steps here: one frame shows one step.
+    let usual = (1.0 / STEP_S) as usize / FPS as usize;
+    let mut every = usual.max(episode.n_steps().div_ceil(MAX_FRAMES)).max(1);
+    loop {
+        let before_last = (0..episode.n_steps()).step_by(every);
+        let steps = before_last.chain(std::iter::repeat_n(episode.n_steps(), LAST_FRAMES));
+        let frames = steps.map(|n_done| frame(episode, n_done, &goal, &stage, &mut painter));
+        let gif = gif(frames, FPS)?;
+        if gif.len() <= MAX_MINIATURE_BYTES {
+            return Ok(Some(Miniature { gif, size_px: MINIATURE_PX }));
+        }
+        if every >= episode.n_steps() {
+            return Ok(None);
+        }
+        every *= 2;
+    }
+}
+
+fn frame(episode: &Episode, n_done: usize, goal: &Image, stage: &Stage, painter: &mut Painter) -> Image {
+    let [width, height] = MINIATURE_PX;
+    let mut image = Image::filled(width, height, WHITE);
+    image.paste(&stage.picture(painter, &episode.scenes()[n_done]), 0, 0);
+    let [goal_width, goal_height] = GOAL_PX;
+    let left = width - goal_width;
+    image.fill([left - 1, 0], [goal_width + 1, goal_height + 1], HAIRLINE);
+    image.paste(goal, left, 0);
+    let (end, color) = if n_done == episode.n_steps() { ending(episode.status()) } else { ("", INK) };
+    let n_links = episode.goal().links().len();
+    let connected = episode.n_connected(n_done);
+    let words = format!(
+        "{connected}/{n_links} step {} {:.1}",
+        episode.first_step() + n_done,
+        episode.return_after(n_done).total()
+    );
+    let top = height - FOOT_PX + 2;
+    write(&mut image, [4, top], &words, Type::Small, INK);
+    write(&mut image, [width.saturating_sub(Type::Small.width(end) + 4), top], end, Type::Small, color);
+    image
+}

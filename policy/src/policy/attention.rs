@@ -1,0 +1,86 @@
+//! What the network looks at in a scene: read out beside a forward pass, which keeps nothing of it otherwise.
+
+use blueprints::{BlockIdx, N_BLOCKS};
+
+use super::{Policy, to_vec};
+use crate::FeatureBatch;
+use crate::config::BlockMask;
+use crate::distribution::{mask_logits, probabilities};
+
+/// Who attends to whom in one scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attention {
+    n_heads: usize,
+    /// `[layers, receivers, heads, senders]`.
+    weights: Vec<f32>,
+    /// `[grippers, blocks]`.
+    choices: Vec<f32>,
+}
+
+impl Attention {
+    /// Number of layers of the graph encoder that attend; 0 for an encoder that weighs all blocks alike.
+    pub fn n_layers(&self) -> usize {
+        self.weights.len() / (N_BLOCKS * N_BLOCKS * self.n_heads.max(1))
+    }
+
+    /// Number of heads of each layer.
+    pub fn n_heads(&self) -> usize {
+        self.n_heads
+    }
+
+    /// Number of grippers.
+    pub fn n_grippers(&self) -> usize {
+        self.choices.len() / N_BLOCKS
+    }
+
+    /// How much of what `receiver` gathers in a head comes from each block, 0 to 1; the 16 sum to 1. A block gathers
+    /// nothing from itself unless the configuration has self-edges.
+    ///
+    /// # Panics
+    /// When there is no such layer or head.
+    pub fn row(&self, layer: usize, head: usize, receiver: BlockIdx) -> &[f32] {
+        assert!(head < self.n_heads, "head {head} of {}", self.n_heads);
+        let at = ((layer * N_BLOCKS + receiver.get()) * self.n_heads + head) * N_BLOCKS;
+        &self.weights[at..at + N_BLOCKS]
+    }
+
+    /// Probability with which a gripper chooses each block, the mask applied; the 16 sum to 1.
+    ///
+    /// # Panics
+    /// When the network has no such gripper.
+    pub fn choice(&self, gripper: usize) -> &[f32] {
+        &self.choices[gripper * N_BLOCKS..(gripper + 1) * N_BLOCKS]
+    }
+}
+
+impl Policy {
+    /// What the network attends to in every scene of the batch, in its order.
+    ///
+    /// # Panics
+    /// When the batch has other feature sizes.
+    pub fn attention(&self, batch: &FeatureBatch) -> Vec<Attention> {
+        if batch.n == 0 {
+            return Vec::new();
+        }
+        let (output, layers) = self.network.attention(&self.folded, &self.tensors(batch));
+        let n_heads = layers.first().map_or(0, |weights| weights.dims()[2]);
+        let layers: Vec<Vec<f32>> = layers.into_iter().map(to_vec).collect();
+        let mut logits = to_vec(output.logits);
+        let per_layer = N_BLOCKS * n_heads * N_BLOCKS;
+        let per_scene = logits.len() / batch.n;
+        let scenes = logits.chunks_exact_mut(per_scene).enumerate();
+        scenes
+            .map(|(row, logits)| {
+                if self.config.mask == BlockMask::Blueprint {
+                    mask_logits(logits, &batch.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS]);
+                }
+                let of_scene = |layer: &Vec<f32>| layer[row * per_layer..(row + 1) * per_layer].to_vec();
+                Attention {
+                    n_heads,
+                    weights: layers.iter().flat_map(of_scene).collect(),
+                    choices: logits.chunks_exact(N_BLOCKS).flat_map(probabilities).collect(),
+                }
+            })
+            .collect()
+    }
+}
