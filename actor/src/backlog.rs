@@ -144,6 +144,7 @@ mod tests {
             behavior_log_prob: 0.0,
             value: 0.0,
             reward: Default::default(),
+            label: None,
         };
         let cut = rollout.push(transition, WeightsVersion(0), &toy::scene(), Status::Running, &toy::identity());
         let Cut::Segment(segment) = cut else { panic!("a segment of one step is complete") };

@@ -118,6 +118,7 @@ impl Diary {
             behavior_log_prob: 0.0,
             value: 0.0,
             reward,
+            label: None,
         });
     }
 
@@ -162,6 +163,7 @@ impl Diary {
             seq: 0,
             weights_version: WeightsVersion(0),
             task: task.clone(),
+            driver: proto::Driver::Sample,
             first_step: 0,
             transitions: self.transitions,
             last_scene: last.clone(),

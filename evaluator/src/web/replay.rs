@@ -210,6 +210,7 @@ mod tests {
             behavior_log_prob: 0.0,
             value: 0.0,
             reward,
+            label: None,
         };
         Trajectory {
             actor: "a".parse().unwrap(),
@@ -222,6 +223,7 @@ mod tests {
                 start: Start::Scattered,
                 seed,
             },
+            driver: proto::Driver::Sample,
             first_step,
             transitions: (0..n_steps).map(transition).collect(),
             last_scene: scene(9.0),
