@@ -10,8 +10,8 @@ use serde::Serialize;
 
 use crate::config::{ActorConfig, LeadInConfig};
 use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
-use crate::teacher::{Lesson, Teacher};
 use crate::task::{FilterError, TaskConfig, TaskSampler};
+use crate::teacher::{Lesson, Teacher};
 
 /// Tasks that are tried before a world gives up on starting an episode.
 const MAX_RESETS: usize = 16;

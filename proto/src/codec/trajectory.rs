@@ -7,8 +7,8 @@ use super::check::{array, block, blueprint_id, invalid, narrow, number, present}
 use super::scene::{
     action_from_wire, action_to_wire, reward_from_wire, reward_to_wire, scene_from_wire, scene_to_wire,
 };
-use super::{DecodeError, PROTOCOL_VERSION, check_version, parse};
 use super::scene::{label_from_wire, label_to_wire};
+use super::{DecodeError, PROTOCOL_VERSION, check_version, parse};
 use crate::{ActorId, Driver, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire};
 
 /// Longest segment, in steps.
