@@ -137,13 +137,14 @@ mod tests {
     use crate::toy;
 
     fn segment(seq: u64) -> Trajectory {
-        let mut rollout = SegmentBuilder::new(1, toy::task());
+        let mut rollout = SegmentBuilder::new(1, toy::task(), proto::Driver::Sample);
         let transition = proto::Transition {
             scene: toy::scene(),
             action: proto::Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
             behavior_log_prob: 0.0,
             value: 0.0,
             reward: Default::default(),
+            label: None,
         };
         let cut = rollout.push(transition, WeightsVersion(0), &toy::scene(), Status::Running, &toy::identity());
         let Cut::Segment(segment) = cut else { panic!("a segment of one step is complete") };

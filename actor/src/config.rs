@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::TaskConfig;
+use crate::{TaskConfig, TeacherConfig};
 
 /// How many worlds an actor steps, how it cuts episodes, and how it deals with a slow or absent learner.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -18,6 +18,8 @@ pub struct ActorConfig {
     pub tasks: TaskConfig,
     /// Steps before an episode is learned from.
     pub lead_in: LeadInConfig,
+    /// The expert, who labels every scene and acts in some episodes; absent means none. Default: absent.
+    pub teacher: Option<TeacherConfig>,
     /// Segments that may wait for the learner's answer at once, 1 to 16. Default 2.
     pub n_outstanding: usize,
     /// Segments kept while the learner does not take them, 1 to 100 000. Default 512.
@@ -74,6 +76,7 @@ impl Default for ActorConfig {
             segment_len: 32,
             tasks: TaskConfig::default(),
             lead_in: LeadInConfig::default(),
+            teacher: None,
             n_outstanding: 2,
             backlog_limit: 512,
             full_backlog: FullBacklog::DropOldest,
@@ -106,6 +109,7 @@ impl ActorConfig {
         let metrics = self.metrics_period_ms;
         check("metrics_period_ms", metrics, (50..=3_600_000).contains(&metrics), "50 to 3600000")?;
         check("drain_timeout_ms", self.drain_timeout_ms, self.drain_timeout_ms <= 60_000, "0 to 60000")?;
+        self.teacher.as_ref().map_or(Ok(()), TeacherConfig::validate)?;
         self.tasks.validate()
     }
 }

@@ -1,6 +1,6 @@
 //! From tasks to trajectories: steps many worlds with the newest weights and sends what the learner learns from.
 //!
-//! Reading order: [`config`] → [`task`] (what to build next) → [`segment`] (episodes cut into segments) → [`rollout`]
+//! Reading order: [`config`] → [`task`] (what to build next) → [`teacher`] (who acts) → [`segment`] (episodes cut into segments) → [`rollout`]
 //! (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`] → [`run()`] (threads and the bus).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -12,6 +12,7 @@ pub mod rollout;
 mod run;
 pub mod segment;
 pub mod task;
+pub mod teacher;
 #[cfg(test)]
 mod toy;
 
@@ -24,3 +25,4 @@ pub use rollout::{Rollout, RolloutCounters, RolloutError, RolloutSetup};
 pub use run::{ActorReport, run};
 pub use segment::{Identity, SegmentBuilder};
 pub use task::{FilterError, TaskConfig, TaskFilter, TaskSampler};
+pub use teacher::{NoiseConfig, Teacher, TeacherConfig};

@@ -63,7 +63,7 @@ fn first(
     config.validate().context("invalid actor configuration")?;
     let actor = ActorId::try_from(NAME.to_owned()).context("naming the worlds")?;
     let identity = Identity { actor, epoch: 0, first_seq: 0, seq_step: 1 };
-    let setup = RolloutSetup::new(config, policy, identity, seed);
+    let setup = RolloutSetup::new(config, policy, environment, identity, seed);
     let worlds: Result<Vec<World>, _> = (0..config.n_worlds).map(|_| World::new(environment)).collect();
     Ok(Rollout::new(setup, worlds.context("invalid environment configuration")?, weights)?)
 }

@@ -1,9 +1,9 @@
 //! Many worlds, one policy: steps all of them with one forward pass and hands out finished segments.
 
 use blueprints::{BlueprintId, Catalogue};
-use environment::{Env, ResetError};
+use environment::{Env, EnvironmentConfig, ResetError};
 use policy::{ActionMode, FeatureBatch, Policy, PolicyConfig, PolicyError};
-use proto::{Status, Task, Trajectory, Transition, Weights, WeightsVersion};
+use proto::{Driver, Status, Task, Trajectory, Transition, Weights, WeightsVersion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -11,6 +11,7 @@ use serde::Serialize;
 use crate::config::{ActorConfig, LeadInConfig};
 use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
 use crate::task::{FilterError, TaskConfig, TaskSampler};
+use crate::teacher::{Lesson, Teacher};
 
 /// Tasks that are tried before a world gives up on starting an episode.
 const MAX_RESETS: usize = 16;
@@ -28,6 +29,8 @@ pub struct RolloutSetup<'c> {
     pub segment_len: usize,
     /// Steps that are not learned from.
     pub lead_in: LeadInConfig,
+    /// The expert, if there is one.
+    pub teacher: Option<Teacher>,
     /// Names and numbers the segments.
     pub identity: Identity,
     /// Determines tasks and actions.
@@ -36,13 +39,20 @@ pub struct RolloutSetup<'c> {
 
 impl RolloutSetup<'static> {
     /// As an actor with these settings rolls out goals of the built-in catalogue.
-    pub fn new(config: &ActorConfig, policy: &PolicyConfig, identity: Identity, seed: u64) -> Self {
+    pub fn new(
+        config: &ActorConfig,
+        policy: &PolicyConfig,
+        environment: &EnvironmentConfig,
+        identity: Identity,
+        seed: u64,
+    ) -> Self {
         Self {
             catalogue: Catalogue::builtin(),
             policy: policy.clone(),
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
             lead_in: config.lead_in,
+            teacher: config.teacher.clone().map(|teacher| Teacher::new(teacher, environment.clone())),
             identity,
             seed,
         }
@@ -110,6 +120,7 @@ struct Seat<E> {
     env: E,
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
+    lesson: Option<Lesson>,
     /// Steps that the mode still has to act before the episode is learned from.
     n_lead_in: u16,
 }
@@ -120,10 +131,12 @@ impl<E: Env> Seat<E> {
         &mut self,
         tasks: &TaskSampler,
         setup: &RolloutSetup<'_>,
+        version: WeightsVersion,
         counters: &mut RolloutCounters,
     ) -> Result<(), RolloutError> {
         let task = start_episode(&mut self.env, tasks, setup.catalogue, &mut self.task_rng, counters)?;
-        self.segment.begin(task);
+        self.lesson = begin_lesson(setup, &self.env, version, &mut self.task_rng);
+        self.segment.begin(task, driver(self.lesson.as_ref()));
         self.n_lead_in = draw_lead_in(&setup.lead_in, &mut self.task_rng);
         Ok(())
     }
@@ -145,8 +158,10 @@ impl<'c, E: Env> Rollout<'c, E> {
             // Even streams draw tasks, odd ones actions, so neither depends on how many worlds there are.
             let mut task_rng = stream(setup.seed, 2 * world_idx as u64);
             let task = start_episode(&mut env, &tasks, setup.catalogue, &mut task_rng, &mut counters)?;
+            let lesson = begin_lesson(&setup, &env, weights.version, &mut task_rng);
+            let segment = SegmentBuilder::new(setup.segment_len, task, driver(lesson.as_ref()));
             let n_lead_in = draw_lead_in(&setup.lead_in, &mut task_rng);
-            seats.push(Seat { env, task_rng, segment: SegmentBuilder::new(setup.segment_len, task), n_lead_in });
+            seats.push(Seat { env, task_rng, segment, lesson, n_lead_in });
         }
         let action_rngs = (0..seats.len() as u64).map(|world_idx| stream(setup.seed, 2 * world_idx + 1)).collect();
         let batch = policy.batch();
@@ -175,7 +190,7 @@ impl<'c, E: Env> Rollout<'c, E> {
         for (world_idx, (seat, action_rng)) in self.seats.iter_mut().zip(&mut self.action_rngs).enumerate() {
             seat.task_rng = stream(seed, 2 * world_idx as u64);
             *action_rng = stream(seed, 2 * world_idx as u64 + 1);
-            seat.begin(&self.tasks, &self.setup, &mut self.counters)?;
+            seat.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
         }
         Ok(())
     }
@@ -189,7 +204,10 @@ impl<'c, E: Env> Rollout<'c, E> {
         for seat in &self.seats {
             self.batch.push(seat.env.scene(), seat.env.blueprint());
         }
-        let mode = |seat: &Seat<E>| if seat.n_lead_in > 0 { ActionMode::Mode } else { ActionMode::Sampled };
+        let mode = |seat: &Seat<E>| match driver(seat.lesson.as_ref()) {
+            Driver::Sample if seat.n_lead_in == 0 => ActionMode::Sampled,
+            _ => ActionMode::Mode,
+        };
         let modes: Vec<ActionMode> = self.seats.iter().map(mode).collect();
         let decisions = self.policy.act_each(&self.batch, &mut self.action_rngs, &modes);
 
@@ -198,26 +216,32 @@ impl<'c, E: Env> Rollout<'c, E> {
         // it.
         self.batch.clear();
         let mut unvalued: Vec<usize> = Vec::new();
-        for (seat, decision) in self.seats.iter_mut().zip(decisions) {
-            let Seat { env, segment, n_lead_in, .. } = &mut *seat;
+        for ((seat, decision), rng) in self.seats.iter_mut().zip(decisions).zip(&mut self.action_rngs) {
+            let Seat { env, segment, lesson, n_lead_in, .. } = &mut *seat;
             let scene = env.scene().clone();
-            let result = env.step(&decision.action);
+            let (action, label) = match lesson {
+                Some(lesson) if *n_lead_in == 0 => lesson.step(&scene, decision.action, rng),
+                _ => (decision.action, None),
+            };
+            let result = env.step(&action);
             self.counters.n_env_steps += 1;
             if *n_lead_in > 0 {
                 *n_lead_in -= 1;
                 self.counters.n_lead_in_steps += 1;
                 segment.skip(&result.reward);
                 if result.status != Status::Running {
-                    seat.begin(&self.tasks, &self.setup, &mut self.counters)?;
+                    seat.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
                 }
                 continue;
             }
             let transition = Transition {
                 scene,
-                action: decision.action,
-                behavior_log_prob: decision.log_prob,
+                action,
+                // Noise and the expert have no probability under the policy that could be of use.
+                behavior_log_prob: if driver(lesson.as_ref()) == Driver::Sample { decision.log_prob } else { 0.0 },
                 value: decision.value,
                 reward: result.reward,
+                label,
             };
             match segment.push(transition, self.version, env.scene(), result.status, &self.setup.identity) {
                 Cut::None => {}
@@ -245,7 +269,7 @@ impl<'c, E: Env> Rollout<'c, E> {
                 Status::TimeLimit => self.counters.n_episodes += 1,
                 Status::Diverged => {}
             }
-            seat.begin(&self.tasks, &self.setup, &mut self.counters)?;
+            seat.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
         }
         for (segment_idx, value) in unvalued.into_iter().zip(self.policy.values(&self.batch)) {
             finished[segment_idx].bootstrap_value = value;
@@ -284,6 +308,21 @@ fn draw_lead_in(config: &LeadInConfig, rng: &mut ChaCha8Rng) -> u16 {
     } else {
         0
     }
+}
+
+/// The teacher's part in an episode that has begun; without a teacher nothing is drawn.
+fn begin_lesson<E: Env>(
+    setup: &RolloutSetup<'_>,
+    env: &E,
+    version: WeightsVersion,
+    rng: &mut ChaCha8Rng,
+) -> Option<Lesson> {
+    setup.teacher.as_ref().map(|teacher| teacher.begin(env.blueprint(), version, rng))
+}
+
+/// Who acts in an episode.
+fn driver(lesson: Option<&Lesson>) -> Driver {
+    lesson.map_or(Driver::Sample, Lesson::driver)
 }
 
 /// An independent generator for each `stream_idx` of a seed.

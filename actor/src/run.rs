@@ -96,7 +96,7 @@ pub async fn run(
     for thread_idx in 0..config.n_threads {
         let identity =
             Identity { actor: id.clone(), epoch, first_seq: thread_idx as u64, seq_step: config.n_threads as u64 };
-        let setup = RolloutSetup::new(&config, &policy, identity, thread_seeds.random());
+        let setup = RolloutSetup::new(&config, &policy, &environment, identity, thread_seeds.random());
         let (environment, weights, shared) = (environment.clone(), weights.clone(), shared.clone());
         let n_worlds = config.n_worlds;
         threads.spawn_blocking(move || step_worlds(setup, &environment, n_worlds, weights, &shared, thread_idx));

@@ -1,6 +1,6 @@
 //! Cuts one episode after the other into segments that can be learned from.
 
-use proto::{ActorId, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
+use proto::{ActorId, Driver, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
 
 /// Who numbers the segments: with the actor's name and start time each number is unique.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,6 +24,7 @@ pub struct Identity {
 pub struct SegmentBuilder {
     segment_len: usize,
     task: Task,
+    driver: Driver,
     transitions: Vec<Transition>,
     /// Oldest weights among the collected steps.
     oldest_version: Option<WeightsVersion>,
@@ -53,11 +54,12 @@ pub fn needs_bootstrap(status: Status) -> bool {
 }
 
 impl SegmentBuilder {
-    /// A builder at the start of an episode of `task`; `segment_len` is in steps, at least 1.
-    pub fn new(segment_len: usize, task: Task) -> Self {
+    /// A builder at the start of an episode of `task` in which `driver` acts; `segment_len` is in steps, at least 1.
+    pub fn new(segment_len: usize, task: Task, driver: Driver) -> Self {
         Self {
             segment_len: segment_len.max(1),
             task,
+            driver,
             transitions: Vec::with_capacity(segment_len),
             oldest_version: None,
             first_step: 0,
@@ -71,8 +73,8 @@ impl SegmentBuilder {
     }
 
     /// Begins the next episode.
-    pub fn begin(&mut self, task: Task) {
-        *self = Self::new(self.segment_len, task);
+    pub fn begin(&mut self, task: Task, driver: Driver) {
+        *self = Self::new(self.segment_len, task, driver);
     }
 
     /// Counts a step at the start of an episode that is not learned from.
@@ -118,6 +120,7 @@ impl SegmentBuilder {
             seq: 0,
             weights_version: oldest,
             task: self.task.clone(),
+            driver: self.driver,
             first_step,
             transitions,
             last_scene: after.clone(),
@@ -150,17 +153,18 @@ mod tests {
             behavior_log_prob: -1.0,
             value: 0.5,
             reward: RewardTerms { connected, ..RewardTerms::default() },
+            label: None,
         }
     }
 
     /// Pushes steps `(reward, version, status)` into segments of 3 and lists what they complete.
     fn cuts(steps: &[(f32, u64, Status)]) -> Vec<Cut> {
-        let mut builder = SegmentBuilder::new(3, toy::task());
+        let mut builder = SegmentBuilder::new(3, toy::task(), Driver::Sample);
         let push = |&(reward, version, status): &(f32, u64, Status)| {
             let version = WeightsVersion(version);
             let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
             if status != Status::Running {
-                builder.begin(toy::task());
+                builder.begin(toy::task(), Driver::Sample);
             }
             cut
         };

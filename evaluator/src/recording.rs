@@ -1,6 +1,8 @@
 //! An episode written down step by step, so that it can be shown.
 
-use proto::{Action, ActorId, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
+use proto::{
+    Action, ActorId, Driver, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
+};
 
 use crate::report::{End, Episode};
 
@@ -13,7 +15,7 @@ pub(crate) struct Recording {
 impl Recording {
     /// Takes a step: the scene before, what was done, what that earned.
     pub(crate) fn note(&mut self, scene: Scene, action: Action, reward: RewardTerms) {
-        self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, value: 0.0, reward });
+        self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, value: 0.0, reward, label: None });
     }
 
     /// The episode as a trajectory; without log-probabilities and values, as nobody learns from it. `None` if it has no
@@ -21,6 +23,7 @@ impl Recording {
     pub(crate) fn into_trajectory(
         self,
         actor: ActorId,
+        driver: Driver,
         weights_version: WeightsVersion,
         task: &Task,
         last: &Scene,
@@ -43,6 +46,7 @@ impl Recording {
             seq: 0,
             weights_version,
             task: task.clone(),
+            driver,
             first_step: 0,
             transitions: self.transitions,
             last_scene: last.clone(),

@@ -61,6 +61,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
             behavior_log_prob: -12.0,
             value: 0.0,
             reward: RewardTerms { blocks: rng.random_range(-0.1..0.1), ..RewardTerms::default() },
+            label: None,
         })
         .collect();
     let assignment: Vec<BlockIdx> = BlockIdx::all().collect();
@@ -71,6 +72,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         seq: rng.random(),
         weights_version: proto::WeightsVersion(version),
         task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
+        driver: proto::Driver::Sample,
         first_step: 0,
         transitions,
         last_scene: scene(rng),

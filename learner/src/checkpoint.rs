@@ -4,6 +4,8 @@
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
 //! - `mailbox.bin`: trajectories that waited, each as a little-endian u64 length and its wire form;
+//! - `replay.bin`: labelled segments in the same form, and `imitator.safetensors`, of which a network without a teacher has
+//!   none;
 //! - `model.json`: the policy's configuration, enough to act with the parameters;
 //! - `state.json`: the rest, and the length and FNV-1a hash of each of the files above.
 //!
@@ -15,6 +17,7 @@ mod tensors;
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use policy::PolicyConfig;
 use proto::codec::{decode_trajectory, encode_trajectory};
@@ -29,6 +32,8 @@ pub use tensors::ParameterInfo;
 const PARAMETERS: &str = "parameters.safetensors";
 const ADAM: &str = "adam.safetensors";
 const MAILBOX: &str = "mailbox.bin";
+const REPLAY: &str = "replay.bin";
+const IMITATOR: &str = "imitator.safetensors";
 const MODEL: &str = "model.json";
 const STATE: &str = "state.json";
 
@@ -48,8 +53,12 @@ pub struct Checkpoint {
     pub parameters: Vec<f32>,
     /// The optimiser.
     pub adam: Adam,
+    /// The policy that is not to be forgotten, flat like `parameters`, once there is one.
+    pub imitator: Option<Vec<f32>>,
     /// Trajectories that waited, oldest first.
     pub mailbox: Vec<Trajectory>,
+    /// Labelled segments.
+    pub replay: Vec<Arc<Trajectory>>,
 }
 
 /// Why a checkpoint could not be written or read.
@@ -114,12 +123,19 @@ impl Checkpoint {
         files::remove(&temporary)?;
         fs::create_dir(&temporary).map_err(io("creating", &temporary))?;
         let mut files = Vec::new();
-        for (name, bytes) in [
+        let mut contents = vec![
             (PARAMETERS, tensors::write(&self.table, &[("", &self.parameters)])?),
             (ADAM, tensors::write(&self.table, &[("first.", &self.adam.first), ("second.", &self.adam.second)])?),
             (MAILBOX, pack(&self.mailbox)),
             (MODEL, json(&self.model)?),
-        ] {
+        ];
+        if let Some(imitator) = &self.imitator {
+            contents.push((IMITATOR, tensors::write(&self.table, &[("", imitator)])?));
+        }
+        if !self.replay.is_empty() {
+            contents.push((REPLAY, pack(self.replay.iter().map(Arc::as_ref))));
+        }
+        for (name, bytes) in contents {
             files.push(files::write(&temporary, name, &bytes)?);
         }
         let state = StateFile {
@@ -149,10 +165,19 @@ impl Checkpoint {
         let verified = |name| files::read_verified(path, name, &state.files);
         let [parameters] = tensors::read(path, PARAMETERS, &verified(PARAMETERS)?, &state.table, [""])?;
         let [first, second] = tensors::read(path, ADAM, &verified(ADAM)?, &state.table, ["first.", "second."])?;
-        let mailbox = unpack(path, &verified(MAILBOX)?)?;
+        let mailbox = unpack(path, MAILBOX, &verified(MAILBOX)?)?;
+        let has = |name: &str| state.files.iter().any(|file| file.name == name);
+        let imitator = if has(IMITATOR) {
+            let [imitator] = tensors::read(path, IMITATOR, &verified(IMITATOR)?, &state.table, [""])?;
+            Some(imitator)
+        } else {
+            None
+        };
+        let replay = if has(REPLAY) { unpack(path, REPLAY, &verified(REPLAY)?)? } else { Vec::new() };
+        let replay = replay.into_iter().map(Arc::new).collect();
         let model = parse(path, MODEL, &verified(MODEL)?)?;
         let adam = Adam { first, second, n_steps: state.adam_steps };
-        Ok(Self { state: state.state, model, table: state.table, parameters, adam, mailbox })
+        Ok(Self { state: state.state, model, table: state.table, parameters, adam, imitator, mailbox, replay })
     }
 
     /// Reads the newest whole checkpoint below `dir`, or `dir` itself when it is one.
@@ -212,7 +237,7 @@ fn parse<T: for<'de> Deserialize<'de>>(folder: &Path, name: &str, bytes: &[u8]) 
     serde_json::from_slice(bytes).map_err(|error| damaged(folder, name, error.to_string()))
 }
 
-fn pack(trajectories: &[Trajectory]) -> Vec<u8> {
+fn pack<'t>(trajectories: impl IntoIterator<Item = &'t Trajectory>) -> Vec<u8> {
     let mut bytes = Vec::new();
     for trajectory in trajectories {
         let encoded = encode_trajectory(trajectory);
@@ -222,13 +247,13 @@ fn pack(trajectories: &[Trajectory]) -> Vec<u8> {
     bytes
 }
 
-fn unpack(folder: &Path, mut bytes: &[u8]) -> Result<Vec<Trajectory>, CheckpointError> {
+fn unpack(folder: &Path, name: &str, mut bytes: &[u8]) -> Result<Vec<Trajectory>, CheckpointError> {
     let mut trajectories = Vec::new();
     while let Some((length, rest)) = bytes.split_first_chunk::<8>() {
         let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
         let Some((message, rest)) = rest.split_at_checked(length) else { break };
-        trajectories.push(decode_trajectory(message).map_err(|error| damaged(folder, MAILBOX, error.to_string()))?);
+        trajectories.push(decode_trajectory(message).map_err(|error| damaged(folder, name, error.to_string()))?);
         bytes = rest;
     }
-    if bytes.is_empty() { Ok(trajectories) } else { Err(damaged(folder, MAILBOX, "its last trajectory is cut short")) }
+    if bytes.is_empty() { Ok(trajectories) } else { Err(damaged(folder, name, "its last trajectory is cut short")) }
 }

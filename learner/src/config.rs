@@ -1,10 +1,12 @@
 //! All settings of the learner, with units, defaults and valid ranges.
 
+mod imitation;
 mod loss;
 mod schedule;
 
 use serde::{Deserialize, Serialize};
 
+pub use imitation::{ImitationConfig, ReplayConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
 pub use schedule::Schedule;
 
@@ -33,6 +35,8 @@ pub struct LearnerConfig {
     pub lambda: f32,
     /// PPO loss.
     pub loss: LossConfig,
+    /// What is learned from the expert's labels; absent means nothing, as in the paper. Default: absent.
+    pub imitation: Option<ImitationConfig>,
     /// Gradient step.
     pub optimizer: OptimizerConfig,
     /// Statistics of features and value targets.
@@ -73,6 +77,16 @@ pub enum RateRule {
     Fixed,
     /// It follows the KL divergence of the updates.
     Adaptive(AdaptiveRate),
+    /// It goes along a line, whatever the learning rate at the start.
+    Line(RateLine),
+}
+
+/// A learning rate that is set by environment steps.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RateLine {
+    /// Environment steps and learning rates.
+    pub points: Schedule,
 }
 
 /// Rule that keeps the policy's change per update in a band.
@@ -150,6 +164,7 @@ impl Default for LearnerConfig {
             gamma: 0.99,
             lambda: 0.95,
             loss: LossConfig::default(),
+            imitation: None,
             optimizer: OptimizerConfig::default(),
             normalisation: NormalisationConfig::default(),
             mailbox: MailboxConfig::default(),
@@ -204,6 +219,19 @@ impl Default for CheckpointConfig {
 }
 
 impl LearnerConfig {
+    /// The numbers of the loss after `n_env_steps` environment steps.
+    pub fn loss_at(&self, n_env_steps: u64) -> LossTerms {
+        let terms = self.loss.at(n_env_steps);
+        let Some(imitation) = &self.imitation else { return terms };
+        let at = |schedule: &Schedule| schedule.at(n_env_steps);
+        LossTerms {
+            policy: at(&imitation.ppo_weight),
+            imitator_kl: at(&imitation.kl_weight),
+            value_coefficient: terms.value_coefficient * at(&imitation.value_weight),
+            ..terms
+        }
+    }
+
     /// Checks every field against its range.
     ///
     /// # Errors
@@ -231,6 +259,10 @@ impl LearnerConfig {
         check_unit("gamma", self.gamma)?;
         check_unit("lambda", self.lambda)?;
         self.loss.validate()?;
+        self.imitation.as_ref().map_or(Ok(()), ImitationConfig::validate)?;
+        if let RateRule::Line(line) = &optimizer.rate_rule {
+            check("optimizer.rate_rule.points", 0.0, line.is_valid(), "rates above 0 at ascending environment steps")?;
+        }
         check_positive("optimizer.learning_rate", optimizer.learning_rate)?;
         check_positive("optimizer.epsilon", optimizer.epsilon)?;
         check_decay("optimizer.beta1", optimizer.beta1)?;
@@ -261,6 +293,12 @@ impl LearnerConfig {
             "at least 1",
         )?;
         check("checkpoints.keep", int(self.checkpoints.keep), self.checkpoints.keep >= 1, "at least 1")
+    }
+}
+
+impl RateLine {
+    fn is_valid(&self) -> bool {
+        self.points.is_ordered() && self.points.values().iter().all(|rate| *rate > 0.0 && rate.is_finite())
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::BlueprintId;
 use proto::metrics::EpisodeMetrics;
 use proto::wilson::SuccessRate;
-use proto::{Outcome, RewardTerms, Trajectory};
+use proto::{Driver, Outcome, RewardTerms, Trajectory};
 
 /// Sums over finished episodes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -16,10 +16,10 @@ pub struct EpisodeTally {
 }
 
 impl EpisodeTally {
-    /// Counts the episodes that end with one of these segments.
+    /// Counts the episodes of the policy that end with one of these segments; the expert's are no success of it.
     pub fn of(trajectories: &[Trajectory]) -> Self {
         let mut tally = Self::default();
-        for trajectory in trajectories {
+        for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
             if let Some(outcome) = &trajectory.outcome {
                 tally.add(&trajectory.task.blueprint, outcome);
             }

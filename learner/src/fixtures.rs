@@ -26,6 +26,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
             behavior_log_prob: -10.0,
             value: 0.0,
             reward: RewardTerms::default(),
+            label: None,
         })
         .collect();
     let assignment: Vec<BlockIdx> = BlockIdx::all().collect();
@@ -40,6 +41,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
             start: Start::Scattered,
             seed: 1,
         },
+        driver: proto::Driver::Sample,
         first_step: 0,
         transitions,
         last_scene: scene(rng),

@@ -8,7 +8,7 @@ use blueprints::{BlueprintId, Catalogue};
 use policy::PolicyConfig;
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalisation::{FeatureMoments, normalise};
-use proto::{Normalisation, Refusal, Trajectory, Weights, WeightsVersion};
+use proto::{Driver, Normalisation, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -21,7 +21,8 @@ use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::metrics::UpdateMetrics;
 use crate::normalisation::ValueStatistics;
-use crate::ppo::{Ppo, Progress};
+use crate::ppo::{Ppo, Progress, Teaching};
+use crate::replay::Replay;
 use crate::state::LearnerState;
 
 /// What a learner is made of.
@@ -71,6 +72,8 @@ pub struct Learner {
     ppo: Ppo,
     state: LearnerState,
     mailbox: Arc<Mailbox>,
+    /// Labelled scenes, if there is anything to learn from them.
+    replay: Option<Replay>,
 }
 
 impl Learner {
@@ -109,7 +112,8 @@ impl Learner {
             DeviceKind::Cpu => n_cores(),
             DeviceKind::Gpu => 1,
         });
-        Ok(Self { ppo: Ppo::new(&setup.policy, setup.seed, &device, n_threads), state, mailbox, setup })
+        let replay = setup.config.imitation.as_ref().map(|imitation| Replay::new(imitation.replay.clone()));
+        Ok(Self { ppo: Ppo::new(&setup.policy, setup.seed, &device, n_threads), state, mailbox, replay, setup })
     }
 
     /// A learner that goes on where `checkpoint` was taken. The settings may have changed since, except those of the
@@ -134,8 +138,11 @@ impl Learner {
         if checkpoint.adam.first.len() != n_parameters || checkpoint.adam.second.len() != n_parameters {
             return mismatch("the optimiser has other parameters");
         }
-        if let Err(error) = learner.ppo.restore(checkpoint.parameters, checkpoint.adam) {
+        if let Err(error) = learner.ppo.restore(checkpoint.parameters, checkpoint.adam, checkpoint.imitator) {
             return mismatch(&error.to_string());
+        }
+        if let Some(replay) = &mut learner.replay {
+            replay.restore(checkpoint.replay, &learner.setup.catalogue);
         }
         let Checkpoint { state, mailbox, .. } = checkpoint;
         learner.mailbox.restore(state.version, state.mailbox, mailbox);
@@ -162,21 +169,32 @@ impl Learner {
         self.mailbox.n_steps() >= self.setup.config.steps_per_update
     }
 
-    /// One PPO update with the oldest trajectories; `None` when there are not enough.
+    /// One update with the oldest trajectories and, if there is a teacher, labelled scenes; `None` when there are not
+    /// enough trajectories. PPO learns from those alone whose actions were sampled.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
         let trajectories = self.mailbox.take(self.setup.config.steps_per_update);
         if trajectories.is_empty() {
             return None;
         }
         let tally = EpisodeTally::of(&trajectories);
-        for trajectory in &trajectories {
+        let n_steps: usize = trajectories.iter().map(|trajectory| trajectory.transitions.len()).sum();
+        for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
             if let Some(outcome) = &trajectory.outcome {
                 self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
             }
         }
-        let mut batch = Batch::new(trajectories, self.state.version, &self.setup.catalogue, &self.setup.policy);
+        if let Some(replay) = &mut self.replay {
+            trajectories.iter().for_each(|trajectory| replay.push(trajectory.clone(), &self.setup.catalogue));
+        }
+        let batch =
+            |trajectories| Batch::new(trajectories, self.state.version, &self.setup.catalogue, &self.setup.policy);
+        let (sampled, others): (Vec<_>, Vec<_>) =
+            trajectories.into_iter().partition(|trajectory| trajectory.driver == Driver::Sample);
+        let own = batch(sampled);
         // The statistics are taken from raw features and take effect with the next weights.
-        let next = self.features_after(&batch);
+        let moving = self.features_move();
+        let next = moving.then(|| self.features_after([&own, &batch(others)]));
+        let mut batch = own;
         normalise(&mut batch.features, &self.state.normalisation);
         let config = &self.setup.config;
         let mut progress = Progress {
@@ -185,14 +203,24 @@ impl Learner {
             values: &mut self.state.values,
             n_env_steps: self.state.n_env_steps,
         };
-        let ppo = self.ppo.update(&batch, config, &mut progress);
-        self.adopt(next, batch.features.n);
+        let teaching = self.replay.as_ref().zip(config.imitation.as_ref()).map(|(replay, imitation)| Teaching {
+            config: imitation,
+            replay,
+            features: &self.setup.policy.features,
+            normalisation: &self.state.normalisation,
+        });
+        let learned = self.ppo.update(&batch, teaching, config, &mut progress);
+        if let Some((features, n_scenes)) = next {
+            self.adopt_features(features, n_scenes);
+        }
+        self.state.normalisation.value_mean = self.state.values.mean as f32;
+        self.state.normalisation.value_std = self.state.values.std as f32;
         self.state.version.0 += 1;
         self.state.n_updates += 1;
-        self.state.n_env_steps += batch.n_samples() as u64;
+        self.state.n_env_steps += n_steps as u64;
         self.state.n_episodes += tally.n_episodes();
         self.mailbox.set_version(self.state.version);
-        Some(UpdateMetrics::new(&self.state, &batch, ppo, tally.metrics(), &self.mailbox))
+        Some(UpdateMetrics::new(&self.state, &batch, n_steps as u64, learned, tally.metrics(), &self.mailbox))
     }
 
     /// The newest weights.
@@ -224,7 +252,9 @@ impl Learner {
             table: self.table(),
             parameters: self.ppo.parameters().to_vec(),
             adam: self.ppo.adam().clone(),
+            imitator: self.ppo.imitator().map(<[f32]>::to_vec),
             mailbox,
+            replay: self.replay.as_ref().map(Replay::segments).unwrap_or_default(),
         }
     }
 
@@ -241,27 +271,24 @@ impl Learner {
         specs.map(|spec| ParameterInfo { name: spec.name.clone(), shape: spec.shape.clone() }).collect()
     }
 
-    /// Feature statistics with a batch of raw features taken in; `None` when they no longer move.
-    fn features_after(&self, batch: &Batch) -> Option<FeatureMoments> {
+    /// Whether the feature statistics still move.
+    fn features_move(&self) -> bool {
         let config = &self.setup.config.normalisation;
-        if !config.features || self.state.n_feature_scenes >= config.feature_samples {
-            return None;
-        }
+        config.features && self.state.n_feature_scenes < config.feature_samples
+    }
+
+    /// Feature statistics with batches of raw features taken in, and the number of scenes in those.
+    fn features_after(&self, batches: [&Batch; 2]) -> (FeatureMoments, usize) {
         let mut moments = self.state.features.clone();
-        moments.push(&batch.features);
-        Some(moments)
+        batches.iter().for_each(|batch| moments.push(&batch.features));
+        (moments, batches.iter().map(|batch| batch.features.n).sum())
     }
 
     /// Puts the statistics in force for the weights about to be named.
-    fn adopt(&mut self, features: Option<FeatureMoments>, n_scenes: usize) {
-        let state = &mut self.state;
-        if let Some(features) = features {
-            features.freeze_into(&mut state.normalisation);
-            state.features = features;
-            state.n_feature_scenes += n_scenes as u64;
-        }
-        state.normalisation.value_mean = state.values.mean as f32;
-        state.normalisation.value_std = state.values.std as f32;
+    fn adopt_features(&mut self, features: FeatureMoments, n_scenes: usize) {
+        features.freeze_into(&mut self.state.normalisation);
+        self.state.features = features;
+        self.state.n_feature_scenes += n_scenes as u64;
     }
 }
 

@@ -1,7 +1,7 @@
 //! Trajectories in, weights out: PPO with everything it needs to run for days.
 //!
 //! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalisation`], [`curriculum`] → [`mailbox`] →
-//! [`batch`] → [`learner`] (the synchronous whole) → [`checkpoint`] → [`mod@run`] (the service on the bus).
+//! [`batch`] and [`replay`] → [`learner`] (the synchronous whole) → [`checkpoint`] → [`mod@run`] (the service on the bus).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -20,6 +20,7 @@ pub mod mailbox;
 pub mod metrics;
 pub mod normalisation;
 mod ppo;
+pub mod replay;
 pub mod run;
 pub mod state;
 #[cfg(test)]

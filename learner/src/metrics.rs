@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use blueprints::BlueprintId;
 use proto::WeightsVersion;
-use proto::metrics::{EpisodeMetrics, PpoMetrics};
+use proto::metrics::{EpisodeMetrics, ImitationMetrics, PpoMetrics};
 use serde::Serialize;
 
 use crate::batch::Batch;
@@ -32,8 +32,12 @@ pub struct UpdateMetrics {
     pub n_mailbox: u64,
     /// What became of the trajectories so far.
     pub mailbox: MailboxCounts,
+    /// Environment steps of this update.
+    pub n_steps: u64,
     /// Numbers of the PPO update.
     pub ppo: PpoMetrics,
+    /// Numbers of learning from labels, if there was any.
+    pub imitation: Option<ImitationMetrics>,
     /// Of the episodes that ended in the batch.
     pub episodes: EpisodeMetrics,
     /// Probability of each training blueprint.
@@ -44,7 +48,8 @@ impl UpdateMetrics {
     pub(crate) fn new(
         state: &LearnerState,
         batch: &Batch,
-        ppo: PpoMetrics,
+        n_steps: u64,
+        (ppo, imitation): (PpoMetrics, Option<ImitationMetrics>),
         episodes: EpisodeMetrics,
         mailbox: &Mailbox,
     ) -> Self {
@@ -60,7 +65,9 @@ impl UpdateMetrics {
             policy_lag_histogram: histogram,
             n_mailbox: mailbox.n_steps() as u64,
             mailbox: mailbox.counts(),
+            n_steps,
             ppo,
+            imitation,
             episodes,
             task_probabilities: state.curriculum.probabilities(),
         }

@@ -1,6 +1,7 @@
 //! One PPO update: advantages, epochs, minibatches, gradient steps.
 
 mod passes;
+mod tutor;
 mod workers;
 
 use std::ops::Range;
@@ -8,17 +9,19 @@ use std::ops::Range;
 use burn::tensor::Device;
 use policy::PolicyConfig;
 use policy::parameters::{ParameterError, ParameterSpec};
-use proto::metrics::PpoMetrics;
+use proto::metrics::{ImitationMetrics, PpoMetrics};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
-use crate::config::{LearnerConfig, Objective, RateRule};
+use crate::config::{LearnerConfig, LossTerms, Objective, RateRule};
 use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalisation::ValueStatistics;
 use passes::{Evaluation, LossSums, Targets};
+pub(crate) use tutor::Teaching;
+use tutor::Tutor;
 use workers::{Workers, pieces};
 
 /// The network in training and its optimiser.
@@ -29,6 +32,8 @@ pub(crate) struct Ppo {
     parameters: Vec<f32>,
     adam: Adam,
     value_head: ValueHead,
+    /// The policy that is not to be forgotten, once there is one.
+    imitator: Option<Vec<f32>>,
 }
 
 /// What an update moves besides the network.
@@ -60,6 +65,12 @@ struct Steps {
     n_skipped: u64,
 }
 
+impl Steps {
+    fn mean_grad_norm(&self) -> f64 {
+        self.grad_norm / self.n_steps.max(1) as f64
+    }
+}
+
 impl Ppo {
     /// An untrained network, passed through by `n_threads` threads.
     pub(crate) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n_threads: usize) -> Self {
@@ -67,14 +78,27 @@ impl Ppo {
         let parameters = policy::parameters::flatten(workers.network());
         let adam = Adam::new(parameters.len());
         let value_head = ValueHead::find(workers.network().table());
-        Self { workers, parameters, adam, value_head }
+        Self { workers, parameters, adam, value_head, imitator: None }
     }
 
     /// Takes on the parameters and moments of a checkpoint.
-    pub(crate) fn restore(&mut self, parameters: Vec<f32>, adam: Adam) -> Result<(), ParameterError> {
+    pub(crate) fn restore(
+        &mut self,
+        parameters: Vec<f32>,
+        adam: Adam,
+        imitator: Option<Vec<f32>>,
+    ) -> Result<(), ParameterError> {
         self.workers.load(&parameters)?;
-        (self.parameters, self.adam) = (parameters, adam);
+        if let Some(imitator) = &imitator {
+            self.workers.freeze(imitator)?;
+        }
+        (self.parameters, self.adam, self.imitator) = (parameters, adam, imitator);
         Ok(())
+    }
+
+    /// The policy that is not to be forgotten, once there is one.
+    pub(crate) fn imitator(&self) -> Option<&[f32]> {
+        self.imitator.as_deref()
     }
 
     /// The parameters, flat.
@@ -92,8 +116,52 @@ impl Ppo {
         self.workers.network().table()
     }
 
-    /// Learns from a batch whose features are normalised.
-    pub(crate) fn update(&mut self, batch: &Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> PpoMetrics {
+    /// Learns from a batch whose features are normalised, and from a teaching.
+    pub(crate) fn update(
+        &mut self,
+        batch: &Batch,
+        teaching: Option<Teaching<'_>>,
+        config: &LearnerConfig,
+        progress: &mut Progress<'_>,
+    ) -> (PpoMetrics, Option<ImitationMetrics>) {
+        let terms = config.loss_at(progress.n_env_steps);
+        if let RateRule::Line(line) = &config.optimizer.rate_rule {
+            progress.learning_rate.0 = line.points.at(progress.n_env_steps);
+        }
+        if terms.imitator_kl > 0.0 && self.imitator.is_none() {
+            self.workers.freeze(&self.parameters).expect("finite parameters of the same number");
+            self.imitator = Some(self.parameters.clone());
+        }
+        let mut tutor = teaching.and_then(|teaching| Tutor::new(teaching, progress.n_env_steps));
+        let learns = terms.policy > 0.0 || terms.value_coefficient > 0.0 || terms.imitator_kl > 0.0;
+        let mut metrics = PpoMetrics { learning_rate: f64::from(progress.learning_rate.0), ..PpoMetrics::default() };
+        if learns && batch.n_samples() > 0 {
+            metrics = self.update_with(batch, terms, tutor.as_mut(), config, progress);
+        }
+        let Some(mut tutor) = tutor else { return (metrics, None) };
+        let mut steps = Steps::default();
+        while tutor.n_left() > 0 {
+            let mut gradient = vec![0.0; self.parameters.len()];
+            tutor.add_gradient(&mut self.workers, config.forward_size, progress.rng, &mut gradient);
+            self.step(&mut gradient, *progress.learning_rate, config, &mut steps);
+        }
+        if metrics.n_gradient_steps == 0 {
+            metrics.grad_norm = steps.mean_grad_norm();
+        }
+        metrics.n_gradient_steps += steps.n_steps;
+        metrics.n_skipped_steps += steps.n_skipped;
+        (metrics, Some(tutor.metrics()))
+    }
+
+    /// PPO, with the teaching in every gradient step for as long as it lasts.
+    fn update_with(
+        &mut self,
+        batch: &Batch,
+        terms: LossTerms,
+        mut tutor: Option<&mut Tutor<'_>>,
+        config: &LearnerConfig,
+        progress: &mut Progress<'_>,
+    ) -> PpoMetrics {
         let before = self.workers.evaluate(batch, config.forward_size);
         let values = in_reward_units(&before.values, progress.values);
         let advantages = batch.advantages(&values, config.gamma, config.lambda);
@@ -113,7 +181,7 @@ impl Ppo {
             }
         };
         let mut targets = Targets {
-            loss: config.loss.at(progress.n_env_steps),
+            loss: terms,
             reference,
             weights,
             advantages,
@@ -132,7 +200,7 @@ impl Ppo {
                 // reinforcement learning", section 3.5).
                 self.refresh(batch, config, progress.values, &mut targets);
             }
-            moved = self.epoch(batch, config, &targets, rate, progress.rng, &mut steps);
+            moved = self.epoch(batch, tutor.as_deref_mut(), config, &targets, rate, progress.rng, &mut steps);
             n_epochs += 1;
             if config.optimizer.stop_kl.is_some_and(|limit| moved.approx_kl > f64::from(limit)) {
                 break;
@@ -153,7 +221,8 @@ impl Ppo {
             clip_fraction: moved.clip_fraction,
             effective_sample_size: effective_sample_size(&before.log_probs, &batch.behavior_log_probs),
             explained_variance: explained_variance(&values[..batch.n_samples()], &returns),
-            grad_norm: steps.grad_norm / steps.n_steps.max(1) as f64,
+            imitator_kl: mean(steps.losses.imitator_kl),
+            grad_norm: steps.mean_grad_norm(),
             learning_rate: f64::from(rate.0),
             n_samples: batch.n_samples() as u64,
             n_gradient_steps: steps.n_steps,
@@ -165,9 +234,11 @@ impl Ppo {
     }
 
     /// Goes over all samples once in random order.
+    #[allow(clippy::too_many_arguments, reason = "an update in pieces")]
     fn epoch(
         &mut self,
         batch: &Batch,
+        mut tutor: Option<&mut Tutor<'_>>,
         config: &LearnerConfig,
         targets: &Targets<'_>,
         rate: LearningRate,
@@ -187,19 +258,27 @@ impl Ppo {
                 steps.losses += pass.losses;
             }
             steps.n_samples += minibatch.len();
-            let norm = clip_global_norm(&mut gradient, config.optimizer.max_grad_norm);
-            if !norm.is_finite() {
-                // One bad gradient would spoil the moments for good.
-                tracing::warn!(norm, "a gradient is not finite, its step is left out");
-                steps.n_skipped += 1;
-                continue;
+            if let Some(tutor) = tutor.as_mut().filter(|tutor| tutor.n_left() > 0) {
+                tutor.add_gradient(&mut self.workers, config.forward_size, rng, &mut gradient);
             }
-            steps.grad_norm += f64::from(norm);
-            steps.n_steps += 1;
-            self.adam.step(&mut self.parameters, &gradient, rate, &config.optimizer);
-            self.load();
+            self.step(&mut gradient, rate, config, steps);
         }
         RatioStatistics::new(&log_probs, targets.reference, config.loss.clip)
+    }
+
+    /// One gradient step.
+    fn step(&mut self, gradient: &mut [f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
+        let norm = clip_global_norm(gradient, config.optimizer.max_grad_norm);
+        if !norm.is_finite() {
+            // One bad gradient would spoil the moments for good.
+            tracing::warn!(norm, "a gradient is not finite, its step is left out");
+            steps.n_skipped += 1;
+            return;
+        }
+        steps.grad_norm += f64::from(norm);
+        steps.n_steps += 1;
+        self.adam.step(&mut self.parameters, gradient, rate, &config.optimizer);
+        self.load();
     }
 
     /// Brings advantages and value targets up to date with the network.

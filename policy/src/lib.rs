@@ -1,7 +1,8 @@
 //! From a scene to an action: graph features, the network, the action distribution, and parameters as flat vectors.
 //!
 //! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`parameters`] → [`distribution`] →
-//! [`policy`] (inference) and [`loss_terms`] (the same distribution on tensors, for training).
+//! [`policy`] (inference) and [`loss_terms`] (the same distribution on tensors, for training) and
+//! [`imitation`] (its distance from the expert's labels and from another policy).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -11,6 +12,7 @@ pub mod device;
 pub mod distribution;
 pub mod features;
 mod geometry;
+pub mod imitation;
 pub mod loss_terms;
 pub mod network;
 pub mod normalisation;

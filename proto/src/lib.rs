@@ -25,5 +25,5 @@ pub use codec::{Ack, DecodeError, Refusal};
 pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};
 pub use step::{Action, Move, RewardTerms, Status};
-pub use trajectory::{ActorId, InvalidActorId, Outcome, Start, Task, Trajectory, Transition};
+pub use trajectory::{ActorId, Driver, InvalidActorId, Label, Outcome, Start, Task, Trajectory, Transition};
 pub use weights::{Normalisation, Weights, WeightsVersion};

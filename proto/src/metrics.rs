@@ -45,6 +45,9 @@ pub struct LearnerMetrics {
     pub expired_total: u64,
     /// Numbers of the PPO update.
     pub ppo: PpoMetrics,
+    /// Learning from the expert; `null` without.
+    #[serde(default)]
+    pub imitation: Option<ImitationMetrics>,
     /// Of the episodes that ended since the last report.
     pub episodes: EpisodeMetrics,
     /// What became of the trajectories that arrived.
@@ -79,6 +82,9 @@ pub struct PpoMetrics {
     pub effective_sample_size: f64,
     /// 1 − Var(target − value) / Var(target) before the update; at most 1, 0 for a constant guess.
     pub explained_variance: f64,
+    /// Mean KL(imitator ‖ policy), nats; 0 while nothing holds the policy to the imitator.
+    #[serde(default)]
+    pub imitator_kl: f64,
     /// Norm of the gradient before clipping.
     pub grad_norm: f64,
     /// Learning rate used.
@@ -95,6 +101,23 @@ pub struct PpoMetrics {
     pub value_mean: f64,
     /// Standard deviation of the value targets, reward units.
     pub value_std: f64,
+}
+
+/// One update's learning from the expert's labels; means over scenes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ImitationMetrics {
+    /// Weight in the loss.
+    pub weight: f64,
+    /// Σ over grippers of the cross-entropy of the block choice, nats.
+    pub block_loss: f64,
+    /// Σ over labelled blocks of the mean smooth L1 distance of the move, fractions of the speed limits.
+    pub move_loss: f64,
+    /// Fraction of the scenes in which the likeliest block is the expert's for all grippers, 0 to 1.
+    pub block_accuracy: f64,
+    /// Gradient steps with labels.
+    pub n_gradient_steps: u64,
+    /// Labelled scenes that are kept.
+    pub n_replay: u64,
 }
 
 /// Of finished episodes.

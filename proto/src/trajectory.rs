@@ -6,7 +6,7 @@ use std::str::FromStr;
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use serde::{Deserialize, Serialize};
 
-use crate::{Action, RewardTerms, Scene, Status, WeightsVersion};
+use crate::{Action, Move, N_GRIPPERS, RewardTerms, Scene, Status, WeightsVersion};
 
 /// Name of an actor: 1 to 64 characters of `a-z`, `0-9`, `-`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -56,6 +56,42 @@ pub struct Transition {
     pub value: f32,
     /// Reward by term.
     pub reward: RewardTerms,
+    /// What the expert would have done in `scene`; `None` without a teacher, or if the expert knows nothing.
+    pub label: Option<Label>,
+}
+
+/// What the expert does in a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Label {
+    /// The block of each gripper; `Some` for exactly the grippers of the world.
+    pub choices: [Option<BlockIdx>; N_GRIPPERS],
+    /// The moves of those blocks, as in [`Action::moves`]; zeros without a choice.
+    pub moves: [Move; N_GRIPPERS],
+}
+
+/// Who chose the actions of an episode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Driver {
+    /// The policy's distribution: the one case from which policy gradients can be taken.
+    #[default]
+    Sample,
+    /// The policy's most probable action, with noise.
+    Mode,
+    /// The expert, with noise.
+    Expert,
+}
+
+impl Label {
+    /// The label that an expert's action is; `None` if a gripper of the world has no block.
+    pub fn new(action: &Action, n_grippers: usize) -> Option<Self> {
+        let mut label = Self { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_GRIPPERS] };
+        for gripper in 0..n_grippers.min(N_GRIPPERS) {
+            let block = action.choices[gripper]?;
+            label.choices[gripper] = Some(block);
+            label.moves[gripper] = action.moves[block.get()];
+        }
+        Some(label)
+    }
 }
 
 /// How an ended episode went; rides on its last segment.
@@ -82,6 +118,8 @@ pub struct Trajectory {
     pub weights_version: WeightsVersion,
     /// Goal and start of the episode.
     pub task: Task,
+    /// Who acted. `behavior_log_prob` is 0 unless actions were sampled.
+    pub driver: Driver,
     /// Index of the first transition in its episode.
     pub first_step: u16,
     /// At least one step.

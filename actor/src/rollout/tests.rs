@@ -21,6 +21,7 @@ fn with_lead_in(scripts: &[&[Status]], seed: u64, lead_in: LeadInConfig) -> Roll
         tasks,
         segment_len: 3,
         lead_in,
+        teacher: None,
         identity: toy::identity(),
         seed,
     };

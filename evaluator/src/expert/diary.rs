@@ -4,7 +4,7 @@ use std::fmt;
 
 use blueprints::Blueprint;
 use environment::{Activity, Decision};
-use proto::{Action, ActorId, Joint, N_GRIPPERS, RewardTerms, Scene, Status, Task, Trajectory, WeightsVersion};
+use proto::{Action, ActorId, Driver, Joint, N_GRIPPERS, RewardTerms, Scene, Status, Task, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
 use crate::recording::Recording;
@@ -137,7 +137,7 @@ impl Diary {
     /// The episode as a trajectory of no weights.
     pub(super) fn into_replay(self, task: &Task, last: &Scene, end: &Episode) -> Option<Trajectory> {
         let actor = ActorId::try_from("expert".to_owned()).ok()?;
-        self.recording.into_trajectory(actor, WeightsVersion(0), task, last, end)
+        self.recording.into_trajectory(actor, Driver::Expert, WeightsVersion(0), task, last, end)
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use blueprints::{BlueprintId, Split};
-use proto::{ActorId, Scene, Task, Trajectory, Weights};
+use proto::{ActorId, Driver, Scene, Task, Trajectory, Weights};
 
 use super::config::FilmsConfig;
 use super::studio::Tray;
@@ -118,7 +118,11 @@ impl Casting {
             return;
         }
         let (actor, version) = (self.actor.clone(), self.weights.version);
-        let Some(trajectory) = recording.into_trajectory(actor, version, task, last, episode) else { return };
+        let driver = match episode.acting {
+            Acting::Mode => Driver::Mode,
+            Acting::Sampled => Driver::Sample,
+        };
+        let Some(trajectory) = recording.into_trajectory(actor, driver, version, task, last, episode) else { return };
         let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();
         for subject in wanted {
             open.missing.entry((subject, ending)).and_modify(|n| *n -= 1);

@@ -36,6 +36,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         behavior_log_prob: 0.0,
         value: 0.0,
         reward,
+        label: None,
     };
     let status = if last == 4 { Status::Success } else { Status::Running };
     let outcome = Outcome { success: true, n_steps: 4, episode_return: reward };
@@ -51,6 +52,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
             start: Start::Scattered,
             seed: 1,
         },
+        driver: proto::Driver::Sample,
         first_step: first,
         transitions: (first..last).map(transition).collect(),
         last_scene: scene(0.4 * f32::from(last)),

@@ -177,6 +177,7 @@ mod tests {
             behavior_log_prob: 0.0,
             value: 0.0,
             reward,
+            label: None,
         };
         Trajectory {
             actor: "a".parse().unwrap(),
@@ -189,6 +190,7 @@ mod tests {
                 start: Start::Scattered,
                 seed,
             },
+            driver: proto::Driver::Sample,
             first_step,
             transitions: (0..n_steps).map(transition).collect(),
             last_scene: scene(9.0),

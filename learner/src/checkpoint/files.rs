@@ -13,7 +13,7 @@ use super::{CheckpointError, damaged, io};
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FileInfo {
-    name: String,
+    pub(super) name: String,
     n_bytes: u64,
     /// FNV-1a over the bytes, as 16 hexadecimal digits.
     fnv1a: String,

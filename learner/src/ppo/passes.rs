@@ -2,14 +2,17 @@
 
 use std::ops::AddAssign;
 
+use blueprints::N_BLOCKS;
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::config::BlockMask;
+use policy::imitation::{self, LabelTensors};
 use policy::loss_terms::{self, ActionTensors};
 use policy::parameters::{self, ParameterError};
 use policy::{BatchTensors, FeatureBatch, Network, NetworkOutput, PolicyConfig};
+use proto::Label;
 
 use crate::batch::Batch;
-use crate::config::LossTerms;
+use crate::config::{ImitationConfig, LossTerms};
 use crate::loss::{policy_loss, value_loss};
 
 /// Networks for passes on one thread.
@@ -22,6 +25,8 @@ pub(super) struct Passes {
     plain: Network,
     /// On the differentiating device, for gradients.
     tracked: Network,
+    /// On the plain device: the policy that is not to be forgotten.
+    imitator: Option<Network>,
 }
 
 /// What the network says about rows of a batch, without gradients.
@@ -59,6 +64,30 @@ pub(super) struct GradientPass {
     pub(super) losses: LossSums,
 }
 
+/// Scenes with the expert's labels.
+pub(super) struct Lessons {
+    /// Normalised.
+    pub(super) features: FeatureBatch,
+    /// One for each scene.
+    pub(super) labels: Vec<Label>,
+}
+
+/// Result of a forward and backward pass over labelled scenes.
+pub(super) struct ImitationPass {
+    /// Of the loss, in the order of the flat parameters.
+    pub(super) gradient: Vec<f32>,
+    pub(super) sums: ImitationSums,
+}
+
+/// Sums over labelled scenes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ImitationSums {
+    pub(super) blocks: f64,
+    pub(super) moves: f64,
+    pub(super) n_right: usize,
+    pub(super) n_scenes: usize,
+}
+
 /// Sums of the parts of the loss over samples.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LossSums {
@@ -66,15 +95,17 @@ pub(super) struct LossSums {
     pub(super) value: f64,
     pub(super) blocks: f64,
     pub(super) moves: f64,
+    pub(super) imitator_kl: f64,
 }
 
 impl LossSums {
     /// The weighted sum that is minimised.
     pub(super) fn total(&self, config: &LossTerms) -> f64 {
         let weighted = |coefficient: f32, sum: f64| f64::from(coefficient) * sum;
-        self.policy + weighted(config.value_coefficient, self.value)
-            - weighted(config.block_entropy, self.blocks)
-            - weighted(config.move_entropy, self.moves)
+        let entropies = weighted(config.block_entropy, self.blocks) + weighted(config.move_entropy, self.moves);
+        weighted(config.policy, self.policy - entropies)
+            + weighted(config.value_coefficient, self.value)
+            + weighted(config.imitator_kl, self.imitator_kl)
     }
 }
 
@@ -84,6 +115,16 @@ impl AddAssign for LossSums {
         self.value += other.value;
         self.blocks += other.blocks;
         self.moves += other.moves;
+        self.imitator_kl += other.imitator_kl;
+    }
+}
+
+impl AddAssign for ImitationSums {
+    fn add_assign(&mut self, other: Self) {
+        self.blocks += other.blocks;
+        self.moves += other.moves;
+        self.n_right += other.n_right;
+        self.n_scenes += other.n_scenes;
     }
 }
 
@@ -93,7 +134,7 @@ impl Passes {
         let tracked_device = device.clone().autodiff();
         let network = |device| Network::init(&policy.network, &policy.sizes(), seed, device);
         let (plain, tracked) = (network(device), network(&tracked_device));
-        Self { policy: policy.clone(), device: device.clone(), tracked_device, plain, tracked }
+        Self { policy: policy.clone(), device: device.clone(), tracked_device, plain, tracked, imitator: None }
     }
 
     /// The network without gradients.
@@ -109,6 +150,39 @@ impl Passes {
         self.plain = parameters::load(self.plain.clone(), parameters)?;
         self.tracked = parameters::load(self.tracked.clone(), parameters)?;
         Ok(())
+    }
+
+    /// Puts `parameters` into the network that is not to be forgotten.
+    ///
+    /// # Errors
+    /// When their number is wrong or one is not finite.
+    pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
+        self.imitator = Some(parameters::load(self.plain.clone(), parameters)?);
+        Ok(())
+    }
+
+    /// Gradient of `share` × the summed imitation loss of a piece of normalised scenes.
+    pub(super) fn imitate(
+        &self,
+        lessons: &Lessons,
+        rows: &[usize],
+        config: &ImitationConfig,
+        share: f32,
+    ) -> ImitationPass {
+        let device = &self.tracked_device;
+        let features = lessons.features.select(rows);
+        // Not masked: the expert may clear a block out of the way that a mask would forbid.
+        let output = self.tracked.forward(&BatchTensors::new(&features, self.tracked.edge_layout(), device));
+        let labels: Vec<Label> = rows.iter().map(|&row| lessons.labels[row]).collect();
+        let tensors = LabelTensors::new(&labels, usize::from(self.policy.network.n_grippers), device);
+        let loss = imitation::imitation(&output, &tensors, config.move_delta);
+        let (blocks, moves) = (loss.blocks.sum(), loss.moves.sum());
+        let mut gradients = ((blocks.clone() + moves.clone() * config.move_weight) * share).backward();
+        let gradient = parameters::flatten_gradients(&self.tracked, &mut gradients);
+        let sums = to_vec(Tensor::cat(vec![blocks, moves], 0));
+        let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
+        let n_right = n_right(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);
+        ImitationPass { gradient, sums: ImitationSums { blocks: sum(0), moves: sum(1), n_right, n_scenes: rows.len() } }
     }
 
     /// Values of `rows` and log-probabilities of the actions of those that are samples; `rows` must ascend.
@@ -128,7 +202,8 @@ impl Passes {
     /// Gradient of `share` × the summed loss of `samples`.
     pub(super) fn gradient(&self, batch: &Batch, samples: &[usize], targets: &Targets<'_>, share: f32) -> GradientPass {
         let (config, device) = (&targets.loss, &self.tracked_device);
-        let output = self.forward(&self.tracked, device, &batch.features.select(samples));
+        let mut output = self.forward(&self.tracked, device, &batch.features.select(samples));
+        let values = std::mem::replace(&mut output.values, Tensor::zeros([0], device));
         let column = |values: &[f32]| {
             let values: Vec<f32> = samples.iter().map(|&sample| values[sample]).collect();
             Tensor::<1>::from_data(TensorData::new(values, [samples.len()]), device)
@@ -140,15 +215,22 @@ impl Passes {
         let entropy = loss_terms::entropy(&output, form);
         let (blocks, moves) = (entropy.blocks.sum(), entropy.moves.sum());
         let (old, target) = (column(&targets.old_values), column(&targets.value_targets));
-        let value = value_loss(output.values, old, target, config.value_clip).sum();
-        let loss = policy.clone() + value.clone() * config.value_coefficient
-            - blocks.clone() * config.block_entropy
-            - moves.clone() * config.move_entropy;
+        let value = value_loss(values, old, target, config.value_clip).sum();
+        let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
+        let mut loss = (policy.clone() - entropies) * config.policy + value.clone() * config.value_coefficient;
+        let mut parts = vec![policy, value, blocks, moves];
+        if let Some(imitator) = self.imitator.as_ref().filter(|_| config.imitator_kl > 0.0) {
+            let reference = self.forward(imitator, &self.device, &batch.features.select(samples));
+            let divergence = imitation::divergence(&onto(reference, device), &output).sum();
+            loss = loss + divergence.clone() * config.imitator_kl;
+            parts.push(divergence);
+        }
         let mut gradients = (loss * share).backward();
         let gradient = parameters::flatten_gradients(&self.tracked, &mut gradients);
-        let sums = to_vec(Tensor::cat(vec![policy, value, blocks, moves], 0));
+        let sums = to_vec(Tensor::cat(parts, 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
-        let losses = LossSums { policy: sum(0), value: sum(1), blocks: sum(2), moves: sum(3) };
+        let imitator_kl = sums.get(4).copied().map_or(0.0, f64::from);
+        let losses = LossSums { policy: sum(0), value: sum(1), blocks: sum(2), moves: sum(3), imitator_kl };
         GradientPass { gradient, log_probs: to_vec(log_prob), losses }
     }
 
@@ -176,6 +258,28 @@ fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
         logits: rows(&output.logits),
         values: output.values.clone().narrow(0, 0, n),
     }
+}
+
+/// The same numbers on another device, without a way back for gradients.
+fn onto(output: NetworkOutput, device: &Device) -> NetworkOutput {
+    let copy = |tensor: Tensor<3>| Tensor::from_data(tensor.into_data(), device);
+    NetworkOutput {
+        locs: copy(output.locs),
+        scales: copy(output.scales),
+        logits: copy(output.logits),
+        values: Tensor::from_data(output.values.into_data(), device),
+    }
+}
+
+/// Scenes in which the likeliest block is the label's for all grippers; logits `[B, G, 16]`.
+fn n_right(logits: &[f32], labels: &[Label]) -> usize {
+    let rows = logits.chunks_exact(logits.len() / labels.len().max(1));
+    let right = |(row, label): (&[f32], &Label)| {
+        row.chunks_exact(N_BLOCKS)
+            .zip(label.choices)
+            .all(|(logits, choice)| choice.is_none_or(|block| logits.iter().all(|&logit| logit <= logits[block.get()])))
+    };
+    rows.zip(labels).filter(|(row, label)| right((row, label))).count()
 }
 
 fn to_vec(tensor: Tensor<1>) -> Vec<f32> {

@@ -4,8 +4,9 @@ use burn::tensor::Device;
 use policy::parameters::ParameterError;
 use policy::{Network, PolicyConfig};
 
-use super::passes::{Evaluation, GradientPass, Passes, Targets};
+use super::passes::{Evaluation, GradientPass, ImitationPass, Lessons, Passes, Targets};
 use crate::batch::Batch;
+use crate::config::ImitationConfig;
 
 /// One set of networks for each thread: gradients of graphs that share a tensor would wait for each other.
 ///
@@ -32,6 +33,21 @@ impl Workers {
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         let loaded = self.each(|_, passes| passes.load(parameters));
         loaded.into_iter().collect()
+    }
+
+    /// Puts `parameters` into the networks that are not to be forgotten.
+    ///
+    /// # Errors
+    /// When their number is wrong or one is not finite.
+    pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
+        self.each(|_, passes| passes.freeze(parameters)).into_iter().collect()
+    }
+
+    /// Gradients of the mean imitation loss of all lessons, one for each piece of about `size` scenes.
+    pub(super) fn imitate(&mut self, lessons: &Lessons, size: usize, config: &ImitationConfig) -> Vec<ImitationPass> {
+        let rows: Vec<usize> = (0..lessons.labels.len()).collect();
+        let share = 1.0 / rows.len() as f32;
+        self.map(&pieces(&rows, size), |passes, piece| passes.imitate(lessons, piece, config, share))
     }
 
     /// Values of all rows and log-probabilities of all actions, in pieces of about `size` rows.

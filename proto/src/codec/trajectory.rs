@@ -7,8 +7,9 @@ use super::check::{array, block, blueprint_id, invalid, narrow, number, present}
 use super::scene::{
     action_from_wire, action_to_wire, reward_from_wire, reward_to_wire, scene_from_wire, scene_to_wire,
 };
+use super::scene::{label_from_wire, label_to_wire};
 use super::{DecodeError, PROTOCOL_VERSION, check_version, parse};
-use crate::{ActorId, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire};
+use crate::{ActorId, Driver, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire};
 
 /// Longest segment, in steps.
 pub const MAX_SEGMENT_STEPS: usize = 1000;
@@ -35,6 +36,12 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
             n_steps: outcome.n_steps.into(),
             episode_return: Some(reward_to_wire(&outcome.episode_return)),
         }),
+        driver: match trajectory.driver {
+            Driver::Sample => wire::Driver::Sample,
+            Driver::Mode => wire::Driver::Mode,
+            Driver::Expert => wire::Driver::Expert,
+        }
+        .into(),
     }
     .encode_to_vec()
 }
@@ -62,6 +69,12 @@ pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
         status: status_from_wire(message.status)?,
         bootstrap_value: number("bootstrap_value", message.bootstrap_value)?,
         outcome: message.outcome.map(outcome_from_wire).transpose()?,
+        driver: match wire::Driver::try_from(message.driver) {
+            Ok(wire::Driver::Sample) => Driver::Sample,
+            Ok(wire::Driver::Mode) => Driver::Mode,
+            Ok(wire::Driver::Expert) => Driver::Expert,
+            Err(_) => return Err(invalid("driver", message.driver, "sample, mode or expert")),
+        },
     };
     check_grippers(&trajectory)?;
     check_ending(&trajectory)?;
@@ -84,6 +97,11 @@ fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
                 format!("{chosen:?}"),
                 "a choice for exactly the grippers of the world",
             ));
+        }
+        let labelled = transition.label.map(|label| label.choices.map(|c| c.is_some()));
+        if labelled.is_some_and(|labelled| labelled != expected) {
+            let labelled = format!("{labelled:?}");
+            return Err(invalid("label.choice", labelled, "a choice for exactly the grippers of the world"));
         }
     }
     Ok(())
@@ -171,6 +189,7 @@ fn transition_to_wire(transition: &Transition) -> wire::Transition {
         behavior_log_prob: transition.behavior_log_prob,
         value: transition.value,
         reward: Some(reward_to_wire(&transition.reward)),
+        label: transition.label.as_ref().map(label_to_wire),
     }
 }
 
@@ -181,6 +200,7 @@ fn transition_from_wire(transition: wire::Transition) -> Result<Transition, Deco
         behavior_log_prob: number("transition.behavior_log_prob", transition.behavior_log_prob)?,
         value: number("transition.value", transition.value)?,
         reward: reward_from_wire(present("transition.reward", transition.reward)?)?,
+        label: transition.label.map(label_from_wire).transpose()?,
     })
 }
 

@@ -48,6 +48,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         behavior_log_prob: -7.5,
         value: 1.25,
         reward: RewardTerms { connected: 1.0, wrong: -1.0, magnets: 0.5, blocks: -0.25, force: -0.125 },
+        label: None,
     };
     Trajectory {
         actor: actor.parse().unwrap(),
@@ -61,6 +62,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
             start: Start::Prebuilt("2_004".parse().unwrap()),
             seed: 99,
         },
+        driver: proto::Driver::Sample,
         first_step: 40,
         transitions: vec![transition(0.5), transition(0.75)],
         last_scene: scene(1.0),

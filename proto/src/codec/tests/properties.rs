@@ -79,6 +79,7 @@ fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
             behavior_log_prob,
             value,
             reward,
+            label: None,
         },
     )
 }
@@ -112,12 +113,14 @@ prop_compose! {
         status in prop::sample::select(vec![Status::Running, Status::Success, Status::TimeLimit]),
         bootstrap in -9.0..9.0f32,
         lucky in any::<bool>(),
+        driver in prop::sample::select(vec![Driver::Sample, Driver::Mode, Driver::Expert]),
         episode_return in reward(),
     ) -> Trajectory {
         let n_steps = first_step + transitions.len() as u16;
         let success = status == Status::Success || lucky;
         Trajectory {
-            actor: actor.parse().unwrap(), epoch, seq, weights_version: WeightsVersion(version), task, first_step,
+            actor: actor.parse().unwrap(), epoch, seq, weights_version: WeightsVersion(version), task,
+            driver, first_step,
             transitions, last_scene, status,
             bootstrap_value: if status == Status::Success { 0.0 } else { bootstrap },
             outcome: (status != Status::Running).then_some(Outcome { success, n_steps, episode_return }),

@@ -1,0 +1,188 @@
+//! Labelled scenes, kept for many updates: bounded, and balanced over the sizes of goals.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use blueprints::{Blueprint, Catalogue};
+use policy::FeatureBatch;
+use proto::{Label, Trajectory};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::ReplayConfig;
+
+/// Segments with labels by the number of blocks of their goals.
+///
+/// When it is full the oldest of the size with the most scenes goes, so that no size pushes out another.
+#[derive(Clone, Debug)]
+pub struct Replay {
+    config: ReplayConfig,
+    shelves: BTreeMap<usize, Shelf>,
+    n_steps: usize,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Shelf {
+    segments: VecDeque<Segment>,
+    n_steps: usize,
+    /// Of any segment that ever was here.
+    longest: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Segment {
+    /// With the blocks of the episode's assignment.
+    blueprint: Arc<Blueprint>,
+    trajectory: Arc<Trajectory>,
+}
+
+impl Replay {
+    /// An empty store.
+    pub fn new(config: ReplayConfig) -> Self {
+        Self { config, shelves: BTreeMap::new(), n_steps: 0 }
+    }
+
+    /// Keeps the labelled steps of a segment, if it has any and the catalogue knows its goal.
+    pub fn push(&mut self, mut trajectory: Trajectory, catalogue: &Catalogue) {
+        trajectory.transitions.retain(|transition| transition.label.is_some());
+        let Some(blueprint) = catalogue.find(&trajectory.task.blueprint) else { return };
+        let n_steps = trajectory.transitions.len();
+        if n_steps == 0 {
+            return;
+        }
+        let blueprint = Arc::new(blueprint.permuted(&trajectory.task.assignment));
+        let shelf = self.shelves.entry(blueprint.n_blocks()).or_default();
+        shelf.segments.push_back(Segment { blueprint, trajectory: Arc::new(trajectory) });
+        shelf.n_steps += n_steps;
+        shelf.longest = shelf.longest.max(n_steps);
+        self.n_steps += n_steps;
+        while self.n_steps > self.config.capacity_steps {
+            let Some(fullest) = self.shelves.values_mut().max_by_key(|shelf| shelf.n_steps) else { break };
+            let Some(oldest) = fullest.segments.pop_front() else { break };
+            fullest.n_steps -= oldest.trajectory.transitions.len();
+            self.n_steps -= oldest.trajectory.transitions.len();
+        }
+    }
+
+    /// Labelled scenes that are kept.
+    pub fn n_steps(&self) -> usize {
+        self.n_steps
+    }
+
+    /// Adds `n` random scenes to `features` and returns their labels; none if there are no scenes.
+    pub fn draw(&self, n: usize, rng: &mut ChaCha8Rng, features: &mut FeatureBatch) -> Vec<Label> {
+        let shelves: Vec<(f64, &Shelf)> = self
+            .shelves
+            .iter()
+            .filter(|(_, shelf)| shelf.n_steps > 0)
+            .map(|(&n_blocks, shelf)| ((n_blocks as f64).powf(self.config.size_power), shelf))
+            .collect();
+        let total: f64 = shelves.iter().map(|(weight, _)| weight).sum();
+        let mut labels = Vec::with_capacity(n);
+        while labels.len() < n {
+            let mut rest = rng.random::<f64>() * total;
+            let drawn = shelves.iter().find(|(weight, _)| {
+                rest -= weight;
+                rest < 0.0
+            });
+            let Some((_, shelf)) = drawn.or(shelves.last()) else { break };
+            // Short segments are drawn as often as long ones and then often miss, so that all steps are equally likely.
+            let (segment, step) = loop {
+                let segment = &shelf.segments[rng.random_range(0..shelf.segments.len())];
+                if let Some(step) = segment.trajectory.transitions.get(rng.random_range(0..shelf.longest)) {
+                    break (segment, step);
+                }
+            };
+            if let Some(label) = step.label {
+                features.push(&step.scene, &segment.blueprint);
+                labels.push(label);
+            }
+        }
+        labels
+    }
+
+    /// All segments, those of one size together, oldest first.
+    pub(crate) fn segments(&self) -> Vec<Arc<Trajectory>> {
+        let segments = self.shelves.values().flat_map(|shelf| &shelf.segments);
+        segments.map(|segment| segment.trajectory.clone()).collect()
+    }
+
+    /// Puts back what [`Self::segments`] gave; what is too much for this capacity goes.
+    pub(crate) fn restore(&mut self, segments: Vec<Arc<Trajectory>>, catalogue: &Catalogue) {
+        for trajectory in segments {
+            self.push(Arc::unwrap_or_clone(trajectory), catalogue);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::{BlockIdx, Split};
+    use policy::PolicyConfig;
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::fixtures::random_trajectory;
+
+    fn labelled(goal: &str, n_steps: usize, mark: u8) -> Trajectory {
+        let mut trajectory = random_trajectory(n_steps, 0, &mut ChaCha8Rng::seed_from_u64(1));
+        trajectory.task.blueprint = goal.parse().unwrap();
+        let block = BlockIdx::try_from(mark).ok();
+        for transition in &mut trajectory.transitions {
+            transition.label = Some(Label { choices: [block; 2], moves: [[0.0; 6]; 2] });
+        }
+        trajectory
+    }
+
+    fn replay(capacity_steps: usize, size_power: f64) -> Replay {
+        Replay::new(ReplayConfig { capacity_steps, size_power })
+    }
+
+    /// How often each mark is drawn.
+    fn counts(replay: &Replay, n: usize) -> [usize; 16] {
+        let mut features = FeatureBatch::new(&PolicyConfig::default().features);
+        let labels = replay.draw(n, &mut ChaCha8Rng::seed_from_u64(2), &mut features);
+        assert_eq!(features.n, labels.len());
+        let mut counts = [0; 16];
+        labels.iter().for_each(|label| counts[label.choices[0].unwrap().get()] += 1);
+        counts
+    }
+
+    #[test]
+    fn sizes_are_drawn_by_their_weight_and_steps_alike() {
+        let catalogue = Catalogue::builtin();
+        let six = catalogue.of_split(Split::Train).into_iter().find(|b| b.n_blocks() == 6).unwrap().id().clone();
+        let mut replay = replay(100_000, 1.0);
+        for (goal, n_steps, mark) in [("2_000", 30, 0), ("2_000", 10, 1), (six.as_str(), 7, 2)] {
+            replay.push(labelled(goal, n_steps, mark), catalogue);
+        }
+        let counts = counts(&replay, 8000);
+        // Sizes 2 : 6, and 30 : 10 steps within the first: 1500, 500 and 6000.
+        for (count, expected) in counts.into_iter().zip([1500, 500, 6000]) {
+            assert!(count.abs_diff(expected) < 150, "{counts:?}");
+        }
+    }
+
+    #[test]
+    fn the_fullest_size_makes_room() {
+        let catalogue = Catalogue::builtin();
+        let mut replay = replay(50, 0.0);
+        replay.push(labelled("3_000", 20, 9), catalogue);
+        for mark in 0..4 {
+            replay.push(labelled("2_000", 15, mark), catalogue);
+        }
+        assert_eq!(replay.n_steps(), 50);
+        let counts = counts(&replay, 500);
+        assert!(counts[0] == 0 && counts[1] == 0 && counts[2] > 0 && counts[3] > 0 && counts[9] > 0, "{counts:?}");
+        let mut again = super::Replay::new(replay.config.clone());
+        again.restore(replay.segments(), catalogue);
+        assert_eq!((again.n_steps(), self::counts(&again, 500)), (50, counts));
+    }
+
+    #[test]
+    fn nothing_comes_of_scenes_without_labels() {
+        let mut replay = replay(50, 0.0);
+        replay.push(random_trajectory(5, 0, &mut ChaCha8Rng::seed_from_u64(1)), Catalogue::builtin());
+        assert_eq!((replay.n_steps(), counts(&replay, 10)), (0, [0; 16]));
+    }
+}
