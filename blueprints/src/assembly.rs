@@ -5,11 +5,14 @@
 //! through another or sliding along a face that would catch it one cell too early.
 
 mod geometry;
+mod plan;
 
 use std::collections::BTreeMap;
 
 use geometry::Geometry;
 pub use geometry::{Approach, Parts};
+pub use plan::Plan;
+pub(crate) use plan::Shared;
 
 use crate::{BlockIdx, Blueprint, Placement};
 
@@ -56,12 +59,13 @@ impl Side {
 }
 
 impl Assembly {
-    /// Looks for the sides on which the blueprint can be built.
+    /// The sides on which the blueprint can be built. They are looked for once for all copies of a blueprint; parts are
+    /// numbered alike in all of them, whatever blocks play them.
     ///
     /// # Errors
     /// When there is none.
     pub fn new(blueprint: &Blueprint) -> Result<Self, NoAssembly> {
-        Self::of_placements(blueprint.placements())
+        blueprint.assembly.assembly(blueprint.placements())
     }
 
     pub(crate) fn of_placements(placements: &[Placement]) -> Result<Self, NoAssembly> {

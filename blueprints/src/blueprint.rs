@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::assembly::{Plan, Shared};
 use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT_M};
 
 /// Name of a blueprint, `<size>_<index>` as in the paper (`6_005`), with a prefix for the test sets.
@@ -62,6 +63,7 @@ pub struct Blueprint {
     pub(crate) title: String,
     pub(crate) placements: Vec<Placement>,
     pub(crate) links: Vec<Link>,
+    pub(crate) assembly: Shared,
 }
 
 /// The error of a text that is no blueprint id.
@@ -241,6 +243,17 @@ impl Blueprint {
         Some(RelativePlacement::between(self.placement(a)?, self.placement(b)?))
     }
 
+    /// How it is built; `None` if it cannot be put together block by block. The first call on any copy works it out.
+    pub fn plan(&self) -> Option<&Plan> {
+        self.assembly.plan(&self.placements)
+    }
+
+    /// How many blocks are placed before this one when it is built by `plan`, which is its own; `None` for a block that does
+    /// not belong to it.
+    pub fn rank(&self, plan: &Plan, block: BlockIdx) -> Option<usize> {
+        self.assembly.rank(plan, block)
+    }
+
     /// The link between two blocks in either order.
     ///
     /// Its `relative` is always the pose of the higher block index seen from the lower.
@@ -262,6 +275,7 @@ impl Blueprint {
         };
         let mut links: Vec<_> = self.links.iter().map(relink).collect();
         links.sort_by_key(|link| (link.a, link.b));
-        Self { placements, links, id: self.id.clone(), split: self.split, title: self.title.clone() }
+        let assembly = self.assembly.replaced(|block| permutation[block.get()]);
+        Self { placements, links, assembly, id: self.id.clone(), split: self.split, title: self.title.clone() }
     }
 }

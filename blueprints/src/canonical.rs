@@ -46,6 +46,7 @@ fn fnv1a(bytes: &[u8]) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::fnv1a;
+    use crate::assembly::Shared;
     use crate::{BlockIdx, Blueprint, Catalogue, CubeRotation, N_BLOCKS, Placement, Split};
 
     fn turned(blueprint: &Blueprint, turn: CubeRotation) -> Blueprint {
@@ -54,7 +55,8 @@ mod tests {
             rotation: turn.compose(p.rotation),
             ..*p
         };
-        Blueprint { placements: blueprint.placements.iter().map(place).collect(), ..blueprint.clone() }
+        let placements: Vec<_> = blueprint.placements.iter().map(place).collect();
+        Blueprint { assembly: Shared::new(&placements), placements, ..blueprint.clone() }
     }
 
     #[test]
@@ -82,7 +84,8 @@ mod tests {
             };
             let placements = vec![at(0, [1, 1, 1]), at(1, [3, 1, 1]), at(2, [1, 3, 1]), at(3, [1, 5, 3])];
             let id = "4_999".parse().unwrap();
-            Blueprint { id, split: Split::Train, title: String::new(), placements, links: Vec::new() }
+            let assembly = Shared::new(&placements);
+            Blueprint { id, split: Split::Train, title: String::new(), placements, links: Vec::new(), assembly }
         };
         assert_ne!(bars(true).canonical_hash(), bars(false).canonical_hash());
         assert_eq!(bars(true).canonical_hash(), bars(true).canonical_hash());

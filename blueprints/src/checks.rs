@@ -8,6 +8,7 @@ use std::fmt;
 
 use serde::Serialize;
 
+use crate::assembly::Shared;
 use crate::error::{BlueprintError, BlueprintFileError};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
@@ -375,6 +376,7 @@ impl<'a> Structure<'a> {
             id: self.draft.id.clone(),
             split: self.draft.split,
             title: self.draft.title.clone(),
+            assembly: Shared::new(&placements),
             placements,
             links,
         }

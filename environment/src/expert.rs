@@ -93,7 +93,7 @@ impl Expert {
 
     /// What to do in `scene`, and why.
     pub fn decide(&mut self, scene: &Scene) -> Decision {
-        let view = View::new(scene, &self.blueprint);
+        let view = View::new(scene, &self.blueprint, self.assembly.blocks());
         let (activity, commands) = self.commands(&view);
         Decision { action: self.action(&view, &commands), activity }
     }
@@ -152,7 +152,7 @@ impl Expert {
 
     /// Pose of a part in the blueprint's frame.
     fn place(&self, part: usize) -> Isometry3<f32> {
-        let placement = &self.blueprint.placements()[part];
+        let placement = self.blueprint.placement(self.block(part)).expect("every part is a block of the blueprint");
         Isometry3::from_parts(placement.position_m().into(), placement.rotation.quaternion())
     }
 

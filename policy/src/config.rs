@@ -57,20 +57,41 @@ pub struct FeatureConfig {
     pub block_shape: bool,
     /// Edges: the move that the receiver needs if the sender stays, at two scales. Default true.
     pub needed_moves: bool,
+    /// Nodes: which way is up and how high the block is where the blueprint's [plan](blueprints::Blueprint::plan) has it.
+    /// Default true.
+    pub standing: bool,
+    /// Nodes: the block's place in the plan's order. Default true.
+    pub order: bool,
     /// Number of gripper halves in the globals, 1 or 2; must equal the network's. Default 2.
     pub n_grippers: u8,
 }
 
 impl Default for FeatureConfig {
     fn default() -> Self {
-        Self { up_axis: true, membership: true, block_shape: true, needed_moves: true, n_grippers: 2 }
+        Self {
+            up_axis: true,
+            membership: true,
+            block_shape: true,
+            needed_moves: true,
+            standing: true,
+            order: true,
+            n_grippers: 2,
+        }
     }
 }
 
 impl FeatureConfig {
     /// The paper's observations alone: 3, 24 and 50 features of nodes, edges and globals.
     pub fn paper() -> Self {
-        Self { up_axis: false, membership: false, block_shape: false, needed_moves: false, n_grippers: 2 }
+        Self {
+            up_axis: false,
+            membership: false,
+            block_shape: false,
+            needed_moves: false,
+            standing: false,
+            order: false,
+            n_grippers: 2,
+        }
     }
 }
 

@@ -14,6 +14,13 @@
 //! | 3–5 | the world's up axis | i, unit vector | `up_axis` |
 //! | 6 | belongs to the blueprint | 0 or 1 | `membership` |
 //! | 7–9 | half extents | i, m / 0.2 | `block_shape` |
+//! | 10–12 | the up axis of the structure on the side on which its plan builds it | i, unit vector | `standing` |
+//! | 13 | height of its centre above the ground in that structure | m / 0.5 | `standing` |
+//! | 14 | its number in the order of the plan, the first being 1 | 1/16 | `order` |
+//!
+//! Entries 10–14 are 0 for blocks outside the blueprint. The plan is a function of the blueprint alone
+//! ([`Blueprint::plan`]); several sides and orders are possible, and without these entries nothing tells which one an expert
+//! has chosen.
 //!
 //! **Edge** from sender j to receiver i, all in i's frame; D is the pose of j relative to i in the blueprint. Entries 0–17
 //! and 24–35 are 0 when the blueprint lacks i or j, entries 0–8 also when it does not connect the two. 6-D orientations
@@ -48,7 +55,8 @@
 //!
 //! The network finds the one-hot in the last 16 entries of each group.
 
-use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
+use blueprints::assembly::Plan;
+use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS, UNIT_M};
 use nalgebra::{Matrix3, Vector3};
 use proto::{Gripper, N_GRIPPERS, Scene};
 
@@ -91,7 +99,12 @@ impl FeatureSizes {
     pub fn new(config: &FeatureConfig) -> Self {
         let on = |flag: bool, n: usize| if flag { n } else { 0 };
         Self {
-            node: BASE_NODE + on(config.up_axis, 3) + on(config.membership, 1) + on(config.block_shape, 3),
+            node: BASE_NODE
+                + on(config.up_axis, 3)
+                + on(config.membership, 1)
+                + on(config.block_shape, 3)
+                + on(config.standing, 4)
+                + on(config.order, 1),
             edge: BASE_EDGE + on(config.needed_moves, 12),
             global: usize::from(config.n_grippers) * GRIPPER_PART,
         }
@@ -118,9 +131,12 @@ pub fn write_features(
     assert_eq!(edges.len(), N_EDGES * sizes.edge, "length of the edge features");
     assert_eq!(globals.len(), sizes.global, "length of the global features");
     edges.fill(0.0);
+    let plan = if config.standing || config.order { blueprint.plan() } else { None };
     let frames = scene.blocks.each_ref().map(Frame::new);
     for (block, node) in BlockIdx::all().zip(nodes.chunks_exact_mut(sizes.node)) {
-        write_node(scene, blueprint, config, block, &frames[block.get()], &mut Writer::new(node));
+        let mut writer = Writer::new(node);
+        write_node(scene, blueprint, config, block, &frames[block.get()], &mut writer);
+        write_plan(blueprint, plan, config, block, &mut writer);
     }
     write_edges(scene, blueprint, config, &frames, edges, sizes.edge);
     for (gripper, part) in scene.grippers.iter().zip(globals.chunks_exact_mut(GRIPPER_PART)) {
@@ -149,6 +165,30 @@ fn write_node(
     }
     if config.block_shape {
         to.vector(&(Vector3::from(Inventory::standard().half_extents_m(block)) / EXTENT_SCALE_M));
+    }
+}
+
+/// What the plan has for a block, zeros if it does not have it.
+fn write_plan(
+    blueprint: &Blueprint,
+    plan: Option<&Plan>,
+    config: &FeatureConfig,
+    block: BlockIdx,
+    to: &mut Writer<'_>,
+) {
+    let planned = plan.and_then(|plan| Some((plan, blueprint.placement(block)?, blueprint.rank(plan, block)?)));
+    if config.standing {
+        let (up, height) = planned.map_or((Vector3::zeros(), 0.0), |(plan, placement, _)| {
+            let up = Vector3::from(plan.up.map(|x| x as f32));
+            let center = Vector3::from(placement.center_half_units.map(|x| x as f32));
+            let height = (up.dot(&center) - plan.ground_half_units as f32) * UNIT_M / 2.0;
+            (matrix(placement.rotation.matrix()).tr_mul(&up), height)
+        });
+        to.vector(&up);
+        to.number(height / POSITION_SCALE_M);
+    }
+    if config.order {
+        to.number(planned.map_or(0.0, |(_, _, rank)| (rank + 1) as f32 / N_BLOCKS as f32));
     }
 }
 

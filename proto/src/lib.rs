@@ -1,6 +1,6 @@
 //! All that two processes must agree on: the plain validated types, their wire form, the key expressions and the bus.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`], [`unit`] of shared evaluations →
+//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`], [`mod@unit`] of shared evaluations →
 //! [`codec`] → [`keys`] → [`bus`]; [`tensorboard`] writes the reports for others.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]

@@ -16,6 +16,11 @@ const MAX_STEPS: usize = 9;
 /// Detours: heights above the target that are tried one after the other, m.
 const DETOURS_M: [f32; 9] = [0.0, 0.08, 0.16, 0.24, 0.34, 0.46, 0.6, 0.8, 1.1];
 
+/// Far from its target a block is carried this much above it, m: over what lies around.
+const CRUISE_M: f32 = 0.3;
+/// Within this distance from the axis above its target it goes straight there; further out as much higher as it is further, m.
+const FUNNEL_M: f32 = 0.1;
+
 /// Nothing is carried higher than this, m.
 const CEILING_M: f32 = 1.6;
 
@@ -96,10 +101,14 @@ impl Load {
         self.boxes.iter().any(|&(b, _)| b == block)
     }
 
-    /// Moves the gripped block to `target`: straight if nothing is in the way, else over a point above it, else up.
+    /// Moves the gripped block to `target`: down a funnel if nothing is in the way, else over a point above it, else up.
+    ///
+    /// The funnel is a smooth function of where block and target are, which can be imitated; the shortest free way is not.
     pub(super) fn go(&self, view: &View, limits: &Limits, target: &Isometry3<f32>) -> Twist {
         let from = view.pose(self.gripped);
-        for detour in DETOURS_M {
+        let apart = (target.translation.vector - from.translation.vector).xy().norm();
+        let funnel = (apart - FUNNEL_M).clamp(0.0, CRUISE_M);
+        for detour in std::iter::once(funnel).chain(DETOURS_M) {
             let mut via = *target;
             via.translation.z += detour;
             if self.is_free(view, limits, from, &via) {

@@ -1,7 +1,7 @@
 //! Where to build: a free piece of ground, not far from anything.
 
 use blueprints::{BlockIdx, UNIT_M};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Vector2, Vector3};
 
 use super::motion::gap;
 use super::view::View;
@@ -13,6 +13,9 @@ const SPACING_M: f32 = 0.1;
 const REACH: i32 = 13;
 /// Free space wanted around the finished structure, m.
 const CLEARANCE_M: f32 = 0.03;
+/// How far the blocks in the way push the site at a time, m, and how often at most.
+const PUSH_M: f32 = 0.05;
+const MAX_PUSHES: usize = 30;
 /// What it costs to carry the base by a metre, and to have a block in the way, in metres of other carrying.
 const CLUTTER_COST: f32 = 1.0;
 /// What it costs if the base itself has no room, in the same unit.
@@ -53,8 +56,12 @@ impl Expert {
             .collect();
         let lies = self.lift_m(&base.frame, base.side).abs() <= super::MAX_LIFT_M;
         let here_frame = self.frame_at(&base.frame, base.side, here);
-        if lies && self.n_in_the_way(view, &here_frame, &strays) == 0 {
+        // Also when it hangs above: where it is to go should not depend on how it got there.
+        if self.n_in_the_way(view, &here_frame, &strays) == 0 {
             return here;
+        }
+        if let Some(site) = self.pushed_away(view, base, here, &strays) {
+            return site;
         }
         let parts: Vec<_> = strays.iter().filter(|b| view.part_of[b.get()].is_some()).collect();
         let n = parts.len().max(1) as f32;
@@ -90,17 +97,48 @@ impl Expert {
         if lies && (x - here[0]).hypot(y - here[1]) < 0.6 * SPACING_M { here } else { best.1 }
     }
 
+    /// The nearest free place in the direction in which the blocks in the way push; `None` if they push back and forth.
+    ///
+    /// Each push depends on what is near alone, so that it can be imitated, unlike a search over the whole ground.
+    fn pushed_away(&self, view: &View, base: &Base, here: [f32; 2], strays: &[BlockIdx]) -> Option<[f32; 2]> {
+        let mut at = here;
+        for _ in 0..MAX_PUSHES {
+            let frame = self.frame_at(&base.frame, base.side, at);
+            let mut push = Vector2::zeros();
+            for stray in self.in_plan(view, &frame, strays) {
+                let from = view.pose(stray).translation.vector.xy();
+                push += (Vector2::from(at) - from).try_normalize(1e-3).unwrap_or_else(Vector2::x);
+            }
+            if push == Vector2::zeros() {
+                return Some(at);
+            }
+            let step = push.try_normalize(1e-3)? * PUSH_M;
+            at = [at[0] + step.x, at[1] + step.y];
+        }
+        None
+    }
+
     /// Number of blocks where the finished structure of `frame` is to be.
     fn n_in_the_way(&self, view: &View, frame: &Isometry3<f32>, strays: &[BlockIdx]) -> usize {
-        let inside = |block: &&BlockIdx| {
-            let (pose, half) = (view.pose(**block), &view.half_extents[block.get()]);
+        self.in_plan(view, frame, strays).count()
+    }
+
+    /// The blocks where the finished structure of `frame` is to be.
+    fn in_plan<'s>(
+        &'s self,
+        view: &'s View,
+        frame: &'s Isometry3<f32>,
+        strays: &'s [BlockIdx],
+    ) -> impl Iterator<Item = BlockIdx> + 's {
+        let inside = move |block: &BlockIdx| {
+            let (pose, half) = (view.pose(*block), &view.half_extents[block.get()]);
             (0..self.blueprint.n_blocks()).any(|part| {
                 let place = frame * self.place(part);
                 let own = &view.half_extents[self.block(part).get()];
                 gap((&place, own), (pose, half)) < CLEARANCE_M
             })
         };
-        strays.iter().filter(inside).count()
+        strays.iter().copied().filter(inside)
     }
 
     /// Length of a way in, m.

@@ -129,7 +129,7 @@ fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
         let x = if i < 3 { 0.3 * i as f32 } else { 5.0 + i as f32 };
         (pose.position, pose.orientation) = ([x, 0.0, 0.05], [0.0, 0.0, 0.0, 1.0]);
     }
-    let view = View::new(&scene, &expert.blueprint);
+    let view = View::new(&scene, &expert.blueprint, expert.assembly.blocks());
     let cube = BlockIdx::try_from(0).unwrap();
     let load = Load::new(&view, cube);
     let from = *view.pose(cube);

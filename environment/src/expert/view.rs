@@ -25,14 +25,15 @@ pub(super) struct View {
 }
 
 impl View {
-    pub(super) fn new(scene: &Scene, blueprint: &Blueprint) -> Self {
+    /// `blocks` are those that play the assembly's parts.
+    pub(super) fn new(scene: &Scene, blueprint: &Blueprint, blocks: &[BlockIdx]) -> Self {
         let poses = scene.blocks.each_ref().map(from_pose);
         let half_extents = block_array(|block| Vector3::from(Inventory::standard().half_extents_m(block)));
         let mut part_of = [None; N_BLOCKS];
-        for (part, placement) in blueprint.placements().iter().enumerate() {
-            part_of[placement.block.get()] = Some(part);
+        for (part, block) in blocks.iter().enumerate() {
+            part_of[block.get()] = Some(part);
         }
-        let mut pieces: Vec<Parts> = (0..blueprint.n_blocks()).map(Parts::one).collect();
+        let mut pieces: Vec<Parts> = (0..blocks.len()).map(Parts::one).collect();
         let mut wrong = Vec::new();
         let mut components: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
         for joint in &scene.joints {
