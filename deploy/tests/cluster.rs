@@ -130,6 +130,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let cluster = Cluster::start();
     let _actor = cluster.member("actor", &[]);
     let _evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let _assistant = cluster.member("evaluator", &["--assist"]);
     cluster.learn(["--run-dir", "run"], 2048);
 
     let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--once"]);
@@ -143,6 +144,10 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let version = |line: &serde_json::Value| line["weights_version"] == told["weights_version"];
     assert_eq!(told, record("eval/summary", "judged/metrics.jsonl", &version));
     assert!(told["all"]["mode"]["success"]["n_episodes"].as_u64().unwrap() > 0);
+
+    let history = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--history"]);
+    let pass = history["passes"].as_array().unwrap().iter().find(|pass| version(pass)).unwrap();
+    assert_eq!(pass["all"]["mode"], told["all"]["mode"]["success"]);
 
     // Event files hold numbers with 24 bits.
     let same = |number: &serde_json::Value, recorded: &serde_json::Value| {

@@ -58,9 +58,9 @@ pub struct FeatureConfig {
     /// Edges: the move that the receiver needs if the sender stays, at two scales. Default true.
     pub needed_moves: bool,
     /// Nodes: which way is up and how high the block is where the blueprint's [plan](blueprints::Blueprint::plan) has it.
-    /// Default true.
+    /// Default false; an expert's labels are hard to understand without it.
     pub standing: bool,
-    /// Nodes: the block's place in the plan's order. Default true.
+    /// Nodes: the block's place in the plan's order. Default false, as `standing`.
     pub order: bool,
     /// Number of gripper halves in the globals, 1 or 2; must equal the network's. Default 2.
     pub n_grippers: u8,
@@ -73,8 +73,8 @@ impl Default for FeatureConfig {
             membership: true,
             block_shape: true,
             needed_moves: true,
-            standing: true,
-            order: true,
+            standing: false,
+            order: false,
             n_grippers: 2,
         }
     }

@@ -107,6 +107,35 @@ fn a_finished_link_needs_no_move() {
 }
 
 #[test]
+fn a_structure_that_stands_as_planned_looks_like_the_plan() {
+    let config = FeatureConfig { standing: true, order: true, ..FeatureConfig::default() };
+    for blueprint in Catalogue::builtin().iter().step_by(7) {
+        let plan = blueprint.plan().unwrap();
+        let mut scene = row_scene();
+        // The shortest turn that brings the plan's up to the world's, and the ground to z = 0.
+        let up = Vector3::from(plan.up.map(|x| x as f32));
+        let turn = UnitQuaternion::rotation_between(&up, &Vector3::z())
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI));
+        let ground = Vector3::new(0.0, 0.0, plan.ground_half_units as f32 * 0.05);
+        for p in blueprint.placements() {
+            scene.blocks[p.block.get()] = pose(turn * p.position_m() - ground, turn * p.rotation.quaternion());
+        }
+        let batch = features(&scene, blueprint, &config);
+        let mut numbers = Vec::new();
+        for (block, node) in BlockIdx::all().zip(batch.nodes.chunks_exact(15)) {
+            if blueprint.contains(block) {
+                assert!(close(&node[3..6], &node[10..13]) && close(&node[..1], &node[13..14]), "{node:?}");
+                numbers.push((16.0 * node[14]).round() as usize);
+            } else {
+                assert_eq!(node[10..], [0.0; 5]);
+            }
+        }
+        numbers.sort_unstable();
+        assert_eq!(numbers, (1..=blueprint.n_blocks()).collect::<Vec<_>>());
+    }
+}
+
+#[test]
 fn a_pair_outside_the_blueprint_shows_its_offset_alone() {
     let blueprint = blueprint(0);
     let mut outside = BlockIdx::all().filter(|b| !blueprint.contains(*b));

@@ -106,3 +106,25 @@ fn every_step_of_an_order_stands_and_has_a_way_in() {
         }
     }
 }
+
+#[test]
+fn copies_on_other_blocks_are_built_alike() {
+    for blueprint in Catalogue::builtin().iter().step_by(11) {
+        // Blocks of one type in reversed order.
+        let mut swapped: [BlockIdx; crate::N_BLOCKS] = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
+        for block in BlockIdx::all() {
+            let same: Vec<BlockIdx> = crate::Inventory::standard().same_type(block).collect();
+            let place = same.iter().position(|other| *other == block).unwrap();
+            swapped[block.get()] = same[same.len() - 1 - place];
+        }
+        let copy = blueprint.permuted(&swapped);
+        let (plan, copied) = (blueprint.plan().unwrap(), copy.plan().unwrap());
+        assert_eq!(plan, copied);
+        let order = Assembly::new(blueprint).unwrap().order();
+        let expected: Vec<BlockIdx> = order.iter().map(|block| swapped[block.get()]).collect();
+        assert_eq!(Assembly::new(&copy).unwrap().order(), expected, "{}", blueprint.id());
+        for (rank, block) in expected.iter().enumerate() {
+            assert_eq!(copy.rank(copied, *block), Some(rank));
+        }
+    }
+}
