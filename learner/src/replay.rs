@@ -25,8 +25,6 @@ pub struct Replay {
 struct Shelf {
     segments: VecDeque<Segment>,
     n_steps: usize,
-    /// Of any segment that ever was here.
-    longest: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -54,7 +52,6 @@ impl Replay {
         let shelf = self.shelves.entry(blueprint.n_blocks()).or_default();
         shelf.segments.push_back(Segment { blueprint, trajectory: Arc::new(trajectory) });
         shelf.n_steps += n_steps;
-        shelf.longest = shelf.longest.max(n_steps);
         self.n_steps += n_steps;
         while self.n_steps > self.config.capacity_steps {
             let Some(fullest) = self.shelves.values_mut().max_by_key(|shelf| shelf.n_steps) else { break };
@@ -71,25 +68,27 @@ impl Replay {
 
     /// Adds `n` random scenes to `features` and returns their labels; none if there are no scenes.
     pub fn draw(&self, n: usize, rng: &mut ChaCha8Rng, features: &mut FeatureBatch) -> Vec<Label> {
-        let shelves: Vec<(f64, &Shelf)> = self
+        let shelves: Vec<(f64, &Shelf, usize)> = self
             .shelves
             .iter()
-            .filter(|(_, shelf)| shelf.n_steps > 0)
-            .map(|(&n_blocks, shelf)| ((n_blocks as f64).powf(self.config.size_power), shelf))
+            .filter_map(|(&n_blocks, shelf)| {
+                let longest = shelf.segments.iter().map(|segment| segment.trajectory.transitions.len()).max()?;
+                Some(((n_blocks as f64).powf(self.config.size_power), shelf, longest))
+            })
             .collect();
-        let total: f64 = shelves.iter().map(|(weight, _)| weight).sum();
+        let total: f64 = shelves.iter().map(|(weight, ..)| weight).sum();
         let mut labels = Vec::with_capacity(n);
         while labels.len() < n {
             let mut rest = rng.random::<f64>() * total;
-            let drawn = shelves.iter().find(|(weight, _)| {
+            let drawn = shelves.iter().find(|(weight, ..)| {
                 rest -= weight;
                 rest < 0.0
             });
-            let Some((_, shelf)) = drawn.or(shelves.last()) else { break };
+            let Some(&(_, shelf, longest)) = drawn.or(shelves.last()) else { break };
             // Short segments are drawn as often as long ones and then often miss, so that all steps are equally likely.
             let (segment, step) = loop {
                 let segment = &shelf.segments[rng.random_range(0..shelf.segments.len())];
-                if let Some(step) = segment.trajectory.transitions.get(rng.random_range(0..shelf.longest)) {
+                if let Some(step) = segment.trajectory.transitions.get(rng.random_range(0..longest)) {
                     break (segment, step);
                 }
             };

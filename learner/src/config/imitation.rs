@@ -18,7 +18,7 @@ pub struct ImitationConfig {
     /// Weight of KL(imitator ‖ policy) on PPO's samples, where the imitator is the policy when this first was above 0;
     /// 0..=100, default 0.
     pub kl_weight: Schedule,
-    /// Weight of the loss of moves against that of block choices; at least 0, default 2.
+    /// Weight of the loss of moves against that of block choices; at least 0, default 20.
     pub move_weight: f32,
     /// Errors of a move's entries count by their square below this and by their size above; above 0, default 0.1.
     pub move_delta: f32,
@@ -47,7 +47,7 @@ impl Default for ImitationConfig {
             ppo_weight: Schedule::Constant(0.0),
             value_weight: Schedule::Constant(0.0),
             kl_weight: Schedule::Constant(0.0),
-            move_weight: 2.0,
+            move_weight: 20.0,
             move_delta: 0.1,
             minibatch_size: 256,
             steps_per_update: 32,

@@ -6,8 +6,11 @@ use std::path::{Path, PathBuf};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::learning::{bandit, feed, small_setup};
+use proto::Driver;
+
+use super::learning::{bandit, feed, labelled, small_setup};
 use crate::checkpoint::{self, Checkpoint, CheckpointError};
+use crate::config::{ImitationConfig, ReplayConfig, Schedule};
 use crate::{Learner, LearnerError, LearnerSetup};
 
 /// `n` updates with trajectories that follow from `seed` and the learner's weights.
@@ -41,6 +44,47 @@ fn a_resumed_learner_goes_on_bit_by_bit() {
     train(&setup, &mut resumed, 2);
     assert_eq!(resumed.checkpoint(), learner.checkpoint());
     assert_eq!(resumed.weights(), learner.weights());
+}
+
+#[test]
+fn a_resumed_learner_goes_on_with_the_labels_it_had() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut setup = small_setup(4);
+    let one = Schedule::Constant(1.0);
+    // Room for two updates: what is old makes room on both sides of the checkpoint.
+    let replay = ReplayConfig { capacity_steps: 1024, ..Default::default() };
+    let imitation = ImitationConfig {
+        minibatch_size: 32,
+        steps_per_update: 6,
+        ppo_weight: one.clone(),
+        kl_weight: one,
+        replay,
+        ..Default::default()
+    };
+    setup.config.imitation = Some(imitation);
+    let train = |learner: &mut Learner, n: u64| {
+        for _ in 0..n {
+            let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
+            feed(learner, labelled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Sample));
+            feed(learner, labelled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Expert));
+            learner.update().unwrap();
+        }
+    };
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    train(&mut learner, 5);
+    let path = learner.save(dir.path()).unwrap();
+    let found = Checkpoint::read(&path).unwrap();
+    assert_eq!(found, learner.checkpoint());
+    assert!(found.imitator.is_some() && !found.replay.is_empty());
+    let mut resumed = Learner::resume(setup.clone(), found).unwrap();
+    train(&mut learner, 2);
+    train(&mut resumed, 2);
+    assert_eq!(resumed.checkpoint(), learner.checkpoint());
+
+    let file = path.join("replay.bin");
+    let whole = fs::read(&file).unwrap();
+    fs::write(&file, &whole[..whole.len() / 2]).unwrap();
+    assert!(Checkpoint::read(&path).unwrap_err().to_string().contains("replay.bin"));
 }
 
 #[test]

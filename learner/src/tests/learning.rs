@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use blueprints::Catalogue;
+use blueprints::{BlockIdx, Catalogue, Inventory};
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
 use policy::{ActionMode, FeatureBatch, NetworkConfig, Policy, PolicyConfig};
-use proto::{Outcome, RewardTerms, Status, Trajectory, Weights};
+use proto::{Driver, Label, Outcome, RewardTerms, Status, Trajectory, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{LearnerConfig, RateRule};
+use crate::config::{ImitationConfig, LearnerConfig, RateLine, RateRule, Schedule};
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::{Learner, LearnerSetup};
 
@@ -152,4 +152,73 @@ fn a_step_that_is_not_finite_is_left_out() {
     let metrics = learner.update().unwrap();
     assert!(metrics.ppo.n_skipped_steps > 0);
     assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
+}
+
+/// The label of every scene of [`labelled`].
+fn lesson() -> Label {
+    let block = |index: u8| BlockIdx::try_from(index).ok();
+    let moves = [[0.5, -0.5, 0.25, 0.0, 0.0, -0.25], [-0.5, 0.0, 0.0, 0.5, 0.0, 0.0]];
+    Label { choices: [block(2), block(7)], moves }
+}
+
+/// The same with the expert's label, as if `driver` had acted.
+pub(super) fn labelled(mut trajectories: Vec<Trajectory>, driver: Driver) -> Vec<Trajectory> {
+    for trajectory in &mut trajectories {
+        trajectory.driver = driver;
+        trajectory.transitions.iter_mut().for_each(|transition| transition.label = Some(lesson()));
+    }
+    trajectories
+}
+
+#[test]
+fn labels_are_learned_and_the_expert_s_success_is_nobody_s() {
+    let mut setup = small_setup(3);
+    let imitation = ImitationConfig { minibatch_size: 32, steps_per_update: 40, ..Default::default() };
+    setup.config.imitation = Some(imitation);
+    setup.config.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Constant(3e-3) });
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut losses = Vec::new();
+    for _ in 0..4 {
+        feed(&learner, labelled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
+        let update = learner.update().unwrap();
+        let learned = update.imitation.unwrap();
+        losses.push(learned.block_loss + learned.move_loss);
+        assert_eq!((update.n_steps, update.ppo.n_samples, learned.n_gradient_steps), (256, 0, 40));
+        assert_eq!((update.episodes.success.n_episodes, update.n_episodes), (0, 0));
+        assert!((update.ppo.learning_rate - 3e-3).abs() < 1e-9);
+    }
+    // Two choices among 16 cost 2 ln 16 = 5.5 nats at first. Blocks of one type look alike, so it remains a guess among them.
+    let guess = |block| (Inventory::standard().same_type(block).count() as f64).ln();
+    let guesses: f64 = lesson().choices.into_iter().flatten().map(guess).sum();
+    assert!(losses[0] > guesses + 1.0 && losses[3] < guesses + 0.2, "{guesses} {losses:?}");
+    assert_eq!(learner.checkpoint().replay.len(), 1024);
+}
+
+#[test]
+fn ppo_learns_from_sampled_actions_alone() {
+    let mut setup = small_setup(3);
+    let one = Schedule::Constant(1.0);
+    let imitation = ImitationConfig {
+        minibatch_size: 32,
+        steps_per_update: 2,
+        ppo_weight: one.clone(),
+        value_weight: one.clone(),
+        kl_weight: one,
+        ..Default::default()
+    };
+    setup.config.imitation = Some(imitation);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let trajectories = bandit(&setup, &learner.weights(), 300, &mut rng);
+    let (sampled, others) = trajectories.split_at(100);
+    feed(&learner, labelled(sampled.to_vec(), Driver::Sample));
+    feed(&learner, labelled(others.to_vec(), Driver::Mode));
+    let update = learner.update().unwrap();
+    assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));
+    // One minibatch of 64 or more in each of 3 epochs; the first two have the labels' gradient in them.
+    assert_eq!((update.ppo.n_gradient_steps, update.imitation.unwrap().n_gradient_steps), (3, 2));
+    // The imitator is the policy before the update, from which it moves away.
+    assert!(update.ppo.imitator_kl > 0.0, "{}", update.ppo.imitator_kl);
+    assert!(learner.checkpoint().imitator.is_some());
 }

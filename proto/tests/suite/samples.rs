@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use blueprints::{BlockIdx, CubeRotation, N_BLOCKS, RelativePlacement};
 use proto::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, PassId};
 use proto::{
-    Action, Gripper, Joint, Normalisation, Outcome, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
-    Transition, Weights, WeightsVersion,
+    Action, Driver, Gripper, Joint, Label, Normalisation, Outcome, Pose, RewardTerms, Scene, Start, Status, Task,
+    Trajectory, Transition, Weights, WeightsVersion,
 };
 
 pub(crate) fn block(index: u8) -> BlockIdx {
@@ -94,6 +94,15 @@ pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
         transition.scene.grippers[1] = None;
         transition.action.choices[1] = None;
     }
+    trajectory
+}
+
+/// The same, acted by the expert, with a label at the first step.
+pub(crate) fn labelled(actor: &str, seq: u64) -> Trajectory {
+    let mut trajectory = running(actor, seq);
+    trajectory.driver = Driver::Expert;
+    let moves = [[0.5, -1.0, 0.25, 0.0, 0.125, 1.0], [0.0, 0.0, -0.5, 0.0, 0.0, 0.75]];
+    trajectory.transitions[0].label = Some(Label { choices: [Some(block(4)), Some(block(7))], moves });
     trajectory
 }
 

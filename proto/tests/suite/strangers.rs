@@ -31,7 +31,7 @@ async fn garbage_to_the_learner_is_refused() {
     }
     assert_eq!(learner.server.counts().invalid_total, 4);
     let sender = sender(&cluster.client().await, "a").await;
-    within("an ack", sender.send(&samples::running("a", 0))).await.unwrap();
+    within("an ack", sender.send(&samples::labelled("a", 0))).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -69,17 +69,23 @@ fn reward() -> impl Strategy<Value = RewardTerms> {
 
 fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
     let moves = prop::collection::vec(array::<6>(-4.0..4.0), N_BLOCKS).prop_map(|m| m.try_into().unwrap());
-    (scene(two_grippers), 0..16u8, 0..16u8, moves, array::<2>(-90.0..90.0), reward()).prop_map(
-        move |(scene, first, second, moves, [behavior_log_prob, value], reward)| Transition {
-            scene,
-            action: Action {
-                choices: [Some(samples::block(first)), two_grippers.then(|| samples::block(second))],
-                moves,
-            },
-            behavior_log_prob,
-            value,
-            reward,
-            label: None,
+    let label = (any::<bool>(), array::<6>(-1.0..1.0));
+    (scene(two_grippers), 0..16u8, 0..16u8, moves, array::<2>(-90.0..90.0), reward(), label).prop_map(
+        move |(scene, first, second, moves, [behavior_log_prob, value], reward, (labelled, moves_of_label))| {
+            Transition {
+                scene,
+                action: Action {
+                    choices: [Some(samples::block(first)), two_grippers.then(|| samples::block(second))],
+                    moves,
+                },
+                behavior_log_prob,
+                value,
+                reward,
+                label: labelled.then(|| Label {
+                    choices: [Some(samples::block(second)), two_grippers.then(|| samples::block(first))],
+                    moves: [moves_of_label, if two_grippers { moves_of_label } else { [0.0; 6] }],
+                }),
+            }
         },
     )
 }

@@ -181,3 +181,25 @@ fn units_and_their_answers_have_rules_too() {
     check(|episode| episode.n_steps = 1 << 16, "episode.n_steps is 65536, expected a number in 1..=65535");
     check(|episode| episode.end = None, "episode.end is missing");
 }
+
+#[test]
+fn labels_have_rules_too() {
+    let check = |change: fn(&mut wire::Label), message: &str| {
+        let bytes = encode_trajectory(&samples::labelled("actor-1", 1));
+        let mut trajectory = wire::Trajectory::decode(bytes.as_slice()).unwrap();
+        change(trajectory.transitions[0].label.as_mut().unwrap());
+        assert_eq!(decode_trajectory(&trajectory.encode_to_vec()).unwrap_err().to_string(), message);
+    };
+    check(|label| label.choice_0 = Some(16), "label.choice is 16, expected a block in 0..=15");
+    check(|label| label.moves.truncate(11), "label.moves is 11 values, expected 6 for each choice");
+    check(|label| label.moves[3] = f32::NAN, "label.moves is NaN, expected a number in −1e6..=1e6");
+    let alone = "label.choice is Some([true, false]), expected a choice for exactly the grippers of the world";
+    check(|label| (label.choice_1, label.moves) = (None, vec![0.0; 6]), alone);
+    let check = |driver: i32, message: &str| {
+        let bytes = encode_trajectory(&samples::labelled("actor-1", 1));
+        let mut trajectory = wire::Trajectory::decode(bytes.as_slice()).unwrap();
+        trajectory.driver = driver;
+        assert_eq!(decode_trajectory(&trajectory.encode_to_vec()).unwrap_err().to_string(), message);
+    };
+    check(3, "driver is 3, expected sample, mode or expert");
+}
