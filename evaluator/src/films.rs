@@ -12,6 +12,7 @@ mod tests;
 
 pub use casting::Casting;
 pub use config::FilmsConfig;
+pub(crate) use shelf::{Film, films};
 pub(crate) use studio::Studio;
 
 /// Folder of films in the folder of a run.

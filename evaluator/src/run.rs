@@ -87,7 +87,7 @@ pub async fn run(
         None => None,
     };
     let page = match page {
-        Some(page) => Some(page.open(bus, &history).await?),
+        Some(page) => Some(page.open(bus, &history, setup.records.as_ref().map(|paths| paths.videos.clone())).await?),
         None => None,
     };
     let mut passes = Passes::default();

@@ -1,6 +1,6 @@
 //! One web page about a running training, served by the evaluator: success over training, who is there, how learning goes.
 //!
-//! Reading order: [`config`] → `board` (what is shown) → `events` (browsers that listen) → `replay` → `prometheus` →
+//! Reading order: [`config`] → `board` (what is shown) → `events` (browsers that listen) → `replay` and `films` → `prometheus` →
 //! `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up the evaluator: whoever
 //! writes to the board takes a lock for a moment, and what a browser does not take in time is dropped and counted.
 
@@ -8,12 +8,14 @@ mod board;
 pub mod config;
 mod events;
 mod feed;
+mod films;
 mod prometheus;
 mod replay;
 mod routes;
 mod server;
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use proto::bus::Bus;
@@ -23,6 +25,7 @@ use tokio_util::sync::CancellationToken;
 use crate::history::Pass;
 use board::Board;
 use config::{Token, WebConfig};
+use films::Films;
 use replay::Replays;
 
 /// Why the page cannot be served.
@@ -70,14 +73,14 @@ impl Page {
         self.address
     }
 
-    /// Serves until [`OpenPage::close`], beginning with the passes of `history`.
-    pub(crate) async fn open(self, bus: &Bus, history: &[Pass]) -> anyhow::Result<OpenPage> {
+    /// Serves until [`OpenPage::close`], beginning with the passes of `history`; films are those of the folder `videos`.
+    pub(crate) async fn open(self, bus: &Bus, history: &[Pass], videos: Option<PathBuf>) -> anyhow::Result<OpenPage> {
         let board = Arc::new(Board::default());
         history.iter().for_each(|pass| board.judged(pass));
         let feed = feed::Feed::open(bus).await?;
         let shutdown = CancellationToken::new();
         let replays = Arc::new(Replays::default());
-        let routes = routes::routes(board.clone(), replays.clone(), self.token);
+        let routes = routes::routes(board.clone(), replays.clone(), Films::new(videos), self.token);
         let feeding = tokio::spawn(feed.run(board.clone(), shutdown.clone()));
         let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
         let recording = tokio::spawn(async move { replays.run(its_bus, its_shutdown).await });

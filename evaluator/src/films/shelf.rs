@@ -78,6 +78,39 @@ impl Shelf {
     }
 }
 
+/// A film in a folder of films.
+#[derive(Clone, Debug)]
+pub(crate) struct Film {
+    pub(crate) path: PathBuf,
+    pub(crate) blueprint: BlueprintId,
+    pub(crate) version: WeightsVersion,
+    /// `success` or `failure`.
+    pub(crate) ending: &'static str,
+    /// From 1.
+    pub(crate) number: u32,
+}
+
+/// The films of a folder, newest first, those that others put there left out; none if it cannot be read.
+pub(crate) fn films(folder: &Path) -> Vec<Film> {
+    let names = |folder: &Path| {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.filter_map(|entry| entry.file_name().into_string().ok()).collect::<Vec<_>>()
+    };
+    let mut found = Vec::new();
+    for blueprint in names(folder).into_iter().filter_map(|name| BlueprintId::try_from(name).ok()) {
+        let own = folder.join(blueprint.as_str());
+        for name in names(&own) {
+            let Some(label) = name.strip_suffix(".mp4").and_then(Label::of) else { continue };
+            let Label { version, ending, number } = label;
+            let (path, blueprint) = (own.join(&name), blueprint.clone());
+            found.push(Film { path, blueprint, version, ending: ending.name(), number });
+        }
+    }
+    let order = |film: &Film| (std::cmp::Reverse(film.version), film.blueprint.clone(), film.ending, film.number);
+    found.sort_by_key(order);
+    found
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -116,5 +149,9 @@ mod tests {
         names.sort();
         let kept = ["00000001-failure.mp4", "00000001-success.txt", "00000002-success.mp4", "00000003-success.mp4"];
         assert_eq!(names, [&kept[..], &["1-success.mp4", "mine.mp4"]].concat());
+        // Of those, the page shows what is a film of ours, newest first.
+        let shown: Vec<_> = films(dir.path()).into_iter().map(|film| (film.version.0, film.ending)).collect();
+        assert_eq!(shown, [(3, "success"), (2, "success"), (1, "failure")]);
+        assert!(films(&dir.path().join("nowhere")).is_empty());
     }
 }

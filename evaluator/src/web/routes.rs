@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::Body;
-use axum::extract::{Extension, Request, State};
+use axum::extract::{Extension, RawQuery, Request, State};
 use axum::http::header::{
     AUTHORIZATION, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, COOKIE, HOST, LOCATION,
     REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
@@ -14,8 +14,11 @@ use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 
+use serde::Serialize;
+
 use super::board::Board;
 use super::config::Token;
+use super::films::{FilmView, Films};
 use super::prometheus;
 use super::replay::Replays;
 use super::server::Connection;
@@ -52,24 +55,28 @@ pub(super) const ASSETS: [Asset; 4] = [
             include_str!("assets/solid.js"),
             include_str!("assets/terms.js"),
             include_str!("assets/replay.js"),
+            include_str!("assets/films.js"),
             include_str!("assets/app.js"),
         ),
     ),
 ];
 
 /// The routes; all but the two for probes ask for `token`, or, if there is none, for a name of this machine.
-pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, token: Option<Token>) -> Router {
+pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, films: Films, token: Option<Token>) -> Router {
     let guard = Arc::new(Guard { board: board.clone(), token });
     let mut guarded = Router::new()
         .route("/api/history", get(history))
         .route("/api/events", get(events))
         .route("/api/replay", get(move || async move { replay(&replays) }))
+        .route("/api/films", get(list_films))
+        .route("/api/film", get(film))
         .route("/metrics", get(metrics));
     for (path, content_type, text) in ASSETS {
         guarded = guarded.route(path, get(move || async move { ([(CONTENT_TYPE, content_type)], text) }));
     }
     guarded
         .fallback(StatusCode::NOT_FOUND)
+        .layer(Extension(films))
         .layer(from_fn_with_state(guard, admit))
         .merge(Router::new().route("/healthz", get(|| async { "serving\n" })).route("/readyz", get(ready)))
         .layer(from_fn(dress))
@@ -87,6 +94,34 @@ async fn ready(State(board): State<Arc<Board>>) -> (StatusCode, &'static str) {
 async fn history(State(board): State<Arc<Board>>) -> Response {
     match board.history() {
         Ok(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Err(error) => failed(&error),
+    }
+}
+
+/// The newest films.
+#[derive(Serialize)]
+struct FilmsView {
+    schema_version: u32,
+    films: Vec<FilmView>,
+}
+
+async fn list_films(Extension(films): Extension<Films>) -> Response {
+    // Off the runtime, because it waits for the disk; so below.
+    let told =
+        tokio::task::spawn_blocking(move || serde_json::to_vec(&FilmsView { schema_version: 1, films: films.list() }));
+    match told.await {
+        Ok(Ok(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Ok(Err(error)) => failed(&error),
+        Err(error) => failed(&error),
+    }
+}
+
+/// The film that the query names: `id=` and nothing else.
+async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> Response {
+    let asked = query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned();
+    match tokio::task::spawn_blocking(move || films.bytes(&asked)).await {
+        Ok(Some(bytes)) => ([(CONTENT_TYPE, "video/mp4")], bytes).into_response(),
+        Ok(None) => StatusCode::NOT_FOUND.into_response(),
         Err(error) => failed(&error),
     }
 }

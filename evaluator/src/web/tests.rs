@@ -31,7 +31,7 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let token = token.map(|token| Token::from(token.to_owned()));
     let page = Page::bind(&WebConfig { token, ..Default::default() }).await.unwrap();
     let address = page.address();
-    let page = page.open(&bus, &[]).await.unwrap();
+    let page = page.open(&bus, &[], Some(dir.join("videos"))).await.unwrap();
     Served { bus, address, page }
 }
 
@@ -260,4 +260,27 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     let mut rest = String::new();
     let _ = within(lines.read_to_string(&mut rest)).await;
     served.bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn films_are_told_and_sent_and_nothing_else_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("videos").join("2_000");
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("00000007-success.mp4"), "the film").unwrap();
+    std::fs::write(folder.join("secret.mp4"), "not a film of ours").unwrap();
+    std::fs::write(dir.path().join("eval.db"), "not a film").unwrap();
+    let served = serve(dir.path(), None).await;
+    let body = |answer: String| answer.split_once("\r\n\r\n").map(|(_, body)| body.to_owned()).unwrap();
+    let told: Value = serde_json::from_str(&body(served.get("/api/films").await)).unwrap();
+    let film = json!({ "id": "2_000.7.success.1", "blueprint": "2_000", "weights_version": 7, "ending": "success" });
+    assert_eq!(told, json!({ "schema_version": 1, "films": [film] }));
+    let answer = served.get("/api/film?id=2_000.7.success.1").await;
+    assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the film"), "{answer}");
+    for id in
+        ["", "?id=", "?id=2_000.8.success.1", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]
+    {
+        assert_eq!(served.status(&format!("/api/film{id}"), "").await, 404, "{id}");
+    }
+    served.end().await;
 }

@@ -113,10 +113,15 @@ function listen() {
   const on = (name, handle) => source.addEventListener(name, (event) => handle(JSON.parse(event.data)));
   on("metrics", measured);
   on("roster", gathered);
-  on("pass", askHistory);
+  on("pass", () => {
+    askHistory();
+    // Films are drawn after the evaluation, one after the other.
+    [5, 20, 60].forEach((seconds) => setTimeout(() => askFilms($("films"), $("films-note")), 1000 * seconds));
+  });
   source.onopen = () => {
     say("live", "live");
     askHistory();
+    askFilms($("films"), $("films-note"));
   };
   source.onerror = () => {
     say("away", "reconnecting");

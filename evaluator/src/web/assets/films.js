@@ -1,0 +1,26 @@
+// Films of evaluations: the newest success and failure of every group.
+
+let shownFilms = "";
+
+/** Asks which films there are and shows those that were not there before. */
+async function askFilms(list, note) {
+  let films;
+  try {
+    const answer = await fetch("/api/films");
+    if (!answer.ok) return;
+    films = (await answer.json()).films;
+  } catch {
+    return;
+  }
+  const ids = films.map((film) => film.id).join(" ");
+  // A film that somebody watches is not to begin anew.
+  if (ids === shownFilms) return;
+  shownFilms = ids;
+  note.textContent = films.length ? "Newest first." : "None so far; an evaluator with a run folder makes some in every evaluation.";
+  list.replaceChildren(...films.slice(0, 12).map((film) => {
+    const title = `${film.blueprint}, ${film.ending}, weights ${film.weights_version}`;
+    const video = element("video", { controls: "", preload: "none", playsinline: "", "aria-label": title });
+    video.src = `/api/film?id=${film.id}`;
+    return element("figure", {}, video, element("figcaption", {}, title));
+  }));
+}

@@ -1,0 +1,62 @@
+//! Films of passes: which there are, and their bytes.
+
+use std::fs;
+use std::path::PathBuf;
+
+use proto::WeightsVersion;
+use serde::Serialize;
+
+use crate::films::{Film, films};
+
+/// Most films that are told of.
+const MAX_LISTED: usize = 60;
+
+/// Largest film that is sent, bytes; one of 100 steps is below 2 MB.
+const MAX_BYTES: u64 = 32 << 20;
+
+/// The films of a run, read from its folder whenever somebody asks.
+#[derive(Clone, Debug)]
+pub(super) struct Films(Option<PathBuf>);
+
+/// A film as it is told.
+#[derive(Debug, Serialize)]
+pub(super) struct FilmView {
+    /// What `/api/film?id=` takes.
+    id: String,
+    blueprint: String,
+    weights_version: WeightsVersion,
+    ending: &'static str,
+}
+
+impl Films {
+    /// Those of this folder, if the evaluator keeps any.
+    pub(super) fn new(folder: Option<PathBuf>) -> Self {
+        Self(folder)
+    }
+
+    /// The newest ones, newest first.
+    pub(super) fn list(&self) -> Vec<FilmView> {
+        let view = |film: &Film| FilmView {
+            id: id(film),
+            blueprint: film.blueprint.to_string(),
+            weights_version: film.version,
+            ending: film.ending,
+        };
+        self.all().iter().take(MAX_LISTED).map(view).collect()
+    }
+
+    /// The bytes of the film of this id. What is asked for is compared with what is there and is never a path.
+    pub(super) fn bytes(&self, asked: &str) -> Option<Vec<u8>> {
+        let film = self.all().into_iter().find(|film| id(film) == asked)?;
+        let small = fs::metadata(&film.path).ok()?.len() <= MAX_BYTES;
+        small.then(|| fs::read(&film.path).ok()).flatten()
+    }
+
+    fn all(&self) -> Vec<Film> {
+        self.0.as_deref().map(films).unwrap_or_default()
+    }
+}
+
+fn id(film: &Film) -> String {
+    format!("{}.{}.{}.{}", film.blueprint, film.version.0, film.ending, film.number)
+}
