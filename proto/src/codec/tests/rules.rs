@@ -190,7 +190,7 @@ fn labels_have_rules_too() {
         change(trajectory.transitions[0].label.as_mut().unwrap());
         assert_eq!(decode_trajectory(&trajectory.encode_to_vec()).unwrap_err().to_string(), message);
     };
-    check(|label| label.choice_0 = Some(16), "label.choice is 16, expected a block in 0..=15");
+    check(|label| label.choice_0 = Some(16), "label.choice is 16, expected a block index in 0..16");
     check(|label| label.moves.truncate(11), "label.moves is 11 values, expected 6 for each choice");
     check(|label| label.moves[3] = f32::NAN, "label.moves is NaN, expected a number in −1e6..=1e6");
     let alone = "label.choice is Some([true, false]), expected a choice for exactly the grippers of the world";
