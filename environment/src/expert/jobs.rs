@@ -8,16 +8,21 @@ use super::motion::{Limits, Load, Twist, gap};
 use super::view::View;
 use super::{Activity, Base, Command, Expert};
 
-/// Within this of the way's axis a piece may come in, m.
-const MAX_ASIDE_M: f32 = 0.015;
-/// Within this of its orientation, rad.
+/// Within this of the way's axis a piece may come in all the way, m; further aside it stays back by so many times more.
+const MAX_ASIDE_M: f32 = 0.012;
+const ASIDE_SLOPE: f32 = 3.0;
+/// Within this of its orientation, rad; turned further it stays back by so many metres per radian more.
 const MAX_TURN_RAD: f32 = 0.12;
+const TURN_SLOPE_M: f32 = 0.2;
+/// Further than this from the axis, m, or from its orientation, rad, it is not on its way in.
+const WIDEST_M: f32 = 0.06;
+const WIDEST_RAD: f32 = 0.5;
 /// The way in is fast up to this distance from the place, just out of reach of the magnets, m.
 const BRAKE_M: f32 = 0.032;
 /// Speed of the fast part, m/s.
 const ENTRY_SPEED_MPS: f32 = 2.0;
 /// Speed of the rest, m/s: once the magnets have snapped, the gripper drags the whole structure along.
-const TOUCH_SPEED_MPS: f32 = 0.10;
+const TOUCH_SPEED_MPS: f32 = 0.25;
 /// Two carried pieces closer than this part, m.
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
@@ -266,7 +271,8 @@ impl Expert {
     }
 }
 
-/// The motion along the way in, if the piece is on it.
+/// The motion along the way in, if the piece is on it: as far in as it is aligned. The more gradual this is, the easier to
+/// imitate: a gate that opens at some alignment keeps out whoever hovers beside it.
 fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
     let length = job.way.norm();
     let direction = job.way / length;
@@ -274,7 +280,8 @@ fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
     let along = error.dot(&direction);
     let aside = (error - direction * along).norm();
     let turn = from.rotation.angle_to(&job.target.rotation);
-    let on_the_way = aside <= MAX_ASIDE_M && turn <= MAX_TURN_RAD && (-0.03..=length + 0.03).contains(&along);
+    let on_the_way = aside <= WIDEST_M && turn <= WIDEST_RAD && (-0.03..=length + 0.03).contains(&along);
+    let back = (aside - MAX_ASIDE_M).max(0.0) * ASIDE_SLOPE + (turn - MAX_TURN_RAD).max(0.0) * TURN_SLOPE_M;
     on_the_way.then(|| {
         let mut to = job.target;
         let left = if along > BRAKE_M + 0.005 {
@@ -282,7 +289,7 @@ fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
         } else {
             (along - TOUCH_SPEED_MPS * limits.step_s).max(0.0)
         };
-        to.translation.vector += direction * left;
+        to.translation.vector += direction * left.max(back.min(length));
         limits.towards(from, &to)
     })
 }
