@@ -24,6 +24,7 @@ pub const DEFAULT_PRESET: &str = "quickstart";
 pub const PRESETS: &[Preset] = presets![
     "quickstart",
     "two-blocks",
+    "taught",
     "near-goal",
     "laptop",
     "paper",
