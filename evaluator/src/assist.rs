@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use crate::config::EpisodeConfig;
 use crate::desk::Desk;
 use crate::episodes::{EvalError, EvalSetup, Workshop};
-use crate::lanes::{Job, Played};
+use crate::lanes::{Job, Played, fnv1a};
 use crate::nice::on_thread;
 use crate::report::Acting;
 use crate::run::EvaluatorSetup;
@@ -44,13 +44,13 @@ pub async fn assist(setup: EvaluatorSetup, bus: &Bus, shutdown: CancellationToke
     }
 }
 
-/// Hash of everything besides weights and tasks that decides what comes of an episode (FNV-1a, 64 bits).
+/// Hash of everything besides weights and tasks that decides what comes of an episode.
 pub(crate) fn setup_hash(setup: &EvaluatorSetup) -> u64 {
     let catalogue = Catalogue::builtin().iter().map(|blueprint| (blueprint.id().as_str(), blueprint.canonical_hash()));
     let catalogue: Vec<_> = catalogue.collect();
     let version = env!("CARGO_PKG_VERSION");
     let text = format!("{version} {:?} {} {catalogue:?}", setup.environment, setup.policy.hash());
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+    fnv1a(text.bytes())
 }
 
 struct Assistant {

@@ -280,9 +280,14 @@ pub(crate) fn sum(a: &RewardTerms, b: &RewardTerms) -> RewardTerms {
     }
 }
 
-/// One number from all that names an episode (FNV-1a, 64 bits).
+/// One number from all that names an episode.
 fn mix(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
     let bytes = seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes());
+    fnv1a(bytes)
+}
+
+/// FNV-1a with 64 bits, which is the same in every process and version.
+pub(crate) fn fnv1a(bytes: impl Iterator<Item = u8>) -> u64 {
     bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 

@@ -44,9 +44,10 @@ impl Expert {
         self.set_down(frame, side, [xy[0] - middle[0], xy[1] - middle[1]])
     }
 
-    /// The best place for the middle of the structure; the present one if that is free.
+    /// The place for the middle of the structure: the present one if that is free, else where the blocks in the way push
+    /// it; where they push back and forth, the best one on the ground.
     ///
-    /// It depends on the base only through its distance, so that it stays the best one while the base moves there.
+    /// The best one depends on the base only through its distance, so that it stays the best while the base moves there.
     pub(super) fn site(&self, view: &View, base: &Base) -> [f32; 2] {
         let here = self.middle(&base.frame, base.side);
         let strays: Vec<BlockIdx> = BlockIdx::all()
