@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 use geometry::Geometry;
 pub use geometry::{Approach, Parts};
-pub use plan::Plan;
+pub use plan::{Plan, PlanStep, extent_m};
 pub(crate) use plan::Shared;
 
 use crate::{BlockIdx, Blueprint, Placement};

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::assembly::{Plan, Shared};
+use crate::assembly::{Plan, PlanStep, Shared};
 use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT_M};
 
 /// Name of a blueprint, `<size>_<index>` as in the paper (`6_005`), with a prefix for the test sets.
@@ -248,10 +248,9 @@ impl Blueprint {
         self.assembly.plan(&self.placements)
     }
 
-    /// How many blocks are placed before this one when it is built by `plan`, which is its own; `None` for a block that does
-    /// not belong to it.
-    pub fn rank(&self, plan: &Plan, block: BlockIdx) -> Option<usize> {
-        self.assembly.rank(plan, block)
+    /// What `plan`, which is this blueprint's, has for a block; `None` for one that does not belong to it.
+    pub fn plan_step(&self, plan: &Plan, block: BlockIdx) -> Option<PlanStep> {
+        self.assembly.step(plan, block)
     }
 
     /// The link between two blocks in either order.

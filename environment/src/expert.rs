@@ -26,6 +26,11 @@ const MAX_TILT_RAD: f32 = 0.15;
 /// A structure this far from the ground counts as standing on it, m.
 const MAX_LIFT_M: f32 = 0.03;
 
+/// How far ahead the base is carried at a time when there is no room, m: further than a step.
+const STRIDE_M: f32 = 0.6;
+/// How far into the ground a single block is pressed, m.
+const PRESS_M: f32 = 0.02;
+
 /// The scripted expert for one blueprint.
 #[derive(Clone, Debug)]
 pub struct Expert {
@@ -181,8 +186,8 @@ impl Expert {
         Isometry3::from_parts(Translation3::new(xy[0], xy[1], z), rotation)
     }
 
-    /// Sets the base down if it does not lie on its side on free ground.
-    fn settle(&mut self, view: &View, base: &Base) -> Option<Command> {
+    /// Carries the base to free ground and sets it down on its side, if it does not lie there.
+    fn settle(&self, view: &View, base: &Base) -> Option<Command> {
         let lies = self.unrest(&base.frame, base.side) <= 1.0;
         let gripped = self.gripped(view, base.parts);
         let fetching = view
@@ -194,17 +199,25 @@ impl Expert {
         if lies && (fetching || base.parts.len() > 2) {
             return None;
         }
-        let target = self.site(view, base);
-        if lies && target == self.middle(&base.frame, base.side) {
+        let push = self.push(view, base);
+        if lies && push.is_none() {
             return None;
         }
-        let frame = self.frame_at(&base.frame, base.side, target);
+        let [x, y] = self.middle(&base.frame, base.side);
+        let step = push.unwrap_or_default() * STRIDE_M;
+        let frame = self.frame_at(&base.frame, base.side, [x + step.x, y + step.y]);
         let part = view.part_of[gripped.get()]?;
         let load = Load::new(view, gripped);
         let mut target = frame * self.place(part);
-        // A structure that has sagged would go into the ground.
+        // A structure that has sagged would go into the ground; a single block is pressed on it, to be sure that it lies.
         target.translation.z += (-load.lowest_m(view, &target)).max(0.0);
-        let twist = load.go(view, &self.limits, &target);
+        if base.parts.len() == 1 {
+            target.translation.z -= PRESS_M;
+        }
+        // What is turned over is lifted, or the ground would be in its way.
+        let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
+        target.translation.z += load.radius_m(view) * tilt.min(1.0);
+        let twist = if push.is_some() { load.go(view, &self.limits, &target) } else { self.limits.towards(view.pose(gripped), &target) };
         Some(Command { block: gripped, twist })
     }
 

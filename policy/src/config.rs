@@ -57,11 +57,11 @@ pub struct FeatureConfig {
     pub block_shape: bool,
     /// Edges: the move that the receiver needs if the sender stays, at two scales. Default true.
     pub needed_moves: bool,
-    /// Nodes: which way is up and how high the block is where the blueprint's [plan](blueprints::Blueprint::plan) has it.
+    /// Nodes: where and when the blueprint's [plan](blueprints::Blueprint::plan) has the block, and how it comes there.
     /// Default false; an expert's labels are hard to understand without it.
-    pub standing: bool,
-    /// Nodes: the block's place in the plan's order. Default false, as `standing`.
-    pub order: bool,
+    pub plan: bool,
+    /// Nodes and edges: which blocks hang together as the blueprint has them. Default false.
+    pub pieces: bool,
     /// Number of gripper halves in the globals, 1 or 2; must equal the network's. Default 2.
     pub n_grippers: u8,
 }
@@ -73,8 +73,8 @@ impl Default for FeatureConfig {
             membership: true,
             block_shape: true,
             needed_moves: true,
-            standing: false,
-            order: false,
+            plan: false,
+            pieces: false,
             n_grippers: 2,
         }
     }
@@ -88,8 +88,8 @@ impl FeatureConfig {
             membership: false,
             block_shape: false,
             needed_moves: false,
-            standing: false,
-            order: false,
+            plan: false,
+            pieces: false,
             n_grippers: 2,
         }
     }

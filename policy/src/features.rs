@@ -14,11 +14,15 @@
 //! | 3–5 | the world's up axis | i, unit vector | `up_axis` |
 //! | 6 | belongs to the blueprint | 0 or 1 | `membership` |
 //! | 7–9 | half extents | i, m / 0.2 | `block_shape` |
-//! | 10–12 | the up axis of the structure on the side on which its plan builds it | i, unit vector | `standing` |
-//! | 13 | height of its centre above the ground in that structure | m / 0.5 | `standing` |
-//! | 14 | its number in the order of the plan, the first being 1 | 1/16 | `order` |
+//! | 10–12 | the up axis of the structure on the side on which its plan builds it | i, unit vector | `plan` |
+//! | 13 | height of its centre above the ground in that structure | m / 0.5 | `plan` |
+//! | 14 | its number in the order of the plan, the first being 1 | 1/16 | `plan` |
+//! | 15–17 | from its place to the beginning of its way in | i in its place, m / 0.5 | `plan` |
+//! | 18–20 | from its place to the middle of the structure | i in its place, m / 0.5 | `plan` |
+//! | 21 | radius of the structure about its middle, seen from above | m / 0.5 | `plan` |
+//! | 22 | number of blocks that hang together with it by right connections, itself included | 1/16 | `pieces` |
 //!
-//! Entries 10–14 are 0 for blocks outside the blueprint. The plan is a function of the blueprint alone
+//! Entries 10–21 are 0 for blocks outside the blueprint. The plan is a function of the blueprint alone
 //! ([`Blueprint::plan`]); several sides and orders are possible, and without these entries nothing tells which one an expert
 //! has chosen.
 //!
@@ -40,6 +44,7 @@
 //! | 27–29 | the same, each entry tanh(x / 6 cm) | – | `needed_moves` |
 //! | 30–32 | turn that i needs if j stays, rotation vector | rad / π | `needed_moves` |
 //! | 33–35 | the same, each entry tanh(x / 0.25 rad) | – | `needed_moves` |
+//! | 36 | the two hang together by right connections | 0 or 1 | `pieces` |
 //!
 //! Edges come sender-major without self-edges: `for j in 0..16 { for i in 0..16 { if i != j } }`, 240 in all. The receiver
 //! gathers the messages and emits the move, in the same frame.
@@ -103,9 +108,9 @@ impl FeatureSizes {
                 + on(config.up_axis, 3)
                 + on(config.membership, 1)
                 + on(config.block_shape, 3)
-                + on(config.standing, 4)
-                + on(config.order, 1),
-            edge: BASE_EDGE + on(config.needed_moves, 12),
+                + on(config.plan, 12)
+                + on(config.pieces, 1),
+            edge: BASE_EDGE + on(config.needed_moves, 12) + on(config.pieces, 1),
             global: usize::from(config.n_grippers) * GRIPPER_PART,
         }
     }
@@ -130,15 +135,28 @@ pub fn write_features(
     assert_eq!(nodes.len(), N_BLOCKS * sizes.node, "length of the node features");
     assert_eq!(edges.len(), N_EDGES * sizes.edge, "length of the edge features");
     assert_eq!(globals.len(), sizes.global, "length of the global features");
+    nodes.fill(0.0);
     edges.fill(0.0);
-    let plan = if config.standing || config.order { blueprint.plan() } else { None };
+    let plan = if config.plan { blueprint.plan() } else { None };
+    let pieces = pieces(scene, blueprint);
     let frames = scene.blocks.each_ref().map(Frame::new);
     for (block, node) in BlockIdx::all().zip(nodes.chunks_exact_mut(sizes.node)) {
         let mut writer = Writer::new(node);
         write_node(scene, blueprint, config, block, &frames[block.get()], &mut writer);
-        write_plan(blueprint, plan, config, block, &mut writer);
+        if config.plan {
+            write_plan(blueprint, plan, block, &mut writer);
+        }
+        if config.pieces {
+            let size = pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
+            writer.number(size as f32 / N_BLOCKS as f32);
+        }
     }
     write_edges(scene, blueprint, config, &frames, edges, sizes.edge);
+    if config.pieces {
+        for ((sender, receiver), edge) in pairs().zip(edges.chunks_exact_mut(sizes.edge)) {
+            edge[sizes.edge - 1] = f32::from(u8::from(pieces[sender.get()] == pieces[receiver.get()]));
+        }
+    }
     for (gripper, part) in scene.grippers.iter().zip(globals.chunks_exact_mut(GRIPPER_PART)) {
         write_gripper(gripper.as_ref(), part);
     }
@@ -169,27 +187,37 @@ fn write_node(
 }
 
 /// What the plan has for a block, zeros if it does not have it.
-fn write_plan(
-    blueprint: &Blueprint,
-    plan: Option<&Plan>,
-    config: &FeatureConfig,
-    block: BlockIdx,
-    to: &mut Writer<'_>,
-) {
-    let planned = plan.and_then(|plan| Some((plan, blueprint.placement(block)?, blueprint.rank(plan, block)?)));
-    if config.standing {
-        let (up, height) = planned.map_or((Vector3::zeros(), 0.0), |(plan, placement, _)| {
-            let up = Vector3::from(plan.up.map(|x| x as f32));
-            let center = Vector3::from(placement.center_half_units.map(|x| x as f32));
-            let height = (up.dot(&center) - plan.ground_half_units as f32) * UNIT_M / 2.0;
-            (matrix(placement.rotation.matrix()).tr_mul(&up), height)
-        });
-        to.vector(&up);
-        to.number(height / POSITION_SCALE_M);
+fn write_plan(blueprint: &Blueprint, plan: Option<&Plan>, block: BlockIdx, to: &mut Writer<'_>) {
+    let planned = plan.and_then(|plan| Some((plan, blueprint.placement(block)?, blueprint.plan_step(plan, block)?)));
+    let Some((plan, placement, step)) = planned else { return };
+    let half_unit_m = UNIT_M / 2.0;
+    let up = Vector3::from(plan.up.map(|x| x as f32));
+    let center = Vector3::from(placement.center_half_units.map(|x| x as f32)) * half_unit_m;
+    let way = Vector3::from(step.way_half_units.map(|x| x as f32)) * half_unit_m;
+    let into = matrix(placement.rotation.matrix()).transpose();
+    to.vector(&(into * up));
+    to.number((up.dot(&center) - plan.ground_half_units as f32 * half_unit_m) / POSITION_SCALE_M);
+    to.number((step.rank + 1) as f32 / N_BLOCKS as f32);
+    to.vector(&(into * way / POSITION_SCALE_M));
+    to.vector(&(into * (Vector3::from(plan.middle_m) - center) / POSITION_SCALE_M));
+    to.number(plan.radius_m / POSITION_SCALE_M);
+}
+
+/// For each block the lowest index among those that hang together with it by right connections.
+fn pieces(scene: &Scene, blueprint: &Blueprint) -> [usize; N_BLOCKS] {
+    let mut pieces: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
+    for joint in &scene.joints {
+        if blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative) {
+            let (a, b) = (pieces[joint.a.get()], pieces[joint.b.get()]);
+            pieces.iter_mut().filter(|piece| **piece == a.max(b)).for_each(|piece| *piece = a.min(b));
+        }
     }
-    if config.order {
-        to.number(planned.map_or(0.0, |(_, _, rank)| (rank + 1) as f32 / N_BLOCKS as f32));
-    }
+    pieces
+}
+
+/// Sender and receiver of every edge.
+fn pairs() -> impl Iterator<Item = (BlockIdx, BlockIdx)> {
+    BlockIdx::all().flat_map(|j| BlockIdx::all().filter(move |i| *i != j).map(move |i| (j, i)))
 }
 
 fn write_edges(
@@ -206,8 +234,7 @@ fn write_edges(
         connected[a][b] = true;
         connected[b][a] = true;
     }
-    let pairs = BlockIdx::all().flat_map(|j| BlockIdx::all().filter(move |i| *i != j).map(move |i| (j, i)));
-    for ((sender, receiver), edge) in pairs.zip(edges.chunks_exact_mut(ed)) {
+    for ((sender, receiver), edge) in pairs().zip(edges.chunks_exact_mut(ed)) {
         let (to, from) = (&frames[receiver.get()], &frames[sender.get()]);
         let offset = to.localise(&(from.position - to.position));
         if let Some(wanted) = blueprint.relative(receiver, sender) {
@@ -288,7 +315,7 @@ fn matrix(rows: [[i32; 3]; 3]) -> Matrix3<f32> {
     Matrix3::from_fn(|i, j| rows[i][j] as f32)
 }
 
-/// Fills a slice from the front.
+/// Fills a slice from the front; what is not written stays zero.
 struct Writer<'a> {
     rest: std::slice::IterMut<'a, f32>,
 }

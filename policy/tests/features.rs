@@ -108,7 +108,7 @@ fn a_finished_link_needs_no_move() {
 
 #[test]
 fn a_structure_that_stands_as_planned_looks_like_the_plan() {
-    let config = FeatureConfig { standing: true, order: true, ..FeatureConfig::default() };
+    let config = FeatureConfig { plan: true, ..FeatureConfig::default() };
     for blueprint in Catalogue::builtin().iter().step_by(7) {
         let plan = blueprint.plan().unwrap();
         let mut scene = row_scene();
@@ -122,12 +122,12 @@ fn a_structure_that_stands_as_planned_looks_like_the_plan() {
         }
         let batch = features(&scene, blueprint, &config);
         let mut numbers = Vec::new();
-        for (block, node) in BlockIdx::all().zip(batch.nodes.chunks_exact(15)) {
+        for (block, node) in BlockIdx::all().zip(batch.nodes.chunks_exact(22)) {
             if blueprint.contains(block) {
                 assert!(close(&node[3..6], &node[10..13]) && close(&node[..1], &node[13..14]), "{node:?}");
                 numbers.push((16.0 * node[14]).round() as usize);
             } else {
-                assert_eq!(node[10..], [0.0; 5]);
+                assert_eq!(node[10..], [0.0; 12]);
             }
         }
         numbers.sort_unstable();

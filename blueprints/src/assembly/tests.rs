@@ -124,7 +124,7 @@ fn copies_on_other_blocks_are_built_alike() {
         let expected: Vec<BlockIdx> = order.iter().map(|block| swapped[block.get()]).collect();
         assert_eq!(Assembly::new(&copy).unwrap().order(), expected, "{}", blueprint.id());
         for (rank, block) in expected.iter().enumerate() {
-            assert_eq!(copy.rank(copied, *block), Some(rank));
+            assert_eq!(copy.plan_step(copied, *block).unwrap().rank, rank);
         }
     }
 }

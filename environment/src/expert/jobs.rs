@@ -27,6 +27,9 @@ const TOUCH_SPEED_MPS: f32 = 0.25;
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
 const STRAY_MARGIN_M: f32 = 0.025;
+/// A stray leaves with this speed, m/s, and goes up by so many metres per metre aside.
+const FLING_SPEED_MPS: f32 = 2.5;
+const FLING_RISE: f32 = 0.7;
 /// Heights above the beginning of the first job's way that who waits keeps free, m.
 const SKY_M: [f32; 3] = [0.12, 0.24, 0.36];
 /// Where a piece waits, from the beginning of its way: as near as it may, m.
@@ -65,7 +68,7 @@ impl Expert {
             return (Activity::TakingDown, self.split_off(view, first));
         };
         if let Some(stray) = self.in_the_way(view, base, &job) {
-            return (Activity::Clearing, vec![self.park(view, base, stray, &job)]);
+            return (Activity::Clearing, vec![self.fling(view, base, stray)]);
         }
         let mut commands = vec![self.bring(view, &job)];
         if self.n_grippers > 1 {
@@ -237,37 +240,15 @@ impl Expert {
         })
     }
 
-    /// Carries a block to free ground.
-    fn park(&self, view: &View, base: &Base, stray: BlockIdx, job: &Job) -> Command {
-        let load = Load::new(view, stray);
-        let avoid = self.swept(view, job);
-        let pose = view.pose(stray);
-        let half = &view.half_extents[stray.get()];
-        let reach = pose.translation.z - super::motion::lowest(pose, half);
-        let mut best: Option<(f32, Isometry3<f32>)> = None;
-        for x in -12..=12 {
-            for y in -12..=12 {
-                let mut at = *pose;
-                at.translation.x = x as f32 * 0.1;
-                at.translation.y = y as f32 * 0.1;
-                at.translation.z = reach + 0.01;
-                let far = (at.translation.vector - pose.translation.vector).norm();
-                if best.is_some_and(|(nearest, _)| nearest <= far) || load.hits(view, &at, 0.06) {
-                    continue;
-                }
-                let in_plan = (0..self.blueprint.n_blocks()).any(|part| {
-                    let place = base.frame * self.place(part);
-                    gap((&place, &view.half_extents[self.block(part).get()]), (&at, half)) < 0.08
-                });
-                if !in_plan && load.is_apart(view, &at, &avoid, 0.05) {
-                    best = Some((far, at));
-                }
-            }
-        }
-        let twist = best.map_or(Twist { linear: Vector3::z(), angular: Vector3::zeros() }, |(_, target)| {
-            load.go(view, &self.limits, &target)
-        });
-        Command { block: stray, twist }
+    /// One step of a block away from the structure, and up: the nearest free ground would be a leap from scene to scene.
+    fn fling(&self, view: &View, base: &Base, stray: BlockIdx) -> Command {
+        let [x, y] = self.middle(&base.frame, base.side);
+        let middle = Vector3::new(x, y, 0.0);
+        let mut out = view.pose(stray).translation.vector - middle;
+        out.z = 0.0;
+        let out = out.try_normalize(0.01).unwrap_or_else(Vector3::x);
+        let linear = (out + Vector3::z() * FLING_RISE) * FLING_SPEED_MPS;
+        Command { block: stray, twist: Twist { linear, angular: Vector3::zeros() } }
     }
 }
 

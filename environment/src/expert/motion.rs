@@ -17,9 +17,13 @@ const MAX_STEPS: usize = 9;
 const DETOURS_M: [f32; 9] = [0.0, 0.08, 0.16, 0.24, 0.34, 0.46, 0.6, 0.8, 1.1];
 
 /// Far from its target a block is carried this much above it, m: over what lies around.
-const CRUISE_M: f32 = 0.3;
+const CRUISE_M: f32 = 0.25;
 /// Within this distance from the axis above its target it goes straight there; further out as much higher as it is further, m.
 const FUNNEL_M: f32 = 0.1;
+
+/// A block that has to rise by no more than this moves sideways as well, m, and less and less if it has up to so much more.
+const FREE_CLIMB_M: f32 = 0.06;
+const CLIMB_M: f32 = 0.15;
 
 /// Nothing is carried higher than this, m.
 const CEILING_M: f32 = 1.6;
@@ -78,6 +82,21 @@ impl Limits {
         [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z].map(|x| x.clamp(-1.0, 1.0))
     }
 
+    /// The motion along an arch to `to`: far from it a block rises first and is carried above what lies around.
+    pub(super) fn arch(&self, from: &Isometry3<f32>, to: &Isometry3<f32>) -> Twist {
+        let apart = (to.translation.vector - from.translation.vector).xy().norm();
+        let mut via = *to;
+        via.translation.z += (apart - FUNNEL_M).clamp(0.0, CRUISE_M);
+        let climb = via.translation.z - from.translation.z;
+        let share = (1.0 - (climb - FREE_CLIMB_M) / CLIMB_M).clamp(0.0, 1.0);
+        let mut twist = self.towards(from, &via);
+        twist.linear.x *= share;
+        twist.linear.y *= share;
+        twist.linear.z = (climb / self.step_s).clamp(-self.max_speed_mps, self.max_speed_mps);
+        twist.angular *= share;
+        self.clipped(&from.rotation, twist)
+    }
+
     /// Where a motion leads in `fraction` of a step.
     fn advanced(&self, from: &Isometry3<f32>, twist: Twist, fraction: f32) -> Isometry3<f32> {
         let dt = self.step_s * fraction;
@@ -101,17 +120,19 @@ impl Load {
         self.boxes.iter().any(|&(b, _)| b == block)
     }
 
-    /// Moves the gripped block to `target`: down a funnel if nothing is in the way, else over a point above it, else up.
+    /// Moves the gripped block to `target`: up, over and down a funnel if nothing is in the way, else straight over a point
+    /// above it, else up.
     ///
-    /// The funnel is a smooth function of where block and target are, which can be imitated; the shortest free way is not.
+    /// The first is a smooth function of where block and target are, which can be imitated; the shortest free way is not.
     pub(super) fn go(&self, view: &View, limits: &Limits, target: &Isometry3<f32>) -> Twist {
         let from = view.pose(self.gripped);
-        let apart = (target.translation.vector - from.translation.vector).xy().norm();
-        let funnel = (apart - FUNNEL_M).clamp(0.0, CRUISE_M);
-        for detour in std::iter::once(funnel).chain(DETOURS_M) {
+        if self.is_free(view, limits, from, |at| limits.arch(at, target)) {
+            return limits.arch(from, target);
+        }
+        for detour in DETOURS_M {
             let mut via = *target;
             via.translation.z += detour;
-            if self.is_free(view, limits, from, &via) {
+            if self.is_free(view, limits, from, |at| limits.towards(at, &via)) {
                 return limits.towards(from, &via);
             }
         }
@@ -121,11 +142,17 @@ impl Load {
         limits.towards(from, &via)
     }
 
-    /// Whether the way from `from` to `to` touches nothing.
-    pub(super) fn is_free(&self, view: &View, limits: &Limits, from: &Isometry3<f32>, to: &Isometry3<f32>) -> bool {
+    /// Whether a way of moving from `from` on touches nothing.
+    pub(super) fn is_free(
+        &self,
+        view: &View,
+        limits: &Limits,
+        from: &Isometry3<f32>,
+        way: impl Fn(&Isometry3<f32>) -> Twist,
+    ) -> bool {
         let mut at = *from;
         for step in 0..MAX_STEPS {
-            let twist = limits.towards(&at, to);
+            let twist = way(&at);
             if twist.linear.norm() < 1e-3 && twist.angular.norm() < 1e-2 {
                 break;
             }
@@ -163,6 +190,14 @@ impl Load {
             lowest(&(pose * relative), &view.half_extents[block.get()])
         };
         self.boxes.iter().map(low).fold(f32::INFINITY, f32::min)
+    }
+
+    /// Distance of the load's furthest corner from the middle of the gripped block, m.
+    pub(super) fn radius_m(&self, view: &View) -> f32 {
+        let far = |(block, relative): &(BlockIdx, Isometry3<f32>)| {
+            relative.translation.vector.norm() + view.half_extents[block.get()].norm()
+        };
+        self.boxes.iter().map(far).fold(0.0, f32::max)
     }
 
     /// Whether the load at `pose` is at least `margin` metres from all of `boxes`.

@@ -134,7 +134,7 @@ fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
     let load = Load::new(&view, cube);
     let from = *view.pose(cube);
     let at = |x: f32, z: f32| Isometry3::from_parts(Translation3::new(x, 0.0, z), UnitQuaternion::identity());
-    assert!(!load.is_free(&view, &expert.limits, &from, &at(0.45, 0.05)), "through the second cube");
+    assert!(!load.is_free(&view, &expert.limits, &from, to(0.45, 0.05)), "through the second cube");
     assert!(load.is_free(&view, &expert.limits, &from, &at(0.15, 0.05)), "up to its side");
     assert!(load.is_free(&view, &expert.limits, &at(0.0, 0.3), &at(0.6, 0.3)), "over both");
     assert!(!load.is_free(&view, &expert.limits, &from, &at(0.0, 0.0)), "into the ground");
