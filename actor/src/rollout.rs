@@ -342,7 +342,7 @@ fn start_episode<E: Env>(
 ) -> Result<Task, RolloutError> {
     let mut n_tried = 0;
     loop {
-        let task = tasks.sample(rng);
+        let task = tasks.sample(catalogue, rng);
         match env.reset(&task, catalogue) {
             Ok(()) => return Ok(task),
             Err(source) => {

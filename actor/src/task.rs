@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use blueprints::generator::{MAX_INDEX, Request, Style};
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
 use environment::sample_assignment;
 use proto::{Start, Task};
@@ -10,6 +11,9 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{ActorConfigError, check};
+
+/// Generated structures that are tried before a goal of the catalogue is taken after all.
+const MAX_GENERATED: usize = 8;
 
 /// Which training blueprints are goals, and how their episodes begin.
 ///
@@ -26,6 +30,11 @@ pub struct TaskConfig {
     /// Fewest and most blocks taken off in a start near the goal, at least 1; the goal's size less one is the limit.
     /// Default 1 and 2.
     pub near_goal_undone: [u8; 2],
+    /// Probability that a structure of the generator takes the goal's place, of the same number of blocks; 0 to 1. Default 0
+    /// (an extension). It is seeded like everything else, and never one of the held-out structures.
+    pub generated_probability: f64,
+    /// What those look like, all alike where the size allows; at least one. Default: every style.
+    pub generated_styles: Vec<Style>,
     /// Lets equal blocks swap roles from episode to episode, since the policy sees slot numbers. Default true.
     pub shuffle_blocks: bool,
 }
@@ -84,6 +93,8 @@ impl Default for TaskConfig {
             prebuilt_probability: 0.2,
             near_goal_probability: 0.0,
             near_goal_undone: [1, 2],
+            generated_probability: 0.0,
+            generated_styles: Style::ALL.to_vec(),
             shuffle_blocks: true,
         }
     }
@@ -100,6 +111,10 @@ impl TaskConfig {
         check("tasks.near_goal_probability", near, (0.0..=1.0).contains(&near), "0 to 1")?;
         let sum = prebuilt + near;
         check("tasks.prebuilt_probability + tasks.near_goal_probability", sum, sum <= 1.0, "0 to 1")?;
+        let generated = self.generated_probability;
+        check("tasks.generated_probability", generated, (0.0..=1.0).contains(&generated), "0 to 1")?;
+        let some = !self.generated_styles.is_empty();
+        check("tasks.generated_styles", &self.generated_styles, some, "at least one style")?;
         let [low, high] = self.near_goal_undone;
         let ok = 1 <= low && low <= high && usize::from(high) < N_BLOCKS;
         check("tasks.near_goal_undone", self.near_goal_undone, ok, "two ascending numbers from 1 to 15")
@@ -170,12 +185,30 @@ impl TaskSampler {
         }
     }
 
-    /// Draws the next task.
-    pub fn sample(&self, rng: &mut ChaCha8Rng) -> Task {
+    /// Draws the next task; generated structures are held against the held-out ones of `catalogue`.
+    pub fn sample(&self, catalogue: &Catalogue, rng: &mut ChaCha8Rng) -> Task {
         let (blueprint, n_blocks) = self.draw_goal(rng);
+        let replaced = rng.random_bool(self.config.generated_probability);
+        let generated = if replaced { self.draw_generated(catalogue, n_blocks, rng) } else { None };
+        let blueprint = generated.unwrap_or_else(|| blueprint.clone());
         let assignment = self.draw_assignment(rng);
-        let start = self.draw_start(blueprint, n_blocks, rng);
-        Task { blueprint: blueprint.clone(), assignment, start, seed: rng.random() }
+        let start = self.draw_start(&blueprint, n_blocks, rng);
+        Task { blueprint, assignment, start, seed: rng.random() }
+    }
+
+    /// A generated structure to be trained on; `None` if a few draws come to nothing.
+    fn draw_generated(&self, catalogue: &Catalogue, n_blocks: usize, rng: &mut ChaCha8Rng) -> Option<BlueprintId> {
+        let fits = |style: &&Style| style.sizes().contains(&n_blocks);
+        let styles: Vec<Style> = self.config.generated_styles.iter().filter(fits).copied().collect();
+        if styles.is_empty() {
+            return None;
+        }
+        (0..MAX_GENERATED).find_map(|_| {
+            let style = styles[rng.random_range(0..styles.len())];
+            let (seed, index) = (rng.random::<u32>().into(), rng.random_range(0..=MAX_INDEX));
+            let id = Request { style, seed, n_blocks, index }.id().ok()?;
+            catalogue.find(&id).filter(|blueprint| catalogue.is_for_training(blueprint)).map(|_| id)
+        })
     }
 
     fn draw_goal(&self, rng: &mut ChaCha8Rng) -> (&BlueprintId, usize) {
@@ -231,7 +264,7 @@ mod tests {
 
     fn draw(sampler: &TaskSampler, n: usize) -> Vec<Task> {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        (0..n).map(|_| sampler.sample(&mut rng)).collect()
+        (0..n).map(|_| sampler.sample(Catalogue::builtin(), &mut rng)).collect()
     }
 
     #[test]
@@ -312,6 +345,29 @@ mod tests {
         // Of three blocks at most two can be taken off.
         assert!(undone_seen[1] > 100 && undone_seen[2] > 100);
         assert_eq!(undone_seen[1] + undone_seen[2], n_near);
+    }
+
+    #[test]
+    fn generated_goals_have_the_size_of_the_goals_they_replace() {
+        let filter = TaskFilter::Sizes { min: 3, max: 4 };
+        let styles = vec![Style::Tower, Style::Bridge];
+        let config =
+            TaskConfig { filter, generated_probability: 0.5, generated_styles: styles, ..Default::default() };
+        let tasks = draw(&sampler(&config), 400);
+        let (generated, drawn): (Vec<_>, Vec<_>) =
+            tasks.iter().partition(|task| Request::from_id(&task.blueprint).is_some());
+        assert!((150..=250).contains(&generated.len()), "{} of 400", generated.len());
+        assert!(drawn.iter().all(|task| Catalogue::builtin().get(&task.blueprint).is_some()));
+        for task in &generated {
+            let request = Request::from_id(&task.blueprint).unwrap();
+            let blueprint = Catalogue::builtin().find(&task.blueprint).unwrap();
+            assert!(Catalogue::builtin().is_for_training(&blueprint));
+            assert!((3..=4).contains(&blueprint.n_blocks()));
+            // A bridge has four blocks at least.
+            assert!(request.style == Style::Tower || blueprint.n_blocks() == 4);
+        }
+        let distinct: std::collections::BTreeSet<_> = generated.iter().map(|task| &task.blueprint).collect();
+        assert_eq!(distinct.len(), generated.len(), "there are enough of them");
     }
 
     #[test]

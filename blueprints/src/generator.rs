@@ -15,6 +15,10 @@ mod style;
 mod tiling;
 
 use std::collections::BTreeSet;
+use std::num::NonZeroUsize;
+use std::sync::{LazyLock, Mutex, PoisonError};
+
+use lru::LruCache;
 
 use crate::checks::check_placements;
 use crate::error::BlueprintError;
@@ -155,6 +159,24 @@ pub fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
 /// Makes the structure that an id names; `None` if it is not the id of a generated structure of this [`VERSION`].
 pub fn from_id(id: &BlueprintId) -> Option<Result<Blueprint, GenerateError>> {
     Request::from_id(id).map(|request| generate(&request))
+}
+
+/// Structures that are kept, of a few kilobytes each: more than the episodes that a process has in hand.
+const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
+
+/// Like [`from_id`], of one that was made lately a copy; `None` also if the request comes to nothing.
+pub fn made(id: &BlueprintId) -> Option<Blueprint> {
+    static MADE: LazyLock<Mutex<LruCache<BlueprintId, Option<Blueprint>>>> =
+        LazyLock::new(|| Mutex::new(LruCache::new(MADE_CAPACITY)));
+    let request = Request::from_id(id)?;
+    let lock = || MADE.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(known) = lock().get(id) {
+        return known.clone();
+    }
+    // Made without the lock, so that others need not wait.
+    let blueprint = generate(&request).ok();
+    lock().put(id.clone(), blueprint.clone());
+    blueprint
 }
 
 /// Makes `count` structures that differ as much as possible from each other, by increasing index.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::BlueprintId;
+use blueprints::{BlueprintId, N_BLOCKS};
 use serde::{Deserialize, Serialize};
 
 use crate::config::{LearnerConfigError, check};
@@ -17,6 +17,8 @@ pub enum CurriculumConfig {
     Paper(PaperConfig),
     /// Those that succeed about every other time are the likeliest: p(1 − p).
     Learnability(LearnabilityConfig),
+    /// All up to a number of blocks that grows with success, every number of blocks alike.
+    Widening(WideningConfig),
 }
 
 /// Settings of the uniform curriculum: none.
@@ -46,6 +48,21 @@ pub struct LearnabilityConfig {
     pub tau: f64,
     /// Share of goals drawn from all blueprints alike; above 0, at most 1, default 0.15.
     pub uniform: f64,
+    /// Finished episodes between two changes of the probabilities; 1..=65536, default 64.
+    pub episodes_per_batch: usize,
+}
+
+/// Settings of the widening curriculum.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WideningConfig {
+    /// Weight of one episode in a blueprint's success rate; above 0, at most 1, default 0.2.
+    pub tau: f64,
+    /// Most blocks at first, at least 2; default 4.
+    pub first_size: usize,
+    /// The next larger blueprints come in when those with `first_size` blocks, and each larger number in use, succeed as
+    /// often as this in the mean; above 0, at most 1, default 0.6.
+    pub gate: f64,
     /// Finished episodes between two changes of the probabilities; 1..=65536, default 64.
     pub episodes_per_batch: usize,
 }
@@ -85,6 +102,12 @@ impl Default for LearnabilityConfig {
     }
 }
 
+impl Default for WideningConfig {
+    fn default() -> Self {
+        Self { tau: 0.2, first_size: 4, gate: 0.6, episodes_per_batch: 64 }
+    }
+}
+
 impl CurriculumConfig {
     /// Checks the ranges of the chosen rule.
     ///
@@ -105,6 +128,13 @@ impl CurriculumConfig {
                 check_share("curriculum.uniform", learnability.uniform)?;
                 check_batch(learnability.episodes_per_batch)
             }
+            Self::Widening(widening) => {
+                check_share("curriculum.tau", widening.tau)?;
+                check_share("curriculum.gate", widening.gate)?;
+                let first = widening.first_size;
+                check("curriculum.first_size", first as f64, (2..=N_BLOCKS).contains(&first), "in 2..=16")?;
+                check_batch(widening.episodes_per_batch)
+            }
         }
     }
 
@@ -113,6 +143,7 @@ impl CurriculumConfig {
             Self::Uniform(_) => 1,
             Self::Paper(paper) => paper.episodes_per_batch,
             Self::Learnability(learnability) => learnability.episodes_per_batch,
+            Self::Widening(widening) => widening.episodes_per_batch,
         }
     }
 }
@@ -122,8 +153,10 @@ impl Curriculum {
     pub fn new(config: CurriculumConfig, tasks: impl IntoIterator<Item = BlueprintId>) -> Self {
         let mut tasks: BTreeMap<_, _> =
             tasks.into_iter().map(|id| (id, TaskState { success_rate: 0.0, probability: 0.0 })).collect();
-        let share = 1.0 / tasks.len().max(1) as f64;
-        tasks.values_mut().for_each(|task| task.probability = share);
+        match &config {
+            CurriculumConfig::Widening(widening) => widen(&mut tasks, widening),
+            _ => set_probabilities(&mut tasks, |_| 1.0),
+        }
         Self { config, tasks, waiting: Vec::new() }
     }
 
@@ -151,6 +184,7 @@ impl Curriculum {
             CurriculumConfig::Uniform(_) => 0.05,
             CurriculumConfig::Paper(paper) => paper.tau,
             CurriculumConfig::Learnability(learnability) => learnability.tau,
+            CurriculumConfig::Widening(widening) => widening.tau,
         };
         for (id, success) in batch {
             if let Some(task) = self.tasks.get_mut(id) {
@@ -173,6 +207,7 @@ impl Curriculum {
                 let weight = if total > 1e-9 { 1.0 - learnability.uniform } else { 0.0 };
                 set_probabilities(&mut self.tasks, |rate| uniform + weight * share(rate));
             }
+            CurriculumConfig::Widening(widening) => widen(&mut self.tasks, widening),
         }
     }
 
@@ -190,6 +225,28 @@ impl Curriculum {
 fn set_probabilities(tasks: &mut BTreeMap<BlueprintId, TaskState>, weight: impl Fn(f64) -> f64) {
     let total: f64 = tasks.values().map(|task| weight(task.success_rate)).sum();
     tasks.values_mut().for_each(|task| task.probability = weight(task.success_rate) / total);
+}
+
+/// Shares the probability out among the numbers of blocks that are in use, and each share among its blueprints.
+fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) {
+    // Sum of the success rates and number of blueprints, by number of blocks.
+    let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
+    for (id, task) in tasks.iter() {
+        let (sum, n) = sizes.entry(id.size()).or_default();
+        *sum += task.success_rate;
+        *n += 1;
+    }
+    let mut in_use: BTreeMap<usize, usize> = BTreeMap::new();
+    for (&size, &(sum, n)) in &sizes {
+        in_use.insert(size, n);
+        if size >= config.first_size && sum / (n as f64) < config.gate {
+            break;
+        }
+    }
+    for (id, task) in tasks.iter_mut() {
+        let n = in_use.get(&id.size()).map(|n| n * in_use.len());
+        task.probability = n.map_or(0.0, |n| 1.0 / n as f64);
+    }
 }
 
 fn check_share(field: &'static str, value: f64) -> Result<(), LearnerConfigError> {
@@ -225,6 +282,25 @@ mod tests {
         for (p, expected) in probabilities(&curriculum).iter().zip([0.8, 0.1, 0.1]) {
             assert!((p - expected).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn sizes_widen_with_success_and_share_alike() {
+        let ids: Vec<BlueprintId> =
+            ["2_000", "2_001", "3_000", "5_000"].map(|id| id.to_owned().try_into().unwrap()).into();
+        let config = WideningConfig { tau: 0.5, first_size: 2, gate: 0.6, episodes_per_batch: 2 };
+        let mut curriculum = Curriculum::new(CurriculumConfig::Widening(config), ids.clone());
+        assert_eq!(probabilities(&curriculum), [0.5, 0.5, 0.0, 0.0]);
+        let mut both = |success: [bool; 2]| {
+            ids[..2].iter().zip(success).for_each(|(id, success)| curriculum.record(id, success));
+            probabilities(&curriculum)
+        };
+        // Rates of 0.5 and 0.5, then of 0.75 and 0.25, then of 0.875 and 0.625, which is 0.75 in the mean.
+        assert_eq!(both([true, true]), [0.5, 0.5, 0.0, 0.0]);
+        assert_eq!(both([true, false]), [0.5, 0.5, 0.0, 0.0]);
+        assert_eq!(both([true, true]), [0.25, 0.25, 0.5, 0.0]);
+        // What is forgotten narrows it again: 0.4375 and 0.3125.
+        assert_eq!(both([false, false]), [0.5, 0.5, 0.0, 0.0]);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use blueprints::BlueprintId;
+use blueprints::generator::Request;
 use proto::{Refusal, Status, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
@@ -48,8 +49,8 @@ struct State {
 }
 
 impl Mailbox {
-    /// An empty mailbox for weights version 0 that accepts trajectories of the blueprints `known`, acted with
-    /// `n_grippers` grippers.
+    /// An empty mailbox for weights version 0 that accepts trajectories of the blueprints `known` and of generated ones,
+    /// acted with `n_grippers` grippers.
     pub fn new(config: MailboxConfig, n_grippers: usize, known: BTreeSet<BlueprintId>) -> Self {
         Self { config, n_grippers, known, state: Mutex::default(), arrived: Condvar::new() }
     }
@@ -139,7 +140,7 @@ impl Mailbox {
 
     fn check(&self, trajectory: &Trajectory) -> Result<(), String> {
         let id = &trajectory.task.blueprint;
-        if !self.known.contains(id) {
+        if !self.known.contains(id) && Request::from_id(id).is_none() {
             return Err(format!("blueprint {id} is not in the learner's catalogue"));
         }
         if trajectory.status == Status::Diverged {

@@ -9,20 +9,20 @@ use super::view::View;
 use super::{Activity, Base, Command, Expert};
 
 /// Within this of the way's axis a piece may come in all the way, m; further aside it stays back by so many times more.
-const MAX_ASIDE_M: f32 = 0.012;
-const ASIDE_SLOPE: f32 = 3.0;
+const MAX_ASIDE_M: f32 = 0.02;
+const ASIDE_SLOPE: f32 = 2.0;
 /// Within this of its orientation, rad; turned further it stays back by so many metres per radian more.
 const MAX_TURN_RAD: f32 = 0.12;
 const TURN_SLOPE_M: f32 = 0.2;
 /// Further than this from the axis, m, or from its orientation, rad, it is not on its way in.
 const WIDEST_M: f32 = 0.06;
 const WIDEST_RAD: f32 = 0.5;
-/// The way in is fast up to this distance from the place, just out of reach of the magnets, m.
-const BRAKE_M: f32 = 0.032;
+/// The way in is fast up to this distance from the place, where the magnets have just caught, m.
+const BRAKE_M: f32 = 0.022;
 /// Speed of the fast part, m/s.
 const ENTRY_SPEED_MPS: f32 = 2.0;
 /// Speed of the rest, m/s: once the magnets have snapped, the gripper drags the whole structure along.
-const TOUCH_SPEED_MPS: f32 = 0.25;
+const TOUCH_SPEED_MPS: f32 = 0.4;
 /// Two carried pieces closer than this part, m.
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.

@@ -17,13 +17,13 @@ const MAX_STEPS: usize = 9;
 const DETOURS_M: [f32; 9] = [0.0, 0.08, 0.16, 0.24, 0.34, 0.46, 0.6, 0.8, 1.1];
 
 /// Far from its target a block is carried this much above it, m: over what lies around.
-const CRUISE_M: f32 = 0.25;
+const CRUISE_M: f32 = 0.2;
 /// Within this distance from the axis above its target it goes straight there; further out as much higher as it is further, m.
 const FUNNEL_M: f32 = 0.1;
 
 /// A block that has to rise by no more than this moves sideways as well, m, and less and less if it has up to so much more.
-const FREE_CLIMB_M: f32 = 0.06;
-const CLIMB_M: f32 = 0.15;
+const FREE_CLIMB_M: f32 = 0.1;
+const CLIMB_M: f32 = 0.3;
 
 /// Nothing is carried higher than this, m.
 const CEILING_M: f32 = 1.6;

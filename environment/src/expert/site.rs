@@ -8,7 +8,7 @@ use super::view::View;
 use super::{Base, Expert};
 
 /// More room than for a structure of this radius is not looked for, m.
-const MAX_RADIUS_M: f32 = 0.3;
+const MAX_RADIUS_M: f32 = 0.25;
 /// Room for a block beside the structure, and for that part of the structure which is beyond its blocks' centres, m.
 const STRAY_RADIUS_M: f32 = 0.25;
 /// Weight of the push of near blocks beside the push outwards, below 1.

@@ -134,11 +134,15 @@ fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
     let load = Load::new(&view, cube);
     let from = *view.pose(cube);
     let at = |x: f32, z: f32| Isometry3::from_parts(Translation3::new(x, 0.0, z), UnitQuaternion::identity());
-    assert!(!load.is_free(&view, &expert.limits, &from, to(0.45, 0.05)), "through the second cube");
-    assert!(load.is_free(&view, &expert.limits, &from, &at(0.15, 0.05)), "up to its side");
-    assert!(load.is_free(&view, &expert.limits, &at(0.0, 0.3), &at(0.6, 0.3)), "over both");
-    assert!(!load.is_free(&view, &expert.limits, &from, &at(0.0, 0.0)), "into the ground");
+    let limits = &expert.limits;
+    let is_free = |from: Isometry3<f32>, to: Isometry3<f32>| {
+        load.is_free(&view, limits, &from, |at| limits.towards(at, &to))
+    };
+    assert!(!is_free(from, at(0.45, 0.05)), "through the second cube");
+    assert!(is_free(from, at(0.15, 0.05)), "up to its side");
+    assert!(is_free(at(0.0, 0.3), at(0.6, 0.3)), "over both");
+    assert!(!is_free(from, at(0.0, 0.0)), "into the ground");
     // On the way to the far side it goes up first.
-    let twist = load.go(&view, &expert.limits, &at(0.45, 0.05));
+    let twist = load.go(&view, limits, &at(0.45, 0.05));
     assert!(twist.linear.z > 0.5, "{twist:?}");
 }
