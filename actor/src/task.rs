@@ -351,8 +351,7 @@ mod tests {
     fn generated_goals_have_the_size_of_the_goals_they_replace() {
         let filter = TaskFilter::Sizes { min: 3, max: 4 };
         let styles = vec![Style::Tower, Style::Bridge];
-        let config =
-            TaskConfig { filter, generated_probability: 0.5, generated_styles: styles, ..Default::default() };
+        let config = TaskConfig { filter, generated_probability: 0.5, generated_styles: styles, ..Default::default() };
         let tasks = draw(&sampler(&config), 400);
         let (generated, drawn): (Vec<_>, Vec<_>) =
             tasks.iter().partition(|task| Request::from_id(&task.blueprint).is_some());

@@ -11,8 +11,8 @@ use std::collections::BTreeMap;
 
 use geometry::Geometry;
 pub use geometry::{Approach, Parts};
-pub use plan::{Plan, PlanStep, extent_m};
 pub(crate) use plan::Shared;
+pub use plan::{Plan, PlanStep, extent_m};
 
 use crate::{BlockIdx, Blueprint, Placement};
 

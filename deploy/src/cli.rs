@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use ::blueprints::Split;
+use ::blueprints::{BlueprintId, Split};
 use clap::builder::PossibleValuesParser;
 use clap::{Args, Parser, Subcommand};
 
@@ -49,8 +49,12 @@ pub enum Command {
     Router(RouterArgs),
     /// Watch a run: success, throughput, losses, actors and drops as they come.
     Watch(WatchArgs),
-    /// Judge a checkpoint.
+    /// Judge a checkpoint, or the policy that comes with the program.
     Eval(EvalArgs),
+    /// Watch a policy build, on a page of its own: success as it is found, episodes to turn and step through, films.
+    Play(PlayArgs),
+    /// Write the policy of a checkpoint into one file, for others to act with.
+    Export(ExportArgs),
     /// Draw how success grew in a run: heat map of blueprints, curves and table of groups.
     Report(ReportArgs),
     /// Let the scripted expert build.
@@ -200,12 +204,58 @@ pub struct RouterArgs {
     pub connect: Vec<String>,
 }
 
-/// Arguments of `eval`.
+/// Which policy.
+#[derive(Clone, Debug, Default, Args)]
+#[group(required = true, multiple = false)]
+pub struct ModelArgs {
+    /// Folder of a run, for its newest checkpoint, or of one checkpoint, or a file that `export` wrote.
+    #[arg(long, value_name = "DIR_OR_FILE")]
+    pub checkpoint: Option<PathBuf>,
+    /// The policy that comes with the program.
+    #[arg(long)]
+    pub pretrained: bool,
+}
+
+/// Arguments of `export`.
 #[derive(Debug, Args)]
-pub struct EvalArgs {
+pub struct ExportArgs {
     /// Folder of a run, for its newest checkpoint, or of one checkpoint.
     #[arg(long, value_name = "DIR")]
     pub checkpoint: PathBuf,
+    /// The file, which must not be there yet.
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
+/// Arguments of `play`.
+#[derive(Debug, Args)]
+pub struct PlayArgs {
+    /// The policy.
+    #[command(flatten)]
+    pub model: ModelArgs,
+    /// Only these blueprints [default: the whole catalogue].
+    #[arg(value_name = "ID")]
+    pub blueprints: Vec<BlueprintId>,
+    /// Episodes per blueprint.
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub episodes: u32,
+    /// Where the page is [default: 127.0.0.1 with a free port].
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub web: Option<std::net::SocketAddr>,
+    /// Folder for episodes and films [default: runs/DATE-play].
+    #[arg(long, value_name = "DIR")]
+    pub run_dir: Option<PathBuf>,
+    /// Set one key of the configuration, for example evaluator.episodes.starts=scattered; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// Arguments of `eval`.
+#[derive(Debug, Args)]
+pub struct EvalArgs {
+    /// The policy.
+    #[command(flatten)]
+    pub model: ModelArgs,
     /// All of this part of the catalogue: train, test, test-literal, test-longest or test-tallest [default: what the run's
     /// evaluator judges].
     #[arg(long, value_name = "S")]
@@ -213,6 +263,12 @@ pub struct EvalArgs {
     /// Episodes per blueprint and way of acting.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
+    /// Then 50 runs over 10 goals of at least 12 blocks in a world that is never reset, or as many as the run's evaluator has.
+    #[arg(long)]
+    pub reset_free: bool,
+    /// Threads [default: one per core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    pub threads: Option<u16>,
     /// Set one key of the run's configuration, for example evaluator.episodes.starts=mixed; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
@@ -222,6 +278,18 @@ pub struct EvalArgs {
 }
 
 impl ConfigArgs {
+    /// The preset that is the configuration's file, if none else is.
+    ///
+    /// # Errors
+    /// Names the presets that exist.
+    pub fn preset(&self, resume: Option<&PathBuf>) -> Result<Option<&'static Preset>, ConfigError> {
+        if resume.is_some() || self.config.is_some() { Ok(None) } else { self.named_preset().map(Some) }
+    }
+
+    fn named_preset(&self) -> Result<&'static Preset, ConfigError> {
+        Preset::find(self.preset.as_deref().unwrap_or(DEFAULT_PRESET))
+    }
+
     /// The configuration of all layers, valid but for what later flags change.
     ///
     /// `resume` takes the place of the file; `flags` come last. The result is not validated.
@@ -237,7 +305,7 @@ impl ConfigArgs {
                 (text, path.display().to_string())
             }
             None => {
-                let preset = Preset::find(self.preset.as_deref().unwrap_or(DEFAULT_PRESET))?;
+                let preset = self.named_preset()?;
                 (preset.text.to_owned(), format!("preset {}", preset.name))
             }
         };

@@ -187,6 +187,42 @@ fn an_episode_plays_and_is_turned_and_stepped() {
 }
 
 #[test]
+fn a_film_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
+    let Some(watched) = Watched::start() else { return };
+    let browser = &watched.browser;
+    browser.until("document.querySelector('#films figcaption button')");
+    browser.element("#films figcaption button").click();
+    browser.until("!document.querySelector('#replay-player').hidden");
+    browser.run("replay.play(false)");
+    assert!(browser.text("#replay-note").starts_with("2_000, "), "{}", browser.text("#replay-note"));
+    let picture = || browser.run("return document.querySelector('#replay').toDataURL()");
+    let choose = |eye: &str| {
+        browser.run(&format!(
+            "const eye = document.querySelector('#replay-eye');
+             eye.value = [...eye.options].find((option) => option.textContent === {eye:?}).value;
+             eye.dispatchEvent(new Event('change'));"
+        ));
+        picture()
+    };
+    // From far away, so that the goal is in the picture wherever it is being built.
+    browser.element("#replay").press("--------");
+    let with_goal = picture();
+    browser.element("#replay-ghost").click();
+    let plain = picture();
+    assert_ne!(plain, with_goal);
+    // A row for each of the two blocks, and one for all others; and a column for each scene.
+    let shaded = choose("layer 1, head 1");
+    assert_ne!(shaded, plain);
+    assert_ne!(choose("gripper 2"), plain);
+    let cells = browser.run("return document.querySelectorAll('#replay-strip rect').length").as_u64().unwrap();
+    let n_scenes = browser.run("return Number(document.querySelector('#replay-slider').max) + 1").as_u64().unwrap();
+    assert_eq!(cells, 3 * (n_scenes + 1));
+    assert_eq!(choose("off"), plain);
+    assert_eq!(browser.run("return document.querySelector('#replay-strip').hidden"), true);
+    assert_eq!(watched.complaints(), Vec::<Value>::new());
+}
+
+#[test]
 fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     let Some(watched) = Watched::start() else { return };
     let browser = &watched.browser;

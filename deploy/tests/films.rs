@@ -97,6 +97,23 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     finished(lodestone(folder.path()).args(with_weights));
     assert!(fs::read(folder.path().join(format!("seen/{stem}-attention.png"))).unwrap().starts_with(b"\x89PNG"));
 
+    // A policy in a file is as good as its run, also for a page of its own.
+    finished(lodestone(folder.path()).args(["export", "--checkpoint", "run", "--out", "policy.safetensors"]));
+    let mut again = lodestone(folder.path());
+    assert_eq!(
+        again.args(["export", "--checkpoint", "run", "--out", "policy.safetensors"]).status().unwrap().code(),
+        Some(2)
+    );
+    let mut playing = lodestone(folder.path());
+    playing.args(["play", "--checkpoint", "policy.safetensors", "2_001", "--episodes", "1", "--run-dir", "played"]);
+    let mut playing = Process(playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(playing.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.by_ref().any(|line| line.starts_with("page at http://127.0.0.1:")));
+    assert!(lines.by_ref().any(|line| line.starts_with("train 2_001")), "it is judged once");
+    finished(Command::new("kill").args(["-TERM", &playing.0.id().to_string()]));
+    assert!(playing.0.wait().unwrap().success());
+    assert_eq!(files(&folder.path().join("played/replays")).len(), 1);
+
     let Some(python) = python() else { return };
     // 960 × 540 unless told otherwise; a tenth of a second for every step, the first scene, and 1.5 s of the last.
     let told = told_by(&python, "frames.py", &[&films[0].display().to_string()]);

@@ -217,7 +217,11 @@ impl Expert {
         // What is turned over is lifted, or the ground would be in its way.
         let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
         target.translation.z += load.radius_m(view) * tilt.min(1.0);
-        let twist = if push.is_some() { load.go(view, &self.limits, &target) } else { self.limits.towards(view.pose(gripped), &target) };
+        let twist = if push.is_some() {
+            load.go(view, &self.limits, &target)
+        } else {
+            self.limits.towards(view.pose(gripped), &target)
+        };
         Some(Command { block: gripped, twist })
     }
 

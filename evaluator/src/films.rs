@@ -20,3 +20,6 @@ pub const VIDEOS: &str = "videos";
 
 /// Folder of the recordings that films are made of, in the folder of a run.
 pub const REPLAYS: &str = "replays";
+
+/// Ending of the names of recordings.
+pub(crate) const RECORDING: &str = "trajectory";

@@ -86,8 +86,13 @@ pub async fn run(
         Some(paths) => Studio::open(&setup.config.films, paths)?,
         None => None,
     };
+    let subscriber = bus.weights_subscriber().await?;
+    let weights = subscriber.watch();
     let page = match page {
-        Some(page) => Some(page.open(bus, &history, setup.records.as_ref().map(|paths| paths.videos.clone())).await?),
+        Some(page) => {
+            let policy = setup.policy.clone();
+            Some(page.open(bus, &history, setup.records.as_ref(), policy, weights.clone()).await?)
+        }
         None => None,
     };
     let mut passes = Passes::default();
@@ -95,7 +100,7 @@ pub async fn run(
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&passes.overview())?;
     let outlets = Outlets { records, passes, publishers, reports, page: page.as_ref() };
-    let ended = judge_all(&setup, bus, &selected, films.as_ref(), outlets, &shutdown).await;
+    let ended = judge_all(&setup, bus, weights, &selected, films.as_ref(), outlets, &shutdown).await;
     if let Some(films) = films {
         // Off the runtime: the film in hand takes a moment.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
@@ -119,6 +124,7 @@ async fn past(records: Option<&RecordPaths>) -> anyhow::Result<Vec<Pass>> {
 async fn judge_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
+    mut weights: watch::Receiver<Option<Arc<Weights>>>,
     selected: &[&'static Blueprint],
     films: Option<&Studio>,
     mut outlets: Outlets<'_>,
@@ -126,8 +132,6 @@ async fn judge_all(
 ) -> anyhow::Result<u64> {
     let _alive = bus.declare_alive(Role::Evaluator, &setup.id).await?;
     let mut clerks = Clerks::hire(bus, setup_hash(setup)).await?;
-    let subscriber = bus.weights_subscriber().await?;
-    let mut weights = subscriber.watch();
     let mut last: Option<(Instant, Arc<Weights>)> = None;
     let mut n_passes = 0;
     loop {

@@ -1,9 +1,11 @@
 //! One web page about a running training, served by the evaluator: success over training, who is there, how learning goes.
 //!
-//! Reading order: [`config`] → `board` (what is shown) → `events` (browsers that listen) → `replay` and `films` → `prometheus` →
-//! `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up the evaluator: whoever
-//! writes to the board takes a lock for a moment, and what a browser does not take in time is dropped and counted.
+//! Reading order: [`config`] → `board` (what is shown) → `events` (browsers that listen) → `replay`, `attention` and
+//! `films` → `prometheus` → `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up
+//! the evaluator: whoever writes to the board takes a lock for a moment, and what a browser does not take in time is
+//! dropped and counted.
 
+mod attention;
 mod board;
 pub mod config;
 mod events;
@@ -15,17 +17,21 @@ mod routes;
 mod server;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::Arc;
 
+use policy::PolicyConfig;
+use proto::Weights;
 use proto::bus::Bus;
 use tokio::net::TcpListener;
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::history::Pass;
+use crate::run::RecordPaths;
+use attention::Onlooker;
 use board::Board;
 use config::{Token, WebConfig};
-use films::Films;
+use films::{Films, Folders};
 use replay::Replays;
 
 /// Why the page cannot be served.
@@ -73,17 +79,25 @@ impl Page {
         self.address
     }
 
-    /// Serves until [`OpenPage::close`], beginning with the passes of `history`; films are those of the folder `videos`.
-    pub(crate) async fn open(self, bus: &Bus, history: &[Pass], videos: Option<PathBuf>) -> anyhow::Result<OpenPage> {
+    /// Serves until [`OpenPage::close`], beginning with the passes of `history`; films are those of `records`. Attention is
+    /// that of the newest `weights` of a `policy`.
+    pub(crate) async fn open(
+        self,
+        bus: &Bus,
+        history: &[Pass],
+        records: Option<&RecordPaths>,
+        policy: PolicyConfig,
+        weights: watch::Receiver<Option<Arc<Weights>>>,
+    ) -> anyhow::Result<OpenPage> {
         let board = Arc::new(Board::default());
         history.iter().for_each(|pass| board.judged(pass));
         let feed = feed::Feed::open(bus).await?;
         let shutdown = CancellationToken::new();
-        let replays = Arc::new(Replays::default());
-        let routes = routes::routes(board.clone(), replays.clone(), Films::new(videos), self.token);
+        let replays = Arc::new(Replays::new(Onlooker::new(policy, weights)));
+        let folders = records.map(|paths| Folders { videos: paths.videos.clone(), recordings: paths.replays.clone() });
+        let routes = routes::routes(board.clone(), replays.clone(), Films::new(folders), self.token);
         let feeding = tokio::spawn(feed.run(board.clone(), shutdown.clone()));
-        let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-        let recording = tokio::spawn(async move { replays.run(its_bus, its_shutdown).await });
+        let recording = tokio::spawn(replays.run(bus.clone(), shutdown.clone()));
         let serving = tokio::spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
         Ok(OpenPage { board, shutdown, tasks: vec![feeding, recording, serving] })
     }

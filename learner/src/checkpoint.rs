@@ -13,7 +13,7 @@
 //! was cut short all the same (a full disk, a copy that broke off) is told by the lengths and hashes.
 
 mod files;
-mod tensors;
+pub(crate) mod tensors;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -124,13 +124,13 @@ impl Checkpoint {
         fs::create_dir(&temporary).map_err(io("creating", &temporary))?;
         let mut files = Vec::new();
         let mut contents = vec![
-            (PARAMETERS, tensors::write(&self.table, &[("", &self.parameters)])?),
-            (ADAM, tensors::write(&self.table, &[("first.", &self.adam.first), ("second.", &self.adam.second)])?),
+            (PARAMETERS, tensors::write(&self.table, &[("", &self.parameters)], None)?),
+            (ADAM, tensors::write(&self.table, &[("first.", &self.adam.first), ("second.", &self.adam.second)], None)?),
             (MAILBOX, pack(&self.mailbox)),
             (MODEL, json(&self.model)?),
         ];
         if let Some(imitator) = &self.imitator {
-            contents.push((IMITATOR, tensors::write(&self.table, &[("", imitator)])?));
+            contents.push((IMITATOR, tensors::write(&self.table, &[("", imitator)], None)?));
         }
         if !self.replay.is_empty() {
             contents.push((REPLAY, pack(self.replay.iter().map(Arc::as_ref))));
@@ -163,12 +163,12 @@ impl Checkpoint {
             return Err(damaged(path, STATE, reason));
         }
         let verified = |name| files::read_verified(path, name, &state.files);
-        let [parameters] = tensors::read(path, PARAMETERS, &verified(PARAMETERS)?, &state.table, [""])?;
-        let [first, second] = tensors::read(path, ADAM, &verified(ADAM)?, &state.table, ["first.", "second."])?;
+        let [parameters] = tensors::read(&path.join(PARAMETERS), &verified(PARAMETERS)?, &state.table, [""])?;
+        let [first, second] = tensors::read(&path.join(ADAM), &verified(ADAM)?, &state.table, ["first.", "second."])?;
         let mailbox = unpack(path, MAILBOX, &verified(MAILBOX)?)?;
         let has = |name: &str| state.files.iter().any(|file| file.name == name);
         let imitator = if has(IMITATOR) {
-            let [imitator] = tensors::read(path, IMITATOR, &verified(IMITATOR)?, &state.table, [""])?;
+            let [imitator] = tensors::read(&path.join(IMITATOR), &verified(IMITATOR)?, &state.table, [""])?;
             Some(imitator)
         } else {
             None

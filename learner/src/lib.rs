@@ -1,7 +1,8 @@
 //! Trajectories in, weights out: PPO with everything it needs to run for days.
 //!
 //! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalisation`], [`curriculum`] → [`mailbox`] →
-//! [`batch`] and [`replay`] → [`learner`] (the synchronous whole) → [`checkpoint`] → [`mod@run`] (the service on the bus).
+//! [`batch`] and [`replay`] → [`learner`] (the synchronous whole) → [`checkpoint`], [`model`] → [`mod@run`] (the service on
+//! the bus).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -18,6 +19,7 @@ pub mod learner;
 pub mod loss;
 pub mod mailbox;
 pub mod metrics;
+pub mod model;
 pub mod normalisation;
 mod ppo;
 pub mod replay;
@@ -31,5 +33,6 @@ pub use config::{LearnerConfig, LearnerConfigError};
 pub use learner::{Learner, LearnerError, LearnerSetup};
 pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;
+pub use model::Model;
 pub use policy::device::{DeviceError, DeviceKind};
 pub use run::{Feed, LearnerReport, RunOptions, run};

@@ -58,7 +58,7 @@ impl LearnerState {
 /// Serialises [`Normalisation`], which has a wire form of its own and no serde form.
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Normalisation", deny_unknown_fields)]
-struct NormalisationFields {
+pub(crate) struct NormalisationFields {
     feature_mean: [Vec<f32>; 3],
     feature_std: [Vec<f32>; 3],
     value_mean: f32,

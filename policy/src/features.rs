@@ -138,7 +138,7 @@ pub fn write_features(
     nodes.fill(0.0);
     edges.fill(0.0);
     let plan = if config.plan { blueprint.plan() } else { None };
-    let pieces = pieces(scene, blueprint);
+    let pieces = scene.pieces(blueprint);
     let frames = scene.blocks.each_ref().map(Frame::new);
     for (block, node) in BlockIdx::all().zip(nodes.chunks_exact_mut(sizes.node)) {
         let mut writer = Writer::new(node);
@@ -201,18 +201,6 @@ fn write_plan(blueprint: &Blueprint, plan: Option<&Plan>, block: BlockIdx, to: &
     to.vector(&(into * way / POSITION_SCALE_M));
     to.vector(&(into * (Vector3::from(plan.middle_m) - center) / POSITION_SCALE_M));
     to.number(plan.radius_m / POSITION_SCALE_M);
-}
-
-/// For each block the lowest index among those that hang together with it by right connections.
-fn pieces(scene: &Scene, blueprint: &Blueprint) -> [usize; N_BLOCKS] {
-    let mut pieces: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
-    for joint in &scene.joints {
-        if blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative) {
-            let (a, b) = (pieces[joint.a.get()], pieces[joint.b.get()]);
-            pieces.iter_mut().filter(|piece| **piece == a.max(b)).for_each(|piece| *piece = a.min(b));
-        }
-    }
-    pieces
 }
 
 /// Sender and receiver of every edge.

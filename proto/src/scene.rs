@@ -1,6 +1,6 @@
 //! What a world looks like after a step: plain data, all that features, rewards, replays and videos need.
 
-use blueprints::{BlockIdx, N_BLOCKS, RelativePlacement};
+use blueprints::{BlockIdx, Blueprint, N_BLOCKS, RelativePlacement};
 
 /// Number of grippers (paper: 2; the single-gripper ablation leaves the second one absent).
 pub const N_GRIPPERS: usize = 2;
@@ -51,4 +51,19 @@ pub struct Scene {
     pub grippers: [Option<Gripper>; N_GRIPPERS],
     /// Contacts heavier than the threshold during the last step.
     pub n_heavy_contacts: u8,
+}
+
+impl Scene {
+    /// For each block the lowest index among those that hang together with it by connections that `goal` has, itself
+    /// included: blocks of one piece have the same.
+    pub fn pieces(&self, goal: &Blueprint) -> [usize; N_BLOCKS] {
+        let mut pieces: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
+        for joint in &self.joints {
+            if goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative) {
+                let (a, b) = (pieces[joint.a.get()], pieces[joint.b.get()]);
+                pieces.iter_mut().filter(|piece| **piece == a.max(b)).for_each(|piece| *piece = a.min(b));
+            }
+        }
+        pieces
+    }
 }

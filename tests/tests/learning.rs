@@ -1,12 +1,13 @@
 //! The ring in one thread, without the bus: worlds, rollouts, updates, evaluation.
 
-use actor::Lockstep;
+use actor::{Lockstep, TaskFilter};
 use blueprints::Catalogue;
 use deploy::config::{Config, PRESETS};
 use evaluator::{EvalSetup, evaluate};
+use learner::config::{RateLine, RateRule, Schedule};
 use learner::{Learner, LearnerSetup};
 
-/// The preset of the smallest task, learned in lockstep: worlds stand still while the learner updates.
+/// A preset, learned in lockstep: worlds stand still while the learner updates.
 struct Ring {
     config: Config,
     learner: Learner,
@@ -14,8 +15,8 @@ struct Ring {
 }
 
 impl Ring {
-    fn config() -> Config {
-        let preset = PRESETS.iter().find(|preset| preset.name == "near-goal").unwrap();
+    fn config(preset: &str) -> Config {
+        let preset = PRESETS.iter().find(|known| known.name == preset).unwrap();
         let mut config = Config::parse(preset.text, preset.name).unwrap();
         // All segments of a step arrive at once, and nobody sends again what found no room.
         config.learner.mailbox.capacity_steps *= 2;
@@ -50,7 +51,7 @@ impl Ring {
         self.learner.update().unwrap();
     }
 
-    /// Of mode actions from starts near the goal.
+    /// Of mode actions, as the preset's evaluator judges.
     fn success_rate(&self) -> f64 {
         let setup = EvalSetup {
             catalogue: Catalogue::builtin(),
@@ -68,7 +69,7 @@ impl Ring {
 
 #[test]
 fn ppo_learns_to_finish_a_blueprint() {
-    let mut ring = Ring::new(Ring::config());
+    let mut ring = Ring::new(Ring::config("near-goal"));
     let untrained = ring.success_rate();
     let mut trained = untrained;
     while trained < 0.9 && ring.learner.n_env_steps() < ring.config.n_env_steps {
@@ -77,4 +78,25 @@ fn ppo_learns_to_finish_a_blueprint() {
     }
     assert!(untrained < 0.5, "{untrained}");
     assert!(trained >= 0.9, "{untrained} before, {trained} after {} steps", ring.learner.n_env_steps());
+}
+
+#[test]
+fn imitation_learns_to_build_two_block_goals_from_scattered_starts() {
+    let mut config = Ring::config("quickstart");
+    // The network of the smallest preset, so that it takes a minute.
+    config.policy.network = Ring::config("near-goal").policy.network;
+    let rate = vec![(0, 1e-3), (60_000, 1e-3), (150_000, 1e-4)];
+    config.learner.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Line(rate) });
+    let ids = ["2_000", "2_007"].map(|id| id.parse().unwrap()).to_vec();
+    config.actor.tasks.filter = TaskFilter::Blueprints(ids.clone());
+    config.evaluator.selection.blueprints = ids;
+    config.evaluator.episodes.n_episodes = 20;
+    let mut ring = Ring::new(config);
+    let mut trained = 0.0;
+    while trained < 0.9 && ring.learner.n_env_steps() < ring.config.n_env_steps {
+        (0..10).for_each(|_| ring.update());
+        trained = ring.success_rate();
+        eprintln!("{} {trained}", ring.learner.n_env_steps());
+    }
+    assert!(trained >= 0.9, "{trained} after {} steps", ring.learner.n_env_steps());
 }

@@ -31,7 +31,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "FILE_OR_DIR")]
     pub path: Option<PathBuf>,
     /// Show what a network attends to through the episode, every head of every layer: that of this run's newest checkpoint,
-    /// or of one checkpoint. Whoever acted in the episode.
+    /// of one checkpoint, or of an exported file. Whoever acted in the episode.
     #[arg(long, value_name = "DIR")]
     pub attention: Option<PathBuf>,
     /// Live episodes of a run's actors.

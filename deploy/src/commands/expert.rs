@@ -16,9 +16,8 @@ use proto::codec::encode_trajectory;
 use serde::Serialize;
 
 use super::blueprints::find;
-use super::eval::valid;
 use crate::cli::{ExpertCommand, ExpertEvalArgs, StartArg};
-use crate::config::Override;
+use crate::config::{Config, Override, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -53,7 +52,7 @@ pub(super) fn run(command: &ExpertCommand, terminal: &Terminal) -> Result<(), Fa
 
 fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
-    let mut environment = valid("", "the defaults", &overrides)?.environment;
+    let mut environment = defaults(&overrides)?.environment;
     // Past the check that the policy has as many: no policy acts here.
     environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
     let catalogue = Catalogue::builtin();
@@ -96,6 +95,13 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         terminal.print(&format!("{steps_per_second:.0} steps/s on {n_threads} threads, planning included"));
     }
     Ok(())
+}
+
+/// The defaults with `overrides` put over them.
+fn defaults(overrides: &[Override]) -> Result<Config, Failure> {
+    let config = merge("", "the defaults", overrides)?;
+    config.validate()?;
+    Ok(config)
 }
 
 /// The blueprints of those ids, or of those splits, or all.

@@ -4,6 +4,8 @@ mod blueprints;
 mod eval;
 mod expert;
 mod files;
+mod models;
+mod play;
 mod render;
 mod report;
 mod router;
@@ -39,6 +41,12 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
         Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
         Command::Eval(args) => eval::run(&args, terminal),
+        Command::Export(args) => models::export(&args, terminal),
+        Command::Play(args) => {
+            let source = models::Source::open(&args.model)?;
+            let config = play::configure(&source, &args)?;
+            on_runtime(async |shutdown| play::run(source, &config, &args, terminal, shutdown).await)
+        }
         Command::Report(args) => report::run(&args, terminal),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
         Command::Watch(args) => on_runtime(async |shutdown| watch::run(&args, terminal, shutdown).await),
@@ -52,7 +60,8 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let Some(config) = configure(&args.config, args.run.resume.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
-            on_runtime(async |shutdown| train::run(&config, &args.run, terminal, shutdown).await)
+            let preset = args.config.preset(args.run.resume.as_ref())?;
+            on_runtime(async |shutdown| train::run(&config, &args.run, preset, terminal, shutdown).await)
         }
         Command::Actor(args) => {
             let flags = args.endpoints.overrides();

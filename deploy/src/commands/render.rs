@@ -10,10 +10,9 @@ use blueprints::{Blueprint, BlueprintId, Catalogue};
 use evaluator::picture::encode;
 use evaluator::video::{AttentionFilm, Episode, Film, Gaze, attention_strip, gif, mp4, strip};
 use evaluator::{Policy, PolicyError};
-use learner::Checkpoint;
 
-use super::eval::checkpoint_folder;
 use super::files::write_files;
+use super::models::Source;
 use crate::cli::{FilmFormat, RenderArgs};
 use crate::config::nearest;
 use crate::exit::Failure;
@@ -63,13 +62,12 @@ impl Goals {
 
 /// The policy whose attention is to be shown.
 fn policy(args: &RenderArgs) -> Result<Option<Policy>, Failure> {
-    let Some(folder) = &args.attention else { return Ok(None) };
-    let found =
-        Checkpoint::read_latest(&checkpoint_folder(folder)).map_err(|error| Failure::Checkpoint(error.into()))?;
+    let Some(path) = &args.attention else { return Ok(None) };
+    let model = Source::read(path)?.model;
     let refused =
-        |error: PolicyError| Failure::Checkpoint(anyhow::Error::new(error).context(found.path.display().to_string()));
-    let mut policy = Policy::new(&found.checkpoint.model).map_err(refused)?;
-    policy.load(&found.checkpoint.weights()).map_err(refused)?;
+        |error: PolicyError| Failure::Checkpoint(anyhow::Error::new(error).context(path.display().to_string()));
+    let mut policy = Policy::new(&model.policy).map_err(refused)?;
+    policy.load(&model.weights).map_err(refused)?;
     Ok(Some(policy))
 }
 

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::services;
 use crate::cli::RunArgs;
-use crate::config::Config;
+use crate::config::{Config, Preset};
 use crate::exit::Failure;
 use crate::live::{self, Terminal};
 use crate::run_dir::RunDir;
@@ -24,6 +24,7 @@ const LOCAL: &str = "local";
 pub(super) async fn run(
     config: &Config,
     args: &RunArgs,
+    preset: Option<&Preset>,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
@@ -31,7 +32,7 @@ pub(super) async fn run(
     // Before anything is written, because the address may be taken.
     let page = services::page(config, terminal).await?;
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
-    terminal.print(&introduction(config, args, &run_dir));
+    terminal.print(&introduction(config, args, preset, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
     let bus = Bus::open(&config.bus).await?;
     let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
@@ -65,15 +66,16 @@ pub(super) async fn run(
     Ok(())
 }
 
-fn introduction(config: &Config, args: &RunArgs, run_dir: &RunDir) -> String {
+fn introduction(config: &Config, args: &RunArgs, preset: Option<&Preset>, run_dir: &RunDir) -> String {
     let (actor, path) = (&config.actor, run_dir.path().display());
     let how = if args.resume.is_some() { "continuing" } else { "training" };
     let listening = match &config.bus.listen[..] {
         [] => String::new(),
         endpoints => format!("\nothers can join at {}, run `{}`", endpoints.join(" and "), config.bus.run),
     };
+    let takes = preset.map_or_else(String::new, |preset| format!("\nit takes {} as the preset is", preset.takes));
     format!(
-        "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}\n\
+        "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}{takes}\n\
          everything goes to {path}; Ctrl-C saves and ends{listening}",
         config.bus.run, config.n_env_steps, actor.n_threads, actor.n_worlds, config.seed,
     )

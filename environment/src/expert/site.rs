@@ -11,8 +11,10 @@ use super::{Base, Expert};
 const MAX_RADIUS_M: f32 = 0.25;
 /// Room for a block beside the structure, and for that part of the structure which is beyond its blocks' centres, m.
 const STRAY_RADIUS_M: f32 = 0.25;
-/// Weight of the push of near blocks beside the push outwards, below 1.
+/// Weight of the push of near blocks beside the push outwards.
 const PUSH_WEIGHT: f32 = 0.7;
+/// Where near blocks are as many as this, each counted by how near it is, the push outwards has its full weight.
+const CROWD: f32 = 1.5;
 
 impl Expert {
     /// Middle of the finished structure, m, blueprint frame, and its radius seen from above, m.
@@ -46,16 +48,14 @@ impl Expert {
             .filter(|block| !view.part_of[block.get()].is_some_and(|part| base.parts.contains(part)));
         let away: Vec<Vector2<f32>> = strays.map(|stray| here - view.pose(stray).translation.vector.xy()).collect();
         let near = |away: &&Vector2<f32>| away.norm() < reach;
-        let push: Vector2<f32> = away
-            .iter()
-            .filter(near)
-            .map(|away| away * ((reach - away.norm()) / reach / away.norm().max(1e-3)))
-            .sum();
+        let push: Vector2<f32> =
+            away.iter().filter(near).map(|away| away * ((reach - away.norm()) / reach / away.norm().max(1e-3))).sum();
+        let crowd: f32 = away.iter().filter(near).map(|away| 1.0 - away.norm() / reach).sum();
         let all: Vector2<f32> = away.iter().sum();
-        let outwards = all.try_normalize(1e-3).unwrap_or_else(Vector2::x);
-        // Near blocks turn the way aside, and less than back.
+        let outwards = all.try_normalize(1e-3).unwrap_or_else(Vector2::x) * (crowd / CROWD).min(1.0);
+        // In a crowd near blocks turn the way aside, and less than back.
         let aside = push * (PUSH_WEIGHT / push.norm().max(1.0));
-        away.iter().any(|away| near(&away)).then(|| (outwards + aside).normalize())
+        (crowd > 0.0).then(|| (outwards + aside).try_normalize(1e-3).unwrap_or_else(Vector2::x))
     }
 
     /// Length of a way in, m.

@@ -11,6 +11,9 @@ use super::{Command, Expert};
 
 /// Height from which a structure is thrown on the ground, m.
 const SLAM_HEIGHT_M: f32 = 0.17;
+/// Share of the limit with which a connection of one pair of magnets is pulled apart: faster its ends would fly further,
+/// slower it would hold, as stronger ones do.
+const PULL: f32 = 0.8;
 /// A connection this close to upright is upright, rad.
 const UPRIGHT_RAD: f32 = 0.5;
 /// What is lower than this touches the ground, m.
@@ -49,8 +52,8 @@ impl Expert {
                 grips = Some((n, own, other));
             }
         }
-        let (_, own, other) = grips?;
-        Some(self.pull(view, own, other, pull))
+        let (n_pairs, own, other) = grips?;
+        Some(self.pull(view, own, other, n_pairs, pull))
     }
 
     /// Takes a part off a piece that can not be completed.
@@ -77,15 +80,22 @@ impl Expert {
                 grip = Some((n, other));
             }
         }
-        grip.map_or_else(Vec::new, |(_, other)| self.pull(view, block, other, pull))
+        grip.map_or_else(Vec::new, |(n_pairs, other)| self.pull(view, block, other, n_pairs, pull))
     }
 
-    fn pull(&self, view: &View, own: BlockIdx, other: BlockIdx, direction: Vector3<f32>) -> Vec<Command> {
+    fn pull(
+        &self,
+        view: &View,
+        own: BlockIdx,
+        other: BlockIdx,
+        n_pairs: usize,
+        direction: Vector3<f32>,
+    ) -> Vec<Command> {
         let direction = direction.try_normalize(0.1).unwrap_or_else(Vector3::z);
         if self.n_grippers < 2 {
             return vec![self.slam(view, own, direction)];
         }
-        let speed = self.limits.max_speed_mps;
+        let speed = self.limits.max_speed_mps * if n_pairs > 1 { 1.0 } else { PULL };
         let twist = |linear: Vector3<f32>| Twist { linear, angular: Vector3::zeros() };
         vec![
             Command { block: own, twist: twist((direction + Vector3::z() * 0.3) * speed) },

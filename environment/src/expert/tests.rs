@@ -135,9 +135,8 @@ fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
     let from = *view.pose(cube);
     let at = |x: f32, z: f32| Isometry3::from_parts(Translation3::new(x, 0.0, z), UnitQuaternion::identity());
     let limits = &expert.limits;
-    let is_free = |from: Isometry3<f32>, to: Isometry3<f32>| {
-        load.is_free(&view, limits, &from, |at| limits.towards(at, &to))
-    };
+    let is_free =
+        |from: Isometry3<f32>, to: Isometry3<f32>| load.is_free(&view, limits, &from, |at| limits.towards(at, &to));
     assert!(!is_free(from, at(0.45, 0.05)), "through the second cube");
     assert!(is_free(from, at(0.15, 0.05)), "up to its side");
     assert!(is_free(at(0.0, 0.3), at(0.6, 0.3)), "over both");

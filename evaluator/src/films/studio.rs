@@ -15,6 +15,7 @@ use proto::codec::encode_trajectory;
 use proto::metrics::FilmCounts;
 use proto::tensorboard::{EventWriter, Picture};
 
+use super::RECORDING;
 use super::casting::{Casting, Take};
 use super::config::FilmsConfig;
 use super::shelf::{Label, Shelf};
@@ -80,8 +81,7 @@ impl Studio {
             .then(|| Reel::create(&paths.tensorboard, config.tensorboard_mb))
             .transpose()
             .with_context(|| format!("writing to {}", paths.tensorboard.display()))?;
-        let mut files =
-            Files { videos: shelf(&paths.videos, "mp4"), replays: shelf(&paths.replays, "trajectory"), reel };
+        let mut files = Files { videos: shelf(&paths.videos, "mp4"), replays: shelf(&paths.replays, RECORDING), reel };
         let tray = Arc::new(Tray::default());
         let (its_tray, its_config) = (tray.clone(), config.clone());
         let work = move || {

@@ -1,5 +1,7 @@
 //! What a policy attends to through an episode: numbers first, then the world with blocks shaded by them.
 
+use std::fmt;
+
 use blueprints::{BlockIdx, N_BLOCKS};
 use policy::{Attention, Policy};
 use proto::Scene;
@@ -47,11 +49,20 @@ pub struct Gaze<'e> {
 
 /// One of the things that a policy attends with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Eye {
+pub(crate) enum Eye {
     /// A gripper, when it chooses what to hold.
     Gripper(usize),
     /// A head of a layer, when the blocks of the goal gather what others have to say.
     Head { layer: usize, head: usize },
+}
+
+impl fmt::Display for Eye {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Gripper(gripper) => write!(f, "gripper {}", gripper + 1),
+            Self::Head { layer, head } => write!(f, "layer {}, head {}", layer + 1, head + 1),
+        }
+    }
 }
 
 /// Shares of the attention of the goal's blocks, 0 to 1. They overlap, and need not add up to 1.
@@ -98,8 +109,20 @@ impl<'e> Gaze<'e> {
         self.scenes[0].n_grippers()
     }
 
+    /// Everything that attends: grippers first, then the heads of one layer after the other.
+    pub(crate) fn eyes(&self) -> impl Iterator<Item = Eye> + use<> {
+        let (n_layers, n_heads) = (self.n_layers(), self.n_heads());
+        let heads = (0..n_layers).flat_map(move |layer| (0..n_heads).map(move |head| Eye::Head { layer, head }));
+        (0..self.n_grippers()).map(Eye::Gripper).chain(heads)
+    }
+
+    /// Scenes of the episode.
+    pub(crate) fn n_scenes(&self) -> usize {
+        self.scenes.len()
+    }
+
     /// Share of the attention that each block gets after so many steps: of a gripper's, or of that of the goal's blocks.
-    fn received(&self, eye: Eye, n_done: usize) -> [f32; N_BLOCKS] {
+    pub(crate) fn received(&self, eye: Eye, n_done: usize) -> [f32; N_BLOCKS] {
         let seen = &self.scenes[n_done];
         let mut received = [0.0; N_BLOCKS];
         match eye {

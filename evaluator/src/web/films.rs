@@ -1,12 +1,13 @@
 //! Films of passes: which there are, and their bytes.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use proto::WeightsVersion;
+use proto::codec::decode_trajectory;
+use proto::{Trajectory, WeightsVersion};
 use serde::Serialize;
 
-use crate::films::{Film, films};
+use crate::films::{Film, RECORDING, films};
 
 /// Most films that are told of.
 const MAX_LISTED: usize = 60;
@@ -14,9 +15,16 @@ const MAX_LISTED: usize = 60;
 /// Largest film that is sent, bytes; one of 100 steps is below 2 MB.
 const MAX_BYTES: u64 = 32 << 20;
 
-/// The films of a run, read from its folder whenever somebody asks.
+/// Films and recordings of a run, read from their folders whenever somebody asks.
 #[derive(Clone, Debug)]
-pub(super) struct Films(Option<PathBuf>);
+pub(super) struct Films(Option<Folders>);
+
+/// Where they are.
+#[derive(Clone, Debug)]
+pub(super) struct Folders {
+    pub(super) videos: PathBuf,
+    pub(super) recordings: PathBuf,
+}
 
 /// A film as it is told.
 #[derive(Debug, Serialize)]
@@ -29,9 +37,9 @@ pub(super) struct FilmView {
 }
 
 impl Films {
-    /// Those of this folder, if the evaluator keeps any.
-    pub(super) fn new(folder: Option<PathBuf>) -> Self {
-        Self(folder)
+    /// Those of these folders, if the evaluator keeps any.
+    pub(super) fn new(folders: Option<Folders>) -> Self {
+        Self(folders)
     }
 
     /// The newest ones, newest first.
@@ -52,8 +60,16 @@ impl Films {
         small.then(|| fs::read(&film.path).ok()).flatten()
     }
 
+    /// The recorded episode that the film of this id shows.
+    pub(super) fn recording(&self, asked: &str) -> Option<Trajectory> {
+        let film = self.all().into_iter().find(|film| id(film) == asked)?;
+        let name = Path::new(film.path.file_name()?).with_extension(RECORDING);
+        let path = self.0.as_ref()?.recordings.join(film.blueprint.as_str()).join(name);
+        decode_trajectory(&fs::read(path).ok()?).ok()
+    }
+
     fn all(&self) -> Vec<Film> {
-        self.0.as_deref().map(films).unwrap_or_default()
+        self.0.as_ref().map(|folders| films(&folders.videos)).unwrap_or_default()
     }
 }
 

@@ -2,17 +2,19 @@
 //!
 //! Actors make copies of their trajectories only while somebody watches, so nobody watches longer than it takes.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::body::Bytes;
-use blueprints::{BlockIdx, Catalogue, Inventory, UNIT_M};
+use blueprints::{BlockIdx, Blueprint, Catalogue, Inventory, UNIT_M};
+use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use proto::bus::Bus;
 use proto::{RewardTerms, Scene, Status, Trajectory};
 use serde::Serialize;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
+use super::attention::{AttentionView, Onlooker};
 use crate::picture::TYPE_COLORS;
 use crate::video::{Collector, Episode, STEP_S};
 
@@ -23,8 +25,9 @@ const SCHEMA_VERSION: u32 = 1;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The newest episode, and whether another is wanted.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Replays {
+    onlooker: Onlooker,
     wanted: Notify,
     newest: Mutex<Option<Bytes>>,
 }
@@ -49,6 +52,7 @@ struct ReplayView {
     /// The goal's blocks: index, position in metres in the goal's frame, quaternion x, y, z, w.
     goal: Vec<(usize, [f32; 7])>,
     scenes: Vec<SceneView>,
+    attention: Option<AttentionView>,
 }
 
 #[derive(Debug, Serialize)]
@@ -57,6 +61,8 @@ struct SceneView {
     blocks: Vec<[f32; 7]>,
     /// What each gripper holds.
     held: Vec<Option<usize>>,
+    /// Where the goal's frame is in the largest piece of it that stands, as a block's pose.
+    goal_frame: [f32; 7],
     /// The goal's connections that are there.
     n_connected: usize,
     /// Undiscounted reward so far.
@@ -66,6 +72,23 @@ struct SceneView {
 }
 
 impl Replays {
+    /// None so far.
+    pub(super) fn new(onlooker: Onlooker) -> Self {
+        Self { onlooker, wanted: Notify::default(), newest: Mutex::default() }
+    }
+
+    /// The JSON of a recorded episode; `None` if it cannot be shown. It takes some ten milliseconds.
+    pub(super) fn told(&self, segments: &[Trajectory]) -> Option<Bytes> {
+        let view = view(segments, |episode| self.onlooker.look(episode))?;
+        match serde_json::to_vec(&view) {
+            Ok(json) => Some(json.into()),
+            Err(error) => {
+                tracing::debug!(%error, "an episode could not be shown");
+                None
+            }
+        }
+    }
+
     /// The newest episode, if any; a newer one will be recorded.
     pub(super) fn ask(&self) -> Option<Bytes> {
         self.wanted.notify_one();
@@ -73,7 +96,7 @@ impl Replays {
     }
 
     /// Records whenever it was asked for, one episode at a time, until `shutdown`.
-    pub(super) async fn run(&self, bus: Bus, shutdown: CancellationToken) {
+    pub(super) async fn run(self: Arc<Self>, bus: Bus, shutdown: CancellationToken) {
         loop {
             tokio::select! {
                 () = shutdown.cancelled() => return,
@@ -87,11 +110,10 @@ impl Replays {
                 () = shutdown.cancelled() => return,
                 segments = watched => segments,
             };
-            match segments.as_deref().and_then(view).map(|view| serde_json::to_vec(&view)) {
-                Some(Ok(json)) => {
-                    *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(json.into());
-                }
-                Some(Err(error)) => tracing::debug!(%error, "an episode could not be shown"),
+            let replays = self.clone();
+            let told = tokio::task::spawn_blocking(move || replays.told(&segments?)).await;
+            match told.ok().flatten() {
+                Some(json) => *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(json),
                 None => tracing::debug!("no episode was recorded"),
             }
         }
@@ -99,9 +121,9 @@ impl Replays {
 }
 
 /// `None` for a goal that this program's catalogue lacks.
-fn view(segments: &[Trajectory]) -> Option<ReplayView> {
+fn view(segments: &[Trajectory], look: impl FnOnce(&Episode) -> Option<AttentionView>) -> Option<ReplayView> {
     let first = segments.first()?;
-    let episode = Episode::new(segments, Catalogue::builtin().get(&first.task.blueprint)?).ok()?;
+    let episode = Episode::new(segments, Catalogue::builtin().find(&first.task.blueprint)?.as_ref()).ok()?;
     let inventory = Inventory::standard();
     let goal = episode.goal().placements().iter().map(|placement| {
         let turn = placement.rotation.quaternion();
@@ -119,10 +141,23 @@ fn view(segments: &[Trajectory]) -> Option<ReplayView> {
         half_extents_m: BlockIdx::all().map(|block| inventory.half_extents_m(block)).collect(),
         colors: BlockIdx::all().map(|block| TYPE_COLORS[inventory.type_idx(block)]).collect(),
         goal: goal.collect(),
-        scenes: scenes
-            .map(|(n_done, scene)| SceneView::new(scene, episode.n_connected(n_done), episode.return_after(n_done)))
-            .collect(),
+        scenes: scenes.map(|(n_done, scene)| SceneView::new(&episode, n_done, scene)).collect(),
+        attention: look(&episode),
     })
+}
+
+/// The goal's frame as the block has it that the plan places first, of those in the largest piece that is right.
+fn goal_frame(goal: &Blueprint, scene: &Scene) -> [f32; 7] {
+    let pieces = scene.pieces(goal);
+    let size = |block: BlockIdx| pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
+    let rank = |block: BlockIdx| goal.plan().and_then(|plan| goal.plan_step(plan, block)).map(|step| step.rank);
+    let first = goal.placements().iter().min_by_key(|p| (std::cmp::Reverse(size(p.block)), rank(p.block), p.block));
+    let Some(placement) = first else { return pose([0.0; 3], [0.0, 0.0, 0.0, 1.0]) };
+    let at = &scene.blocks[placement.block.get()];
+    let turn = UnitQuaternion::new_normalize(Quaternion::from(at.orientation));
+    let frame = Isometry3::from_parts(Vector3::from(at.position).into(), turn)
+        * Isometry3::from_parts(placement.position_m().into(), placement.rotation.quaternion()).inverse();
+    pose(frame.translation.vector.into(), frame.rotation.coords.into())
 }
 
 /// Rounded to a tenth of a millimetre, for a third of the length.
@@ -133,11 +168,13 @@ fn pose(position: [f32; 3], orientation: [f32; 4]) -> [f32; 7] {
 }
 
 impl SceneView {
-    fn new(scene: &Scene, n_connected: usize, reward_terms: RewardTerms) -> Self {
+    fn new(episode: &Episode, n_done: usize, scene: &Scene) -> Self {
+        let reward_terms = episode.return_after(n_done);
         Self {
             blocks: scene.blocks.iter().map(|block| pose(block.position, block.orientation)).collect(),
+            goal_frame: goal_frame(episode.goal(), scene),
             held: scene.grippers.iter().flatten().map(|gripper| gripper.held.map(BlockIdx::get)).collect(),
-            n_connected,
+            n_connected: episode.n_connected(n_done),
             reward: reward_terms.total(),
             reward_terms,
         }
@@ -145,13 +182,19 @@ impl SceneView {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use proto::{Action, Gripper, Outcome, Pose, RewardTerms, Start, Task, Transition, WeightsVersion};
 
     use super::*;
 
     /// `n_steps` steps of an episode; the last segment of it if `ends`.
-    fn segment(seed: u64, first_step: u16, n_steps: usize, ends: bool) -> Trajectory {
+    pub(crate) fn segment(seed: u64, first_step: u16, n_steps: usize, ends: bool) -> Trajectory {
+        let gripper = |held| Gripper {
+            held,
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            linear_velocity: [0.0; 3],
+            angular_velocity: [0.0; 3],
+        };
         let scene = |height: f32| Scene {
             blocks: std::array::from_fn(|_| Pose {
                 position: [0.0, 0.123_456, height],
@@ -159,21 +202,13 @@ mod tests {
             }),
             speeds_mps: [0.0; 16],
             joints: Vec::new(),
-            grippers: [
-                Some(Gripper {
-                    held: BlockIdx::all().nth(3),
-                    orientation: [0.0, 0.0, 0.0, 1.0],
-                    linear_velocity: [0.0; 3],
-                    angular_velocity: [0.0; 3],
-                }),
-                None,
-            ],
+            grippers: [Some(gripper(BlockIdx::all().nth(3))), Some(gripper(None))],
             n_heavy_contacts: 0,
         };
         let reward = RewardTerms { connected: 0.5, ..RewardTerms::default() };
         let transition = |i: usize| Transition {
             scene: scene(i as f32),
-            action: Action { choices: [None, None], moves: [[0.0; 6]; 16] },
+            action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; 16] },
             behavior_log_prob: 0.0,
             value: 0.0,
             reward,
@@ -203,7 +238,7 @@ mod tests {
     #[test]
     fn a_hand_worked_replay() {
         let segments = [segment(2, 0, 2, false), segment(2, 2, 1, true)];
-        let json = serde_json::to_value(view(&segments).unwrap()).unwrap();
+        let json = serde_json::to_value(view(&segments, |_| None).unwrap()).unwrap();
         assert_eq!(
             (&json["blueprint"], &json["end"], &json["weights_version"]),
             (&"2_000".into(), &"success".into(), &7.into())
@@ -215,7 +250,15 @@ mod tests {
         assert_eq!(rewards, [0.0, 0.5, 1.0, 1.5]);
         assert_eq!(scenes[3]["reward_terms"]["connected"], 1.5);
         assert_eq!(scenes[3]["reward_terms"]["wrong"], 0.0);
-        assert_eq!(scenes[0]["held"], serde_json::json!([3]));
+        // Nothing is connected, so the first block of the plan says where the goal is: here it stands as in the goal.
+        let goal = Catalogue::builtin().get(&"2_000".parse().unwrap()).unwrap();
+        let frame = goal_frame(goal, &segments[0].transitions[0].scene);
+        let first = goal.placements().iter().find(|p| goal.plan_step(goal.plan().unwrap(), p.block).unwrap().rank == 0);
+        let placement = first.unwrap();
+        let turn = UnitQuaternion::new_normalize(Quaternion::from([frame[3], frame[4], frame[5], frame[6]]));
+        let at = turn * placement.position_m() + Vector3::new(frame[0], frame[1], frame[2]);
+        assert!((at - Vector3::new(0.0, 0.1235, 0.0)).norm() < 1e-3, "{at}");
+        assert_eq!(scenes[0]["held"], serde_json::json!([3, null]));
         let y = scenes[0]["blocks"][0][1].as_f64().unwrap();
         assert!((y - 0.1235).abs() < 1e-6, "{y}");
     }

@@ -54,6 +54,7 @@ pub(super) const ASSETS: [Asset; 4] = [
             include_str!("assets/health.js"),
             include_str!("assets/solid.js"),
             include_str!("assets/terms.js"),
+            include_str!("assets/attention.js"),
             include_str!("assets/replay.js"),
             include_str!("assets/films.js"),
             include_str!("assets/app.js"),
@@ -67,7 +68,8 @@ pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, films: Films, tok
     let mut guarded = Router::new()
         .route("/api/history", get(history))
         .route("/api/events", get(events))
-        .route("/api/replay", get(move || async move { replay(&replays) }))
+        .route("/api/replay", get(replay))
+        .route("/api/recording", get(recording))
         .route("/api/films", get(list_films))
         .route("/api/film", get(film))
         .route("/metrics", get(metrics));
@@ -77,6 +79,7 @@ pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, films: Films, tok
     guarded
         .fallback(StatusCode::NOT_FOUND)
         .layer(Extension(films))
+        .layer(Extension(replays))
         .layer(from_fn_with_state(guard, admit))
         .merge(Router::new().route("/healthz", get(|| async { "serving\n" })).route("/readyz", get(ready)))
         .layer(from_fn(dress))
@@ -116,14 +119,34 @@ async fn list_films(Extension(films): Extension<Films>) -> Response {
     }
 }
 
-/// The film that the query names: `id=` and nothing else.
+/// The film that the query names.
 async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> Response {
-    let asked = query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned();
+    let asked = id_of(query);
     match tokio::task::spawn_blocking(move || films.bytes(&asked)).await {
         Ok(Some(bytes)) => ([(CONTENT_TYPE, "video/mp4")], bytes).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
         Err(error) => failed(&error),
     }
+}
+
+/// The episode that a film shows, in the form of [`replay`]; the query names the film.
+async fn recording(
+    Extension(films): Extension<Films>,
+    Extension(replays): Extension<Arc<Replays>>,
+    RawQuery(query): RawQuery,
+) -> Response {
+    let asked = id_of(query);
+    let told = tokio::task::spawn_blocking(move || replays.told(&[films.recording(&asked)?])).await;
+    match told {
+        Ok(Some(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Ok(None) => StatusCode::NOT_FOUND.into_response(),
+        Err(error) => failed(&error),
+    }
+}
+
+/// What follows `id=`, if the query has nothing else.
+fn id_of(query: Option<String>) -> String {
+    query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned()
 }
 
 async fn metrics(State(board): State<Arc<Board>>) -> Response {
@@ -145,7 +168,7 @@ async fn events(State(board): State<Arc<Board>>, Extension(connection): Extensio
 }
 
 /// The newest episode; 202 while there is none yet. Each question lets a newer one be recorded.
-fn replay(replays: &Replays) -> Response {
+async fn replay(Extension(replays): Extension<Arc<Replays>>) -> Response {
     match replays.ask() {
         Some(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
         None => (StatusCode::ACCEPTED, [(RETRY_AFTER, "2")], "an episode is being recorded\n").into_response(),

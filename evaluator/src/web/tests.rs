@@ -4,13 +4,17 @@ use std::path::Path;
 use std::time::Duration;
 
 use proto::Role;
+use proto::codec::encode_trajectory;
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 
 use super::events::MAX_VIEWERS;
+use super::replay::tests::segment;
 use super::server::MAX_CONNECTIONS;
 use super::*;
+use crate::config::EpisodeConfig;
+use crate::episodes::tests::{small_setup, weights};
 use crate::history::tests::pass;
 
 const TOKEN: &str = "0123456789abcdef";
@@ -26,12 +30,18 @@ struct Served {
     page: OpenPage,
 }
 
+/// A page beside a bus; films and recordings are those in `dir`, attention is that of an untrained network.
 async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let bus = Bus::isolated(dir).await.unwrap();
     let token = token.map(|token| Token::from(token.to_owned()));
     let page = Page::bind(&WebConfig { token, ..Default::default() }).await.unwrap();
     let address = page.address();
-    let page = page.open(&bus, &[], Some(dir.join("videos"))).await.unwrap();
+    let paths = ["metrics.jsonl", "eval.db", "tb", "videos", "replays"].map(|name| dir.join(name));
+    let [metrics, history, tensorboard, videos, replays] = paths;
+    let records = RecordPaths { metrics, history, tensorboard, videos, replays };
+    let setup = small_setup(EpisodeConfig::default());
+    let (_, newest) = watch::channel(Some(Arc::new(weights(&setup))));
+    let page = page.open(&bus, &[], Some(&records), setup.policy, newest).await.unwrap();
     Served { bus, address, page }
 }
 
@@ -277,10 +287,27 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
     assert_eq!(told, json!({ "schema_version": 1, "films": [film] }));
     let answer = served.get("/api/film?id=2_000.7.success.1").await;
     assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the film"), "{answer}");
+    // The recording beside it: three steps, and what attends in each scene.
+    let recordings = dir.path().join("replays").join("2_000");
+    std::fs::create_dir_all(&recordings).unwrap();
+    assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
+    let recording = encode_trajectory(&segment(2, 0, 3, true));
+    std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
+    let told: Value = serde_json::from_str(&body(served.get("/api/recording?id=2_000.7.success.1").await)).unwrap();
+    assert_eq!((&told["blueprint"], told["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
+    let attention = &told["attention"];
+    assert_eq!((&attention["weights_version"], &attention["eyes"][0]), (&json!(2), &json!("gripper 1")));
+    let percent: Vec<Vec<Vec<f64>>> = serde_json::from_value(attention["percent"].clone()).unwrap();
+    assert_eq!(percent.len(), attention["eyes"].as_array().unwrap().len());
+    for shares in percent.iter().flatten() {
+        // Each of 16 was rounded by at most a half.
+        assert!(shares.len() == 16 && (shares.iter().sum::<f64>() - 100.0).abs() <= 8.0, "{shares:?}");
+    }
     for id in
         ["", "?id=", "?id=2_000.8.success.1", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]
     {
         assert_eq!(served.status(&format!("/api/film{id}"), "").await, 404, "{id}");
+        assert_eq!(served.status(&format!("/api/recording{id}"), "").await, 404, "{id}");
     }
     served.end().await;
 }

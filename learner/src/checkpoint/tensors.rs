@@ -6,7 +6,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 use serde::{Deserialize, Serialize};
 
-use super::{CheckpointError, damaged};
+use super::CheckpointError;
 
 /// Name and shape of one parameter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,8 +25,12 @@ impl ParameterInfo {
     }
 }
 
-/// Writes flat vectors that all follow `table`, each under its name prefix.
-pub(super) fn write(table: &[ParameterInfo], vectors: &[(&str, &[f32])]) -> Result<Vec<u8>, CheckpointError> {
+/// Writes flat vectors that all follow `table`, each under its name prefix; an entry of the metadata may go with them.
+pub(crate) fn write(
+    table: &[ParameterInfo],
+    vectors: &[(&str, &[f32])],
+    metadata: Option<(&str, String)>,
+) -> Result<Vec<u8>, CheckpointError> {
     let mismatch = |error: safetensors::SafeTensorError| CheckpointError::Mismatch(error.to_string());
     let bytes: Vec<Vec<u8>> =
         vectors.iter().map(|(_, values)| values.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();
@@ -42,18 +46,18 @@ pub(super) fn write(table: &[ParameterInfo], vectors: &[(&str, &[f32])]) -> Resu
             views.push((format!("{prefix}{}", info.name), view));
         }
     }
-    serialize(views, None).map_err(mismatch)
+    let metadata = metadata.map(|(name, text)| [(name.to_owned(), text)].into());
+    serialize(views, metadata).map_err(mismatch)
 }
 
-/// Reads the flat vectors of the given name prefixes.
-pub(super) fn read<const N: usize>(
-    folder: &Path,
-    file: &str,
+/// Reads the flat vectors of the given name prefixes; `path` names the file in errors.
+pub(crate) fn read<const N: usize>(
+    path: &Path,
     bytes: &[u8],
     table: &[ParameterInfo],
     prefixes: [&str; N],
 ) -> Result<[Vec<f32>; N], CheckpointError> {
-    let broken = |reason: String| damaged(folder, file, reason);
+    let broken = |reason: String| CheckpointError::Damaged { path: path.into(), reason };
     let tensors = SafeTensors::deserialize(bytes).map_err(|error| broken(error.to_string()))?;
     let mut vectors = [const { Vec::new() }; N];
     for (prefix, vector) in prefixes.iter().zip(&mut vectors) {

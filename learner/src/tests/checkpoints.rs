@@ -11,6 +11,7 @@ use proto::Driver;
 use super::learning::{bandit, feed, labelled, small_setup};
 use crate::checkpoint::{self, Checkpoint, CheckpointError};
 use crate::config::{ImitationConfig, ReplayConfig, Schedule};
+use crate::model::Model;
 use crate::{Learner, LearnerError, LearnerSetup};
 
 /// `n` updates with trajectories that follow from `seed` and the learner's weights.
@@ -154,4 +155,25 @@ fn a_checkpoint_of_another_network_is_refused() {
     assert!(matches!(error, LearnerError::Checkpoint(CheckpointError::Mismatch(_))), "{error}");
     let empty = dir.path().join("nothing");
     assert!(matches!(Checkpoint::read_latest(&empty), Err(CheckpointError::Absent(_))));
+}
+
+#[test]
+fn a_policy_survives_its_file_and_a_damaged_one_says_so() {
+    let checkpoint = Learner::new(small_setup(4)).unwrap().checkpoint();
+    let model = Model::from(&checkpoint);
+    let bytes = model.to_bytes().unwrap();
+    assert_eq!(bytes, model.to_bytes().unwrap(), "the same bytes every time");
+    let path = Path::new("somewhere/model.safetensors");
+    assert_eq!(Model::from_bytes(&bytes, path).unwrap(), model);
+    policy::Policy::new(&model.policy).unwrap().load(&model.weights).unwrap();
+    for broken in [&bytes[..bytes.len() - 1], &bytes[..100], b"", b"no such format"] {
+        let error = Model::from_bytes(broken, path).unwrap_err().to_string();
+        assert!(error.contains("somewhere/model.safetensors"), "{error}");
+    }
+    // Tensors alone, as a checkpoint has them.
+    let dir = tempfile::tempdir().unwrap();
+    let folder = checkpoint.write(dir.path()).unwrap();
+    let alone = fs::read(folder.join("parameters.safetensors")).unwrap();
+    let error = Model::from_bytes(&alone, path).unwrap_err().to_string();
+    assert!(error.contains("no entry `lodestone`"), "{error}");
 }

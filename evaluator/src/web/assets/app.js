@@ -13,8 +13,12 @@ const heat = new Heat($("heat"), $("heat-cell"));
 const replay = new Replay({
   canvas: $("replay"), slider: $("replay-slider"), playButton: $("replay-play"),
   back: $("replay-back"), forth: $("replay-forth"), text: $("replay-text"),
-  terms: new Terms($("replay-terms"), $("replay-values")),
+  terms: new Terms($("replay-terms"), $("replay-values")), ghost: $("replay-ghost"),
+  attention: new Attention({
+    part: $("replay-attention"), choice: $("replay-eye"), strip: $("replay-strip"), note: $("replay-attention-note"),
+  }, () => replay.draw()),
 });
+const openFilm = (film) => openRecording(replay, $("replay-note"), film);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
 const stale = new Set();
 
@@ -116,12 +120,12 @@ function listen() {
   on("pass", () => {
     askHistory();
     // Films are drawn after the evaluation, one after the other.
-    [5, 20, 60].forEach((seconds) => setTimeout(() => askFilms($("films"), $("films-note")), 1000 * seconds));
+    [5, 20, 60].forEach((seconds) => setTimeout(() => askFilms($("films"), $("films-note"), openFilm), 1000 * seconds));
   });
   source.onopen = () => {
     say("live", "live");
     askHistory();
-    askFilms($("films"), $("films-note"));
+    askFilms($("films"), $("films-note"), openFilm);
   };
   source.onerror = () => {
     say("away", "reconnecting");

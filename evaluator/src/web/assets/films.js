@@ -3,7 +3,7 @@
 let shownFilms = "";
 
 /** Asks which films there are and shows those that were not there before. */
-async function askFilms(list, note) {
+async function askFilms(list, note, open) {
   let films;
   try {
     const answer = await fetch("/api/films");
@@ -21,6 +21,8 @@ async function askFilms(list, note) {
     const title = `${film.blueprint}, ${film.ending}, weights ${film.weights_version}`;
     const video = element("video", { controls: "", preload: "none", playsinline: "", "aria-label": title });
     video.src = `/api/film?id=${film.id}`;
-    return element("figure", {}, video, element("figcaption", {}, title));
+    const turned = element("button", { type: "button", "aria-label": `Turn and step: ${title}` }, "Turn and step");
+    turned.addEventListener("click", () => open(film));
+    return element("figure", {}, video, element("figcaption", {}, title, " ", turned));
   }));
 }

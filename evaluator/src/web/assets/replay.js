@@ -33,6 +33,7 @@ class Replay {
     this.playButton.addEventListener("click", () => this.play(!this.playing));
     this.back.addEventListener("click", () => this.step(-1));
     this.forth.addEventListener("click", () => this.step(1));
+    this.ghost.addEventListener("change", () => this.draw());
     this.slider.addEventListener("input", () => {
       this.play(false);
       this.seek(Number(this.slider.value));
@@ -52,6 +53,7 @@ class Replay {
     const away = places.map((place) => Math.hypot(place[0] - this.target[0], place[1] - this.target[1])).sort((a, b) => a - b);
     this.reach = Math.min(Math.max(away[Math.floor(away.length * 0.9)], 0.5), 1.5);
     this.terms.show(episode);
+    this.attention.show(episode);
     this.seek(0);
     this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
@@ -75,6 +77,7 @@ class Replay {
     const end = this.n === Math.floor(time) ? `, ${this.episode.end}` : "";
     this.text.textContent = `step ${Math.floor(time)} of ${this.n}, ${scene.n_connected} ${scene.n_connected === 1 ? "connection" : "connections"}, reward ${scene.reward.toFixed(2)}${end}`;
     this.terms.seek(time);
+    this.attention.seek(time);
     this.draw();
   }
 
@@ -111,13 +114,22 @@ class Replay {
     const camera = new Camera(this.turnBy, this.tilt, this.target, this.reach / this.zoom, [width, height]);
     const style = getComputedStyle(document.documentElement);
     drawGround(pen, camera, this.target, style.getPropertyValue("--line"));
+    const attention = this.attention.at(this.time);
     const boxes = from.blocks.map((pose, block) => ({
       pose: between(pose, to.blocks[block], share),
       half: episode.half_extents_m[block],
-      color: episode.colors[block],
+      color: attention ? shade(attention[block]) : episode.colors[block],
       frame: GRIPPERS[from.held.indexOf(block)],
     }));
     drawBoxes(pen, camera, boxes, episode.unit_m);
+    if (this.ghost.checked) {
+      // The frame jumps when another piece becomes the largest; between two scenes it moves with that.
+      const apart = Math.hypot(...[0, 1, 2].map((i) => from.goal_frame[i] - to.goal_frame[i]));
+      const frame = apart < 0.5 ? between(from.goal_frame, to.goal_frame, share) : from.goal_frame;
+      const missing = episode.goal.map(([block, pose]) => ({ block, pose: placed(frame, pose) }))
+        .filter(({ block, pose }) => Math.hypot(...[0, 1, 2].map((i) => boxes[block].pose[i] - pose[i])) > 0.02);
+      drawGhosts(pen, camera, missing.map(({ block, pose }) => ({ pose, half: episode.half_extents_m[block], color: episode.colors[block] })));
+    }
     // The goal, as large as a quarter of the picture, in the upper left corner.
     const side = Math.min(width, height) * 0.34;
     const places = episode.goal.map(([, pose]) => pose);
@@ -130,6 +142,25 @@ class Replay {
     pen.fillStyle = style.getPropertyValue("--quiet");
     pen.fillText("goal", 4, 14);
   }
+}
+
+/** Shows the episode of a film. */
+async function openRecording(replay, note, film) {
+  let episode = null;
+  try {
+    const answer = await fetch(`/api/recording?id=${film.id}`);
+    if (answer.ok) episode = await answer.json();
+  } catch {
+    // Said below.
+  }
+  if (!episode) {
+    note.textContent = "That recording is no longer there.";
+    return;
+  }
+  note.textContent = `${film.blueprint}, ${film.ending} in an evaluation of weights ${film.weights_version}`;
+  $("replay-player").hidden = false;
+  replay.show(episode);
+  $("replay-title").scrollIntoView();
 }
 
 /** Asks for an episode until there is one; the server records one when it is asked. */

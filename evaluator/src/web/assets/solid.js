@@ -10,6 +10,13 @@ function turn(q, v) {
   return add3(add3(v, t.map((x) => x * q[3])), cross3(q, t));
 }
 
+/** The pose `b`, which is told in the frame of `a`. */
+function placed(a, b) {
+  const [p, q] = [a.slice(3), b.slice(3)];
+  const vector = add3(add3(cross3(p, q), q.slice(0, 3).map((x) => x * p[3])), p.slice(0, 3).map((x) => x * q[3]));
+  return [...add3(a.slice(0, 3), turn(p, b.slice(0, 3))), ...vector, p[3] * q[3] - dot3(p, q)];
+}
+
 /** The pose at `share` of the way from `a` to `b`. */
 function between(a, b, share) {
   const sign = a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6] < 0 ? -1 : 1;
@@ -102,6 +109,31 @@ function drawBoxes(pen, camera, boxes, unit) {
     pen.stroke();
     drawMagnets(pen, camera, face, unit);
   }
+}
+
+/** Boxes as if of glass, over everything else: where blocks are to be. */
+function drawGhosts(pen, camera, boxes) {
+  pen.save();
+  pen.setLineDash([4, 3]);
+  pen.lineWidth = 1.2;
+  for (const { pose, half, color } of boxes) {
+    const [place, q] = [pose.slice(0, 3), pose.slice(3)];
+    for (const { out, corners } of SIDES) {
+      const normal = turn(q, out);
+      const center = add3(place, turn(q, out.map((x, i) => x * half[i])));
+      if (dot3(normal, center.map((x, i) => camera.eye[i] - x)) <= 0) continue;
+      const points = corners.map((corner) => camera.project(add3(place, turn(q, corner.map((x, i) => x * half[i])))));
+      if (points.includes(null)) continue;
+      pen.beginPath();
+      points.forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+      pen.closePath();
+      pen.fillStyle = `rgba(${color.join(",")},.16)`;
+      pen.fill();
+      pen.strokeStyle = `rgba(${color.join(",")},.9)`;
+      pen.stroke();
+    }
+  }
+  pen.restore();
 }
 
 /** A disc in the middle of each unit cell, with its sign where there is room: red and blue are not apart for everyone. */

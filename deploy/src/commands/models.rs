@@ -1,0 +1,108 @@
+//! Policies to act with: of checkpoints, of exported files, and the one that comes with the program.
+
+use std::path::{Path, PathBuf};
+
+use learner::run::CHECKPOINTS;
+use learner::{Checkpoint, Model};
+
+use super::files::write_files;
+use crate::cli::{ExportArgs, ModelArgs};
+use crate::config::{Config, ConfigError, Override, Preset, merge};
+use crate::exit::Failure;
+use crate::live::Terminal;
+use crate::run_dir::CONFIG_FILE;
+
+/// The policy that comes with the program; `pretrained/README.md` says how it was made and what it can do.
+const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
+
+/// Preset that it was trained with.
+const PRETRAINED_PRESET: &str = "laptop";
+
+/// A policy, and the text and origin of the configuration that it was trained with.
+pub(super) struct Source {
+    pub(super) model: Model,
+    config: (String, String),
+}
+
+impl Source {
+    /// Reads the policy that the arguments name.
+    ///
+    /// # Errors
+    /// When a file cannot be read or is damaged.
+    pub(super) fn open(args: &ModelArgs) -> Result<Self, Failure> {
+        match &args.checkpoint {
+            Some(path) => Self::read(path),
+            None => {
+                let model = Model::from_bytes(PRETRAINED, Path::new("the program's own policy"));
+                let preset = Preset::find(PRETRAINED_PRESET)?;
+                let config = (preset.text.to_owned(), format!("preset {}", preset.name));
+                Ok(Self { model: model.map_err(|error| Failure::Checkpoint(error.into()))?, config })
+            }
+        }
+    }
+
+    /// Reads an exported file, or the newest checkpoint of a folder.
+    pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+        let unusable = |error: learner::CheckpointError| Failure::Checkpoint(error.into());
+        if path.is_file() {
+            let read = |error| anyhow::Error::new(error).context(format!("reading {}", path.display()));
+            let bytes = std::fs::read(path).map_err(|error| Failure::Checkpoint(read(error)))?;
+            let model = Model::from_bytes(&bytes, path).map_err(unusable)?;
+            return Ok(Self { model, config: (String::new(), "the defaults".to_owned()) });
+        }
+        let found = Checkpoint::read_latest(&checkpoint_folder(path)).map_err(unusable)?;
+        tracing::info!(checkpoint = %found.path.display(), "read");
+        Ok(Self { model: Model::from(&found.checkpoint), config: run_config(&found.path)? })
+    }
+
+    /// The configuration with `overrides` put over it and the model's policy, if it is valid.
+    ///
+    /// # Errors
+    /// As for any configuration.
+    pub(super) fn config(&self, overrides: &[Override]) -> Result<Config, Failure> {
+        let (text, origin) = &self.config;
+        let config = Config { policy: self.model.policy.clone(), ..merge(text, origin, overrides)? };
+        config.validate()?;
+        Ok(config)
+    }
+}
+
+/// Runs `export`.
+///
+/// # Errors
+/// When there is no whole checkpoint, or the file is there or cannot be written.
+pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let model = Source::read(&args.checkpoint)?.model;
+    if args.out.exists() {
+        return Err(Failure::Usage(format!("{} is there already; choose another --out", args.out.display())));
+    }
+    let bytes = model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?;
+    let (n_bytes, n_steps) = (bytes.len(), model.weights.n_env_steps);
+    let name = args.out.file_name().ok_or_else(|| Failure::Usage("--out names no file".to_owned()))?;
+    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    write_files(folder, &[(name.to_string_lossy().into_owned(), bytes)])?;
+    terminal.print(&format!(
+        "{}: {} kB, after {n_steps} environment steps",
+        args.out.display(),
+        n_bytes.div_ceil(1000)
+    ));
+    Ok(())
+}
+
+/// Where the checkpoints are of a run's folder, or of one checkpoint's.
+fn checkpoint_folder(given: &Path) -> PathBuf {
+    let inside = given.join(CHECKPOINTS);
+    if inside.is_dir() { inside } else { given.to_owned() }
+}
+
+/// Text and name of the configuration in the nearest folder above the checkpoint that has one.
+fn run_config(checkpoint: &Path) -> Result<(String, String), Failure> {
+    let Some(path) =
+        checkpoint.ancestors().skip(1).take(2).map(|folder| folder.join(CONFIG_FILE)).find(|path| path.exists())
+    else {
+        tracing::warn!("no {CONFIG_FILE} above the checkpoint: the world has its default settings");
+        return Ok((String::new(), "the defaults".to_owned()));
+    };
+    let text = std::fs::read_to_string(&path).map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+    Ok((text, path.display().to_string()))
+}

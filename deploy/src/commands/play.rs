@@ -1,0 +1,78 @@
+//! `play`: a page on which a policy builds.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+
+use blueprints::Catalogue;
+use proto::Weights;
+use proto::bus::Bus;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use super::models::Source;
+use super::services;
+use crate::cli::PlayArgs;
+use crate::config::{Config, Override};
+use crate::exit::Failure;
+use crate::live::{self, Terminal};
+use crate::run_dir::RunDir;
+
+/// Name of the run, and of its only service.
+const NAME: &str = "play";
+
+/// The configuration of a run of which there is only the evaluator.
+///
+/// # Errors
+/// When the policy cannot be read or a setting is not valid.
+pub(super) fn configure(source: &Source, args: &PlayArgs) -> Result<Config, Failure> {
+    let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
+    let mut overrides = vec![
+        Override::flag("play", "bus.run", NAME),
+        Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes)),
+        Override::flag("--web", "evaluator.web.listen", page.to_string()),
+    ];
+    if !args.blueprints.is_empty() {
+        let ids: Vec<String> = args.blueprints.iter().map(ToString::to_string).collect();
+        overrides.push(Override::flag("ID", "evaluator.films.blueprints", ids.clone()));
+        overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
+    }
+    for text in &args.set {
+        overrides.push(Override::parse(text)?);
+    }
+    source.config(&overrides)
+}
+
+/// Judges the policy once and keeps the page up until `shutdown`.
+///
+/// # Errors
+/// When the page's address is taken, the folder cannot be written, or the evaluation fails.
+pub(super) async fn run(
+    source: Source,
+    config: &Config,
+    args: &PlayArgs,
+    terminal: &Terminal,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let page = services::page(config, terminal).await?;
+    let run_dir = RunDir::create(args.run_dir.as_deref(), config, None)?;
+    terminal.print(&format!("episodes and films go to {}; Ctrl-C ends", run_dir.path().display()));
+    let bus = Bus::open(&config.bus).await?;
+    let publisher = bus.weights_publisher().await?;
+    publisher.publish(Arc::new(published(source, config)?)).await?;
+    let (reports, judged) = watch::channel(None);
+    let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
+    let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
+    let ended = services::evaluator(setup, reports, page, bus.clone(), shutdown).await;
+    bus.close().await?;
+    shown.await.map_err(|panic| Failure::Service(panic.into()))?;
+    ended
+}
+
+/// The weights as a learner would send them, which says what to train on: here all that is judged alike.
+fn published(source: Source, config: &Config) -> Result<Weights, Failure> {
+    let selected = config.evaluator.selection.select(Catalogue::builtin());
+    let goals = selected.map_err(|error| Failure::Usage(error.to_string()))?;
+    let share = 1.0 / goals.len().max(1) as f32;
+    let task_probabilities = goals.iter().map(|goal| (goal.id().clone(), share)).collect();
+    Ok(Weights { task_probabilities, ..source.model.weights })
+}

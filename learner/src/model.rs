@@ -1,0 +1,96 @@
+//! A policy in one file: all that is needed to act, and nothing of what is needed to learn.
+//!
+//! The file is a safetensors file with one f32 tensor per parameter, by name. Its metadata has one entry, `lodestone`: JSON
+//! with the policy's configuration, the order of the parameters and the normalisation.
+
+use std::path::Path;
+
+use policy::PolicyConfig;
+use proto::{Normalisation, Weights, WeightsVersion};
+use safetensors::SafeTensors;
+use serde::{Deserialize, Serialize};
+
+use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo, tensors};
+use crate::state::NormalisationFields;
+
+/// Version of the layout; raised when an older reader could not read it.
+const FORMAT_VERSION: u32 = 1;
+
+/// Name of the entry in the metadata.
+const ENTRY: &str = "lodestone";
+
+/// A frozen policy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// What the parameters mean.
+    pub policy: PolicyConfig,
+    /// The parameters; without task probabilities.
+    pub weights: Weights,
+    /// Names and shapes in the order of the flat parameters.
+    table: Vec<ParameterInfo>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    format_version: u32,
+    weights_version: u64,
+    n_env_steps: u64,
+    policy: PolicyConfig,
+    table: Vec<ParameterInfo>,
+    #[serde(with = "NormalisationFields")]
+    normalisation: Normalisation,
+}
+
+impl From<&Checkpoint> for Model {
+    fn from(checkpoint: &Checkpoint) -> Self {
+        let weights = Weights { task_probabilities: Default::default(), ..checkpoint.weights() };
+        Self { policy: checkpoint.model.clone(), weights, table: checkpoint.table.clone() }
+    }
+}
+
+impl Model {
+    /// The content of the file.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Mismatch`] when the parameters are not those of the table.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, CheckpointError> {
+        let header = Header {
+            format_version: FORMAT_VERSION,
+            weights_version: self.weights.version.0,
+            n_env_steps: self.weights.n_env_steps,
+            policy: self.policy.clone(),
+            table: self.table.clone(),
+            normalisation: self.weights.normalisation.clone(),
+        };
+        let header = serde_json::to_string(&header).map_err(|error| CheckpointError::Mismatch(error.to_string()))?;
+        tensors::write(&self.table, &[("", &self.weights.parameters)], Some((ENTRY, header)))
+    }
+
+    /// Reads the content of a file; `path` names it in errors.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Damaged`] when it is not what [`Model::to_bytes`] made.
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
+        let damaged = |reason: String| CheckpointError::Damaged { path: path.into(), reason };
+        let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|error| damaged(error.to_string()))?;
+        let header = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY));
+        let header = header.ok_or_else(|| damaged(format!("its metadata has no entry `{ENTRY}`")))?;
+        let header: Header = serde_json::from_str(header).map_err(|error| damaged(error.to_string()))?;
+        if header.format_version != FORMAT_VERSION {
+            let found = header.format_version;
+            return Err(damaged(format!("its format version is {found}, this program reads {FORMAT_VERSION}")));
+        }
+        header.policy.validate().map_err(|error| damaged(error.to_string()))?;
+        let [parameters] = tensors::read(path, bytes, &header.table, [""])?;
+        let weights = Weights {
+            version: WeightsVersion(header.weights_version),
+            n_env_steps: header.n_env_steps,
+            network_hash: header.policy.hash(),
+            parameters,
+            normalisation: header.normalisation,
+            task_probabilities: Default::default(),
+        };
+        Ok(Self { policy: header.policy, weights, table: header.table })
+    }
+}
