@@ -190,8 +190,8 @@ fn an_episode_plays_and_is_turned_and_stepped() {
 fn a_film_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
     let Some(watched) = Watched::start() else { return };
     let browser = &watched.browser;
-    browser.until("document.querySelector('#films figcaption button')");
-    browser.element("#films figcaption button").click();
+    browser.until("document.querySelector('#films figure:first-child button')");
+    browser.element("#films figure:first-child button").click();
     browser.until("!document.querySelector('#replay-player').hidden");
     browser.run("replay.play(false)");
     assert!(browser.text("#replay-note").starts_with("2_000, "), "{}", browser.text("#replay-note"));
