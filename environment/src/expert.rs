@@ -47,7 +47,7 @@ pub enum Activity {
     TakingDown,
     /// Turns the piece to build on onto its side, or carries it to free ground.
     Settling,
-    /// Carries away a block that lies where another one must pass.
+    /// Throws aside a block that lies where another one must pass.
     Clearing,
     /// Fetches blocks and brings them in.
     Adding,

@@ -1,4 +1,4 @@
-//! Where to build: a free piece of ground, not far from anything.
+//! Where to build: on free ground, outwards from where the blocks lie.
 
 use blueprints::assembly::extent_m;
 use blueprints::{BlockIdx, UNIT_M};
@@ -37,8 +37,8 @@ impl Expert {
 
     /// Where the blocks that lie near the base push it, a unit vector; `None` if there is room for the structure.
     ///
-    /// Each push depends on what is near alone, so that it can be imitated, unlike a search over the whole ground. All
-    /// together push outwards a little, so that they never cancel out.
+    /// In a crowd it leads away from the middle of all strays, around what is near; where few are near, away from those. It
+    /// changes smoothly with the scene, so that it can be imitated, unlike a search over the whole ground.
     pub(super) fn push(&self, view: &View, base: &Base) -> Option<Vector2<f32>> {
         let here = Vector2::from(self.middle(&base.frame, base.side));
         let reach = self.extent_m(base.side).1.min(MAX_RADIUS_M) + STRAY_RADIUS_M;
