@@ -136,6 +136,27 @@ fn a_structure_that_stands_as_planned_looks_like_the_plan() {
 }
 
 #[test]
+fn pieces_are_what_hangs_together_by_right_connections_alone() {
+    let config = FeatureConfig { pieces: true, ..FeatureConfig::default() };
+    let blueprint = blueprint(0);
+    let link = blueprint.links()[0];
+    let mut scene = row_scene();
+    let told = |scene: &Scene| {
+        let batch = features(scene, blueprint, &config);
+        let sizes: Vec<f32> = [link.a, link.b].iter().map(|block| 16.0 * batch.nodes[block.get() * 11 + 10]).collect();
+        (sizes, batch.edges.chunks_exact(37).map(|edge| edge[36]).sum::<f32>())
+    };
+    assert_eq!(told(&scene), (vec![1.0, 1.0], 0.0));
+    // The right blocks at a wrong pose are no piece; at the right one they are, seen from either of them.
+    let wrong = link.relative.inverse();
+    assert_ne!(wrong, link.relative);
+    scene.joints = vec![Joint { a: link.a, b: link.b, relative: wrong }];
+    assert_eq!(told(&scene), (vec![1.0, 1.0], 0.0));
+    scene.joints = vec![Joint { a: link.a, b: link.b, relative: link.relative }];
+    assert_eq!(told(&scene), (vec![2.0, 2.0], 2.0));
+}
+
+#[test]
 fn a_pair_outside_the_blueprint_shows_its_offset_alone() {
     let blueprint = blueprint(0);
     let mut outside = BlockIdx::all().filter(|b| !blueprint.contains(*b));
