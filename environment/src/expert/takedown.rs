@@ -11,9 +11,11 @@ use super::{Command, Expert};
 
 /// Height from which a structure is thrown on the ground, m.
 const SLAM_HEIGHT_M: f32 = 0.17;
-/// Share of the limit with which a connection of one pair of magnets is pulled apart: faster its ends would fly further,
-/// slower it would hold, as stronger ones do.
-const PULL: f32 = 0.8;
+/// Share of the speed limit with which a connection is pulled apart while it is bent and twisted. Bending breaks it, since
+/// a gripped block is a lever; pulling alone would need the full speed, and the ends would fly 2 m.
+const PULL: f32 = 0.4;
+/// Share of the pull that also lifts the looser end off the ground.
+const LIFT: f32 = 0.3;
 /// A connection this close to upright is upright, rad.
 const UPRIGHT_RAD: f32 = 0.5;
 /// What is lower than this touches the ground, m.
@@ -52,8 +54,8 @@ impl Expert {
                 grips = Some((n, own, other));
             }
         }
-        let (n_pairs, own, other) = grips?;
-        Some(self.pull(view, own, other, n_pairs, pull))
+        let (_, own, other) = grips?;
+        Some(self.pull(view, own, other, pull))
     }
 
     /// Takes a part off a piece that can not be completed.
@@ -80,26 +82,22 @@ impl Expert {
                 grip = Some((n, other));
             }
         }
-        grip.map_or_else(Vec::new, |(n_pairs, other)| self.pull(view, block, other, n_pairs, pull))
+        grip.map_or_else(Vec::new, |(_, other)| self.pull(view, block, other, pull))
     }
 
-    fn pull(
-        &self,
-        view: &View,
-        own: BlockIdx,
-        other: BlockIdx,
-        n_pairs: usize,
-        direction: Vector3<f32>,
-    ) -> Vec<Command> {
+    /// Bends, twists and pulls two connected blocks apart.
+    fn pull(&self, view: &View, own: BlockIdx, other: BlockIdx, direction: Vector3<f32>) -> Vec<Command> {
         let direction = direction.try_normalize(0.1).unwrap_or_else(Vector3::z);
         if self.n_grippers < 2 {
             return vec![self.slam(view, own, direction)];
         }
-        let speed = self.limits.max_speed_mps * if n_pairs > 1 { 1.0 } else { PULL };
-        let twist = |linear: Vector3<f32>| Twist { linear, angular: Vector3::zeros() };
+        let hinge = direction.cross(&Vector3::z()).try_normalize(0.1).unwrap_or_else(Vector3::x);
+        let linear = direction * (PULL * self.limits.max_speed_mps);
+        let lift = Vector3::z() * (LIFT * PULL * self.limits.max_speed_mps);
+        let angular = (hinge + direction) * self.limits.max_turn_radps;
         vec![
-            Command { block: own, twist: twist((direction + Vector3::z() * 0.3) * speed) },
-            Command { block: other, twist: twist(-direction * speed) },
+            Command { block: own, twist: Twist { linear: linear + lift, angular } },
+            Command { block: other, twist: Twist { linear: -linear, angular: -angular } },
         ]
     }
 }
