@@ -69,6 +69,11 @@ fn pictures_and_tables_are_written() {
     // Only the blueprint that both judged, and no difference: the middle of the colours.
     assert!(svg.contains("2_001") && !svg.contains("2_000") && svg.contains("#f7f7f7"), "{svg}");
     assert!(svg.contains("at most 10 environment steps apart"), "{svg}");
+
+    let output = report(folder.path(), &["run", "--out", "beside", "--beside", "other", "run"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let svg = std::fs::read_to_string(folder.path().join("beside/comparison.svg")).unwrap();
+    assert!(svg.contains(">other<") && svg.contains("1 blueprint, last 100.0 %"), "{svg}");
 }
 
 #[test]
@@ -91,6 +96,8 @@ fn what_cannot_be_drawn_is_named_with_what_to_do() {
         (&["empty"], 66, &["empty/eval.db", "no evaluation yet"]),
         (&["run", "--acting", "sampled"], 66, &["no evaluation of sampled actions", "use --acting mode"]),
         (&["run", "--minus", "strange"], 66, &["run and strange", "no blueprint in common", "evaluator.selection"]),
+        (&["run", "--beside", "strange"], 66, &["no blueprint", "run and the runs beside it", "evaluator.selection"]),
+        (&["run", "--beside", "empty"], 66, &["empty/eval.db", "no evaluation yet"]),
         (&["run", "--minus", "bare"], 66, &["bare/eval.db", "no history"]),
         (&["run", "--acting", "mod"], 2, &["--acting", "mod", "sampled"]),
         (&[], 2, &["<RUN>"]),

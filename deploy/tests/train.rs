@@ -47,6 +47,8 @@ fn a_run_is_saved_judged_and_continued() {
     for file in ["config.toml", "meta.json", "metrics.jsonl", "eval.db"] {
         assert!(run_dir.join(file).is_file(), "{file}");
     }
+    let passes = evaluator::History::read(&run_dir.join(evaluator::HISTORY)).unwrap();
+    assert_eq!(passes.last().unwrap().n_env_steps, n_steps, "the last weights were judged as well");
 
     let judged = finished(
         lodestone(folder.path())

@@ -13,6 +13,8 @@ use crate::web::config::{WebConfig, WebConfigError};
 pub struct EvaluatorConfig {
     /// How far apart passes are. Default: 10 minutes (paper, "Performance Evaluation").
     pub every: Every,
+    /// Whether `train` judges the last weights before it ends, whatever [`Self::every`] says. Default false.
+    pub judge_last: bool,
     /// Which blueprints.
     pub selection: Selection,
     /// How episodes are run.
@@ -123,6 +125,7 @@ impl Default for EvaluatorConfig {
     fn default() -> Self {
         Self {
             every: Every::Minutes(10.0),
+            judge_last: false,
             selection: Selection::default(),
             episodes: EpisodeConfig::default(),
             reset_free: None,

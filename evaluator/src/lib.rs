@@ -42,6 +42,6 @@ pub use group::Group;
 pub use history::{HISTORY, History, HistoryError, Pass};
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use report::{Acting, EvalReport};
-pub use run::{EvaluatorSetup, RecordPaths, run};
+pub use run::{EvaluatorSetup, RecordPaths, Stop, run};
 pub use table::{Detail, render, render_expert};
 pub use web::{Page, WebError};

@@ -14,7 +14,7 @@ mod raster;
 pub mod series;
 mod svg;
 
-pub use curves::curves;
+pub use curves::{MAX_RUNS, comparison, curves};
 pub use drawing::Drawing;
 pub use heat::{difference_map, success_map};
 pub use series::{Difference, Grid, lineage};

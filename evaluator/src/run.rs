@@ -60,8 +60,16 @@ pub struct RecordPaths {
     pub replays: PathBuf,
 }
 
-/// Judges the newest weights whenever a pass is due, the first ones at once, until `shutdown`; a pass under way is then
-/// given up. Returns the number of passes.
+/// What ends an evaluator.
+#[derive(Clone, Debug, Default)]
+pub struct Stop {
+    /// A pass under way is given up.
+    pub now: CancellationToken,
+    /// No newer weights will come: the newest are judged if they are not yet, due or not.
+    pub after_newest: CancellationToken,
+}
+
+/// Judges the newest weights whenever a pass is due, the first ones at once, until `stop`. Returns the number of passes.
 ///
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of records, and into
 /// `reports`, which may have no receiver. While a pass is under way its first numbers go to the bus, see
@@ -76,7 +84,7 @@ pub async fn run(
     bus: &Bus,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
     page: Option<Page>,
-    shutdown: CancellationToken,
+    stop: Stop,
 ) -> anyhow::Result<u64> {
     setup.config.validate().context("invalid evaluator configuration")?;
     let selected = setup.config.selection.select(Catalogue::builtin())?;
@@ -100,7 +108,7 @@ pub async fn run(
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&passes.overview())?;
     let outlets = Outlets { records, passes, publishers, reports, page: page.as_ref() };
-    let ended = judge_all(&setup, bus, weights, &selected, films.as_ref(), outlets, &shutdown).await;
+    let ended = judge_all(&setup, bus, weights, &selected, films.as_ref(), outlets, &stop).await;
     if let Some(films) = films {
         // Off the runtime: the film in hand takes a moment.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
@@ -120,7 +128,7 @@ async fn past(records: Option<&RecordPaths>) -> anyhow::Result<Vec<Pass>> {
     Ok(tokio::task::spawn_blocking(move || History::read(&path)).await??)
 }
 
-/// Judges whenever a pass is due, until `shutdown`.
+/// Judges whenever a pass is due, until `stop`.
 async fn judge_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
@@ -128,7 +136,7 @@ async fn judge_all(
     selected: &[&'static Blueprint],
     films: Option<&Studio>,
     mut outlets: Outlets<'_>,
-    shutdown: &CancellationToken,
+    stop: &Stop,
 ) -> anyhow::Result<u64> {
     let _alive = bus.declare_alive(Role::Evaluator, &setup.id).await?;
     let mut clerks = Clerks::hire(bus, setup_hash(setup)).await?;
@@ -136,16 +144,17 @@ async fn judge_all(
     let mut n_passes = 0;
     loop {
         let newest = tokio::select! {
-            () = shutdown.cancelled() => return Ok(n_passes),
-            newest = next_due(setup, &mut weights, last.as_ref()) => newest?,
+            () = stop.now.cancelled() => return Ok(n_passes),
+            newest = next_due(setup, &mut weights, last.as_ref(), &stop.after_newest) => newest?,
         };
+        let Some(newest) = newest else { return Ok(n_passes) };
         let start = Instant::now();
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
         let casting = films.and_then(|films| films.casting(&newest, &setup.config.episodes.acting));
         let desk = Arc::new(Desk::new(newest));
         clerks.open(desk.clone());
-        let pass = judge(setup, selected.to_vec(), desk, casting, parts, shutdown);
+        let pass = judge(setup, selected.to_vec(), desk, casting, parts, &stop.now);
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -205,14 +214,21 @@ impl Outlets<'_> {
     }
 }
 
-/// Waits for weights that are to be judged.
+/// Waits for weights that are to be judged; `None` if there will be none.
 async fn next_due(
     setup: &EvaluatorSetup,
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
     last: Option<&(Instant, Arc<Weights>)>,
-) -> anyhow::Result<Arc<Weights>> {
+    no_newer: &CancellationToken,
+) -> anyhow::Result<Option<Arc<Weights>>> {
     loop {
+        // Asked for first: weights that come in between are then found.
+        let are_last = no_newer.is_cancelled();
         let newest = weights.borrow_and_update().clone();
+        if are_last {
+            let judged = last.map(|(_, weights)| (weights.version, weights.n_env_steps));
+            return Ok(newest.filter(|newest| judged != Some((newest.version, newest.n_env_steps))));
+        }
         let rest = match newest {
             None => None,
             Some(newest) => {
@@ -222,7 +238,7 @@ async fn next_due(
                     elapsed: start.elapsed(),
                 });
                 match due(setup.config.every, last, &newest) {
-                    Due::Now => return Ok(newest),
+                    Due::Now => return Ok(Some(newest)),
                     Due::After(rest) => Some(rest),
                     Due::WithNewer => None,
                 }
@@ -230,6 +246,7 @@ async fn next_due(
         };
         tokio::select! {
             changed = weights.changed() => changed.context("the bus closed")?,
+            () = no_newer.cancelled() => {}
             () = tokio::time::sleep(rest.unwrap_or_default()), if rest.is_some() => {}
         }
     }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use evaluator::Acting;
+use evaluator::plot::MAX_RUNS;
 
 /// Arguments of `report`.
 #[derive(Debug, Args)]
@@ -20,4 +21,7 @@ pub struct ReportArgs {
     /// Draw how much better or worse RUN is than this run as well.
     #[arg(long, value_name = "RUN2")]
     pub minus: Option<PathBuf>,
+    /// Draw RUN and these runs, at most four, in one picture as well, on the blueprints that all of them judged.
+    #[arg(long, value_name = "RUN2", num_args = 1..MAX_RUNS)]
+    pub beside: Vec<PathBuf>,
 }

@@ -4,6 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
 use blueprints::Catalogue;
+use evaluator::Stop;
 use proto::Weights;
 use proto::bus::Bus;
 use tokio::sync::watch;
@@ -62,7 +63,8 @@ pub(super) async fn run(
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
     let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
-    let ended = services::evaluator(setup, reports, page, bus.clone(), shutdown).await;
+    let stop = Stop { now: shutdown, ..Stop::default() };
+    let ended = services::evaluator(setup, reports, page, bus.clone(), stop).await;
     bus.close().await?;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended

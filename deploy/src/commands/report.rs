@@ -40,6 +40,9 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if let Some(minus) = &args.minus {
         files.extend(difference(&passes, args, minus, terminal)?);
     }
+    if !args.beside.is_empty() {
+        files.extend(comparison(&passes, args, terminal)?);
+    }
     let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
     write_files(&out, &files)?;
     let n_passes = count(passes.len(), "evaluation");
@@ -71,6 +74,30 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
     };
     let what = format!("{} actions, blue: {} is better, evaluations {apart}", args.acting.name(), name(&args.run));
     picture("difference", &plot::difference_map(&difference, &title, &what))
+}
+
+fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<Vec<File>, Failure> {
+    let histories = args.beside.iter().map(|run| History::read(&run.join(HISTORY)));
+    let histories = histories.collect::<Result<Vec<_>, _>>()?;
+    let mut runs = vec![(name(&args.run), passes.to_vec())];
+    for (run, all) in args.beside.iter().zip(&histories) {
+        let passes = shown(all, run, terminal);
+        if Grid::success(&passes, args.acting).is_none() {
+            return Err(nothing(run, &passes, args.acting));
+        }
+        runs.push((name(run), passes));
+    }
+    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation judged", args.acting.name());
+    let drawing = plot::comparison(&runs, args.acting, "Success of several runs over training", &what);
+    let drawing = drawing.ok_or_else(|| {
+        Failure::NothingToShow(format!(
+            "no blueprint was judged with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
+             the same `evaluator.selection`",
+            args.acting.name(),
+            args.run.display(),
+        ))
+    })?;
+    picture("comparison", &drawing)
 }
 
 /// The passes to show; says how many are left out.

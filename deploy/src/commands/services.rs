@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use actor::Lockstep;
 use blueprints::Catalogue;
-use evaluator::{EvalReport, EvaluatorSetup, HISTORY, Page, REPLAYS, RecordPaths, VIDEOS};
+use evaluator::{EvalReport, EvaluatorSetup, HISTORY, Page, REPLAYS, RecordPaths, Stop, VIDEOS};
 use learner::run::METRICS;
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::bus::Bus;
@@ -59,8 +59,8 @@ pub(super) async fn run_evaluator(
     let page = page(config, terminal).await?;
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
-    let ended =
-        on_bus(config, &shutdown, async |bus| evaluator(setup, reports, page, bus, shutdown.clone()).await).await;
+    let stop = Stop { now: shutdown.clone(), ..Stop::default() };
+    let ended = on_bus(config, &shutdown, async |bus| evaluator(setup, reports, page, bus, stop).await).await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
 }
@@ -111,9 +111,9 @@ pub(super) async fn evaluator(
     reports: watch::Sender<Option<Arc<EvalReport>>>,
     page: Option<Page>,
     bus: Bus,
-    shutdown: CancellationToken,
+    stop: Stop,
 ) -> Result<(), Failure> {
-    evaluator::run(setup, &bus, reports, page, shutdown).await?;
+    evaluator::run(setup, &bus, reports, page, stop).await?;
     Ok(())
 }
 

@@ -1,5 +1,6 @@
 //! `train`: learner, actors and evaluator in this process, on a bus of its own.
 
+use evaluator::Stop;
 use proto::ActorId;
 use proto::bus::Bus;
 use proto::keys::{METRICS_LEARNER, Role};
@@ -45,17 +46,31 @@ pub(super) async fn run(
     let options = services::run_options(setup, config, &run_dir, args.resume.clone());
     let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
     let feed = config.lockstep.then(|| services::lockstep_feed(config));
-    running.spawn(services::learner(options, feed, bus.clone(), shutdown.clone()));
+    let stop = Stop { now: shutdown.clone(), after_newest: CancellationToken::new() };
+    let training = shutdown.child_token();
+    let learner = services::learner(options, feed, bus.clone(), training.clone());
+    let (learned, told) = (stop.clone(), config.evaluator.judge_last.then(|| terminal.clone()));
+    running.spawn(async move {
+        learner.await?;
+        if let Some(terminal) = told.filter(|_| !learned.now.is_cancelled()) {
+            terminal.print("the last weights are judged now; Ctrl-C ends without that");
+        }
+        learned.after_newest.cancel();
+        Ok(())
+    });
     if !config.lockstep {
-        running.spawn(services::actor(config.clone(), id, bus.clone(), shutdown.clone()));
+        running.spawn(services::actor(config.clone(), id, bus.clone(), training.clone()));
     }
-    running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), shutdown.clone()));
+    running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), stop.clone()));
     let mut ended = Ok(());
     while let Some(service) = running.join_next().await {
-        // Whoever ends, well or not, ends the run: the others have nothing to do without it.
-        shutdown.cancel();
+        // Whoever ends, well or not, ends the run: the others have nothing to do without it. The evaluator may still have.
+        training.cancel();
         let result = service.map_err(|panic| Failure::Service(panic.into())).flatten();
         ended = ended.and(result);
+        if !(config.evaluator.judge_last && stop.after_newest.is_cancelled() && ended.is_ok()) {
+            shutdown.cancel();
+        }
     }
     bus.close().await?;
     for shown in [learning, judging] {

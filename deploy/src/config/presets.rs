@@ -28,7 +28,7 @@ const PAPER: &str = "months on two cores: meant for hundreds of actors and a GPU
 /// All presets, the default first.
 pub const PRESETS: &[Preset] = presets![
     "quickstart": "about 10 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk",
-    "laptop": "about an hour and a half on two cores, 1 GB of memory and 1 GB of disk; it may be ended and resumed at any time",
+    "laptop": "about two and a half hours on two cores, 1 GB of memory and 1 GB of disk; it may be ended and resumed at any time",
     "two-blocks": "about an hour on two cores and 0.3 GB of memory",
     "near-goal": "about a minute on two cores",
     "imitation-only": "about 13 minutes on two cores",

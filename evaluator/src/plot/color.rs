@@ -1,6 +1,5 @@
 //! Colours that also those can tell apart who see red and green alike.
 
-use crate::group::Group;
 use crate::picture::Rgb;
 
 /// Matplotlib's viridis at equal distances from 0 to 1: lighter means more, also in grey.
@@ -79,16 +78,8 @@ impl Scale {
     }
 }
 
-/// The colour of a group's curve (Okabe and Ito, 2008).
-pub(super) fn of_group(group: Group) -> Rgb {
-    match group {
-        Group::Train2To6 => [0, 114, 178],
-        Group::Train7To11 => [230, 159, 0],
-        Group::Train12To16 => [0, 158, 115],
-        Group::Test12To16 => [213, 94, 0],
-        Group::TestSpecial => [150, 80, 160],
-    }
-}
+/// Colours of curves in their order (Okabe and Ito, 2008).
+pub(super) const CURVES: [Rgb; 5] = [[0, 114, 178], [230, 159, 0], [0, 158, 115], [213, 94, 0], [150, 80, 160]];
 
 /// The colour at `share` of the way, 0 to 1.
 fn along(colors: &[Rgb], share: f64) -> Rgb {

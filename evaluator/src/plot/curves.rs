@@ -1,13 +1,13 @@
-//! Success of the paper's groups over training.
+//! Success over training: of the paper's groups in one run, or of several runs.
 
 use std::collections::BTreeMap;
 
 use proto::wilson::SuccessRate;
 
 use super::axis::{StepUnit, ticks};
-use super::color::{FAINT, GRID, INK, of_group};
+use super::color::{CURVES, FAINT, GRID, INK};
 use super::drawing::{Anchor, Drawing};
-use super::series::group_rates;
+use super::series::{common_rates, group_rates};
 use crate::group::Group;
 use crate::history::Pass;
 use crate::picture::{Rgb, Type};
@@ -20,7 +20,7 @@ const FIELD: [f64; 2] = [820.0, 460.0];
 const PAPER: [usize; 2] = [1256, 648];
 /// Opacity of intervals, 0 to 255: light enough that curves show through several of them.
 const BAND: u8 = 46;
-/// From group to group where there is one pass only, pixels.
+/// From curve to curve where there is one pass only, pixels.
 const ASIDE: f64 = 24.0;
 /// Least distance between two labels, pixels.
 const LABEL_HEIGHT: f64 = 46.0;
@@ -28,9 +28,14 @@ const LABEL_HEIGHT: f64 = 46.0;
 const MARKER: f64 = 5.5;
 const MAX_MARKED: usize = 40;
 
-/// A group's curve.
+/// Most runs in one picture: as many as there are colours and markers.
+pub const MAX_RUNS: usize = CURVES.len();
+
+/// One line of a picture.
 struct Curve {
-    group: Group,
+    name: String,
+    /// Place among the colours and markers.
+    style: usize,
     /// Environment steps and success.
     points: Vec<(f64, SuccessRate)>,
     /// Blueprints of the last pass.
@@ -43,12 +48,35 @@ pub fn curves(passes: &[&Pass], acting: Acting, title: &str, subtitle: &str) -> 
     let mut by_group: BTreeMap<Group, Curve> = BTreeMap::new();
     for pass in passes {
         for (group, (rate, n_blueprints)) in group_rates(pass, acting) {
-            let curve = by_group.entry(group).or_insert(Curve { group, points: Vec::new(), n_blueprints });
+            let style = Group::ALL.iter().position(|other| *other == group).unwrap_or_default();
+            let curve = by_group.entry(group).or_insert_with(|| Curve {
+                name: group.name().to_owned(),
+                style,
+                points: Vec::new(),
+                n_blueprints,
+            });
             curve.points.push((pass.n_env_steps as f64, rate));
             curve.n_blueprints = n_blueprints;
         }
     }
-    let curves: Vec<Curve> = by_group.into_values().collect();
+    draw(&by_group.into_values().collect::<Vec<_>>(), title, subtitle)
+}
+
+/// Curves of at most [`MAX_RUNS`] runs with their names, on the blueprints that all of them judged; passes have rising
+/// steps. `None` if there are no such blueprints.
+pub fn comparison(runs: &[(String, Vec<&Pass>)], acting: Acting, title: &str, subtitle: &str) -> Option<Drawing> {
+    let rates = common_rates(runs.iter().map(|(_, passes)| &passes[..]), acting)?;
+    let named = runs.iter().zip(rates.of_runs).enumerate();
+    let curves = named.map(|(i, ((name, _), points))| Curve {
+        name: name.clone(),
+        style: i % CURVES.len(),
+        points: points.into_iter().map(|(steps, rate)| (steps as f64, rate)).collect(),
+        n_blueprints: rates.n_blueprints,
+    });
+    draw(&curves.collect::<Vec<_>>(), title, subtitle)
+}
+
+fn draw(curves: &[Curve], title: &str, subtitle: &str) -> Option<Drawing> {
     let steps = curves.iter().flat_map(|curve| curve.points.iter().map(|(steps, _)| *steps));
     let (low, high) = (steps.clone().reduce(f64::min)?, steps.reduce(f64::max)?);
     let mut drawing = Drawing::new(PAPER[0], PAPER[1]);
@@ -59,7 +87,7 @@ pub fn curves(passes: &[&Pass], acting: Acting, title: &str, subtitle: &str) -> 
         let share = if high > low { (steps - low) / (high - low) } else { 0.5 };
         LEFT + 12.0 + share * (FIELD[0] - 24.0)
     };
-    // Groups of the only pass stand side by side, or their intervals would hide each other.
+    // Curves of the only pass stand side by side, or their intervals would hide each other.
     let aside = |i: usize| if high > low { 0.0 } else { ASIDE * (i as f64 - (curves.len() - 1) as f64 / 2.0) };
     axes(&mut drawing, low, high, x);
     for (i, curve) in curves.iter().enumerate() {
@@ -68,7 +96,7 @@ pub fn curves(passes: &[&Pass], acting: Acting, title: &str, subtitle: &str) -> 
     for (i, curve) in curves.iter().enumerate() {
         line(&mut drawing, curve, x, aside(i));
     }
-    legend(&mut drawing, &curves);
+    legend(&mut drawing, curves);
     Some(drawing)
 }
 
@@ -96,7 +124,7 @@ fn axes(drawing: &mut Drawing, low: f64, high: f64, x: impl Fn(f64) -> f64) {
 
 /// A band, or a bar where there is one pass only, so many pixels to the side.
 fn intervals(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside: f64) {
-    let color = of_group(curve.group);
+    let color = CURVES[curve.style];
     if let [(steps, rate)] = curve.points[..] {
         let x = x(steps) + aside;
         for y in [y(rate.wilson_low), y(rate.wilson_high)] {
@@ -111,24 +139,24 @@ fn intervals(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside
 }
 
 fn line(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside: f64) {
-    let color = of_group(curve.group);
+    let color = CURVES[curve.style];
     let points: Vec<[f64; 2]> = curve.points.iter().map(|(steps, rate)| [x(*steps) + aside, y(rate.rate)]).collect();
     let n_unmarked = if points.len() > MAX_MARKED { points.len() - 1 } else { 0 };
     let marked = points[n_unmarked..].to_vec();
     drawing.line(points, 2.6, color);
     for point in marked {
-        marker(drawing, curve.group, point, color);
+        marker(drawing, curve.style, point, color);
     }
 }
 
-/// A shape of its own for each group, for eyes and printers without colours.
-fn marker(drawing: &mut Drawing, group: Group, [x, y]: [f64; 2], color: Rgb) {
-    let (n_corners, first, radius) = match group {
-        Group::Train2To6 => (24, 0.0, 1.0),
-        Group::Train7To11 => (4, 0.125, 1.25),
-        Group::Train12To16 => (3, -0.25, 1.4),
-        Group::Test12To16 => (4, 0.0, 1.3),
-        Group::TestSpecial => (3, 0.25, 1.4),
+/// A shape of its own for each curve, for eyes and printers without colours.
+fn marker(drawing: &mut Drawing, style: usize, [x, y]: [f64; 2], color: Rgb) {
+    let (n_corners, first, radius) = match style {
+        0 => (24, 0.0, 1.0),
+        1 => (4, 0.125, 1.25),
+        2 => (3, -0.25, 1.4),
+        3 => (4, 0.0, 1.3),
+        _ => (3, 0.25, 1.4),
     };
     let corner = |i: u32| {
         let angle = std::f64::consts::TAU * (f64::from(i) / f64::from(n_corners) + first);
@@ -144,12 +172,12 @@ fn legend(drawing: &mut Drawing, curves: &[Curve]) {
     ends.sort_by(|(_, a), (_, b)| b.total_cmp(a));
     let places = apart(&ends.iter().map(|(_, rate)| y(*rate)).collect::<Vec<_>>(), [TOP, TOP + FIELD[1]]);
     for ((curve, rate), y) in ends.into_iter().zip(places) {
-        let (x, color) = (LEFT + FIELD[0] + 30.0, of_group(curve.group));
+        let (x, color) = (LEFT + FIELD[0] + 30.0, CURVES[curve.style]);
         drawing.line(vec![[x - 14.0, y], [x + 14.0, y]], 2.6, color);
-        marker(drawing, curve.group, [x, y], color);
+        marker(drawing, curve.style, [x, y], color);
         let plural = if curve.n_blueprints == 1 { "" } else { "s" };
         let detail = format!("{} blueprint{plural}, last {:.1} %", curve.n_blueprints, 100.0 * rate);
-        drawing.text(curve.group.name(), [x + 24.0, y], Anchor::Start, Type::BodyBold, INK);
+        drawing.text(curve.name.clone(), [x + 24.0, y], Anchor::Start, Type::BodyBold, INK);
         drawing.text(detail, [x + 24.0, y + 19.0], Anchor::Start, Type::Small, FAINT);
     }
 }

@@ -93,6 +93,34 @@ pub fn group_rates(pass: &Pass, acting: Acting) -> BTreeMap<Group, (SuccessRate,
     counts.into_iter().map(|(group, (hits, all, n))| (group, (SuccessRate::new(hits, all), n))).collect()
 }
 
+/// Success of several runs on the blueprints that every pass of each of them judged.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Common {
+    /// How many blueprints these are, at least 1.
+    pub n_blueprints: usize,
+    /// For each run its passes: environment steps and success.
+    pub of_runs: Vec<Vec<(u64, SuccessRate)>>,
+}
+
+/// Success of runs, each with rising steps, on what all judged; `None` if that is nothing.
+pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: Acting) -> Option<Common> {
+    let runs: Vec<Vec<Judged>> = runs.map(|passes| judged(passes, acting)).collect();
+    let mut passes = runs.iter().flatten();
+    let first = passes.next()?;
+    if runs.iter().any(Vec::is_empty) {
+        return None;
+    }
+    let mut common: Vec<&Row> = first.1.keys().collect();
+    passes.for_each(|(_, rates)| common.retain(|row| rates.contains_key(row)));
+    let total = |rates: &BTreeMap<Row, SuccessRate>| {
+        let of_common = common.iter().filter_map(|row| rates.get(row));
+        let (hits, all) = of_common.fold((0, 0), |(h, n), rate| (h + rate.n_successes, n + rate.n_episodes));
+        SuccessRate::new(hits, all)
+    };
+    let of_runs = runs.iter().map(|run| run.iter().map(|(steps, rates)| (*steps, total(rates))).collect()).collect();
+    (!common.is_empty()).then_some(Common { n_blueprints: common.len(), of_runs })
+}
+
 impl Grid {
     /// Success rates of passes with rising steps; `None` if none of them judged these actions.
     pub fn success(passes: &[&Pass], acting: Acting) -> Option<Self> {
@@ -207,6 +235,21 @@ mod tests {
         assert_eq!(found.grid.rows.len(), 1);
         let strange = vec![pass(0, &[("3_000", Split::Train, 3, 0)])];
         assert_eq!(Difference::new(&lineage(&run), &lineage(&strange), Acting::Mode), None);
+    }
+
+    #[test]
+    fn runs_are_compared_on_what_all_of_them_judged() {
+        let run = passes(&[(0, 0, None), (100, 6, Some(9))]);
+        let other = passes(&[(5, 1, Some(2)), (110, 2, Some(3))]);
+        let (run, other) = (lineage(&run), lineage(&other));
+        let found = common_rates([&run[..], &other[..]].into_iter(), Acting::Mode).unwrap();
+        let rate = |n| SuccessRate::new(n, 10);
+        assert_eq!(found.of_runs, [vec![(0, rate(0)), (100, rate(6))], vec![(5, rate(1)), (110, rate(2))]]);
+        assert_eq!(found.n_blueprints, 1);
+        let strange = vec![pass(0, &[("3_000", Split::Train, 3, 0)])];
+        let strange = lineage(&strange);
+        assert_eq!(common_rates([&run[..], &strange[..]].into_iter(), Acting::Mode), None);
+        assert_eq!(common_rates([&run[..], &[]].into_iter(), Acting::Mode), None);
     }
 
     #[test]

@@ -123,6 +123,18 @@ fn curves_name_their_groups_and_stand_at_their_rates() {
 }
 
 #[test]
+fn runs_stand_beside_each_other_under_their_names() {
+    let (run, other) = (two_passes(), vec![pass(20_000, &[("2_000", Split::Train, 2, 5)])]);
+    let runs = [("mine".to_owned(), lineage(&run)), ("theirs".to_owned(), lineage(&other))];
+    let svg = comparison(&runs, Acting::Mode, "", "").unwrap().to_svg();
+    let texts = texts(&svg);
+    for label in ["mine", "theirs", "1 blueprint, last 100.0 %", "1 blueprint, last 50.0 %"] {
+        assert!(texts.contains(&label), "no {label:?} in {texts:?}");
+    }
+    assert!(comparison(&runs, Acting::Sampled, "", "").is_none());
+}
+
+#[test]
 fn svg_and_png_show_the_same() {
     let grid = Grid::success(&lineage(&two_passes()), Acting::Mode).unwrap();
     let drawing = success_map(&grid, "title", "");

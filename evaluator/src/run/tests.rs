@@ -40,9 +40,9 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         records: Some(records.clone()),
     };
     let (reports, mut seen) = watch::channel(None);
-    let shutdown = CancellationToken::new();
-    let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_shutdown).await });
+    let stop = Stop::default();
+    let (its_bus, its_stop) = (bus.clone(), stop.clone());
+    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_stop).await });
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights(&small);
@@ -60,12 +60,16 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         report.as_ref().is_some_and(|report| report.summary.weights_version.0 == untrained.version.0 + 5)
     };
     within(seen.wait_for(is_later)).await.unwrap();
-    shutdown.cancel();
-    assert_eq!(within(service).await.unwrap().unwrap(), 2);
+    // Not due, but the last.
+    let last = WeightsVersion(untrained.version.0 + 6);
+    publisher.publish(Arc::new(Weights { version: last, ..untrained.clone() })).await.unwrap();
+    stop.after_newest.cancel();
+    assert_eq!(within(service).await.unwrap().unwrap(), 3);
+    assert_eq!(seen.borrow().as_ref().unwrap().summary.weights_version, last);
 
     let text = std::fs::read_to_string(&records.metrics).unwrap();
     let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(lines.len(), 2 * (1 + n_selected));
+    assert_eq!(lines.len(), 3 * (1 + n_selected));
     assert_eq!(lines[0]["key"], "eval/summary");
     let summary: EvalSummary = serde_json::from_value(lines[0].clone()).unwrap();
     assert_eq!(summary, report.summary);
@@ -73,7 +77,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     assert_eq!(first, report.blueprints[0]);
     assert_eq!(lines[1]["key"], format!("eval/train/{}", first.blueprint));
     let passes = crate::History::read(&records.history).unwrap();
-    assert_eq!(passes.len(), 2);
+    assert_eq!(passes.len(), 3);
     assert_eq!(passes[0], crate::Pass::new(&report, passes[0].ended_unix_ms));
     // Ended in order, after 2026 began.
     assert!(1_767_225_600_000 < passes[0].ended_unix_ms && passes[0].ended_unix_ms <= passes[1].ended_unix_ms);
@@ -98,9 +102,9 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     };
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let (reports, seen) = watch::channel(None);
-    let shutdown = CancellationToken::new();
-    let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_shutdown).await });
+    let stop = Stop::default();
+    let (its_bus, its_stop) = (bus.clone(), stop.clone());
+    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_stop).await });
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(weights(&small))).await.unwrap();
 
@@ -112,7 +116,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
         progress.push((summary.is_complete, summary.all.mode.success.n_episodes));
     }
     assert_eq!(progress, [(false, 32), (true, 45)]);
-    shutdown.cancel();
+    stop.now.cancel();
     within(service).await.unwrap().unwrap();
     // Whoever follows the caller's channel sees whole passes only.
     assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
