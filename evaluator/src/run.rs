@@ -3,14 +3,14 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalogue};
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
 use proto::bus::{Bus, HistoryAnswer, MetricsPublisher};
-use proto::{Role, Weights, keys};
+use proto::{Role, Weights, WeightsVersion, keys};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
@@ -27,6 +27,9 @@ use crate::records::Records;
 use crate::report::EvalReport;
 use crate::schedule::{Due, LastPass, due};
 use crate::web::{OpenPage, Page};
+
+/// How long the last weights may be on their way.
+const LAST_WEIGHTS_WAIT: Duration = Duration::from_secs(15);
 
 /// What an evaluator process needs besides the bus.
 #[derive(Clone, Debug)]
@@ -65,8 +68,8 @@ pub struct RecordPaths {
 pub struct Stop {
     /// A pass under way is given up.
     pub now: CancellationToken,
-    /// No newer weights will come: the newest are judged if they are not yet, due or not.
-    pub after_newest: CancellationToken,
+    /// Says which weights are the last, once that is known: these are judged if they are not yet, due or not.
+    pub last: Option<watch::Receiver<Option<WeightsVersion>>>,
 }
 
 /// Judges the newest weights whenever a pass is due, the first ones at once, until `stop`. Returns the number of passes.
@@ -145,7 +148,7 @@ async fn judge_all(
     loop {
         let newest = tokio::select! {
             () = stop.now.cancelled() => return Ok(n_passes),
-            newest = next_due(setup, &mut weights, last.as_ref(), &stop.after_newest) => newest?,
+            newest = next_due(setup, &mut weights, last.as_ref(), stop.last.clone()) => newest?,
         };
         let Some(newest) = newest else { return Ok(n_passes) };
         let start = Instant::now();
@@ -219,16 +222,18 @@ async fn next_due(
     setup: &EvaluatorSetup,
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
     last: Option<&(Instant, Arc<Weights>)>,
-    no_newer: &CancellationToken,
+    mut told: Option<watch::Receiver<Option<WeightsVersion>>>,
 ) -> anyhow::Result<Option<Arc<Weights>>> {
     loop {
-        // Asked for first: weights that come in between are then found.
-        let are_last = no_newer.is_cancelled();
-        let newest = weights.borrow_and_update().clone();
-        if are_last {
+        if let Some(version) = told.as_mut().and_then(|told| *told.borrow_and_update()) {
+            // They may still be on their way. Should they have been lost, those before them are judged.
+            let are_there = |weights: &Option<Arc<Weights>>| weights.as_ref().is_some_and(|w| w.version >= version);
+            drop(tokio::time::timeout(LAST_WEIGHTS_WAIT, weights.wait_for(are_there)).await);
             let judged = last.map(|(_, weights)| (weights.version, weights.n_env_steps));
+            let newest = weights.borrow_and_update().clone();
             return Ok(newest.filter(|newest| judged != Some((newest.version, newest.n_env_steps))));
         }
+        let newest = weights.borrow_and_update().clone();
         let rest = match newest {
             None => None,
             Some(newest) => {
@@ -246,10 +251,20 @@ async fn next_due(
         };
         tokio::select! {
             changed = weights.changed() => changed.context("the bus closed")?,
-            () = no_newer.cancelled() => {}
+            () = is_told(&mut told) => {}
             () = tokio::time::sleep(rest.unwrap_or_default()), if rest.is_some() => {}
         }
     }
+}
+
+/// Waits until the last weights are known; for ever if nobody says.
+async fn is_told(told: &mut Option<watch::Receiver<Option<WeightsVersion>>>) {
+    if let Some(told) = told
+        && told.changed().await.is_ok()
+    {
+        return;
+    }
+    std::future::pending().await
 }
 
 /// Milliseconds since 1970, 0 before.

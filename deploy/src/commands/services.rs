@@ -7,7 +7,7 @@ use actor::Lockstep;
 use blueprints::Catalogue;
 use evaluator::{EvalReport, EvaluatorSetup, HISTORY, Page, REPLAYS, RecordPaths, Stop, VIDEOS};
 use learner::run::METRICS;
-use learner::{Feed, LearnerSetup, RunOptions};
+use learner::{Feed, LearnerReport, LearnerSetup, RunOptions};
 use proto::bus::Bus;
 use proto::{ActorId, Role, tensorboard};
 use tokio::sync::watch;
@@ -36,7 +36,7 @@ pub(super) async fn run_learner(
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let options = run_options(setup, config, &run_dir, args.resume.clone());
-    on_bus(config, &shutdown, async |bus| learner(options, None, bus, shutdown.clone()).await).await
+    on_bus(config, &shutdown, async |bus| learner(options, None, bus, shutdown.clone()).await.map(drop)).await
 }
 
 /// Runs `evaluator`, which prints its reports, or assists another.
@@ -93,9 +93,8 @@ pub(super) async fn learner(
     feed: Option<Feed>,
     bus: Bus,
     shutdown: CancellationToken,
-) -> Result<(), Failure> {
-    learner::run(options, feed, &bus, shutdown).await?;
-    Ok(())
+) -> Result<LearnerReport, Failure> {
+    Ok(learner::run(options, feed, &bus, shutdown).await?)
 }
 
 /// Worlds that step in turns with the learner.

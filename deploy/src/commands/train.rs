@@ -46,29 +46,30 @@ pub(super) async fn run(
     let options = services::run_options(setup, config, &run_dir, args.resume.clone());
     let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
     let feed = config.lockstep.then(|| services::lockstep_feed(config));
-    let stop = Stop { now: shutdown.clone(), after_newest: CancellationToken::new() };
+    let (tell, last) = watch::channel(None);
+    let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
     let training = shutdown.child_token();
     let learner = services::learner(options, feed, bus.clone(), training.clone());
-    let (learned, told) = (stop.clone(), config.evaluator.judge_last.then(|| terminal.clone()));
+    let (interrupted, told) = (shutdown.clone(), config.evaluator.judge_last.then(|| terminal.clone()));
     running.spawn(async move {
-        learner.await?;
-        if let Some(terminal) = told.filter(|_| !learned.now.is_cancelled()) {
+        let report = learner.await?;
+        if let Some(terminal) = told.filter(|_| !interrupted.is_cancelled()) {
             terminal.print("the last weights are judged now; Ctrl-C ends without that");
         }
-        learned.after_newest.cancel();
+        tell.send_replace(Some(report.weights_version));
         Ok(())
     });
     if !config.lockstep {
         running.spawn(services::actor(config.clone(), id, bus.clone(), training.clone()));
     }
-    running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), stop.clone()));
+    running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), stop));
     let mut ended = Ok(());
     while let Some(service) = running.join_next().await {
         // Whoever ends, well or not, ends the run: the others have nothing to do without it. The evaluator may still have.
         training.cancel();
         let result = service.map_err(|panic| Failure::Service(panic.into())).flatten();
         ended = ended.and(result);
-        if !(config.evaluator.judge_last && stop.after_newest.is_cancelled() && ended.is_ok()) {
+        if !(config.evaluator.judge_last && last.borrow().is_some() && ended.is_ok()) {
             shutdown.cancel();
         }
     }

@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use blueprints::Split;
-use proto::WeightsVersion;
 use proto::metrics::{EvalBlueprint, EvalSummary};
 
 use super::*;
@@ -40,7 +39,8 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         records: Some(records.clone()),
     };
     let (reports, mut seen) = watch::channel(None);
-    let stop = Stop::default();
+    let (tell, last) = watch::channel(None);
+    let stop = Stop { last: Some(last), ..Stop::default() };
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
     let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_stop).await });
 
@@ -63,7 +63,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     // Not due, but the last.
     let last = WeightsVersion(untrained.version.0 + 6);
     publisher.publish(Arc::new(Weights { version: last, ..untrained.clone() })).await.unwrap();
-    stop.after_newest.cancel();
+    tell.send_replace(Some(last));
     assert_eq!(within(service).await.unwrap().unwrap(), 3);
     assert_eq!(seen.borrow().as_ref().unwrap().summary.weights_version, last);
 
