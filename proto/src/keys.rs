@@ -36,8 +36,16 @@ pub const TRAJECTORIES_ALL: &str = "trajectories/*";
 /// The learner's queryable with the newest weights.
 pub const WEIGHTS_LATEST: &str = "weights/latest";
 
-/// Notices of newer weights.
-pub const WEIGHTS_VERSION: &str = "weights/version";
+/// Where notices of newer weights are put: for everyone who subscribes to a key of [`weights_version`].
+pub const WEIGHTS_VERSION_ALL: &str = "weights/version/*";
+
+/// What the session `session` subscribes to for notices of newer weights.
+///
+/// A key of its own, because the time that a zenoh router takes for one more subscriber to a key grows with the square of
+/// their number: with 3000 to the same key it does not get done.
+pub fn weights_version(session: &str) -> String {
+    format!("weights/version/{session}")
+}
 
 /// Where an assistant of evaluators takes units of work.
 pub fn assist(assistant: &str) -> String {

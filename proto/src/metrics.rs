@@ -43,6 +43,10 @@ pub struct LearnerMetrics {
     pub n_mailbox: u64,
     /// Trajectories that grew too old while waiting in the mailbox, so far.
     pub expired_total: u64,
+    /// Trajectories that were dropped after they had been taken, since the start of the process, because their generated goal
+    /// is one of the held-out structures, comes to nothing, or was one too many to be made for an update.
+    #[serde(default)]
+    pub unmade_total: u64,
     /// Numbers of the PPO update.
     pub ppo: PpoMetrics,
     /// Learning from the expert; `null` without.
@@ -175,6 +179,9 @@ pub struct ActorDrops {
     pub full_total: u64,
     /// The learner called them invalid.
     pub invalid_total: u64,
+    /// The learner took another live process for the owner of the actor's name, and the actor ended.
+    #[serde(default)]
+    pub name_taken_total: u64,
     /// The learner was away and newer ones took their place, or the actor ended.
     pub no_learner_total: u64,
     /// No answer, after the last attempt.

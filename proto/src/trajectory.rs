@@ -134,6 +134,19 @@ pub struct Trajectory {
     pub outcome: Option<Outcome>,
 }
 
+impl Trajectory {
+    /// A number for who sent it and which of theirs it is. The sums over what two processes counted are equal, wrapping,
+    /// if they counted the same trajectories.
+    pub fn fingerprint(&self) -> u64 {
+        let text = self.actor.as_str().bytes();
+        let bytes = text.chain(self.epoch.to_le_bytes()).chain(self.seq.to_le_bytes());
+        // FNV-1a, which is the same in every process and version, and a last mix, since sums of it alone are too regular.
+        let hash =
+            bytes.fold(0xcbf2_9ce4_8422_2325_u64, |h, byte| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+        (hash ^ (hash >> 32)).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+    }
+}
+
 /// The error of a name that no actor can have.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("actor name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]

@@ -26,6 +26,9 @@ pub struct BusCounts {
     pub notices_invalid_total: u64,
     /// Weights that could not be read or broke a rule.
     pub weights_invalid_total: u64,
+    /// Weights that could be read but not acted by, because they give no distribution over actions or do not fit the network.
+    #[serde(default)]
+    pub weights_refused_total: u64,
     /// Pulls of weights that failed and were tried again.
     pub pulls_failed_total: u64,
     /// Queries for weights or metrics that carried a payload.
@@ -42,7 +45,7 @@ pub struct BusCounts {
     pub viewed_dropped_total: u64,
     /// Copies for viewers that could not be put.
     pub views_failed_total: u64,
-    /// Liveliness keys without a valid name.
+    /// Liveliness keys without a valid name, or of more names than are followed.
     pub tokens_invalid_total: u64,
 }
 
@@ -50,6 +53,7 @@ pub struct BusCounts {
 pub(super) struct BusCounters {
     pub(super) notices_invalid: Counter,
     pub(super) weights_invalid: Counter,
+    pub(super) weights_refused: Counter,
     pub(super) pulls_failed: Counter,
     pub(super) queries_invalid: Counter,
     pub(super) queries_dropped: Counter,
@@ -66,6 +70,7 @@ impl BusCounters {
         BusCounts {
             notices_invalid_total: self.notices_invalid.get(),
             weights_invalid_total: self.weights_invalid.get(),
+            weights_refused_total: self.weights_refused.get(),
             pulls_failed_total: self.pulls_failed.get(),
             queries_invalid_total: self.queries_invalid.get(),
             queries_dropped_total: self.queries_dropped.get(),
@@ -95,6 +100,9 @@ pub struct IngestCounts {
     pub full_total: u64,
     /// Refused because a rule was broken.
     pub invalid_total: u64,
+    /// Refused because another live actor has the sender's name.
+    #[serde(default)]
+    pub name_taken_total: u64,
 }
 
 #[derive(Debug, Default)]
@@ -105,6 +113,7 @@ pub(super) struct IngestCounters {
     pub(super) stale: Counter,
     pub(super) full: Counter,
     pub(super) invalid: Counter,
+    pub(super) name_taken: Counter,
 }
 
 impl IngestCounters {
@@ -116,6 +125,7 @@ impl IngestCounters {
             stale_total: self.stale.get(),
             full_total: self.full.get(),
             invalid_total: self.invalid.get(),
+            name_taken_total: self.name_taken.get(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Errors of the bus.
 
-use super::BusConfigError;
+use super::{BusConfigError, KeysError};
 use crate::codec::{DecodeError, Refusal};
 
 /// The error of an operation on the session.
@@ -9,6 +9,9 @@ pub enum BusError {
     /// The configuration breaks a rule.
     #[error(transparent)]
     Config(#[from] BusConfigError),
+    /// The keys cannot be used.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
     /// Zenoh refused.
     #[error("{action}: {source}")]
     Zenoh {
@@ -20,6 +23,16 @@ pub enum BusError {
     /// A name that cannot be part of a key.
     #[error("name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
     Name(String),
+    /// Somebody of this name and role is there.
+    #[error("another live {role} of this run is called {name:?}; {advice}")]
+    NameTaken {
+        /// What it is.
+        role: &'static str,
+        /// The name of both.
+        name: String,
+        /// What to do.
+        advice: &'static str,
+    },
     /// Metrics that cannot be JSON.
     #[error("metrics {key} cannot be written as JSON: {source}")]
     Json {

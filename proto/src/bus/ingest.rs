@@ -1,5 +1,6 @@
 //! The learner's end of the trajectories: decodes, drops repeats, asks the handler, answers.
 
+mod names;
 mod repeats;
 
 use std::sync::Arc;
@@ -9,6 +10,7 @@ use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::query::{Query, Queryable};
 
+use self::names::Names;
 use self::repeats::{Repeats, Seen};
 use super::counters::IngestCounters;
 use super::sender::{ACK_SCHEMA, REFUSAL_SCHEMA};
@@ -27,7 +29,8 @@ pub struct TrajectoryServer {
 }
 
 impl Bus {
-    /// Takes trajectories from now on. `handler` is asked once for each valid one; it must not block, since all
+    /// Takes trajectories from now on. A name belongs to the process whose trajectory is taken first, for as long as a
+    /// liveliness token of the name stands; others of the name are refused. `handler` is asked once for each valid one; it must not block, since all
     /// actors wait for it (try to put the trajectory into a bounded mailbox). `current_version` goes into each answer.
     ///
     /// # Errors
@@ -42,7 +45,8 @@ impl Bus {
     {
         let (queue, mut queries) = mpsc::channel::<Query>(self.config.ingest_queue);
         let counters = Arc::new(IngestCounters::default());
-        let mut server = Server { handler, current_version, counters: counters.clone(), repeats: Repeats::default() };
+        let (names, repeats) = (Names::follow(self).await?, Repeats::default());
+        let mut server = Server { handler, current_version, counters: counters.clone(), names, repeats };
         let (version, queue_counters) = (server.current_version.clone(), counters.clone());
         let queryable = self
             .session
@@ -89,6 +93,7 @@ struct Server<F> {
     handler: F,
     current_version: watch::Receiver<WeightsVersion>,
     counters: Arc<IngestCounters>,
+    names: Names,
     repeats: Repeats,
 }
 
@@ -101,6 +106,7 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
             Ok(Taken::Before) => self.counters.duplicates.add_one(),
             Err(Refusal::Stale) => self.counters.stale.add_one(),
             Err(Refusal::Full) => self.counters.full.add_one(),
+            Err(Refusal::NameTaken) => self.counters.name_taken.add_one(),
             Err(Refusal::Invalid(reason)) => {
                 tracing::debug!(key = %query.key_expr(), reason, "invalid trajectory");
                 self.counters.invalid.add_one();
@@ -117,6 +123,9 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
             // The router grants keys to actors: a message must not speak for another actor than its key does.
             return Err(Refusal::Invalid(format!("actor {} may not send to {key}", trajectory.actor)));
         }
+        if self.names.is_taken(&trajectory.actor, trajectory.epoch) {
+            return Err(Refusal::NameTaken);
+        }
         let id = (trajectory.actor.clone(), trajectory.epoch);
         let seq = trajectory.seq;
         match self.repeats.look_up(&id, seq) {
@@ -125,6 +134,8 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
             Seen::New => {}
         }
         (self.handler)(trajectory)?;
+        let (actor, epoch) = &id;
+        self.names.claim(actor, *epoch);
         // Only what was taken is remembered, so that a retry after `Full` is a first attempt again.
         self.repeats.remember(id, seq);
         Ok(Taken::Now)

@@ -6,6 +6,7 @@
 //! Nothing here blocks in a zenoh callback: a slow callback would stall every peer of the session. Work goes to
 //! tokio tasks through bounded channels, and what does not fit is counted.
 
+mod access;
 mod alive;
 mod assist;
 mod config;
@@ -16,6 +17,8 @@ mod ingest;
 mod latest;
 mod matching;
 mod metrics;
+mod pulse;
+pub mod security;
 mod sender;
 mod session;
 mod task;
@@ -30,6 +33,8 @@ pub use error::{BusError, SendError};
 pub use history::HistoryAnswer;
 pub use ingest::TrajectoryServer;
 pub use metrics::{MetricsPublisher, MetricsSample, MetricsSubscriber};
+pub use pulse::{Pulse, Waiting};
+pub use security::{KeysError, SecurityConfig};
 pub use sender::TrajectorySender;
 pub use session::{Bus, process_epoch_ms};
 pub use viewer::TrajectoryViewer;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::counters::BusCounters;
-use super::{BusConfig, BusCounts, BusError};
+use super::{BusConfig, BusCounts, BusError, BusMode, Pulse};
 
 /// A session on the bus; clones share it, and whatever it makes keeps it open.
 ///
@@ -15,6 +15,7 @@ pub struct Bus {
     pub(super) session: zenoh::Session,
     pub(super) config: Arc<BusConfig>,
     pub(super) counters: Arc<BusCounters>,
+    pub(super) pulse: Pulse,
 }
 
 impl Bus {
@@ -25,14 +26,15 @@ impl Bus {
     /// If the configuration breaks a rule, an endpoint makes no sense or cannot be listened on.
     pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
         config.validate()?;
-        let zenoh_config = config.to_zenoh().map_err(BusError::during("configuring the bus"))?;
+        let keys = config.read_keys()?;
+        let zenoh_config = config.to_zenoh(keys.as_ref()).map_err(BusError::during("configuring the bus"))?;
         let joining =
             || format!("joining the bus (listening on {:?}, connecting to {:?})", config.listen, config.connect);
         // Zenoh blocks the thread that polls this until it has joined; on a task of its own it can be given up.
         let opening = tokio::spawn(async move { zenoh::open(zenoh_config).await });
         let opened = opening.await.map_err(|panic| BusError::during(joining())(panic.into()))?;
         let session = opened.map_err(BusError::during(joining()))?;
-        Ok(Self { session, config: Arc::new(config.clone()), counters: Arc::default() })
+        Ok(Self { session, config: Arc::new(config.clone()), counters: Arc::default(), pulse: Pulse::default() })
     }
 
     /// Opens a router that is reached only through a unix socket in `dir`, for tests.
@@ -46,6 +48,21 @@ impl Bus {
     /// What this session dropped so far.
     pub fn counts(&self) -> BusCounts {
         self.counters.counts()
+    }
+
+    /// What this process is in the network.
+    pub fn mode(&self) -> BusMode {
+        self.config.mode
+    }
+
+    /// Where the service on this session shows that its work goes on.
+    pub fn pulse(&self) -> &Pulse {
+        &self.pulse
+    }
+
+    /// Counts weights that came over the bus and that this process does not act by; once for each.
+    pub fn count_refused_weights(&self) {
+        self.counters.weights_refused.add_one();
     }
 
     /// Whether a router is reached now; what only routers carry arrives from no one else while none is.

@@ -35,10 +35,10 @@ pub struct WeightsPublisher {
     notices: Publisher<'static>,
 }
 
-/// The end of actors and the evaluator: holds the newest weights that it could get.
+/// The end of actors and the evaluator: holds the newest weights that it could get, or what is kept of them.
 #[derive(Debug)]
-pub struct WeightsSubscriber {
-    weights: watch::Receiver<Option<Arc<Weights>>>,
+pub struct WeightsSubscriber<T = Weights> {
+    weights: watch::Receiver<Option<Arc<T>>>,
     _worker: OwnedTask,
     _open: Bus,
 }
@@ -53,7 +53,7 @@ impl Bus {
         let latest = Latest::declare(self, keys::WEIGHTS_LATEST.to_owned(), encoding).await?;
         let notices = self
             .session
-            .declare_publisher(keys::WEIGHTS_VERSION)
+            .declare_publisher(keys::WEIGHTS_VERSION_ALL)
             .congestion_control(CongestionControl::Drop)
             .priority(Priority::InteractiveHigh)
             .express(true)
@@ -68,10 +68,22 @@ impl Bus {
     /// # Errors
     /// If the session is closed.
     pub async fn weights_subscriber(&self) -> Result<WeightsSubscriber, BusError> {
+        self.weights_subscriber_keeping(|weights| weights).await
+    }
+
+    /// As [`Self::weights_subscriber`], but holds only what `keep` makes of the weights: thousands of sessions in one
+    /// process, for measurements, have no room for all of them.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn weights_subscriber_keeping<T: Send + Sync + 'static>(
+        &self,
+        keep: fn(Weights) -> T,
+    ) -> Result<WeightsSubscriber<T>, BusError> {
         let failed = || BusError::during("subscribing to weights");
         // Only the newest notice matters.
-        let notices =
-            self.session.declare_subscriber(keys::WEIGHTS_VERSION).with(RingChannel::new(1)).await.map_err(failed())?;
+        let key = keys::weights_version(&self.session.zid().to_string());
+        let notices = self.session.declare_subscriber(key).with(RingChannel::new(1)).await.map_err(failed())?;
         let querier = self
             .session
             .declare_querier(keys::WEIGHTS_LATEST)
@@ -84,7 +96,8 @@ impl Bus {
         let learner = Arc::new(querier);
         let learner_there = Matching::of_querier(learner.clone()).await?;
         let (sender, weights) = watch::channel(None);
-        let puller = Puller { learner, learner_there, notices, counters: self.counters.clone(), held: None, sender };
+        let counters = self.counters.clone();
+        let puller = Puller { learner, learner_there, notices, counters, held: None, keep, sender };
         Ok(WeightsSubscriber { weights, _worker: OwnedTask::spawn(puller.run()), _open: self.clone() })
     }
 }
@@ -106,25 +119,26 @@ impl WeightsPublisher {
     }
 }
 
-impl WeightsSubscriber {
+impl<T> WeightsSubscriber<T> {
     /// The newest weights that could be got, `None` before the first.
-    pub fn watch(&self) -> watch::Receiver<Option<Arc<Weights>>> {
+    pub fn watch(&self) -> watch::Receiver<Option<Arc<T>>> {
         self.weights.clone()
     }
 }
 
 /// Pulls in the background.
-struct Puller {
+struct Puller<T> {
     learner: Arc<Querier<'static>>,
     learner_there: Matching,
     notices: Subscriber<RingChannelHandler<Sample>>,
     counters: Arc<BusCounters>,
     /// What the held weights are called in a notice.
     held: Option<WeightsNotice>,
-    sender: watch::Sender<Option<Arc<Weights>>>,
+    keep: fn(Weights) -> T,
+    sender: watch::Sender<Option<Arc<T>>>,
 }
 
-impl Puller {
+impl<T: Send + Sync + 'static> Puller<T> {
     async fn run(mut self) {
         let mut learner_there = self.learner_there.watch();
         let mut wanted = *learner_there.borrow_and_update();
@@ -175,7 +189,7 @@ impl Puller {
                 let pulled = Some(WeightsNotice { epoch, version: weights.version });
                 if self.held != pulled {
                     self.held = pulled;
-                    self.sender.send_replace(Some(Arc::new(weights)));
+                    self.sender.send_replace(Some(Arc::new((self.keep)(weights))));
                 }
             }
             Err(error) => {

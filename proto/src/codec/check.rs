@@ -4,7 +4,8 @@ use blueprints::{BlockIdx, BlueprintId};
 
 use super::DecodeError;
 
-/// No coordinate, velocity, reward or log-probability of a sane world comes near this.
+/// No coordinate, velocity or parameter of a sane world or network comes near this: sums of products of a few thousand
+/// numbers below it are far from the largest f32, and a network that has learned something has parameters below 100.
 const LARGEST_MAGNITUDE: f32 = 1e6;
 
 /// How far a quaternion's norm may be from 1: much more than f32 rounding, much less than a visible distortion.

@@ -28,6 +28,9 @@ pub enum Refusal {
     /// The message breaks the rule that the text names; sending it again is pointless.
     #[error("invalid: {0}")]
     Invalid(String),
+    /// Another live process has the actor's name and was first.
+    #[error("another live actor has this name")]
+    NameTaken,
 }
 
 /// A refusal as it travels.
@@ -59,6 +62,7 @@ pub fn encode_refused(refused: &Refused) -> Vec<u8> {
     let (reason, detail) = match &refused.refusal {
         Refusal::Stale => (wire::RefusalReason::Stale, String::new()),
         Refusal::Full => (wire::RefusalReason::Full, String::new()),
+        Refusal::NameTaken => (wire::RefusalReason::NameTaken, String::new()),
         Refusal::Invalid(detail) => (wire::RefusalReason::Invalid, detail.chars().take(MAX_DETAIL_CHARS).collect()),
     };
     wire::Refusal {
@@ -81,6 +85,7 @@ pub fn decode_refused(bytes: &[u8]) -> Result<Refused, DecodeError> {
         Ok(wire::RefusalReason::Stale) => Refusal::Stale,
         Ok(wire::RefusalReason::Full) => Refusal::Full,
         Ok(wire::RefusalReason::Invalid) => Refusal::Invalid(refusal.detail),
+        Ok(wire::RefusalReason::NameTaken) => Refusal::NameTaken,
         Ok(wire::RefusalReason::Unspecified) | Err(_) => {
             return Err(invalid("refusal.reason", refusal.reason, "a known reason"));
         }

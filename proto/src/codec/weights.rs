@@ -86,9 +86,7 @@ pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeigh
     if !(1..=MAX_PARAMETERS).contains(&n_parameters) {
         return Err(invalid("parameters", format!("{n_parameters} values"), "1 to 16777216 values"));
     }
-    if let Some(parameter) = message.parameters.iter().find(|p| !p.is_finite()) {
-        return Err(invalid("parameters", parameter, "finite numbers"));
-    }
+    message.parameters.iter().try_for_each(|&parameter| number("parameters", parameter).map(drop))?;
     let weights = Weights {
         version: WeightsVersion(message.version),
         n_env_steps: message.n_env_steps,

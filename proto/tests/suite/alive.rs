@@ -1,10 +1,11 @@
 //! Who is there.
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
 use proto::Role;
 
-use crate::cluster::{Cluster, until};
+use crate::cluster::{Cluster, until, within};
 
 fn names(names: &[&str]) -> BTreeSet<String> {
     names.iter().map(|&name| name.to_owned()).collect()
@@ -36,6 +37,29 @@ async fn a_process_sees_its_own_parts() {
     let _token = cluster.router.declare_alive(Role::Evaluator, "e").await.unwrap();
     let watch = cluster.router.alive(Role::Evaluator).await.unwrap();
     until("the evaluator", &mut watch.watch(), |a| *a == names(&["e"])).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_one_of_a_name_waits_and_then_says_whose_it_is() {
+    let cluster = Cluster::start().await;
+    let (first, second) = (cluster.client().await, cluster.client().await);
+    let watch = second.alive(Role::Actor).await.unwrap();
+    let token = first.declare_alive_alone(Role::Actor, "a", Duration::ZERO).await.unwrap();
+    // What it declares takes a moment to the router.
+    until("the first", &mut watch.watch(), |alive| *alive == names(&["a"])).await;
+    let error = second.declare_alive_alone(Role::Actor, "a", Duration::ZERO).await.unwrap_err().to_string();
+    assert_eq!(error, r#"another live actor of this run is called "a"; choose another --id"#);
+    // The same name in another role, and another name.
+    let _learner = second.declare_alive_alone(Role::Learner, "a", Duration::ZERO).await.unwrap();
+    let _other = second.declare_alive_alone(Role::Actor, "b", Duration::ZERO).await.unwrap();
+    // One that waits comes through when the first has gone.
+    let waiting = tokio::spawn({
+        let second = second.clone();
+        async move { second.declare_alive_alone(Role::Actor, "a", Duration::from_secs(60)).await }
+    });
+    tokio::task::yield_now().await;
+    drop(token);
+    let _token = within("the name", waiting).await.unwrap().unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

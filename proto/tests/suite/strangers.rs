@@ -62,7 +62,7 @@ async fn false_notices_and_weights_are_ignored() {
     let mut weights = subscriber.watch();
     within("a pull", answers.recv()).await.unwrap();
 
-    let notices = stranger.declare_publisher("lodestone/default/weights/version").await.unwrap();
+    let notices = stranger.declare_publisher("lodestone/default/weights/version/*").await.unwrap();
     let matching = notices.matching_listener().await.unwrap();
     while !notices.matching_status().await.unwrap().matching() {
         within("a subscriber", matching.recv_async()).await.unwrap();

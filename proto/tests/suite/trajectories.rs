@@ -3,9 +3,9 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use proto::bus::{Bus, BusConfig, SendError, TrajectorySender};
-use proto::{Ack, ActorId, Refusal, WeightsVersion};
+use proto::{Ack, ActorId, Refusal, Role, WeightsVersion};
 
-use crate::cluster::{Cluster, Learner, within};
+use crate::cluster::{Cluster, Learner, until, within};
 use crate::samples;
 
 pub(crate) async fn sender(bus: &Bus, actor: &str) -> TrajectorySender {
@@ -104,6 +104,33 @@ async fn a_retry_is_taken_once() {
     assert_eq!(learner.seqs(), [7, 7]);
     let counts = learner.server.counts();
     assert_eq!((counts.accepted_total, counts.duplicates_total, counts.full_total), (2, 2, 1));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_live_ones_of_a_name_the_first_is_taken() {
+    let cluster = Cluster::start().await;
+    let bus = cluster.client().await;
+    let watch = bus.alive(Role::Actor).await.unwrap();
+    let learner = Learner::start(&bus, |_| Ok(())).await;
+    let (first, second) = (cluster.client().await, cluster.client().await);
+    let token = first.declare_alive(Role::Actor, "a").await.unwrap();
+    until("the first", &mut watch.watch(), |alive| alive.contains("a")).await;
+    let senders = [sender(&first, "a").await, sender(&second, "a").await];
+    let of = |seq, epoch| proto::Trajectory { epoch, ..samples::running("a", seq) };
+    within("an ack", senders[0].send(&of(0, 1))).await.unwrap();
+    let answer = within("a refusal", senders[1].send(&of(0, 2))).await;
+    assert!(matches!(answer, Err(SendError::Refused(Refusal::NameTaken))), "{answer:?}");
+    within("an ack", senders[0].send(&of(1, 1))).await.unwrap();
+    // A process that was started anew under the name, after the token has gone.
+    drop(token);
+    until("nobody", &mut watch.watch(), |alive| alive.is_empty()).await;
+    let _token = second.declare_alive(Role::Actor, "a").await.unwrap();
+    until("the second", &mut watch.watch(), |alive| alive.contains("a")).await;
+    within("an ack", senders[1].send(&of(0, 2))).await.unwrap();
+    let answer = within("a refusal", senders[0].send(&of(2, 1))).await;
+    assert!(matches!(answer, Err(SendError::Refused(Refusal::NameTaken))), "{answer:?}");
+    let counts = learner.server.counts();
+    assert_eq!((counts.received_total, counts.accepted_total, counts.name_taken_total), (5, 3, 2));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -46,6 +46,7 @@ fn the_bytes_are_those_committed() {
         line("refusal-stale", refused(Refusal::Stale), encode_refused, decode_refused),
         line("refusal-full", refused(Refusal::Full), encode_refused, decode_refused),
         line("refusal-invalid", invalid, encode_refused, decode_refused),
+        line("refusal-name-taken", refused(Refusal::NameTaken), encode_refused, decode_refused),
     ];
     let now = lines.concat();
     assert!(now == GOLDEN, "the bytes differ from tests/golden/v1.txt, they are now\n{now}");

@@ -150,7 +150,8 @@ fn the_weights_must_be_usable() {
         assert_eq!(decode_weights(&encode_weights(&weights, 1)).unwrap_err().to_string(), message);
     }
     check(|w| w.parameters.clear(), "parameters is 0 values, expected 1 to 16777216 values");
-    check(|w| w.parameters[2] = f32::NEG_INFINITY, "parameters is -inf, expected finite numbers");
+    check(|w| w.parameters[2] = f32::NEG_INFINITY, "parameters is -inf, expected a number in −1e6..=1e6");
+    check(|w| w.parameters[2] = 2e6, "parameters is 2000000, expected a number in −1e6..=1e6");
     check(|w| w.normalisation.feature_std[0].push(1.0), "normalisation.std is 3 values, expected as many as the means");
     check(|w| w.normalisation.feature_std[0][1] = 0.0, "normalisation.std is 0, expected a finite number above 0");
     check(|w| w.normalisation.value_std = f32::NAN, "normalisation.value_std is NaN, expected a finite number above 0");
