@@ -6,6 +6,7 @@
 
 mod brick;
 mod dice;
+mod draws;
 mod features;
 mod growth;
 mod poles;
@@ -24,6 +25,7 @@ use crate::checks::check_placements;
 use crate::error::BlueprintError;
 use crate::{Blueprint, BlueprintId, Split};
 use dice::Dice;
+pub use draws::{Draws, MAX_DRAWN_SEED};
 pub use style::{InvalidStyle, Style};
 
 /// Version of the rules, part of every id: the same id names the same structure for ever, so a change in what the
@@ -161,8 +163,8 @@ pub fn from_id(id: &BlueprintId) -> Option<Result<Blueprint, GenerateError>> {
     Request::from_id(id).map(|request| generate(&request))
 }
 
-/// Structures that are kept, of a few kilobytes each: more than the episodes that a process has in hand.
-const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
+/// Structures that are kept by [`made`], of a few kilobytes each: more than the episodes that a process has in hand.
+pub const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
 
 /// Like [`from_id`], of one that was made lately a copy; `None` also if the request comes to nothing.
 pub fn made(id: &BlueprintId) -> Option<Blueprint> {

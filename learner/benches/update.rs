@@ -32,6 +32,7 @@ fn main() {
         policy: PolicyConfig::default(),
         catalogue: Arc::new(Catalogue::builtin().clone()),
         tasks: vec![id.clone()],
+        generated: None,
         seed: 0,
         device: DeviceKind::Cpu,
     };

@@ -10,9 +10,10 @@
 //! - `state.json`: the rest, and the length and FNV-1a hash of each of the files above.
 //!
 //! It is written under a temporary name, flushed to the disk and renamed, so that a folder of that name is whole. What
-//! was cut short all the same (a full disk, a copy that broke off) is told by the lengths and hashes.
+//! was cut short all the same (a copy that broke off) is told by the lengths and hashes. A write that fails, as on a full disk,
+//! leaves nothing behind; what a process left that was killed in the midst is cleaned up by the next.
 
-mod files;
+pub(crate) mod files;
 pub(crate) mod tensors;
 
 use std::fs;
@@ -28,6 +29,9 @@ use crate::adam::Adam;
 use crate::state::LearnerState;
 use files::FileInfo;
 pub use tensors::ParameterInfo;
+
+/// Writes a new file of a folder for good.
+pub(crate) type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str, &[u8]) -> Result<FileInfo, CheckpointError>;
 
 const PARAMETERS: &str = "parameters.safetensors";
 const ADAM: &str = "adam.safetensors";
@@ -115,13 +119,32 @@ impl Checkpoint {
     /// Writes the folder `step-<n>` below `dir` and returns its path; one of that name is replaced.
     ///
     /// # Errors
-    /// When the file system refuses; an older checkpoint of the same name is then still there.
+    /// When the file system refuses; what was written so far is then gone, and an older checkpoint of the same name still there.
     pub fn write(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
-        let path = dir.join(format!("step-{}", self.state.n_env_steps));
-        let temporary = dir.join(format!(".new-{}", self.state.n_env_steps));
+        self.write_with(dir, &mut files::write)
+    }
+
+    /// As [`Checkpoint::write`], each file by `write`.
+    pub(crate) fn write_with(&self, dir: &Path, write: WriteFile<'_>) -> Result<PathBuf, CheckpointError> {
+        let path = dir.join(format!("{}{}", files::STEP, self.state.n_env_steps));
+        let temporary = dir.join(format!("{}{}", files::NEW, self.state.n_env_steps));
         fs::create_dir_all(dir).map_err(io("creating", dir))?;
         files::remove(&temporary)?;
-        fs::create_dir(&temporary).map_err(io("creating", &temporary))?;
+        let written = self.write_files(&temporary, write).and_then(|()| files::replace(&temporary, &path));
+        if written.is_err()
+            && let Err(error) = files::remove(&temporary)
+        {
+            // The first error says more; the next start tries again.
+            tracing::warn!(%error, "a checkpoint that was cut short stays on the disk");
+        }
+        written?;
+        files::sync_folder(dir)?;
+        Ok(path)
+    }
+
+    /// Makes the folder with all files of the checkpoint.
+    fn write_files(&self, temporary: &Path, write: WriteFile<'_>) -> Result<(), CheckpointError> {
+        fs::create_dir(temporary).map_err(io("creating", temporary))?;
         let mut files = Vec::new();
         let mut contents = vec![
             (PARAMETERS, tensors::write(&self.table, &[("", &self.parameters)], None)?),
@@ -136,7 +159,7 @@ impl Checkpoint {
             contents.push((REPLAY, pack(self.replay.iter().map(Arc::as_ref))));
         }
         for (name, bytes) in contents {
-            files.push(files::write(&temporary, name, &bytes)?);
+            files.push(write(temporary, name, &bytes)?);
         }
         let state = StateFile {
             format_version: FORMAT_VERSION,
@@ -145,11 +168,8 @@ impl Checkpoint {
             adam_steps: self.adam.n_steps,
             state: self.state.clone(),
         };
-        files::write(&temporary, STATE, &json(&state)?)?;
-        files::sync_folder(&temporary)?;
-        files::replace(&temporary, &path)?;
-        files::sync_folder(dir)?;
-        Ok(path)
+        write(temporary, STATE, &json(&state)?)?;
+        files::sync_folder(temporary)
     }
 
     /// Reads the folder `path` as [`Checkpoint::write`] left it.
@@ -207,17 +227,32 @@ impl Checkpoint {
     }
 }
 
+/// Whether there is a checkpoint below `dir`, whole or not.
+pub fn exists(dir: &Path) -> bool {
+    files::steps(dir).is_ok_and(|steps| !steps.is_empty())
+}
+
 /// Removes all but the `keep` newest checkpoints below `dir`, and what an interrupted write left.
 ///
 /// # Errors
 /// When the file system refuses.
 pub fn prune(dir: &Path, keep: usize) -> Result<(), CheckpointError> {
+    clean(dir)?;
     let steps = files::steps(dir)?;
     let n_old = steps.len().saturating_sub(keep);
-    for path in steps.into_values().take(n_old).chain(files::leftovers(dir)?) {
-        files::remove(&path)?;
-    }
-    Ok(())
+    steps.into_values().take(n_old).try_for_each(|path| files::remove(&path))
+}
+
+/// Removes what an interrupted write left below `dir`, and puts a checkpoint back that was to be replaced when that was
+/// interrupted. Nobody may be writing there.
+///
+/// # Errors
+/// When the file system refuses.
+pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
+    files::leftovers(dir)?.into_iter().try_for_each(|leftover| match leftover.replaced {
+        Some(path) if !path.exists() => fs::rename(&leftover.path, &path).map_err(io("renaming", &leftover.path)),
+        _ => files::remove(&leftover.path),
+    })
 }
 
 /// For `map_err`: says what was being done when the file system refused.

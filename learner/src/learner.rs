@@ -1,9 +1,10 @@
 //! The learner without any I/O: trajectories in, weights out.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use blueprints::generator::{Draws, MADE_CAPACITY};
 use blueprints::{BlueprintId, Catalogue};
 use policy::PolicyConfig;
 use policy::device::{DeviceError, DeviceKind};
@@ -13,6 +14,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::adam::LearningRate;
+use crate::admission::Admission;
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
 use crate::config::{LearnerConfig, LearnerConfigError};
@@ -32,10 +34,12 @@ pub struct LearnerSetup {
     pub config: LearnerConfig,
     /// The policy that all services share.
     pub policy: PolicyConfig,
-    /// All blueprints that trajectories may name.
+    /// All blueprints that there are; trajectories may name those of the training split.
     pub catalogue: Arc<Catalogue>,
     /// Blueprints to train on, known to the catalogue.
     pub tasks: Vec<BlueprintId>,
+    /// Structures of the generator that actors draw as goals besides, if any.
+    pub generated: Option<Draws>,
     /// Determines the untrained parameters and the order of samples.
     pub seed: u64,
     /// Where gradients are computed.
@@ -74,7 +78,14 @@ pub struct Learner {
     mailbox: Arc<Mailbox>,
     /// Labelled scenes, if there is anything to learn from them.
     replay: Option<Replay>,
+    /// Trajectories that were dropped because of their generated goals.
+    n_unmade: u64,
 }
+
+/// Blocks of the generated goals that one update makes at most, for each of its environment steps. Two grippers build a goal
+/// in no fewer steps than half its blocks, so this leaves room for every update's own; more only an actor sends that
+/// makes the learner work, since making a large one takes up to 30 ms.
+const MADE_BLOCKS_PER_STEP: usize = 2;
 
 impl Learner {
     /// An untrained learner.
@@ -105,15 +116,16 @@ impl Learner {
             mailbox: MailboxCounts::default(),
             normalisation: Normalisation { value_std: 1.0, ..Normalisation::default() },
         };
-        let known: BTreeSet<_> = setup.catalogue.iter().map(|blueprint| blueprint.id().clone()).collect();
         let n_grippers = usize::from(setup.policy.network.n_grippers);
-        let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), n_grippers, known));
+        let admission = Admission::new(&setup.catalogue, &setup.tasks, setup.generated.clone(), n_grippers);
+        let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), admission));
         let n_threads = setup.config.n_threads.unwrap_or_else(|| match setup.device {
             DeviceKind::Cpu => n_cores(),
             DeviceKind::Gpu => 1,
         });
         let replay = setup.config.imitation.as_ref().map(|imitation| Replay::new(imitation.replay.clone()));
-        Ok(Self { ppo: Ppo::new(&setup.policy, setup.seed, &device, n_threads), state, mailbox, replay, setup })
+        let ppo = Ppo::new(&setup.policy, setup.seed, &device, n_threads);
+        Ok(Self { ppo, state, mailbox, replay, n_unmade: 0, setup })
     }
 
     /// A learner that goes on where `checkpoint` was taken. The settings may have changed since, except those of the
@@ -172,7 +184,8 @@ impl Learner {
     /// One update with the oldest trajectories and, if there is a teacher, labelled scenes; `None` when there are not
     /// enough trajectories. PPO learns from those alone whose actions were sampled.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
-        let trajectories = self.mailbox.take(self.setup.config.steps_per_update);
+        let mut trajectories = self.mailbox.take(self.setup.config.steps_per_update);
+        self.drop_unmade(&mut trajectories);
         if trajectories.is_empty() {
             return None;
         }
@@ -220,7 +233,10 @@ impl Learner {
         self.state.n_env_steps += n_steps as u64;
         self.state.n_episodes += tally.n_episodes();
         self.mailbox.set_version(self.state.version);
-        Some(UpdateMetrics::new(&self.state, &batch, n_steps as u64, learned, tally.metrics(), &self.mailbox))
+        let mut metrics =
+            UpdateMetrics::new(&self.state, &batch, n_steps as u64, learned, tally.metrics(), &self.mailbox);
+        metrics.unmade_total = self.n_unmade;
+        Some(metrics)
     }
 
     /// The newest weights.
@@ -264,6 +280,33 @@ impl Learner {
     /// When the file system refuses.
     pub fn save(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
         self.checkpoint().write(dir)
+    }
+
+    /// Makes the generated goals and drops the trajectories of those that are held out, that come to nothing, or that are
+    /// too many. Only here, of what has passed every other check and away from the bus, does a goal cost anything.
+    fn drop_unmade(&mut self, trajectories: &mut Vec<Trajectory>) {
+        let catalogue = &self.setup.catalogue;
+        let mut n_blocks_left = MADE_BLOCKS_PER_STEP * self.setup.config.steps_per_update;
+        let mut verdicts: BTreeMap<BlueprintId, bool> = BTreeMap::new();
+        let n_before = trajectories.len();
+        trajectories.retain(|trajectory| {
+            let goal = &trajectory.task.blueprint;
+            if catalogue.get(goal).is_some() {
+                return true;
+            }
+            if let Some(&verdict) = verdicts.get(goal) {
+                return verdict;
+            }
+            // Those made before are counted too, so that equal trajectories are dropped alike in a run that was resumed.
+            if n_blocks_left < goal.size() || verdicts.len() >= MADE_CAPACITY.get() {
+                return false;
+            }
+            n_blocks_left -= goal.size();
+            let verdict = catalogue.find(goal).is_some_and(|made| catalogue.is_for_training(&made));
+            verdicts.insert(goal.clone(), verdict);
+            verdict
+        });
+        self.n_unmade += (n_before - trajectories.len()) as u64;
     }
 
     fn table(&self) -> Vec<ParameterInfo> {

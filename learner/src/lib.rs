@@ -1,12 +1,13 @@
 //! Trajectories in, weights out: PPO with everything it needs to run for days.
 //!
-//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalisation`], [`curriculum`] → [`mailbox`] →
+//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalisation`], [`curriculum`] → [`admission`], [`mailbox`] →
 //! [`batch`] and [`replay`] → [`learner`] (the synchronous whole) → [`checkpoint`], [`model`] → [`mod@run`] (the service on
-//! the bus).
+//! the bus). [`sink`] measures the bus with a learner that computes nothing.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod adam;
+pub mod admission;
 pub mod batch;
 pub mod checkpoint;
 pub mod config;
@@ -24,10 +25,12 @@ pub mod normalisation;
 mod ppo;
 pub mod replay;
 pub mod run;
+pub mod sink;
 pub mod state;
 #[cfg(test)]
 mod tests;
 
+pub use admission::Admission;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::{LearnerConfig, LearnerConfigError};
 pub use learner::{Learner, LearnerError, LearnerSetup};

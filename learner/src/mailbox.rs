@@ -1,14 +1,13 @@
 //! The bounded inbox between the bus and the updates: what does not fit or is too old is refused and counted.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use blueprints::BlueprintId;
-use blueprints::generator::Request;
-use proto::{Refusal, Status, Trajectory, WeightsVersion};
+use proto::{Refusal, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
+use crate::admission::Admission;
 use crate::config::MailboxConfig;
 
 /// A bounded queue of trajectories, shared by the bus (which pushes) and the learner (which takes).
@@ -17,8 +16,7 @@ use crate::config::MailboxConfig;
 #[derive(Debug)]
 pub struct Mailbox {
     config: MailboxConfig,
-    n_grippers: usize,
-    known: BTreeSet<BlueprintId>,
+    admission: Admission,
     state: Mutex<State>,
     arrived: Condvar,
 }
@@ -34,7 +32,7 @@ pub struct MailboxCounts {
     pub stale_total: u64,
     /// Refused: no room.
     pub full_total: u64,
-    /// Refused: unknown blueprint, wrong number of grippers, or a diverged episode.
+    /// Refused: a rule of the [`Admission`] was broken.
     pub invalid_total: u64,
     /// Dropped after acceptance: too old when their turn came.
     pub expired_total: u64,
@@ -46,13 +44,13 @@ struct State {
     n_steps: usize,
     version: WeightsVersion,
     counts: MailboxCounts,
+    is_closed: bool,
 }
 
 impl Mailbox {
-    /// An empty mailbox for weights version 0 that accepts trajectories of the blueprints `known` and of generated ones,
-    /// acted with `n_grippers` grippers.
-    pub fn new(config: MailboxConfig, n_grippers: usize, known: BTreeSet<BlueprintId>) -> Self {
-        Self { config, n_grippers, known, state: Mutex::default(), arrived: Condvar::new() }
+    /// An empty mailbox for weights version 0 that accepts what `admission` admits.
+    pub fn new(config: MailboxConfig, admission: Admission) -> Self {
+        Self { config, admission, state: Mutex::default(), arrived: Condvar::new() }
     }
 
     /// Puts a trajectory in the queue.
@@ -61,7 +59,7 @@ impl Mailbox {
     /// `Stale` when it is more than `max_policy_lag` versions old, `Full` when as many steps wait as may, `Invalid` when
     /// this learner cannot use it at all.
     pub fn push(&self, trajectory: Trajectory) -> Result<(), Refusal> {
-        let verdict = self.check(&trajectory);
+        let verdict = self.admission.check(&trajectory);
         let mut state = self.lock();
         if let Err(reason) = verdict {
             state.counts.invalid_total += 1;
@@ -72,7 +70,7 @@ impl Mailbox {
             return Err(Refusal::Stale);
         }
         // The last one may exceed the capacity: otherwise one that does not quite fit would keep an update waiting for ever.
-        if state.n_steps >= self.config.capacity_steps {
+        if state.is_closed || state.n_steps >= self.config.capacity_steps {
             state.counts.full_total += 1;
             return Err(Refusal::Full);
         }
@@ -81,6 +79,11 @@ impl Mailbox {
         state.waiting.push_back(trajectory);
         self.arrived.notify_all();
         Ok(())
+    }
+
+    /// Refuses everything from now on as if it were full, so that nothing is acknowledged that the last checkpoint lacks.
+    pub fn close(&self) {
+        self.lock().is_closed = true;
     }
 
     /// Takes the oldest trajectories until they hold `n_steps` steps; empty when there are not that many.
@@ -135,27 +138,7 @@ impl Mailbox {
     /// Puts back what a checkpoint holds.
     pub(crate) fn restore(&self, version: WeightsVersion, counts: MailboxCounts, waiting: Vec<Trajectory>) {
         let n_steps = waiting.iter().map(|t| t.transitions.len()).sum();
-        *self.lock() = State { waiting: waiting.into(), n_steps, version, counts };
-    }
-
-    fn check(&self, trajectory: &Trajectory) -> Result<(), String> {
-        let id = &trajectory.task.blueprint;
-        if !self.known.contains(id) && Request::from_id(id).is_none() {
-            return Err(format!("blueprint {id} is not in the learner's catalogue"));
-        }
-        if trajectory.status == Status::Diverged {
-            return Err("the episode diverged".to_owned());
-        }
-        if trajectory.transitions.is_empty() {
-            return Err("a trajectory has at least one step".to_owned());
-        }
-        for (t, transition) in trajectory.transitions.iter().enumerate() {
-            let n_grippers = transition.action.choices.iter().flatten().count();
-            if n_grippers != self.n_grippers {
-                return Err(format!("step {t} uses {n_grippers} grippers, the network has {}", self.n_grippers));
-            }
-        }
-        Ok(())
+        *self.lock() = State { waiting: waiting.into(), n_steps, version, counts, is_closed: false };
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -172,12 +155,24 @@ pub fn policy_lag(newest: WeightsVersion, trajectory: &Trajectory) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use blueprints::{BlueprintId, Catalogue};
+    use proto::Status;
+
     use super::*;
-    use crate::fixtures::{blueprint_id, trajectory};
+    use crate::fixtures::trajectory;
 
     fn mailbox(capacity_steps: usize) -> Mailbox {
         let config = MailboxConfig { capacity_steps, max_policy_lag: 2 };
-        Mailbox::new(config, 2, BTreeSet::from([blueprint_id()]))
+        Mailbox::new(config, Admission::new(Catalogue::builtin(), &[], None, 2))
+    }
+
+    #[test]
+    fn a_closed_mailbox_keeps_what_it_has_and_takes_no_more() {
+        let mailbox = mailbox(100);
+        mailbox.push(trajectory(2, 5)).unwrap();
+        mailbox.close();
+        assert_eq!(mailbox.push(trajectory(2, 5)), Err(Refusal::Full));
+        assert_eq!((mailbox.snapshot().1.len(), mailbox.counts().full_total), (1, 1));
     }
 
     #[test]

@@ -32,6 +32,8 @@ pub struct UpdateMetrics {
     pub n_mailbox: u64,
     /// What became of the trajectories so far.
     pub mailbox: MailboxCounts,
+    /// Trajectories that were dropped because of their generated goals, since the start of the process.
+    pub unmade_total: u64,
     /// Environment steps of this update.
     pub n_steps: u64,
     /// Numbers of the PPO update.
@@ -65,6 +67,7 @@ impl UpdateMetrics {
             policy_lag_histogram: histogram,
             n_mailbox: mailbox.n_steps() as u64,
             mailbox: mailbox.counts(),
+            unmade_total: 0,
             n_steps,
             ppo,
             imitation,

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use proto::bus::{Bus, BusCounts, IngestCounts, WeightsPublisher};
+use proto::bus::{Bus, BusCounts, IngestCounts, Pulse, WeightsPublisher};
 use proto::metrics::{LearnerMetrics, METRICS_SCHEMA_VERSION};
 use proto::tensorboard::{self, EventWriter};
 use proto::{Role, Trajectory, Weights, WeightsVersion, keys};
@@ -26,6 +26,10 @@ pub const METRICS: &str = "metrics.jsonl";
 
 /// Metrics that TensorBoard is not told: no measure of anything, or one curve for each blueprint.
 const UNPLOTTED: [&str; 3] = ["schema_version", "task_probabilities", "success_by_blueprint"];
+
+/// How long a learner waits for another one to go: a process that was killed seems to live for up to 6 s, and one that takes its
+/// place must come through.
+const NAME_PATIENCE: Duration = Duration::from_secs(15);
 
 /// How long the updating thread waits for trajectories before it looks whether it should stop.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -84,10 +88,12 @@ pub async fn run(
     shutdown: CancellationToken,
 ) -> anyhow::Result<LearnerReport> {
     fs::create_dir_all(&options.run_dir).with_context(|| format!("creating {}", options.run_dir.display()))?;
-    let (setup, resume) = (options.setup.clone(), options.resume.clone());
-    let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref())).await??;
+    // Before anything is cleaned up, which may be what the other is writing.
+    let _alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_PATIENCE).await?;
+    let (setup, resume, checkpoints) =
+        (options.setup.clone(), options.resume.clone(), options.run_dir.join(CHECKPOINTS));
+    let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref(), &checkpoints)).await??;
 
-    let _alive = bus.declare_alive(Role::Learner, "learner").await?;
     let publisher = bus.weights_publisher().await?;
     let metrics = bus.metrics_publisher(keys::METRICS_LEARNER).await?;
     let (version, current_version) = watch::channel(learner.version());
@@ -107,6 +113,7 @@ pub async fn run(
         counts: Box::new(move || (counted.counts(), session.counts())),
         news,
         shutdown,
+        pulse: bus.pulse().clone(),
         start: Instant::now(),
     };
     // A thread of its own, because an update computes for seconds and tokio's workers must stay free for the bus.
@@ -139,8 +146,10 @@ async fn publish(
     Ok(())
 }
 
-/// A new learner, or one that goes on from the newest whole checkpoint of `resume`.
-fn start(setup: LearnerSetup, resume: Option<&Path>) -> anyhow::Result<Learner> {
+/// A new learner, or one that goes on from the newest whole checkpoint of `resume`. In `checkpoints` nothing stays that a
+/// process left which was killed while it wrote.
+fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyhow::Result<Learner> {
+    checkpoint::clean(checkpoints)?;
     let Some(path) = resume else { return Ok(Learner::new(setup)?) };
     let inside = path.join(CHECKPOINTS);
     let found = Checkpoint::read_latest(if inside.is_dir() { &inside } else { path })
@@ -172,6 +181,7 @@ struct Worker {
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
     news: mpsc::Sender<News>,
     shutdown: CancellationToken,
+    pulse: Pulse,
     start: Instant,
 }
 
@@ -194,6 +204,7 @@ impl Worker {
         // A closed channel means that the session failed; the run then ends with a checkpoint like any other.
         let mut open = self.tell(None);
         while open && !self.is_over() {
+            self.pulse.beat();
             let enough = match &mut self.feed {
                 None => mailbox.wait(settings.steps_per_update, PATIENCE),
                 Some(_) if self.learner.ready() => true,
@@ -226,7 +237,9 @@ impl Worker {
                 }
             }
         }
-        let checkpoint = self.save(&checkpoints)?;
+        // What is acknowledged after the checkpoint was written would be lost.
+        mailbox.close();
+        let checkpoint = self.save(&checkpoints).map_err(|error| self.lost(error, &checkpoints))?;
         let weights_version = self.learner.version();
         Ok(LearnerReport {
             weights_version,
@@ -248,9 +261,22 @@ impl Worker {
 
     fn save(&self, checkpoints: &Path) -> Result<PathBuf, checkpoint::CheckpointError> {
         let path = self.learner.save(checkpoints)?;
-        checkpoint::prune(checkpoints, self.options.setup.config.checkpoints.keep)?;
+        if let Err(error) = checkpoint::prune(checkpoints, self.options.setup.config.checkpoints.keep) {
+            tracing::warn!(%error, "older checkpoints were not removed");
+        }
         tracing::info!(path = %path.display(), "saved");
         Ok(path)
+    }
+
+    /// Says with which loss the run ends that could not save in the end.
+    fn lost(&self, error: checkpoint::CheckpointError, checkpoints: &Path) -> anyhow::Error {
+        let newest = match Checkpoint::read_latest(checkpoints) {
+            Ok(found) => format!("the newest whole one is {}", found.path.display()),
+            Err(_) => format!("there is no whole one in {}", checkpoints.display()),
+        };
+        let (n_env_steps, version) = (self.learner.n_env_steps(), self.learner.version().0);
+        let lost = format!("the last checkpoint, of {n_env_steps} environment steps and weights {version}, is lost");
+        anyhow::Error::new(error).context(format!("{lost}; {newest}"))
     }
 
     fn write(&mut self, metrics: &LearnerMetrics) -> anyhow::Result<()> {
@@ -278,6 +304,7 @@ impl Worker {
             policy_lag_histogram: update.policy_lag_histogram.clone(),
             n_mailbox: update.n_mailbox,
             expired_total: update.mailbox.expired_total,
+            unmade_total: update.unmade_total,
             ppo: update.ppo,
             imitation: update.imitation,
             episodes: update.episodes.clone(),

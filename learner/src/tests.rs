@@ -1,5 +1,6 @@
 //! The learner as a whole, on synthetic trajectories.
 
 mod checkpoints;
+mod goals;
 mod learning;
 mod service;

@@ -48,17 +48,18 @@ impl<'a> ActionDistribution<'a> {
         Self { logits, locs, scales, form }
     }
 
-    /// Draws blocks and the moves of all 16 blocks; always the same number of random numbers, whatever is chosen.
-    pub fn sample(&self, rng: &mut ChaCha8Rng) -> Action {
+    /// Draws blocks and the moves of all 16 blocks; always the same number of random numbers, whatever is chosen. `None` if
+    /// the logits of a gripper are no distribution, because one of them is not finite.
+    pub fn sample(&self, rng: &mut ChaCha8Rng) -> Option<Action> {
         let mut choices = [None; N_GRIPPERS];
         for (choice, logits) in choices.iter_mut().zip(self.logits.chunks_exact(N_BLOCKS)) {
-            *choice = Some(draw(&log_softmax(logits), rng.random()));
+            *choice = Some(draw(&log_softmax(logits), rng.random())?);
         }
         let moves = self.moves(|loc, scale| {
             let noise: f32 = StandardNormal.sample(rng);
             loc + scale * noise
         });
-        Action { choices, moves }
+        Some(Action { choices, moves })
     }
 
     /// The likeliest block of each gripper (the first of equals) and the mean moves.
@@ -162,8 +163,9 @@ fn log_softmax(logits: &[f32]) -> [f32; N_BLOCKS] {
     std::array::from_fn(|b| logits[b] - max - log_sum)
 }
 
-/// The block whose share of [0, 1) holds `u`; rounding at the top end falls to the last block with any share.
-fn draw(log_probs: &[f32; N_BLOCKS], u: f32) -> BlockIdx {
+/// The block whose share of [0, 1) holds `u`; rounding at the top end falls to the last block with any share. `None` if no
+/// block has any.
+fn draw(log_probs: &[f32; N_BLOCKS], u: f32) -> Option<BlockIdx> {
     let mut below = 0.0;
     let mut last = None;
     for block in BlockIdx::all() {
@@ -176,5 +178,5 @@ fn draw(log_probs: &[f32; N_BLOCKS], u: f32) -> BlockIdx {
             }
         }
     }
-    last.expect("probabilities sum to 1, so one is above 0")
+    last
 }

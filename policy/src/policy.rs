@@ -1,6 +1,7 @@
 //! Inference: the newest weights, folded once, applied to batches of scenes.
 
 mod attention;
+mod trial;
 
 use burn::tensor::{Device, Tensor};
 use proto::{Action, Normalisation, Weights, WeightsVersion};
@@ -81,7 +82,36 @@ pub enum PolicyError {
         /// The value.
         value: f32,
     },
+    /// A forward pass gave numbers that are no distribution over actions, or no value: the parameters are finite but so
+    /// large that sums overflow.
+    #[error("weights {version:?} give {output} = {value} for a scene, must be a number in −1e6..=1e6")]
+    NoDistribution {
+        /// Version of the weights; `None` for untrained parameters.
+        version: Option<WeightsVersion>,
+        /// Which output of the network.
+        output: &'static str,
+        /// The value.
+        value: f32,
+    },
 }
+
+impl PolicyError {
+    /// Whether these weights alone are at fault: a process goes on with those that it had and may be sent better ones.
+    /// What belongs to another network, or a configuration that is not valid, does not get better by waiting.
+    pub fn is_of_weights(&self) -> bool {
+        match self {
+            Self::Config(_) | Self::OtherNetwork { .. } => false,
+            Self::Parameters { .. }
+            | Self::NormalisationLength { .. }
+            | Self::NormalisationValue { .. }
+            | Self::NoDistribution { .. } => true,
+        }
+    }
+}
+
+/// Largest magnitude of an output that is taken for a number: what is beyond could not be sent in a trajectory, and is far
+/// from what any network says that has learned something.
+const LARGEST_OUTPUT: f32 = 1e6;
 
 /// A frozen policy on the CPU.
 #[derive(Debug)]
@@ -123,10 +153,10 @@ impl Policy {
         FeatureBatch::new(&self.config.features)
     }
 
-    /// Takes over new weights; on an error the old ones stay.
+    /// Takes over new weights, after a forward pass on a scene; on an error the old ones stay.
     ///
     /// # Errors
-    /// When the weights are of another network, of the wrong length, or not finite.
+    /// When the weights are of another network, of the wrong length, not finite, or so large that they give no distribution.
     pub fn load(&mut self, weights: &Weights) -> Result<(), PolicyError> {
         let version = weights.version;
         let expected = self.config.hash();
@@ -136,10 +166,16 @@ impl Policy {
         self.check_normalisation(weights)?;
         let network = parameters::load(self.network.clone(), &weights.parameters)
             .map_err(|source| PolicyError::Parameters { version, source })?;
-        self.folded = network.fold();
-        self.network = network;
-        self.normalisation = weights.normalisation.clone();
-        self.version = Some(version);
+        let tried = Self {
+            config: self.config.clone(),
+            folded: network.fold(),
+            network,
+            normalisation: weights.normalisation.clone(),
+            version: Some(version),
+            device: self.device.clone(),
+        };
+        tried.run(&trial::batch(&self.config.features))?;
+        *self = tried;
         Ok(())
     }
 
@@ -147,19 +183,35 @@ impl Policy {
     ///
     /// `rngs` holds one generator per scene; they are not touched in [`ActionMode::Mode`].
     ///
+    /// # Errors
+    /// [`PolicyError::NoDistribution`] if there is none for one of the scenes; nothing is decided then.
+    ///
     /// # Panics
     /// When there are not as many generators as scenes, or the batch has other feature sizes.
-    pub fn act(&self, batch: &FeatureBatch, rngs: &mut [ChaCha8Rng], mode: ActionMode) -> Vec<Decision> {
+    pub fn act(
+        &self,
+        batch: &FeatureBatch,
+        rngs: &mut [ChaCha8Rng],
+        mode: ActionMode,
+    ) -> Result<Vec<Decision>, PolicyError> {
         self.act_each(batch, rngs, &vec![mode; batch.n])
     }
 
     /// As [`Policy::act`], with a mode for every scene.
     ///
+    /// # Errors
+    /// As for [`Policy::act`].
+    ///
     /// # Panics
     /// When there are not as many generators and modes as scenes, or the batch has other feature sizes.
-    pub fn act_each(&self, batch: &FeatureBatch, rngs: &mut [ChaCha8Rng], modes: &[ActionMode]) -> Vec<Decision> {
+    pub fn act_each(
+        &self,
+        batch: &FeatureBatch,
+        rngs: &mut [ChaCha8Rng],
+        modes: &[ActionMode],
+    ) -> Result<Vec<Decision>, PolicyError> {
         assert_eq!((rngs.len(), modes.len()), (batch.n, batch.n), "one generator and one mode per scene");
-        let mut output = self.run(batch);
+        let mut output = self.run(batch)?;
         let per_scene = output.logits.len() / batch.n.max(1);
         let mut decisions = Vec::with_capacity(batch.n);
         for (row, (rng, mode)) in rngs.iter_mut().zip(modes).enumerate() {
@@ -171,32 +223,55 @@ impl Policy {
             let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
             let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
             let action = match mode {
-                ActionMode::Sampled => distribution.sample(rng),
+                ActionMode::Sampled => distribution.sample(rng).ok_or(self.no_distribution("a logit", f32::NAN))?,
                 ActionMode::Mode => distribution.mode(),
             };
             let log_prob = distribution.log_prob(&action);
+            self.check("a log-probability", &[log_prob])?;
             decisions.push(Decision { action, log_prob, value: output.values[row] });
         }
-        decisions
+        Ok(decisions)
     }
 
     /// Values of all scenes of the batch, in reward units.
-    pub fn values(&self, batch: &FeatureBatch) -> Vec<f32> {
-        self.run(batch).values
+    ///
+    /// # Errors
+    /// As for [`Policy::act`].
+    pub fn values(&self, batch: &FeatureBatch) -> Result<Vec<f32>, PolicyError> {
+        Ok(self.run(batch)?.values)
     }
 
-    fn run(&self, batch: &FeatureBatch) -> RawOutput {
+    fn run(&self, batch: &FeatureBatch) -> Result<RawOutput, PolicyError> {
         if batch.n == 0 {
-            return RawOutput::default();
+            return Ok(RawOutput::default());
         }
         let output = self.network.forward_folded(&self.folded, &self.tensors(batch));
         let Normalisation { value_mean, value_std, .. } = self.normalisation;
-        RawOutput {
+        let output = RawOutput {
             locs: to_vec(output.locs),
             scales: to_vec(output.scales),
             logits: to_vec(output.logits),
             values: to_vec(output.values).into_iter().map(|v| v * value_std + value_mean).collect(),
+        };
+        for (name, numbers) in [
+            ("a logit", &output.logits),
+            ("a mean move", &output.locs),
+            ("a deviation of a move", &output.scales),
+            ("a value", &output.values),
+        ] {
+            self.check(name, numbers)?;
         }
+        Ok(output)
+    }
+
+    fn check(&self, output: &'static str, numbers: &[f32]) -> Result<(), PolicyError> {
+        // NaN is in no range.
+        let odd = numbers.iter().copied().find(|x| !(-LARGEST_OUTPUT..=LARGEST_OUTPUT).contains(x));
+        odd.map_or(Ok(()), |value| Err(self.no_distribution(output, value)))
+    }
+
+    fn no_distribution(&self, output: &'static str, value: f32) -> PolicyError {
+        PolicyError::NoDistribution { version: self.version, output, value }
     }
 
     /// The normalised features on the device.

@@ -77,10 +77,14 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
     let config = small();
     let mut policy = Policy::new(&config).unwrap();
     policy.load(&weights(&config, 1)).unwrap();
-    let before = policy.values(&batch(&config, &[1, 2]));
+    let before = policy.values(&batch(&config, &[1, 2])).unwrap();
     type Spoil = fn(&mut Weights);
-    let cases: [(Spoil, &str); 6] = [
+    let cases: [(Spoil, &str); 9] = [
         (|w| w.network_hash ^= 1, "this process runs"),
+        // Finite, but their sums are not, or not near anything that a network says.
+        (|w| w.parameters.fill(1e30), "must be a number in −1e6..=1e6"),
+        (|w| w.parameters.fill(1e6), "must be a number in −1e6..=1e6"),
+        (|w| w.normalisation.value_std = 1e38, "give a value = "),
         (|w| w.parameters.truncate(3), "do not fit"),
         (|w| w.parameters[5] = f32::NAN, "do not fit"),
         (|w| w.normalisation.feature_mean[0] = vec![0.0; 3], "of length 3, must be 0 or 10"),
@@ -93,8 +97,37 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
         let error = policy.load(&spoilt).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
         assert_eq!(policy.version(), Some(WeightsVersion(1)));
-        assert_eq!(policy.values(&batch(&config, &[1, 2])), before);
+        assert_eq!(policy.values(&batch(&config, &[1, 2])).unwrap(), before);
     }
+}
+
+#[test]
+fn a_scene_without_a_distribution_is_an_error() {
+    let config = small();
+    let mut policy = Policy::new(&config).unwrap();
+    // Global features 9..25 say which block the first gripper holds: in the scene of the trial one of the goal's.
+    let stray = BlockIdx::all().find(|block| !blueprint().contains(*block)).unwrap();
+    let mut trap = weights(&config, 1);
+    let network = Network::init(&config.network, &config.sizes(), 1, &Device::flex());
+    let mut at = 0;
+    for spec in network.table() {
+        if spec.name.ends_with("input_global.w") {
+            let row = at + (9 + stray.get()) * spec.shape[1];
+            trap.parameters[row..row + spec.shape[1]].fill(1e30);
+        }
+        at += spec.len();
+    }
+    policy.load(&trap).unwrap();
+    policy.act(&batch(&config, &[1]), &mut rngs(&[1]), ActionMode::Sampled).unwrap();
+    let mut holding = scene(1);
+    holding.grippers[0].as_mut().unwrap().held = Some(stray);
+    let mut sprung = policy.batch();
+    sprung.push(&holding, blueprint());
+    let mut generators = rngs(&[1]);
+    let error = policy.act(&sprung, &mut generators, ActionMode::Sampled).unwrap_err();
+    assert!(error.is_of_weights() && error.to_string().contains("weights Some(WeightsVersion(1)) give"), "{error}");
+    assert_eq!(generators, rngs(&[1]), "nothing was drawn");
+    assert!(policy.values(&sprung).is_err());
 }
 
 #[test]
@@ -103,17 +136,17 @@ fn a_decision_depends_on_its_own_scene_and_generator_alone() {
     let mut policy = Policy::new(&config).unwrap();
     policy.load(&weights(&config, 3)).unwrap();
     let seeds = [4, 5, 6];
-    let together = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled);
+    let together = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled).unwrap();
     for (seed, decision) in seeds.iter().zip(&together) {
-        let alone = &policy.act(&batch(&config, &[*seed]), &mut rngs(&[*seed]), ActionMode::Sampled)[0];
+        let alone = &policy.act(&batch(&config, &[*seed]), &mut rngs(&[*seed]), ActionMode::Sampled).unwrap()[0];
         assert_eq!(alone.action.choices, decision.action.choices);
         assert!((alone.log_prob - decision.log_prob).abs() < 1e-4);
         assert!((alone.value - decision.value).abs() < 1e-5);
     }
     let mut generators = rngs(&seeds);
-    policy.act(&batch(&config, &seeds), &mut generators, ActionMode::Mode);
+    policy.act(&batch(&config, &seeds), &mut generators, ActionMode::Mode).unwrap();
     assert_eq!(generators, rngs(&seeds), "the mode draws nothing");
-    assert!(policy.act(&policy.batch(), &mut [], ActionMode::Sampled).is_empty());
+    assert!(policy.act(&policy.batch(), &mut [], ActionMode::Sampled).unwrap().is_empty());
 }
 
 #[test]
@@ -121,7 +154,7 @@ fn the_mask_keeps_choices_in_the_blueprint() {
     let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
     let policy = Policy::new(&config).unwrap();
     let seeds: Vec<u64> = (0..64).collect();
-    for decision in policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled) {
+    for decision in policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled).unwrap() {
         assert!(decision.action.choices.iter().flatten().all(|block| blueprint().contains(*block)));
         assert!(decision.log_prob.is_finite());
     }
@@ -149,7 +182,7 @@ fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
     policy.load(&weights(&config, 5)).unwrap();
     let batch = batch(&config, &[7, 8]);
     let attention = policy.attention(&batch);
-    let decisions = policy.act(&batch, &mut rngs(&[7, 8]), ActionMode::Mode);
+    let decisions = policy.act(&batch, &mut rngs(&[7, 8]), ActionMode::Mode).unwrap();
     assert_eq!(attention.len(), 2);
     for (seen, decision) in attention.iter().zip(decisions) {
         assert_eq!((seen.n_layers(), seen.n_heads(), seen.n_grippers()), (1, 2, 2));
@@ -174,11 +207,11 @@ fn values_come_back_in_reward_units() {
     let mut policy = Policy::new(&config).unwrap();
     let mut scaled = weights(&config, 1);
     policy.load(&scaled).unwrap();
-    let raw = policy.values(&batch(&config, &[1]))[0];
+    let raw = policy.values(&batch(&config, &[1])).unwrap()[0];
     scaled.normalisation.value_mean = -2.0;
     scaled.normalisation.value_std = 3.0;
     policy.load(&scaled).unwrap();
-    assert!((policy.values(&batch(&config, &[1]))[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
+    assert!((policy.values(&batch(&config, &[1])).unwrap()[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
 }
 
 #[test]
@@ -251,7 +284,7 @@ fn the_initial_standard_deviation_is_as_configured() {
         config.validate().unwrap();
         let policy = Policy::new(&config).unwrap();
         let seeds: Vec<u64> = (0..200).collect();
-        let decisions = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled);
+        let decisions = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled).unwrap();
         let squares: Vec<f32> =
             decisions.iter().flat_map(|d| d.action.moves.into_iter().flatten()).map(|x| x * x).collect();
         let std = (squares.iter().sum::<f32>() / squares.len() as f32).sqrt();

@@ -9,10 +9,19 @@ use serde::{Deserialize, Serialize};
 
 use super::{CheckpointError, damaged, io};
 
+/// Beginning of the name of a checkpoint, before its number of environment steps.
+pub(super) const STEP: &str = "step-";
+
+/// Beginning of the name of a checkpoint that is being written, before its number of environment steps.
+pub(super) const NEW: &str = ".new-";
+
+/// Beginning of the name of a checkpoint that is being replaced, before its own name.
+const OLD: &str = ".old-";
+
 /// What a file must be to be whole.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct FileInfo {
+pub(crate) struct FileInfo {
     pub(super) name: String,
     n_bytes: u64,
     /// FNV-1a over the bytes, as 16 hexadecimal digits.
@@ -20,7 +29,7 @@ pub(super) struct FileInfo {
 }
 
 /// Writes a new file and waits until the disk has it.
-pub(super) fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<FileInfo, CheckpointError> {
+pub(crate) fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<FileInfo, CheckpointError> {
     let path = folder.join(name);
     let mut file = File::create_new(&path).map_err(io("creating", &path))?;
     file.write_all(bytes).map_err(io("writing", &path))?;
@@ -50,17 +59,24 @@ pub(super) fn read_verified(folder: &Path, name: &str, infos: &[FileInfo]) -> Re
     Ok(bytes)
 }
 
-/// Renames `new` to `path`, where a folder may stand.
+/// Renames `new` to `path`, where a folder may stand; if that fails, it stands there still.
 pub(super) fn replace(new: &Path, path: &Path) -> Result<(), CheckpointError> {
-    if path.exists() {
-        // A folder cannot be renamed onto a full one; the old one is moved aside first, never removed first.
-        let old = path.with_file_name(format!(".old-{}", path.file_name().unwrap_or_default().to_string_lossy()));
-        remove(&old)?;
-        fs::rename(path, &old).map_err(io("renaming", path))?;
-        fs::rename(new, path).map_err(io("renaming", new))?;
-        return remove(&old);
+    if !path.exists() {
+        return fs::rename(new, path).map_err(io("renaming", new));
     }
-    fs::rename(new, path).map_err(io("renaming", new))
+    // A folder cannot be renamed onto a full one; the old one is moved aside first, never removed first.
+    let old = path.with_file_name(format!("{OLD}{}", path.file_name().unwrap_or_default().to_string_lossy()));
+    remove(&old)?;
+    fs::rename(path, &old).map_err(io("renaming", path))?;
+    if let Err(error) = fs::rename(new, path) {
+        fs::rename(&old, path).map_err(io("renaming", &old))?;
+        return Err(io("renaming", new)(error));
+    }
+    if let Err(error) = remove(&old) {
+        // What was asked for is done; the old one goes when the next write or start cleans up.
+        tracing::warn!(%error, "a checkpoint that was replaced stays on the disk");
+    }
+    Ok(())
 }
 
 /// Waits until the disk has the entries of a folder.
@@ -78,14 +94,24 @@ pub(super) fn remove(folder: &Path) -> Result<(), CheckpointError> {
 
 /// The folders `step-<n>` of `dir` by `n`; none when there is no `dir`.
 pub(super) fn steps(dir: &Path) -> Result<BTreeMap<u64, PathBuf>, CheckpointError> {
-    let step = |name: &str| name.strip_prefix("step-")?.parse().ok();
+    let step = |name: &str| name.strip_prefix(STEP)?.parse().ok();
     Ok(names(dir)?.into_iter().filter_map(|(name, path)| Some((step(&name)?, path))).collect())
 }
 
+/// A folder that an interrupted write left.
+pub(super) struct Leftover {
+    pub(super) path: PathBuf,
+    /// The whole checkpoint that it was, if it is one that was moved aside.
+    pub(super) replaced: Option<PathBuf>,
+}
+
 /// The folders that an interrupted write left in `dir`.
-pub(super) fn leftovers(dir: &Path) -> Result<Vec<PathBuf>, CheckpointError> {
-    let is_leftover = |name: &str| name.starts_with(".new-") || name.starts_with(".old-step-");
-    Ok(names(dir)?.into_iter().filter(|(name, _)| is_leftover(name)).map(|(_, path)| path).collect())
+pub(super) fn leftovers(dir: &Path) -> Result<Vec<Leftover>, CheckpointError> {
+    let leftover = |(name, path): (String, PathBuf)| {
+        let replaced = name.strip_prefix(OLD).filter(|of| of.starts_with(STEP)).map(|of| dir.join(of));
+        (name.starts_with(NEW) || replaced.is_some()).then_some(Leftover { path, replaced })
+    };
+    Ok(names(dir)?.into_iter().filter_map(leftover).collect())
 }
 
 fn names(dir: &Path) -> Result<Vec<(String, PathBuf)>, CheckpointError> {

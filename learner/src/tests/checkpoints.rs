@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use proto::Driver;
 
 use super::learning::{bandit, feed, labelled, small_setup};
-use crate::checkpoint::{self, Checkpoint, CheckpointError};
+use crate::checkpoint::{self, Checkpoint, CheckpointError, files};
 use crate::config::{ImitationConfig, ReplayConfig, Schedule};
 use crate::model::Model;
 use crate::{Learner, LearnerError, LearnerSetup};
@@ -141,9 +141,63 @@ fn the_oldest_and_unfinished_ones_are_removed() {
     learner.save(dir.path()).unwrap();
     fs::create_dir(dir.path().join(".new-99")).unwrap();
     checkpoint::prune(dir.path(), 2).unwrap();
-    let mut names: Vec<_> = fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(names(dir.path()), ["step-1024", "step-768"]);
+}
+
+fn names(dir: &Path) -> Vec<String> {
+    let names = fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<_> = names.collect();
     names.sort();
-    assert_eq!(names, ["step-1024", "step-768"]);
+    names
+}
+
+#[test]
+fn a_write_that_fails_at_any_file_leaves_nothing_and_blocks_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let (setup, mut learner, older) = saved(dir.path(), 1);
+    // Once the checkpoint is of another step, once it would replace the older one.
+    for n_updates in [0, 1] {
+        train(&setup, &mut learner, n_updates);
+        let checkpoint = learner.checkpoint();
+        for n_whole in 0..5 {
+            let mut n_written = 0;
+            // A full disk: the first files fit, half of the next one does.
+            let mut full = |folder: &Path, name: &str, bytes: &[u8]| {
+                n_written += 1;
+                if n_written <= n_whole {
+                    return files::write(folder, name, bytes);
+                }
+                fs::write(folder.join(name), &bytes[..bytes.len() / 2]).unwrap();
+                let source = std::io::ErrorKind::StorageFull.into();
+                Err(CheckpointError::Io { action: "writing", path: folder.join(name), source })
+            };
+            let error = checkpoint.write_with(dir.path(), &mut full).unwrap_err();
+            assert!(error.to_string().contains("no storage space"), "{error}");
+            assert_eq!(names(dir.path()), ["step-256"]);
+            assert_eq!(Checkpoint::read_latest(dir.path()).unwrap().path, older);
+        }
+    }
+    learner.save(dir.path()).unwrap();
+    assert_eq!(names(dir.path()), ["step-256", "step-512"]);
+}
+
+#[test]
+fn what_a_killed_process_left_is_cleaned_up_and_nothing_whole_is_lost() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_, _, path) = saved(dir.path(), 1);
+    let whole = Checkpoint::read(&path).unwrap();
+    // Killed while it wrote, and between the two renames of a replacement.
+    fs::create_dir(dir.path().join(".new-512")).unwrap();
+    fs::write(dir.path().join(".new-512").join("adam.safetensors"), b"short").unwrap();
+    fs::rename(&path, dir.path().join(".old-step-256")).unwrap();
+    checkpoint::clean(dir.path()).unwrap();
+    assert_eq!(names(dir.path()), ["step-256"]);
+    assert_eq!(Checkpoint::read(&path).unwrap(), whole);
+    // Killed before it removed what it had replaced.
+    fs::create_dir(dir.path().join(".old-step-256")).unwrap();
+    checkpoint::clean(dir.path()).unwrap();
+    assert_eq!(names(dir.path()), ["step-256"]);
+    checkpoint::clean(&dir.path().join("nothing")).unwrap();
 }
 
 #[test]

@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
 use crate::run::{CHECKPOINTS, METRICS};
-use crate::{Checkpoint, LearnerReport, LearnerSetup, RunOptions, run};
+use crate::{Checkpoint, CheckpointError, LearnerReport, LearnerSetup, RunOptions, run};
 
 /// Sends enough for one update by each of the next `n_updates` weights.
 async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
@@ -72,6 +72,36 @@ async fn a_run_learns_reports_saves_and_is_resumed() {
     let lines: Vec<LearnerMetrics> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.iter().map(|m| m.n_updates).collect::<Vec<_>>(), [1, 2, 3]);
     assert_eq!(lines[1].episodes.success.n_episodes, 256);
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_that_cannot_save_in_the_end_says_what_is_lost_and_what_is_left() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let run_dir = dir.path().join("run");
+    session(&run_dir, &bus, false, 1).await;
+    let checkpoints = run_dir.join(CHECKPOINTS);
+    // What a process that was killed had written so far is gone after the start of the next.
+    std::fs::create_dir(checkpoints.join(".new-512")).unwrap();
+    let setup = small_setup(5);
+    let resume = Some(run_dir.clone());
+    let options = RunOptions { setup: setup.clone(), run_dir: run_dir.clone(), resume, max_env_steps: None };
+    let shutdown = CancellationToken::new();
+    let learning = tokio::spawn({
+        let (bus, shutdown) = (bus.clone(), shutdown.clone());
+        async move { run(options, None, &bus, shutdown).await }
+    });
+    act(&bus, &setup, 1).await;
+    assert!(!checkpoints.join(".new-512").exists());
+    // A file in the way, where no full disk is at hand.
+    std::fs::write(checkpoints.join(".new-512"), b"in the way").unwrap();
+    shutdown.cancel();
+    let error = learning.await.unwrap().unwrap_err();
+    assert!(error.chain().any(|cause| cause.is::<CheckpointError>()), "the exit code follows from it");
+    let lost = "the last checkpoint, of 512 environment steps and weights 2, is lost; the newest whole one is";
+    let message = format!("{error:#}");
+    assert!(message.starts_with(lost) && message.contains("step-256: removing "), "{message}");
     bus.close().await.unwrap();
 }
 

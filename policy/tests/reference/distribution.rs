@@ -202,7 +202,7 @@ fn samples_follow_the_distribution() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (n, mut hits, mut sum, mut squares) = (20_000, 0, 0.0_f64, 0.0_f64);
     for _ in 0..n {
-        let action = distribution.sample(&mut rng);
+        let action = distribution.sample(&mut rng).unwrap();
         hits += usize::from(action.choices[0].unwrap().get() == 5);
         sum += f64::from(action.moves[2][1]);
         squares += f64::from(action.moves[2][1]).powi(2);
@@ -217,6 +217,23 @@ fn samples_follow_the_distribution() {
 
 proptest! {
     #[test]
+    fn nothing_is_drawn_from_what_is_no_distribution(
+        // Finite numbers of any size, infinities and NaN.
+        logits in prop::collection::vec(prop::num::f32::ANY, 32),
+        sane in prop::collection::vec(-1e6_f32..1e6, 32),
+        seed in any::<u64>(),
+    ) {
+        let (locs, scales) = ([0.0; 96], [1.0; 96]);
+        let sample = |logits: &[f32]| {
+            let distribution = ActionDistribution::new(logits, &locs, &scales, JointForm::ChosenUnique);
+            distribution.sample(&mut ChaCha8Rng::seed_from_u64(seed))
+        };
+        let of_any = sample(&logits);
+        prop_assert!(of_any.is_none() || logits.iter().all(|x| !x.is_nan() && *x < f32::INFINITY));
+        prop_assert!(sample(&sane).is_some());
+    }
+
+    #[test]
     fn masked_blocks_are_never_drawn_and_slices_agree_with_tensors(
         logits in prop::collection::vec(-8.0_f32..8.0, 32),
         locs in prop::collection::vec(-1.0_f32..1.0, 96),
@@ -228,7 +245,7 @@ proptest! {
         mask_logits(&mut masked, &allowed);
         for (form, _) in FORMS {
             let distribution = ActionDistribution::new(&masked, &locs, &scales, form);
-            let action = distribution.sample(&mut ChaCha8Rng::seed_from_u64(seed));
+            let action = distribution.sample(&mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
             for block in action.choices.iter().flatten() {
                 prop_assert!(allowed[block.get()]);
                 prop_assert!(masked[block.get()] > MASKED_LOGIT);

@@ -1,0 +1,212 @@
+//! What a learner takes at all: goals for training, acted in a world such as its own. Nothing here costs more than a look.
+
+use std::collections::BTreeSet;
+
+use blueprints::generator::{Draws, Request};
+use blueprints::{BlueprintId, Catalogue, Split};
+use proto::{Action, Label, RewardTerms, Scene, Start, Status, Trajectory};
+
+/// Largest coordinate of a block, m: where the widest world that can be configured gives an episode up.
+const MAX_POSITION_M: f32 = 50.0;
+
+/// Largest magnitude of a term of a step's reward: 120 pairs of blocks at the largest weight that can be configured, 10. One
+/// step above it would outweigh the returns of a whole batch.
+const MAX_REWARD: f32 = 1200.0;
+
+/// Largest magnitude of an entry of a move. The world clips them to 1; the widest distributions are 10 wide.
+const MAX_MOVE: f32 = 1000.0;
+
+/// Logarithm of the least and of the greatest density of an action that was sampled: 96 entries at four deviations each, and
+/// 96 entries at the least deviation that can be configured, 1e-6.
+const LOG_PROBS: std::ops::RangeInclusive<f32> = -2000.0..=2000.0;
+
+/// The rules of one run.
+#[derive(Clone, Debug)]
+pub struct Admission {
+    n_grippers: usize,
+    /// What may be a goal or stand at the start.
+    training: BTreeSet<BlueprintId>,
+    /// What may be a goal besides, if the run generates any.
+    generated: Option<Draws>,
+}
+
+impl Admission {
+    /// Admits the training split of `catalogue`, the run's own `tasks` and, if there are any, `generated` goals, acted with
+    /// `n_grippers` grippers.
+    pub fn new(catalogue: &Catalogue, tasks: &[BlueprintId], generated: Option<Draws>, n_grippers: usize) -> Self {
+        let split = catalogue.of_split(Split::Train).into_iter().map(|blueprint| blueprint.id().clone());
+        Self { n_grippers, training: split.chain(tasks.iter().cloned()).collect(), generated }
+    }
+
+    /// Why a trajectory cannot be learned from, whatever the weights that acted.
+    ///
+    /// # Errors
+    /// The first rule that it breaks, in words.
+    pub fn check(&self, trajectory: &Trajectory) -> Result<(), String> {
+        self.check_task(trajectory)?;
+        if trajectory.status == Status::Diverged {
+            return Err("the episode diverged".to_owned());
+        }
+        if trajectory.transitions.is_empty() {
+            return Err("a trajectory has at least one step".to_owned());
+        }
+        for (t, transition) in trajectory.transitions.iter().enumerate() {
+            let at = |reason: String| format!("step {t} {reason}");
+            self.check_action(&transition.action).map_err(at)?;
+            check_scene(&transition.scene).map_err(at)?;
+            check_reward(&transition.reward).map_err(at)?;
+            transition.label.as_ref().map_or(Ok(()), check_label).map_err(at)?;
+            let log_prob = transition.behavior_log_prob;
+            if !LOG_PROBS.contains(&log_prob) {
+                return Err(at(format!("has a log-probability of {log_prob}, which no action has")));
+            }
+            check_value(transition.value).map_err(at)?;
+        }
+        check_scene(&trajectory.last_scene).map_err(|reason| format!("the end {reason}"))?;
+        check_value(trajectory.bootstrap_value).map_err(|reason| format!("the end {reason}"))
+    }
+
+    fn check_task(&self, trajectory: &Trajectory) -> Result<(), String> {
+        let goal = &trajectory.task.blueprint;
+        let is_drawn = || {
+            let draws = self.generated.as_ref()?;
+            Request::from_id(goal).map(|request| draws.admit(&request))
+        };
+        if !self.training.contains(goal) && is_drawn() != Some(true) {
+            return Err(format!("blueprint {goal} is not for training in this run"));
+        }
+        match &trajectory.task.start {
+            Start::Scattered => Ok(()),
+            Start::Prebuilt(other) if self.training.contains(other) => Ok(()),
+            Start::Prebuilt(other) => Err(format!("blueprint {other}, which stands at the start, is not for training")),
+            Start::NearGoal { undone } if usize::from(*undone) < goal.size() => Ok(()),
+            Start::NearGoal { undone } => Err(format!("{undone} blocks cannot be taken off {goal}")),
+            Start::AsItIs => Err("episodes of training begin with a reset".to_owned()),
+        }
+    }
+
+    fn check_action(&self, action: &Action) -> Result<(), String> {
+        let n_grippers = action.choices.iter().flatten().count();
+        if n_grippers != self.n_grippers {
+            return Err(format!("uses {n_grippers} grippers, the network has {}", self.n_grippers));
+        }
+        check_moves(action.moves.as_flattened())
+    }
+}
+
+fn check_label(label: &Label) -> Result<(), String> {
+    check_moves(label.moves.as_flattened())
+}
+
+fn check_moves(moves: &[f32]) -> Result<(), String> {
+    let odd = moves.iter().find(|entry| !within(**entry, MAX_MOVE));
+    odd.map_or(Ok(()), |entry| Err(format!("has a move of {entry}")))
+}
+
+fn check_scene(scene: &Scene) -> Result<(), String> {
+    let coordinates = scene.blocks.iter().flat_map(|block| block.position);
+    let odd = coordinates.into_iter().find(|x| !within(*x, MAX_POSITION_M));
+    odd.map_or(Ok(()), |x| Err(format!("has a block at {x} m, where no episode goes on")))
+}
+
+fn check_reward(reward: &RewardTerms) -> Result<(), String> {
+    let &RewardTerms { connected, wrong, magnets, blocks, force } = reward;
+    let odd = [connected, wrong, magnets, blocks, force].into_iter().find(|term| !within(*term, MAX_REWARD));
+    odd.map_or(Ok(()), |term| Err(format!("has a reward of {term}, which no world gives")))
+}
+
+/// Values are not learned from: the learner computes its own. They travel in messages and checkpoints, so they are numbers.
+fn check_value(value: f32) -> Result<(), String> {
+    if value.is_finite() { Ok(()) } else { Err(format!("has a value of {value}")) }
+}
+
+/// False for NaN.
+fn within(x: f32, limit: f32) -> bool {
+    x.abs() <= limit
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::generator::Style;
+
+    use super::*;
+    use crate::fixtures::trajectory;
+
+    fn admission(generated: Option<Draws>) -> Admission {
+        Admission::new(Catalogue::builtin(), &["gen1-arch-7_6_000".parse().unwrap()], generated, 2)
+    }
+
+    fn of_goal(goal: &str, start: Start) -> Trajectory {
+        let mut trajectory = trajectory(2, 5);
+        (trajectory.task.blueprint, trajectory.task.start) = (goal.parse().unwrap(), start);
+        trajectory
+    }
+
+    #[test]
+    fn goals_are_those_of_the_training() {
+        let none = admission(None);
+        let some = admission(Some(Draws::new([Style::Tower], 2..=4)));
+        let held_out = Catalogue::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
+        // Admitted without and with generated goals.
+        for (goal, expected) in [
+            ("2_000", [true, true]),
+            // One of the run's own tasks.
+            ("gen1-arch-7_6_000", [true, true]),
+            ("gen1-tower-ff_4_003", [false, true]),
+            ("gen1-tower-ffffffff_4_003", [false, true]),
+            ("gen1-tower-100000000_4_003", [false, false]),
+            ("gen1-tower-ff_5_003", [false, false]),
+            ("gen1-arch-ff_4_003", [false, false]),
+            ("gen2-tower-ff_4_003", [false, false]),
+            ("16_404", [false, false]),
+            (held_out.id().as_str(), [false, false]),
+        ] {
+            let trajectory = of_goal(goal, Start::Scattered);
+            assert_eq!([&none, &some].map(|rules| rules.check(&trajectory).is_ok()), expected, "{goal}");
+        }
+    }
+
+    #[test]
+    fn starts_are_those_that_actors_draw() {
+        let prebuilt = |id: &str| Start::Prebuilt(id.parse().unwrap());
+        let held_out = Catalogue::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
+        for (start, is_admitted) in [
+            (prebuilt("2_001"), true),
+            (prebuilt(held_out.id().as_str()), false),
+            (prebuilt("gen1-tower-ff_4_003"), false),
+            (Start::NearGoal { undone: 2 }, true),
+            (Start::NearGoal { undone: 3 }, false),
+            (Start::AsItIs, false),
+        ] {
+            let check = admission(None).check(&of_goal("3_000", start.clone()));
+            assert_eq!(check.is_ok(), is_admitted, "{start:?}: {check:?}");
+        }
+    }
+
+    #[test]
+    fn numbers_are_those_of_a_world() {
+        type Spoil = fn(&mut Trajectory);
+        let cases: [(Spoil, &str); 12] = [
+            (|t| t.transitions[1].reward.connected = 1e5, "step 1 has a reward of 100000, which no world gives"),
+            (|t| t.transitions[1].reward.force = f32::NAN, "step 1 has a reward of NaN, which no world gives"),
+            (|t| t.transitions[0].behavior_log_prob = -1e5, "a log-probability of -100000, which no action has"),
+            (|t| t.transitions[0].behavior_log_prob = f32::INFINITY, "a log-probability of inf, which no action has"),
+            (|t| t.transitions[0].action.moves[3][5] = 1e5, "step 0 has a move of 100000"),
+            (|t| t.transitions[0].scene.blocks[7].position[2] = -60.0, "step 0 has a block at -60 m"),
+            (|t| t.last_scene.blocks[7].position[0] = f32::NAN, "the end has a block at NaN m"),
+            (|t| t.transitions[0].value = f32::NAN, "step 0 has a value of NaN"),
+            (|t| t.bootstrap_value = f32::NAN, "the end has a value of NaN"),
+            (|t| t.transitions[1].action.choices[1] = None, "step 1 uses 1 grippers, the network has 2"),
+            (|t| t.status = Status::Diverged, "the episode diverged"),
+            (|t| t.transitions.clear(), "a trajectory has at least one step"),
+        ];
+        let rules = admission(None);
+        assert_eq!(rules.check(&trajectory(2, 5)), Ok(()));
+        for (spoil, message) in cases {
+            let mut spoilt = trajectory(2, 5);
+            spoil(&mut spoilt);
+            let reason = rules.check(&spoilt).unwrap_err();
+            assert!(reason.contains(message), "{reason}");
+        }
+    }
+}

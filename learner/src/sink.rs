@@ -1,0 +1,197 @@
+//! A learner's end of the bus without its arithmetic: takes trajectories through a real mailbox, drains that by batches as
+//! updates would, and publishes weights at intervals. It measures what bus and ingest can carry.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use anyhow::Context;
+use proto::bus::{AliveToken, Bus, IngestCounts, TrajectoryServer, WeightsPublisher};
+use proto::{Role, Weights, WeightsVersion};
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use crate::{Learner, Mailbox, MailboxCounts};
+
+/// How long the draining thread waits for a batch before it looks whether it should stop.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// What a sink is told.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SinkPlan {
+    /// Steps that an update takes.
+    pub steps_per_update: usize,
+    /// Parameters of the published weights; `None` for as many as the network has.
+    pub n_parameters: Option<usize>,
+    /// Time between two publications, milliseconds; 0 publishes the first weights only.
+    pub publish_every_ms: u64,
+}
+
+/// What a sink took and published.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SinkReport {
+    /// What became of all messages.
+    pub ingest: IngestCounts,
+    /// What became of the valid ones.
+    pub mailbox: MailboxCounts,
+    /// Trajectories that updates took out.
+    pub taken_total: u64,
+    /// Trajectories that no update has taken.
+    pub waiting_total: u64,
+    /// Updates.
+    pub updates_total: u64,
+    /// Wrapping sum of [`proto::Trajectory::fingerprint`] of the accepted ones.
+    pub accepted_fingerprints: u64,
+    /// The published weights.
+    pub published: Vec<Publication>,
+    /// Queries for weights that found too many others waiting.
+    pub queries_dropped_total: u64,
+}
+
+/// When weights were published.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Publication {
+    /// The version.
+    pub version: u64,
+    /// Microseconds since 1970, before they were encoded.
+    pub unix_us: u64,
+}
+
+/// A sink that takes trajectories.
+#[derive(Debug)]
+pub struct Sink {
+    plan: SinkPlan,
+    bus: Bus,
+    mailbox: Arc<Mailbox>,
+    server: TrajectoryServer,
+    publisher: WeightsPublisher,
+    version: watch::Sender<WeightsVersion>,
+    weights: Arc<Weights>,
+    published: Vec<Publication>,
+    fingerprints: Arc<AtomicU64>,
+    drain: Drain,
+    _alive: AliveToken,
+}
+
+impl Sink {
+    /// Takes trajectories from now on, as `learner` would, and publishes its weights once.
+    ///
+    /// # Errors
+    /// When the session fails or the thread cannot be started.
+    pub async fn open(learner: &Learner, plan: SinkPlan, bus: &Bus) -> anyhow::Result<Self> {
+        let mut weights = learner.weights();
+        if let Some(n_parameters) = plan.n_parameters {
+            weights.parameters.resize(n_parameters, 0.0);
+        }
+        let (version, current_version) = watch::channel(weights.version);
+        let (mailbox, fingerprints) = (learner.mailbox(), Arc::new(AtomicU64::new(0)));
+        let (inbox, sum) = (mailbox.clone(), fingerprints.clone());
+        let handler = move |trajectory: proto::Trajectory| {
+            let fingerprint = trajectory.fingerprint();
+            inbox.push(trajectory)?;
+            sum.fetch_add(fingerprint, Ordering::Relaxed);
+            Ok(())
+        };
+        let mut sink = Self {
+            _alive: bus.declare_alive(Role::Learner, "learner").await?,
+            publisher: bus.weights_publisher().await?,
+            server: bus.serve_trajectories(handler, current_version).await?,
+            drain: Drain::start(mailbox.clone(), plan.steps_per_update)?,
+            bus: bus.clone(),
+            plan,
+            mailbox,
+            version,
+            weights: Arc::new(weights),
+            published: Vec::new(),
+            fingerprints,
+        };
+        sink.publish().await?;
+        Ok(sink)
+    }
+
+    /// Publishes newer weights at intervals until `stop`.
+    ///
+    /// # Errors
+    /// When the session fails.
+    pub async fn publish_until(&mut self, stop: &CancellationToken) -> anyhow::Result<()> {
+        let period = Duration::from_millis(self.plan.publish_every_ms);
+        loop {
+            tokio::select! {
+                () = stop.cancelled() => return Ok(()),
+                () = tokio::time::sleep(period), if !period.is_zero() => {}
+            }
+            let next = WeightsVersion(self.weights.version.0 + 1);
+            Arc::make_mut(&mut self.weights).version = next;
+            self.mailbox.set_version(next);
+            self.version.send_replace(next);
+            self.publish().await?;
+        }
+    }
+
+    /// Stops, and says what was taken.
+    ///
+    /// # Errors
+    /// When the session fails or the draining thread panicked.
+    pub async fn close(self) -> anyhow::Result<SinkReport> {
+        let ingest = self.server.counts();
+        self.server.close().await?;
+        let (taken_total, updates_total) = self.drain.stop()?;
+        let (mailbox, waiting) = self.mailbox.snapshot();
+        Ok(SinkReport {
+            ingest,
+            mailbox,
+            taken_total,
+            waiting_total: waiting.len() as u64,
+            updates_total,
+            accepted_fingerprints: self.fingerprints.load(Ordering::Relaxed),
+            published: self.published,
+            queries_dropped_total: self.bus.counts().queries_dropped_total,
+        })
+    }
+
+    async fn publish(&mut self) -> anyhow::Result<()> {
+        self.published.push(Publication { version: self.weights.version.0, unix_us: unix_us() });
+        Ok(self.publisher.publish(self.weights.clone()).await?)
+    }
+}
+
+/// The thread that takes batches out of the mailbox.
+#[derive(Debug)]
+struct Drain {
+    stop: CancellationToken,
+    thread: JoinHandle<(u64, u64)>,
+}
+
+impl Drain {
+    fn start(mailbox: Arc<Mailbox>, n_steps: usize) -> anyhow::Result<Self> {
+        let stop = CancellationToken::new();
+        let stopped = stop.clone();
+        let drain = move || {
+            let (mut n_taken, mut n_updates) = (0, 0);
+            while !stopped.is_cancelled() {
+                if mailbox.wait(n_steps, PATIENCE) {
+                    n_taken += mailbox.take(n_steps).len() as u64;
+                    n_updates += 1;
+                }
+            }
+            (n_taken, n_updates)
+        };
+        let thread = std::thread::Builder::new().name("drain".to_owned()).spawn(drain).context("starting the drain")?;
+        Ok(Self { stop, thread })
+    }
+
+    fn stop(self) -> anyhow::Result<(u64, u64)> {
+        self.stop.cancel();
+        self.thread.join().map_err(|_| anyhow::anyhow!("the draining thread panicked"))
+    }
+}
+
+fn unix_us() -> u64 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since_1970.as_micros()).unwrap_or(u64::MAX)
+}

@@ -1,0 +1,42 @@
+//! Generated goals: made after everything else was checked, and in bounded number.
+
+use blueprints::generator::{Draws, Style};
+
+use super::learning::{feed, small_setup};
+use crate::fixtures::trajectory;
+use crate::{Learner, UpdateMetrics};
+
+/// An update of 256 steps with one segment for each goal.
+fn update(goals: &[String]) -> UpdateMetrics {
+    let mut setup = small_setup(4);
+    setup.generated = Some(Draws::new(Style::ALL, 2..=16));
+    let mut learner = Learner::new(setup).unwrap();
+    let segments = goals.iter().map(|goal| {
+        let mut segment = trajectory(256 / goals.len(), 0);
+        segment.task.blueprint = goal.parse().unwrap();
+        segment
+    });
+    feed(&learner, segments.collect());
+    learner.update().unwrap()
+}
+
+#[test]
+fn held_out_structures_are_dropped_whatever_they_are_called() {
+    // The generator's name of a held-out tower.
+    let mut goals = vec!["gen1-tallest-16_14_162".to_owned(); 4];
+    goals.resize(32, "gen1-tower-7_3_001".to_owned());
+    let update = update(&goals);
+    assert_eq!((update.unmade_total, update.n_steps, update.n_env_steps), (4, 28 * 8, 28 * 8));
+}
+
+#[test]
+fn an_update_makes_a_bounded_number_of_goals() {
+    let goal = |index: usize| format!("gen1-any-7_4_{index:03}");
+    // 256 steps leave room for 512 blocks, which are 128 goals of 4.
+    let distinct: Vec<String> = (0..256).map(goal).collect();
+    let all = update(&distinct);
+    assert_eq!((all.unmade_total, all.n_steps), (128, 128));
+    // One that was made is as good a second time.
+    let again: Vec<String> = (0..256).map(|index| goal(index % 100)).collect();
+    assert_eq!(update(&again).unmade_total, 0);
+}

@@ -1,0 +1,43 @@
+//! The scene on which new weights are tried before they act.
+
+use blueprints::{Blueprint, Catalogue, N_BLOCKS};
+use proto::{Gripper, Pose, Scene};
+
+use crate::FeatureBatch;
+use crate::config::FeatureConfig;
+
+/// Blocks in a spiral on the ground, two of them held, with the first goal of the catalogue: no entry of the features that
+/// can be other than 0 is 0 throughout but for those of connections.
+pub(super) fn batch(config: &FeatureConfig) -> FeatureBatch {
+    let mut batch = FeatureBatch::new(config);
+    if let Some(goal) = Catalogue::builtin().iter().next() {
+        batch.push(&scene(goal), goal);
+    }
+    batch
+}
+
+fn scene(goal: &Blueprint) -> Scene {
+    // A turn by 2 atan(3/4) about an axis between x and z.
+    let orientation = [0.36, 0.0, 0.48, 0.8];
+    let mut held = goal.placements().iter().map(|placement| placement.block);
+    let mut gripper = || {
+        Some(Gripper {
+            held: held.next(),
+            orientation,
+            linear_velocity: [0.5, -0.25, 1.0],
+            angular_velocity: [-1.0, 0.5, 2.0],
+        })
+    };
+    let pose = |i: usize| {
+        let angle = i as f32;
+        let radius = 0.3 + 0.05 * i as f32;
+        Pose { position: [radius * angle.cos(), radius * angle.sin(), 0.05 + 0.1 * i as f32], orientation }
+    };
+    Scene {
+        blocks: std::array::from_fn(pose),
+        speeds_mps: [0.1; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [gripper(), gripper()],
+        n_heavy_contacts: 0,
+    }
+}
