@@ -1,16 +1,19 @@
 //! From tasks to trajectories: steps many worlds with the newest weights and sends what the learner learns from.
 //!
 //! Reading order: [`config`] → [`task`] (what to build next) → [`teacher`] (who acts) → [`segment`] (episodes cut into segments) → [`rollout`]
-//! (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`] → [`run()`] (threads and the bus).
+//! (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`] and [`streams`] → [`run()`]
+//! (threads and the bus). [`load`] measures the bus with actors that step no worlds.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod backlog;
 pub mod config;
+pub mod load;
 pub mod lockstep;
 pub mod rollout;
 mod run;
 pub mod segment;
+pub mod streams;
 pub mod task;
 pub mod teacher;
 #[cfg(test)]
@@ -24,5 +27,6 @@ pub use policy::PolicyConfig;
 pub use rollout::{Rollout, RolloutCounters, RolloutError, RolloutSetup};
 pub use run::{ActorReport, run};
 pub use segment::{Identity, SegmentBuilder};
+pub use streams::Life;
 pub use task::{FilterError, TaskConfig, TaskFilter, TaskSampler};
 pub use teacher::{NoiseConfig, Teacher, TeacherConfig};

@@ -198,7 +198,8 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// Moves every world by one step and returns the segments that this finished, in the order of the worlds.
     ///
     /// # Errors
-    /// When no new task can be started.
+    /// When no new task can be started, or [`PolicyError::NoDistribution`] before any world has moved: with other weights it
+    /// can go on.
     pub fn step(&mut self) -> Result<Vec<Trajectory>, RolloutError> {
         self.batch.clear();
         for seat in &self.seats {
@@ -209,7 +210,7 @@ impl<'c, E: Env> Rollout<'c, E> {
             _ => ActionMode::Mode,
         };
         let modes: Vec<ActionMode> = self.seats.iter().map(mode).collect();
-        let decisions = self.policy.act_each(&self.batch, &mut self.action_rngs, &modes);
+        let decisions = self.policy.act_each(&self.batch, &mut self.action_rngs, &modes)?;
 
         let mut finished: Vec<Trajectory> = Vec::new();
         // From here on the batch takes the scenes whose value a finished segment needs; this is the place of each in
@@ -271,7 +272,10 @@ impl<'c, E: Env> Rollout<'c, E> {
             }
             seat.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
         }
-        for (segment_idx, value) in unvalued.into_iter().zip(self.policy.values(&self.batch)) {
+        // The worlds have moved, so weights that have no value for a last scene must not stop the step. The learner refuses a
+        // segment without one, which the actor then counts.
+        let values = self.policy.values(&self.batch).unwrap_or_else(|_| vec![f32::NAN; unvalued.len()]);
+        for (segment_idx, value) in unvalued.into_iter().zip(values) {
             finished[segment_idx].bootstrap_value = value;
         }
         Ok(finished)

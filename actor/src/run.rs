@@ -1,28 +1,32 @@
 //! The actor as a service: threads that step, tasks that send, and one that reports.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+mod stepping;
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use environment::{EnvironmentConfig, World};
-use policy::PolicyConfig;
-use proto::bus::{Bus, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
+use environment::EnvironmentConfig;
+use policy::{PolicyConfig, PolicyError};
+use proto::bus::{Bus, BusError, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
 use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
 use proto::{ActorId, Refusal, Role, Trajectory, Weights, WeightsVersion, keys};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::backlog::Backlog;
 use crate::config::ActorConfig;
-use crate::rollout::{Rollout, RolloutCounters, RolloutSetup};
+use crate::rollout::{RolloutCounters, RolloutSetup};
 use crate::segment::Identity;
+use stepping::step_worlds;
 
 /// Attempts to send a segment that nobody answers.
 const MAX_ATTEMPTS: usize = 3;
+
+/// How long an actor waits for another of its name to go before it gives up. A process that was killed seems to live for up to
+/// 6 s, and one that takes its place must come through.
+const NAME_PATIENCE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 15 });
 
 /// Pause before a learner whose mailbox is full, or a session that failed, is tried again.
 const RETRY_PAUSE: Duration = Duration::from_millis(50);
@@ -40,33 +44,40 @@ pub struct ActorReport {
 
 /// Rolls out from the first weights until `shutdown`, then sends what is left as long as the configuration allows.
 ///
-/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. `seed` determines tasks and
-/// actions; actors of one run need different ones.
+/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. `run_seed`, the name, the time of the
+/// start and the version of the first weights determine tasks and actions. Weights that cannot be acted by are counted, and
+/// those before them stay in force.
 ///
 /// # Errors
-/// When a configuration is invalid, the session fails at the start, the weights are of another network, or no task can
-/// be started.
+/// When a configuration is invalid, the session fails at the start, the weights are of another network, no task can
+/// be started, or another live actor has the name `id` and keeps it.
 pub async fn run(
     config: ActorConfig,
     policy: PolicyConfig,
     environment: EnvironmentConfig,
     id: ActorId,
-    seed: u64,
+    run_seed: u64,
     bus: &Bus,
     shutdown: CancellationToken,
 ) -> anyhow::Result<ActorReport> {
     config.validate().context("invalid actor configuration")?;
-    let _alive = bus.declare_alive(Role::Actor, id.as_str()).await?;
+    let _alive = tokio::select! {
+        () = shutdown.cancelled() => return Ok(ActorReport::default()),
+        alive = bus.declare_alive_alone(Role::Actor, id.as_str(), NAME_PATIENCE) => alive?,
+    };
+    let epoch = process_epoch_ms();
+    tracing::info!(actor = %id, epoch, seed = run_seed, "actor starts");
     let subscriber = bus.weights_subscriber().await?;
     let sender = bus.trajectory_sender(&id).await?;
     let metrics = bus.metrics_publisher(&keys::metrics_actor(&id)).await?;
     let mut weights = subscriber.watch();
+    let waiting = bus.pulse().waiting();
     tokio::select! {
         () = shutdown.cancelled() => return Ok(ActorReport::default()),
         first = weights.wait_for(Option::is_some) => { first.context("the bus closed before the first weights")?; }
     }
+    drop(waiting);
 
-    let epoch = process_epoch_ms();
     let shared = Arc::new(Shared {
         backlog: Backlog::new(config.backlog_limit, config.full_backlog),
         sender,
@@ -74,12 +85,19 @@ pub async fn run(
         n_acked: AtomicU64::new(0),
         learner_version: AtomicU64::new(0),
         progress: Mutex::new(vec![Progress::default(); config.n_threads]),
+        bus: bus.clone(),
+        refused: Mutex::default(),
+        actor: id.clone(),
+        name_taken_since: Mutex::default(),
+        lost_name: AtomicBool::new(false),
         stop: shutdown.child_token(),
         give_up: CancellationToken::new(),
+        counted: CancellationToken::new(),
     });
+    // However this ends, the reporter does too.
+    let uncounted = shared.counted.clone().drop_guard();
     let reporter = Reporter {
         shared: shared.clone(),
-        bus: bus.clone(),
         metrics,
         id: id.clone(),
         epoch,
@@ -91,12 +109,12 @@ pub async fn run(
     for _ in 0..config.n_outstanding {
         senders.spawn(send_all(shared.clone()));
     }
-    let mut thread_seeds = ChaCha8Rng::seed_from_u64(seed);
     let mut threads = JoinSet::new();
     for thread_idx in 0..config.n_threads {
         let identity =
             Identity { actor: id.clone(), epoch, first_seq: thread_idx as u64, seq_step: config.n_threads as u64 };
-        let setup = RolloutSetup::new(&config, &policy, &environment, identity, thread_seeds.random());
+        // The seed waits for the version of the first weights.
+        let setup = RolloutSetup::new(&config, &policy, &environment, identity, run_seed);
         let (environment, weights, shared) = (environment.clone(), weights.clone(), shared.clone());
         let n_worlds = config.n_worlds;
         threads.spawn_blocking(move || step_worlds(setup, &environment, n_worlds, weights, &shared, thread_idx));
@@ -112,10 +130,20 @@ pub async fn run(
         while senders.join_next().await.is_some() {}
     }
     let n_unsent = shared.backlog.clear();
-    shared.drops().no_learner_total += n_unsent;
+    let lost_name = shared.lost_name.load(Ordering::Relaxed);
+    if lost_name {
+        shared.drops().name_taken_total += n_unsent;
+    } else {
+        shared.drops().no_learner_total += n_unsent;
+    }
+    drop(uncounted);
     reporting.await.context("the task that reports metrics failed")?;
     let report = shared.report();
     tracing::info!(actor = %id, env_steps = report.counters.n_env_steps, n_unsent, "actor ends");
+    if lost_name {
+        let (role, advice) = (Role::Actor.as_str(), "choose another --id");
+        return Err(BusError::NameTaken { role, name: id.as_str().to_owned(), advice }.into());
+    }
     Ok(report)
 }
 
@@ -129,10 +157,20 @@ struct Shared {
     learner_version: AtomicU64,
     /// One for each thread.
     progress: Mutex<Vec<Progress>>,
+    bus: Bus,
+    /// The last weights that were refused, so that those that several threads refuse count once.
+    refused: Mutex<Weak<Weights>>,
+    actor: ActorId,
+    /// Since when the learner says that another process has the actor's name.
+    name_taken_since: Mutex<Option<Instant>>,
+    /// It said so for too long.
+    lost_name: AtomicBool,
     /// No more steps.
     stop: CancellationToken,
     /// No more attempts to send either.
     give_up: CancellationToken,
+    /// What became of all segments is known.
+    counted: CancellationToken,
 }
 
 /// How far a thread is.
@@ -172,6 +210,31 @@ impl Shared {
         self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Counts weights that are not acted by.
+    fn refuse(&self, weights: &Arc<Weights>, error: &PolicyError) {
+        let mut refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
+        let weak = Arc::downgrade(weights);
+        if !refused.ptr_eq(&weak) {
+            *refused = weak;
+            self.bus.count_refused_weights();
+            tracing::warn!(version = weights.version.0, %error, "weights refused, those before them stay in force");
+        }
+    }
+
+    /// Remembers that the learner takes another process for the owner of the name, or ends everything if that stays so.
+    fn name_is_taken(&self, patience: Duration) {
+        let mut since = self.name_taken_since.lock().unwrap_or_else(PoisonError::into_inner);
+        let since = since.get_or_insert_with(|| {
+            tracing::warn!(actor = %self.actor, "the learner says that another live actor has this name");
+            Instant::now()
+        });
+        if since.elapsed() >= patience {
+            self.lost_name.store(true, Ordering::Relaxed);
+            self.stop.cancel();
+            self.give_up.cancel();
+        }
+    }
+
     /// Counts segments that found no room.
     fn count_shed(&self, n_dropped: u64) {
         if n_dropped > 0 && self.sender.learner_is_there() {
@@ -188,32 +251,6 @@ impl Shared {
         dropped.diverged_total = counters.n_diverged_episodes;
         ActorReport { counters, n_trajectories_acked: self.n_acked.load(Ordering::Relaxed), dropped }
     }
-}
-
-/// The life of a stepping thread.
-fn step_worlds(
-    setup: RolloutSetup<'static>,
-    environment: &EnvironmentConfig,
-    n_worlds: usize,
-    mut weights: watch::Receiver<Option<Arc<Weights>>>,
-    shared: &Shared,
-    thread_idx: usize,
-) -> anyhow::Result<()> {
-    let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(environment)).collect();
-    let first = weights.borrow_and_update().clone().context("there are no weights")?;
-    let mut rollout = Rollout::new(setup, worlds.context("invalid environment configuration")?, &first)?;
-    while !shared.stop.is_cancelled() {
-        if weights.has_changed().unwrap_or(false)
-            && let Some(newest) = weights.borrow_and_update().clone()
-        {
-            rollout.set_weights(&newest)?;
-        }
-        for segment in rollout.step()? {
-            shared.count_shed(shared.backlog.push(segment));
-        }
-        shared.progress()[thread_idx] = Progress { counters: rollout.counters(), version: rollout.version() };
-    }
-    Ok(())
 }
 
 /// Sends segments, oldest first, until the backlog is closed and empty.
@@ -263,11 +300,16 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
             Ok(ack) => {
                 shared.n_acked.fetch_add(1, Ordering::Relaxed);
                 shared.learner_version.store(ack.weights_version.0, Ordering::Relaxed);
+                *shared.name_taken_since.lock().unwrap_or_else(PoisonError::into_inner) = None;
                 return Sent::Done;
             }
             Err(SendError::NoReply) => {}
             Err(SendError::NoLearner) => return Sent::NobodyThere,
             Err(SendError::Refused(Refusal::Full)) => return Sent::Busy,
+            Err(SendError::Refused(Refusal::NameTaken)) => {
+                shared.name_is_taken(NAME_PATIENCE);
+                return Sent::Busy;
+            }
             Err(SendError::Refused(Refusal::Stale)) => {
                 shared.drops().stale_total += 1;
                 return Sent::Done;
@@ -291,7 +333,6 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
 /// Puts the actor's metrics on the bus.
 struct Reporter {
     shared: Arc<Shared>,
-    bus: Bus,
     metrics: MetricsPublisher,
     id: ActorId,
     epoch: u64,
@@ -305,7 +346,7 @@ impl Reporter {
         loop {
             let more = tokio::select! {
                 () = tokio::time::sleep(period) => true,
-                () = self.shared.stop.cancelled() => false,
+                () = self.shared.counted.cancelled() => false,
             };
             let (now, report) = (Instant::now(), self.shared.report());
             let n_env_steps = report.counters.n_env_steps;
@@ -328,7 +369,7 @@ impl Reporter {
                 n_trajectories_acked: report.n_trajectories_acked,
                 dropped: report.dropped,
                 learner_is_there: self.shared.sender.learner_is_there(),
-                bus: self.bus.counts(),
+                bus: self.shared.bus.counts(),
             };
             if let Err(error) = self.metrics.put(&metrics).await {
                 tracing::debug!(%error, "metrics not published");

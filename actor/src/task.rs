@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::generator::{MAX_INDEX, Request, Style};
+use blueprints::generator::{Draws, MAX_DRAWN_SEED, MAX_INDEX, Request, Style};
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
 use environment::sample_assignment;
 use proto::{Start, Task};
@@ -119,6 +119,18 @@ impl TaskConfig {
         let ok = 1 <= low && low <= high && usize::from(high) < N_BLOCKS;
         check("tasks.near_goal_undone", self.near_goal_undone, ok, "two ascending numbers from 1 to 15")
     }
+
+    /// The structures of the generator that a sampler draws as goals; `None` if it draws none.
+    ///
+    /// # Errors
+    /// When the filter selects nothing or an unknown blueprint.
+    pub fn draws(&self, catalogue: &Catalogue) -> Result<Option<Draws>, FilterError> {
+        if self.generated_probability == 0.0 {
+            return Ok(None);
+        }
+        let sizes = self.filter.select(catalogue)?.into_iter().map(|id| id.size());
+        Ok(Some(Draws::new(self.generated_styles.iter().copied(), sizes)))
+    }
 }
 
 impl TaskFilter {
@@ -205,7 +217,7 @@ impl TaskSampler {
         }
         (0..MAX_GENERATED).find_map(|_| {
             let style = styles[rng.random_range(0..styles.len())];
-            let (seed, index) = (rng.random::<u32>().into(), rng.random_range(0..=MAX_INDEX));
+            let (seed, index) = (rng.random_range(0..=MAX_DRAWN_SEED).into(), rng.random_range(0..=MAX_INDEX));
             let id = Request { style, seed, n_blocks, index }.id().ok()?;
             catalogue.find(&id).filter(|blueprint| catalogue.is_for_training(blueprint)).map(|_| id)
         })
@@ -251,135 +263,4 @@ impl TaskSampler {
 }
 
 #[cfg(test)]
-mod tests {
-    use blueprints::Inventory;
-    use rand::SeedableRng;
-
-    use super::*;
-    use crate::toy::id;
-
-    fn sampler(config: &TaskConfig) -> TaskSampler {
-        TaskSampler::new(config, Catalogue::builtin()).unwrap()
-    }
-
-    fn draw(sampler: &TaskSampler, n: usize) -> Vec<Task> {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        (0..n).map(|_| sampler.sample(Catalogue::builtin(), &mut rng)).collect()
-    }
-
-    #[test]
-    fn filters_select_training_blueprints() {
-        let catalogue = Catalogue::builtin();
-        let n_training = catalogue.of_split(Split::Train).len();
-        assert_eq!(TaskFilter::All.select(catalogue).unwrap().len(), n_training);
-        let two = TaskFilter::Sizes { min: 2, max: 2 }.select(catalogue).unwrap();
-        assert!(!two.is_empty() && two.iter().all(|id| id.as_str().starts_with("2_")));
-        let named = TaskFilter::Blueprints(vec![id("3_000"), id("2_001"), id("3_000")]);
-        assert_eq!(named.select(catalogue).unwrap(), [id("2_001"), id("3_000")]);
-        let generated = TaskFilter::Blueprints(vec![id("gen1-arch-7_6_000")]);
-        assert_eq!(generated.select(catalogue).unwrap(), [id("gen1-arch-7_6_000")]);
-    }
-
-    #[test]
-    fn a_filter_that_selects_nothing_says_why() {
-        let table = [
-            (TaskFilter::Sizes { min: 17, max: 20 }, "no training blueprint has between 17 and 20 blocks"),
-            (TaskFilter::Blueprints(vec![]), "the list of goals is empty"),
-            (
-                TaskFilter::Blueprints(vec![id("2_000"), id("2_999")]),
-                "blueprint 2_999 is neither in the training split of the catalogue nor a generated one",
-            ),
-            (
-                // The generator's name of a held-out tower.
-                TaskFilter::Blueprints(vec![id("gen1-tallest-16_14_162")]),
-                "blueprint gen1-tallest-16_14_162 is neither in the training split of the catalogue nor a generated one",
-            ),
-        ];
-        for (filter, message) in table {
-            assert_eq!(filter.select(Catalogue::builtin()).unwrap_err().to_string(), message);
-        }
-    }
-
-    #[test]
-    fn probabilities_are_restricted_to_the_goals() {
-        let filter = TaskFilter::Blueprints(vec![id("2_000"), id("2_001"), id("2_002")]);
-        let mut sampler = sampler(&TaskConfig { filter, ..Default::default() });
-        let n_of = |sampler: &TaskSampler, name: &str| {
-            draw(sampler, 3000).iter().filter(|task| task.blueprint == id(name)).count() as f64
-        };
-        assert!((n_of(&sampler, "2_001") - 1000.0).abs() < 100.0, "uniform before any probabilities");
-        // Of 0.1 : 0.3 with 0.6 elsewhere, 2_000 gets a quarter.
-        let given = [("2_000", 0.1), ("2_001", 0.3), ("3_000", 0.6)].map(|(name, p)| (id(name), p));
-        sampler.set_probabilities(&BTreeMap::from(given));
-        assert!((n_of(&sampler, "2_000") - 750.0).abs() < 100.0);
-        assert_eq!(n_of(&sampler, "2_002"), 0.0);
-        sampler.set_probabilities(&BTreeMap::from([(id("3_000"), 1.0)]));
-        assert!((n_of(&sampler, "2_002") - 1000.0).abs() < 100.0, "uniform when nothing is left");
-    }
-
-    #[test]
-    fn starts_come_in_the_configured_mix() {
-        let config = TaskConfig {
-            filter: TaskFilter::Blueprints(vec![id("3_000")]),
-            prebuilt_probability: 0.25,
-            near_goal_probability: 0.5,
-            near_goal_undone: [1, 9],
-            ..Default::default()
-        };
-        let (mut n_prebuilt, mut n_near, mut undone_seen) = (0, 0, [0; 10]);
-        for task in draw(&sampler(&config), 4000) {
-            match task.start {
-                Start::Prebuilt(other) => {
-                    assert_ne!(other, task.blueprint);
-                    n_prebuilt += 1;
-                }
-                Start::NearGoal { undone } => {
-                    undone_seen[usize::from(undone)] += 1;
-                    n_near += 1;
-                }
-                Start::Scattered => {}
-                Start::AsItIs => panic!("training resets"),
-            }
-        }
-        assert!((n_prebuilt - 1000_i32).abs() < 120 && (n_near - 2000_i32).abs() < 150);
-        // Of three blocks at most two can be taken off.
-        assert!(undone_seen[1] > 100 && undone_seen[2] > 100);
-        assert_eq!(undone_seen[1] + undone_seen[2], n_near);
-    }
-
-    #[test]
-    fn generated_goals_have_the_size_of_the_goals_they_replace() {
-        let filter = TaskFilter::Sizes { min: 3, max: 4 };
-        let styles = vec![Style::Tower, Style::Bridge];
-        let config = TaskConfig { filter, generated_probability: 0.5, generated_styles: styles, ..Default::default() };
-        let tasks = draw(&sampler(&config), 400);
-        let (generated, drawn): (Vec<_>, Vec<_>) =
-            tasks.iter().partition(|task| Request::from_id(&task.blueprint).is_some());
-        assert!((150..=250).contains(&generated.len()), "{} of 400", generated.len());
-        assert!(drawn.iter().all(|task| Catalogue::builtin().get(&task.blueprint).is_some()));
-        for task in &generated {
-            let request = Request::from_id(&task.blueprint).unwrap();
-            let blueprint = Catalogue::builtin().find(&task.blueprint).unwrap();
-            assert!(Catalogue::builtin().is_for_training(&blueprint));
-            assert!((3..=4).contains(&blueprint.n_blocks()));
-            // A bridge has four blocks at least.
-            assert!(request.style == Style::Tower || blueprint.n_blocks() == 4);
-        }
-        let distinct: std::collections::BTreeSet<_> = generated.iter().map(|task| &task.blueprint).collect();
-        assert_eq!(distinct.len(), generated.len(), "there are enough of them");
-    }
-
-    #[test]
-    fn assignments_permute_equal_blocks_only() {
-        let inventory = Inventory::standard();
-        let tasks = draw(&sampler(&TaskConfig::default()), 50);
-        for task in &tasks {
-            for block in BlockIdx::all() {
-                assert_eq!(inventory.cells(task.assignment[block.get()]), inventory.cells(block));
-            }
-        }
-        assert!(tasks.iter().any(|task| task.assignment != tasks[0].assignment));
-        let fixed = draw(&sampler(&TaskConfig { shuffle_blocks: false, ..Default::default() }), 2);
-        assert!(fixed.iter().all(|task| BlockIdx::all().all(|block| task.assignment[block.get()] == block)));
-    }
-}
+mod tests;

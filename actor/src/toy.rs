@@ -1,10 +1,11 @@
 //! A world without physics for tests: nothing moves, and a script says how each step ends.
 
-use blueprints::{Blueprint, BlueprintId, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalogue, N_BLOCKS};
 use environment::{Env, ResetError, StepResult};
 use policy::{EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig};
 use proto::{
-    Action, ActorId, Gripper, Normalisation, Pose, RewardTerms, Scene, Start, Status, Task, Weights, WeightsVersion,
+    Action, ActorId, Driver, Gripper, Normalisation, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
+    Transition, Weights, WeightsVersion,
 };
 
 use crate::segment::Identity;
@@ -77,6 +78,32 @@ pub(crate) fn task() -> Task {
     let mut blocks = blueprints::BlockIdx::all();
     let assignment = std::array::from_fn(|_| blocks.next().unwrap());
     Task { blueprint: id("2_000"), assignment, start: Start::Scattered, seed: 5 }
+}
+
+/// A segment of one step of another process than [`identity`]'s.
+pub(crate) fn trajectory() -> Trajectory {
+    let transition = Transition {
+        scene: scene(),
+        action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; N_BLOCKS] },
+        behavior_log_prob: -1.0,
+        value: 0.0,
+        reward: RewardTerms::default(),
+        label: None,
+    };
+    Trajectory {
+        actor: identity().actor,
+        epoch: 2,
+        seq: 0,
+        weights_version: WeightsVersion(0),
+        task: task(),
+        driver: Driver::Sample,
+        first_step: 0,
+        transitions: vec![transition],
+        last_scene: scene(),
+        status: Status::Running,
+        bootstrap_value: 0.0,
+        outcome: None,
+    }
 }
 
 pub(crate) fn identity() -> Identity {

@@ -2,8 +2,11 @@
 
 use std::collections::BTreeSet;
 
+use blueprints::{BlockIdx, Catalogue};
+use policy::Network;
 use proto::Status;
 use tokio::sync::mpsc;
+use tokio::sync::watch;
 
 use super::*;
 use crate::config::FullBacklog;
@@ -121,4 +124,105 @@ async fn it_waits_for_the_first_weights_and_refuses_other_networks() {
 
     let actor = Actor::start(config()).await;
     assert_eq!(actor.stop().await, ActorReport::default());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
+    // The other is there already.
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let taken = bus.declare_alive(Role::Actor, "toy").await.unwrap();
+    let start = || {
+        let (bus, id) = (bus.clone(), toy::identity().actor);
+        let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
+        let policy = toy::policy();
+        tokio::spawn(async move { run(config(), policy, environment, id, 1, &bus, CancellationToken::new()).await })
+    };
+    let expected = "another live actor of this run is called \"toy\"; choose another --id";
+    assert_eq!(within(start()).await.unwrap().unwrap_err().to_string(), expected);
+    drop(taken);
+
+    // Both looked at the same moment and found nobody; the learner took a trajectory of the other first.
+    let alive = bus.alive(Role::Actor).await.unwrap();
+    let (_version, current_version) = watch::channel(WeightsVersion(0));
+    let server = bus.serve_trajectories(|_| Ok(()), current_version).await.unwrap();
+    let actor = start();
+    within(alive.watch().wait_for(|names| names.contains("toy"))).await.unwrap();
+    let sender = bus.trajectory_sender(&toy::identity().actor).await.unwrap();
+    sender.wait_for_learner().await;
+    within(sender.send(&toy::trajectory())).await.unwrap();
+    let publisher = bus.weights_publisher().await.unwrap();
+    let mut metrics = bus.metrics_subscriber("actor/toy").await.unwrap();
+    publisher.publish(Arc::new(toy::weights(0, 1.0))).await.unwrap();
+    assert_eq!(within(actor).await.unwrap().unwrap_err().to_string(), expected);
+    assert_eq!(server.counts().accepted_total, 1);
+    assert!(server.counts().name_taken_total > 0);
+    // It has told how many segments nobody took.
+    loop {
+        let said: ActorMetrics = serde_json::from_value(within(metrics.recv()).await.unwrap().value).unwrap();
+        assert_eq!(said.n_trajectories_acked, 0);
+        if said.dropped.name_taken_total > 0 {
+            break;
+        }
+    }
+    bus.close().await.unwrap();
+}
+
+/// Untrained weights that are of no use once the first gripper holds a block that is not the first goal's of the catalogue,
+/// which in the scene of the trial it does not.
+fn trap(version: u64) -> Weights {
+    let (mut weights, config) = (toy::weights(version, 1.0), toy::policy());
+    let network = Network::init(&config.network, &config.sizes(), 1, &policy::DeviceKind::Cpu.open().unwrap());
+    let goal = Catalogue::builtin().iter().next().unwrap();
+    let mut at = 0;
+    for spec in network.table() {
+        if spec.name.ends_with("input_global.w") {
+            for stray in BlockIdx::all().filter(|block| !goal.contains(*block)) {
+                // Global features 9..25 say which block it holds.
+                let row = at + (9 + stray.get()) * spec.shape[1];
+                weights.parameters[row..row + spec.shape[1]].fill(1e6);
+            }
+        }
+        at += spec.len();
+    }
+    weights.normalisation.value_std = 1e4;
+    weights
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn weights_that_give_no_distribution_are_counted_and_the_old_ones_stay() {
+    let actor = Actor::start(config()).await;
+    let (taken, mut received) = mpsc::unbounded_channel();
+    let (_version, current_version) = watch::channel(WeightsVersion(0));
+    let handler = move |trajectory: Trajectory| taken.send(trajectory.weights_version.0).map_err(|_| Refusal::Full);
+    let _server = actor.bus.serve_trajectories(handler, current_version).await.unwrap();
+    let publisher = actor.bus.weights_publisher().await.unwrap();
+    let mut metrics = actor.bus.metrics_subscriber("actor/toy").await.unwrap();
+    let mut refused = async |n: u64| {
+        while actor.bus.counts().weights_refused_total < n {
+            within(metrics.recv()).await.unwrap();
+        }
+    };
+    let huge = |version| Weights { parameters: vec![1e6; toy::weights(0, 1.0).parameters.len()], ..trap(version) };
+    let mut versions = BTreeSet::new();
+    let mut until = async |version: u64| {
+        while versions.last() != Some(&version) {
+            versions.insert(within(received.recv()).await.unwrap());
+        }
+    };
+    // The service reports from its first weights on that are of this network, though it cannot act by them.
+    publisher.publish(Arc::new(huge(1))).await.unwrap();
+    refused(1).await;
+    publisher.publish(Arc::new(toy::weights(2, 1.0))).await.unwrap();
+    until(2).await;
+    publisher.publish(Arc::new(huge(3))).await.unwrap();
+    refused(2).await;
+    publisher.publish(Arc::new(trap(4))).await.unwrap();
+    refused(3).await;
+    publisher.publish(Arc::new(toy::weights(5, 1.0))).await.unwrap();
+    until(5).await;
+    // Both threads refuse the same weights, which counts once. The trap may act until a gripper holds such a block.
+    assert_eq!(actor.bus.counts().weights_refused_total, 3);
+    assert!(versions.is_subset(&[2, 4, 5].into()), "{versions:?}");
+    actor.stop().await;
 }

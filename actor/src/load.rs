@@ -1,0 +1,215 @@
+//! Actors that step no worlds: they send recorded segments and pull weights as real ones do, so that bus and learner can be
+//! measured without the processors of a cluster.
+//!
+//! Each has a session, a name and numbers of its own. Two attempts may be under way at a time, what finds the learner's
+//! mailbox full is sent again, and a segment without an answer is sent again until it has one.
+
+mod histogram;
+mod member;
+mod tally;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use proto::Trajectory;
+use proto::bus::{Bus, BusConfig};
+use proto::codec::encode_trajectory;
+use serde::{Deserialize, Serialize};
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+
+pub use self::histogram::Histogram;
+use self::member::Member;
+pub use self::tally::{LoadCounts, LoadReport, Pull};
+use self::tally::{Tally, add};
+
+/// Longest time that an actor may take to join and to get its first weights: a router that has no room for one more never
+/// answers.
+const JOIN_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// What the actors of one process are told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LoadPlan {
+    /// How each joins the bus.
+    pub bus: BusConfig,
+    /// Number of the first actor, which makes names unique among processes.
+    pub first_actor: usize,
+    /// How many there are, at least 1.
+    pub n_actors: usize,
+    /// Steps per second of each actor; 0 sends as fast as answers come.
+    pub steps_per_s: f64,
+    /// Segments that may wait for an answer at once.
+    pub n_outstanding: usize,
+    /// Time between two publications of an actor's metrics, milliseconds.
+    pub metrics_period_ms: u64,
+    /// Longest time that the end waits for answers, milliseconds.
+    pub drain_timeout_ms: u64,
+}
+
+/// Actors that have joined.
+#[derive(Debug)]
+pub struct Load {
+    plan: LoadPlan,
+    members: Vec<Arc<Member>>,
+    /// Why there are fewer than planned.
+    shortfall: Option<String>,
+}
+
+/// What all actors of a process send, and when.
+#[derive(Debug)]
+pub(crate) struct Script {
+    segments: Vec<Trajectory>,
+    /// Encoded size of each, with a name and numbers of usual length.
+    n_bytes: Vec<usize>,
+    /// Steps before each segment, and of all together.
+    steps_before: Vec<u64>,
+    n_steps: u64,
+    steps_per_s: f64,
+}
+
+impl Load {
+    /// Lets one actor after the other join and get its first weights, until one finds no room.
+    ///
+    /// One waits for the other, so that a router need not take them all in at once; how that ends is another question.
+    ///
+    /// # Errors
+    /// When the first session already fails, or the learner gives no weights.
+    pub async fn open(plan: LoadPlan) -> anyhow::Result<Self> {
+        let mut members = Vec::with_capacity(plan.n_actors);
+        let mut shortfall = None;
+        for number in plan.first_actor..plan.first_actor + plan.n_actors {
+            let joining = async {
+                let member = Member::join(number, Bus::open(&plan.bus).await?).await?;
+                member.first_weights().await?;
+                Ok(member)
+            };
+            let joined = tokio::time::timeout(JOIN_TIMEOUT, joining)
+                .await
+                .unwrap_or_else(|_| Err(anyhow::anyhow!("actor {number} had no weights after {JOIN_TIMEOUT:?}")));
+            match joined {
+                Ok(member) => members.push(Arc::new(member)),
+                Err(error) if members.is_empty() => return Err(error),
+                Err(error) => {
+                    shortfall = Some(format!("{error:#}"));
+                    break;
+                }
+            }
+        }
+        Ok(Self { plan, members, shortfall })
+    }
+
+    /// How many actors have joined.
+    pub fn n_actors(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Why fewer have joined than planned.
+    pub fn shortfall(&self) -> Option<&str> {
+        self.shortfall.as_deref()
+    }
+
+    /// Sends `segments` again and again, under the actors' names and numbers, until `stop`; then waits for answers as long as
+    /// the plan allows.
+    ///
+    /// # Errors
+    /// When there is nothing to send, or a task panicked.
+    pub async fn run(&self, segments: Vec<Trajectory>, stop: CancellationToken) -> anyhow::Result<LoadReport> {
+        let script = Arc::new(Script::new(segments, self.plan.steps_per_s)?);
+        let (start, give_up) = (Instant::now(), CancellationToken::new());
+        let mut tasks = JoinSet::new();
+        let mut watchers = JoinSet::new();
+        let period = Duration::from_millis(self.plan.metrics_period_ms);
+        for member in &self.members {
+            let tally = Arc::new(Tally::default());
+            let start = start + script.phase(member.number());
+            for _ in 0..self.plan.n_outstanding {
+                let (member, script, tally) = (member.clone(), script.clone(), tally.clone());
+                let (stop, give_up) = (stop.clone(), give_up.clone());
+                tasks.spawn(async move { member.send_all(&script, start, &tally, &stop, &give_up).await });
+            }
+            let (member, give_up) = (member.clone(), give_up.clone());
+            watchers.spawn(async move {
+                let pulls = member.watch_and_report(&tally, period, &give_up).await;
+                (tally, pulls)
+            });
+        }
+        stop.cancelled().await;
+        let elapsed = start.elapsed();
+        let drained = async { while tasks.join_next().await.is_some() {} };
+        let drain_timeout = Duration::from_millis(self.plan.drain_timeout_ms);
+        let in_time = tokio::time::timeout(drain_timeout, drained).await.is_ok();
+        give_up.cancel();
+        while let Some(ended) = tasks.join_next().await {
+            ended.context("a simulated actor panicked")?;
+        }
+        let mut report = LoadReport { elapsed_s: elapsed.as_secs_f64(), drained: in_time, ..LoadReport::default() };
+        while let Some(ended) = watchers.join_next().await {
+            let (tally, pulls) = ended.context("a simulated actor panicked")?;
+            report.n_actors += 1;
+            report.counts.add(&tally.take());
+            report.pulls.push(pulls);
+        }
+        for member in &self.members {
+            add(&mut report.pulls_failed_total, member.counts().pulls_failed_total);
+            add(&mut report.weights_invalid_total, member.counts().weights_invalid_total);
+        }
+        Ok(report)
+    }
+
+    /// Leaves the bus.
+    ///
+    /// # Errors
+    /// When a session cannot end in time.
+    pub async fn close(self) -> anyhow::Result<()> {
+        for member in &self.members {
+            member.close().await?;
+        }
+        Ok(())
+    }
+}
+
+impl Script {
+    fn new(segments: Vec<Trajectory>, steps_per_s: f64) -> anyhow::Result<Self> {
+        anyhow::ensure!(!segments.is_empty(), "there are no segments to send");
+        let mut n_steps = 0;
+        let mut steps_before = Vec::with_capacity(segments.len());
+        for segment in &segments {
+            steps_before.push(n_steps);
+            n_steps += segment.transitions.len() as u64;
+        }
+        let n_bytes = segments.iter().map(|segment| encode_trajectory(segment).len()).collect();
+        Ok(Self { segments, n_bytes, steps_before, n_steps, steps_per_s })
+    }
+
+    fn n_bytes(&self, seq: u64) -> usize {
+        self.n_bytes[(seq % self.n_bytes.len() as u64) as usize]
+    }
+
+    /// The segment of this number, in turn.
+    fn segment(&self, seq: u64) -> &Trajectory {
+        &self.segments[(seq % self.segments.len() as u64) as usize]
+    }
+
+    /// Time from the start until an actor has stepped the segment of this number; `None` at full speed.
+    fn due(&self, seq: u64) -> Option<Duration> {
+        let n_segments = self.segments.len() as u64;
+        let index = (seq % n_segments) as usize;
+        let steps =
+            seq / n_segments * self.n_steps + self.steps_before[index] + self.segments[index].transitions.len() as u64;
+        (self.steps_per_s > 0.0).then(|| Duration::from_secs_f64(steps as f64 / self.steps_per_s))
+    }
+
+    /// How much later than others an actor starts: spreads them evenly over the time of one segment.
+    fn phase(&self, number: usize) -> Duration {
+        const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
+        let mean_period = self.n_steps as f64 / self.segments.len() as f64 / self.steps_per_s;
+        let share = (number as f64 * GOLDEN_RATIO).fract();
+        if self.steps_per_s > 0.0 { Duration::from_secs_f64(share * mean_period) } else { Duration::ZERO }
+    }
+}
+
+#[cfg(test)]
+mod tests;

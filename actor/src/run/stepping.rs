@@ -1,0 +1,133 @@
+//! The threads that step worlds, and which weights they act by.
+
+use std::sync::Arc;
+
+use anyhow::Context;
+use environment::{EnvironmentConfig, World};
+use policy::{Policy, PolicyError};
+use proto::Weights;
+use tokio::runtime::Handle;
+use tokio::sync::watch;
+
+use super::{Progress, Shared};
+use crate::rollout::{Rollout, RolloutError, RolloutSetup};
+use crate::segment::Identity;
+use crate::streams::Life;
+
+/// Newest weights as they come.
+type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
+
+/// The life of a stepping thread, which may wait on the runtime that started it; `setup` has the seed of the run.
+pub(super) fn step_worlds(
+    mut setup: RolloutSetup<'static>,
+    environment: &EnvironmentConfig,
+    n_worlds: usize,
+    mut weights: Arrivals,
+    shared: &Shared,
+    thread_idx: usize,
+) -> anyhow::Result<()> {
+    let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(environment)).collect();
+    let Some(first) = first_usable(&setup, &mut weights, shared)? else { return Ok(()) };
+    let Identity { actor, epoch, .. } = setup.identity.clone();
+    let life = Life { run_seed: setup.seed, actor, epoch, version: first.version };
+    setup.seed = life.thread_seed(thread_idx);
+    let rollout = Rollout::new(setup, worlds.context("invalid environment configuration")?, &first)?;
+    let mut acting = Acting { rollout, current: first, previous: None };
+    while !shared.stop.is_cancelled() {
+        if weights.has_changed().unwrap_or(false) {
+            acting.take_newest(&mut weights, shared)?;
+        }
+        shared.bus.pulse().beat();
+        match acting.rollout.step() {
+            Ok(segments) => {
+                for segment in segments {
+                    // A full backlog may wait for the learner.
+                    let _waiting = shared.bus.pulse().waiting();
+                    shared.count_shed(shared.backlog.push(segment));
+                }
+            }
+            Err(RolloutError::Policy(error)) if error.is_of_weights() => {
+                if !acting.fall_back(&error, &mut weights, shared)? {
+                    return Ok(());
+                }
+            }
+            Err(error) => return Err(error.into()),
+        }
+        let progress = Progress { counters: acting.rollout.counters(), version: acting.rollout.version() };
+        shared.progress()[thread_idx] = progress;
+    }
+    Ok(())
+}
+
+/// Waits for weights by which an untrained policy can act; `None` if the end comes first.
+fn first_usable(
+    setup: &RolloutSetup<'static>,
+    weights: &mut Arrivals,
+    shared: &Shared,
+) -> Result<Option<Arc<Weights>>, PolicyError> {
+    let mut policy = Policy::new(&setup.policy)?;
+    loop {
+        if let Some(newest) = weights.borrow_and_update().clone() {
+            match policy.load(&newest) {
+                Ok(()) => return Ok(Some(newest)),
+                Err(error) if error.is_of_weights() => shared.refuse(&newest, &error),
+                Err(error) => return Err(error),
+            }
+        }
+        if !wait_for_others(weights, shared) {
+            return Ok(None);
+        }
+    }
+}
+
+/// Waits for other weights; false if the end comes first.
+fn wait_for_others(weights: &mut Arrivals, shared: &Shared) -> bool {
+    let _waiting = shared.bus.pulse().waiting();
+    Handle::current().block_on(async {
+        tokio::select! {
+            () = shared.stop.cancelled() => false,
+            changed = weights.changed() => changed.is_ok(),
+        }
+    })
+}
+
+/// Worlds and the weights that act in them.
+struct Acting {
+    rollout: Rollout<'static, World>,
+    current: Arc<Weights>,
+    /// What acted before, in case the current ones turn out to be of no use in some scene.
+    previous: Option<Arc<Weights>>,
+}
+
+impl Acting {
+    /// Acts by the newest weights if they are of use.
+    fn take_newest(&mut self, weights: &mut Arrivals, shared: &Shared) -> Result<(), RolloutError> {
+        let Some(newest) = weights.borrow_and_update().clone() else { return Ok(()) };
+        match self.rollout.set_weights(&newest) {
+            Ok(()) => self.previous = Some(std::mem::replace(&mut self.current, newest)),
+            Err(RolloutError::Policy(error)) if error.is_of_weights() => shared.refuse(&newest, &error),
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    /// Goes back to the weights before the current ones, or waits for others if there are none; false if the end comes first.
+    fn fall_back(
+        &mut self,
+        error: &PolicyError,
+        weights: &mut Arrivals,
+        shared: &Shared,
+    ) -> Result<bool, RolloutError> {
+        shared.refuse(&self.current, error);
+        if let Some(previous) = self.previous.take() {
+            self.rollout.set_weights(&previous)?;
+            self.current = previous;
+            return Ok(true);
+        }
+        if !wait_for_others(weights, shared) {
+            return Ok(false);
+        }
+        self.take_newest(weights, shared)?;
+        Ok(true)
+    }
+}

@@ -1,0 +1,95 @@
+//! Random streams: no two processes of a run, and no two lives of one, draw the same tasks and actions.
+
+use proto::{ActorId, WeightsVersion};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// What sets an actor's life apart from all others of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Life {
+    /// Seed of the run.
+    pub run_seed: u64,
+    /// Name of the actor.
+    pub actor: ActorId,
+    /// Start time of the process, ms since 1970.
+    pub epoch: u64,
+    /// Weights that it begins with, so that a run that goes on does not repeat what it did.
+    pub version: WeightsVersion,
+}
+
+impl Life {
+    /// The seed of all its tasks and actions.
+    pub fn seed(&self) -> u64 {
+        // The name comes last and has no fixed length: so no two lives give the same bytes.
+        let numbers = [self.run_seed, self.epoch, self.version.0].map(u64::to_le_bytes);
+        fnv1a(numbers.into_iter().flatten().chain(self.actor.as_str().bytes()))
+    }
+
+    /// The seed of one of its threads.
+    pub fn thread_seed(&self, thread_idx: usize) -> u64 {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed());
+        rng.set_stream(thread_idx as u64);
+        rng.random()
+    }
+}
+
+/// FNV-1a with 64 bits, which is the same in every process and version.
+fn fnv1a(bytes: impl Iterator<Item = u8>) -> u64 {
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use blueprints::Catalogue;
+    use proto::Task;
+
+    use super::*;
+    use crate::{TaskConfig, TaskSampler};
+
+    fn life() -> Life {
+        Life { run_seed: 7, actor: "local".parse().unwrap(), epoch: 1_700_000_000_000, version: WeightsVersion(0) }
+    }
+
+    /// The first tasks of a thread.
+    fn tasks(life: &Life, thread_idx: usize) -> Vec<Task> {
+        let sampler = TaskSampler::new(&TaskConfig::default(), Catalogue::builtin()).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(life.thread_seed(thread_idx));
+        (0..20).map(|_| sampler.sample(Catalogue::builtin(), &mut rng)).collect()
+    }
+
+    #[test]
+    fn whatever_differs_gives_other_tasks() {
+        let first = tasks(&life(), 0);
+        assert_eq!(tasks(&life(), 0), first, "equal lives give equal tasks");
+        for other in [
+            Life { run_seed: 8, ..life() },
+            Life { actor: "actor-1".parse().unwrap(), ..life() },
+            // A process that was started again a millisecond later, and a run that goes on.
+            Life { epoch: life().epoch + 1, ..life() },
+            Life { version: WeightsVersion(1), ..life() },
+        ] {
+            let tasks = tasks(&other, 0);
+            assert!(tasks.iter().all(|task| first.iter().all(|old| old.seed != task.seed)), "{other:?}");
+        }
+        assert_ne!(tasks(&life(), 1), first);
+    }
+
+    #[test]
+    fn lives_that_look_alike_have_seeds_of_their_own() {
+        let names = ["a", "b", "actor-1", "actor-11"].map(|name| name.parse::<ActorId>().unwrap());
+        let mut seeds = BTreeSet::new();
+        let mut n = 0;
+        for actor in &names {
+            for (run_seed, epoch) in (0..8).flat_map(|run_seed| (0..8).map(move |epoch| (run_seed, epoch))) {
+                for version in 0..8 {
+                    let life = Life { run_seed, actor: actor.clone(), epoch, version: WeightsVersion(version) };
+                    seeds.extend((0..4).map(|thread_idx| life.thread_seed(thread_idx)));
+                    n += 4;
+                }
+            }
+        }
+        assert_eq!(seeds.len(), n);
+    }
+}

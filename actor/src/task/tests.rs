@@ -1,0 +1,134 @@
+//! What is drawn, how often, and what a filter refuses.
+
+use blueprints::Inventory;
+use rand::SeedableRng;
+
+use super::*;
+use crate::toy::id;
+
+fn sampler(config: &TaskConfig) -> TaskSampler {
+    TaskSampler::new(config, Catalogue::builtin()).unwrap()
+}
+
+fn draw(sampler: &TaskSampler, n: usize) -> Vec<Task> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    (0..n).map(|_| sampler.sample(Catalogue::builtin(), &mut rng)).collect()
+}
+
+#[test]
+fn filters_select_training_blueprints() {
+    let catalogue = Catalogue::builtin();
+    let n_training = catalogue.of_split(Split::Train).len();
+    assert_eq!(TaskFilter::All.select(catalogue).unwrap().len(), n_training);
+    let two = TaskFilter::Sizes { min: 2, max: 2 }.select(catalogue).unwrap();
+    assert!(!two.is_empty() && two.iter().all(|id| id.as_str().starts_with("2_")));
+    let named = TaskFilter::Blueprints(vec![id("3_000"), id("2_001"), id("3_000")]);
+    assert_eq!(named.select(catalogue).unwrap(), [id("2_001"), id("3_000")]);
+    let generated = TaskFilter::Blueprints(vec![id("gen1-arch-7_6_000")]);
+    assert_eq!(generated.select(catalogue).unwrap(), [id("gen1-arch-7_6_000")]);
+}
+
+#[test]
+fn a_filter_that_selects_nothing_says_why() {
+    let table = [
+        (TaskFilter::Sizes { min: 17, max: 20 }, "no training blueprint has between 17 and 20 blocks"),
+        (TaskFilter::Blueprints(vec![]), "the list of goals is empty"),
+        (
+            TaskFilter::Blueprints(vec![id("2_000"), id("2_999")]),
+            "blueprint 2_999 is neither in the training split of the catalogue nor a generated one",
+        ),
+        (
+            // The generator's name of a held-out tower.
+            TaskFilter::Blueprints(vec![id("gen1-tallest-16_14_162")]),
+            "blueprint gen1-tallest-16_14_162 is neither in the training split of the catalogue nor a generated one",
+        ),
+    ];
+    for (filter, message) in table {
+        assert_eq!(filter.select(Catalogue::builtin()).unwrap_err().to_string(), message);
+    }
+}
+
+#[test]
+fn probabilities_are_restricted_to_the_goals() {
+    let filter = TaskFilter::Blueprints(vec![id("2_000"), id("2_001"), id("2_002")]);
+    let mut sampler = sampler(&TaskConfig { filter, ..Default::default() });
+    let n_of = |sampler: &TaskSampler, name: &str| {
+        draw(sampler, 3000).iter().filter(|task| task.blueprint == id(name)).count() as f64
+    };
+    assert!((n_of(&sampler, "2_001") - 1000.0).abs() < 100.0, "uniform before any probabilities");
+    // Of 0.1 : 0.3 with 0.6 elsewhere, 2_000 gets a quarter.
+    let given = [("2_000", 0.1), ("2_001", 0.3), ("3_000", 0.6)].map(|(name, p)| (id(name), p));
+    sampler.set_probabilities(&BTreeMap::from(given));
+    assert!((n_of(&sampler, "2_000") - 750.0).abs() < 100.0);
+    assert_eq!(n_of(&sampler, "2_002"), 0.0);
+    sampler.set_probabilities(&BTreeMap::from([(id("3_000"), 1.0)]));
+    assert!((n_of(&sampler, "2_002") - 1000.0).abs() < 100.0, "uniform when nothing is left");
+}
+
+#[test]
+fn starts_come_in_the_configured_mix() {
+    let config = TaskConfig {
+        filter: TaskFilter::Blueprints(vec![id("3_000")]),
+        prebuilt_probability: 0.25,
+        near_goal_probability: 0.5,
+        near_goal_undone: [1, 9],
+        ..Default::default()
+    };
+    let (mut n_prebuilt, mut n_near, mut undone_seen) = (0, 0, [0; 10]);
+    for task in draw(&sampler(&config), 4000) {
+        match task.start {
+            Start::Prebuilt(other) => {
+                assert_ne!(other, task.blueprint);
+                n_prebuilt += 1;
+            }
+            Start::NearGoal { undone } => {
+                undone_seen[usize::from(undone)] += 1;
+                n_near += 1;
+            }
+            Start::Scattered => {}
+            Start::AsItIs => panic!("training resets"),
+        }
+    }
+    assert!((n_prebuilt - 1000_i32).abs() < 120 && (n_near - 2000_i32).abs() < 150);
+    // Of three blocks at most two can be taken off.
+    assert!(undone_seen[1] > 100 && undone_seen[2] > 100);
+    assert_eq!(undone_seen[1] + undone_seen[2], n_near);
+}
+
+#[test]
+fn generated_goals_have_the_size_of_the_goals_they_replace() {
+    let filter = TaskFilter::Sizes { min: 3, max: 4 };
+    let styles = vec![Style::Tower, Style::Bridge];
+    let config = TaskConfig { filter, generated_probability: 0.5, generated_styles: styles, ..Default::default() };
+    let tasks = draw(&sampler(&config), 400);
+    let draws = config.draws(Catalogue::builtin()).unwrap().unwrap();
+    let (generated, drawn): (Vec<_>, Vec<_>) =
+        tasks.iter().partition(|task| Request::from_id(&task.blueprint).is_some());
+    assert!((150..=250).contains(&generated.len()), "{} of 400", generated.len());
+    assert!(drawn.iter().all(|task| Catalogue::builtin().get(&task.blueprint).is_some()));
+    for task in &generated {
+        let request = Request::from_id(&task.blueprint).unwrap();
+        assert!(draws.admit(&request), "a learner takes what is drawn");
+        let blueprint = Catalogue::builtin().find(&task.blueprint).unwrap();
+        assert!(Catalogue::builtin().is_for_training(&blueprint));
+        assert!((3..=4).contains(&blueprint.n_blocks()));
+        // A bridge has four blocks at least.
+        assert!(request.style == Style::Tower || blueprint.n_blocks() == 4);
+    }
+    let distinct: std::collections::BTreeSet<_> = generated.iter().map(|task| &task.blueprint).collect();
+    assert_eq!(distinct.len(), generated.len(), "there are enough of them");
+}
+
+#[test]
+fn assignments_permute_equal_blocks_only() {
+    let inventory = Inventory::standard();
+    let tasks = draw(&sampler(&TaskConfig::default()), 50);
+    for task in &tasks {
+        for block in BlockIdx::all() {
+            assert_eq!(inventory.cells(task.assignment[block.get()]), inventory.cells(block));
+        }
+    }
+    assert!(tasks.iter().any(|task| task.assignment != tasks[0].assignment));
+    let fixed = draw(&sampler(&TaskConfig { shuffle_blocks: false, ..Default::default() }), 2);
+    assert!(fixed.iter().all(|task| BlockIdx::all().all(|block| task.assignment[block.get()] == block)));
+}
