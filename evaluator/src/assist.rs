@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use blueprints::Catalogue;
-use proto::bus::Bus;
+use proto::bus::{Bus, Pulse};
 use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
 use proto::{Role, Weights};
 use tokio_util::sync::CancellationToken;
@@ -28,13 +28,16 @@ pub async fn assist(setup: EvaluatorSetup, bus: &Bus, shutdown: CancellationToke
     let mut units = bus.serve_units(&setup.id).await?;
     // After that, because an evaluator sends units to all who are alive.
     let _alive = bus.declare_alive(Role::Assistant, &setup.id).await?;
-    let mut assistant = Assistant { hash: setup_hash(&setup), setup, held: None };
+    let pulse = bus.pulse().clone();
+    let mut assistant = Assistant { hash: setup_hash(&setup), setup, held: None, pulse };
     let mut n_units = 0;
     loop {
+        let waiting = bus.pulse().waiting();
         let call = tokio::select! {
             () = shutdown.cancelled() => return Ok(n_units),
             call = units.recv() => call.context("the bus closed")?,
         };
+        drop(waiting);
         let answer = assistant.answer(&call.unit, &shutdown).await?;
         n_units += u64::from(matches!(answer, Some(EvalAnswer::Episodes(_))));
         match answer {
@@ -57,6 +60,7 @@ struct Assistant {
     setup: EvaluatorSetup,
     hash: u64,
     held: Option<(PassId, Arc<Weights>)>,
+    pulse: Pulse,
 }
 
 impl Assistant {
@@ -78,7 +82,7 @@ impl Assistant {
             return Ok(Some(EvalAnswer::Refused("a goal is not in the assistant's catalogue".to_owned())));
         };
         let acting = if unit.is_sampled { Acting::Sampled } else { Acting::Mode };
-        let (setup, shutdown) = (self.setup.clone(), shutdown.clone());
+        let (setup, shutdown, pulse) = (self.setup.clone(), shutdown.clone(), self.pulse.clone());
         let ran = on_thread(self.setup.config.nice, move || {
             let EpisodeConfig { n_threads, n_worlds, .. } = setup.config.episodes;
             let setup = EvalSetup {
@@ -89,7 +93,10 @@ impl Assistant {
                 reset_free: None,
                 seed: setup.seed,
             };
-            let keep_going = || !shutdown.is_cancelled();
+            let keep_going = || {
+                pulse.beat();
+                !shutdown.is_cancelled()
+            };
             Workshop { setup: &setup, desk: &Desk::new(weights), films: None, keep_going: &keep_going }
                 .run(&lanes, acting)
         });

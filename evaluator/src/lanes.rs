@@ -131,7 +131,7 @@ pub(crate) fn run_lanes<E: Env>(
         }
         batch.clear();
         seats.iter().for_each(|seat| batch.push(seat.env.scene(), seat.env.blueprint()));
-        let decisions = policy.act(&batch, &mut rngs, mode);
+        let decisions = policy.act(&batch, &mut rngs, mode)?;
         let mut free = Vec::new();
         for (seat_idx, decision) in decisions.into_iter().enumerate() {
             let seat = &mut seats[seat_idx];

@@ -29,6 +29,7 @@ mod run;
 mod schedule;
 pub mod table;
 pub mod trials;
+mod vetting;
 pub mod video;
 pub mod web;
 

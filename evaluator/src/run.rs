@@ -9,7 +9,7 @@ use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalogue};
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
-use proto::bus::{Bus, HistoryAnswer, MetricsPublisher};
+use proto::bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
 use proto::{Role, Weights, WeightsVersion, keys};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -26,7 +26,11 @@ use crate::nice::on_thread;
 use crate::records::Records;
 use crate::report::EvalReport;
 use crate::schedule::{Due, LastPass, due};
+use crate::vetting::vetted;
 use crate::web::{OpenPage, Page};
+
+/// How long an evaluator waits for another of its name to go: a process that was killed seems to live for up to 6 s.
+const NAME_PATIENCE: Duration = Duration::from_secs(15);
 
 /// How long the last weights may be on their way.
 const LAST_WEIGHTS_WAIT: Duration = Duration::from_secs(15);
@@ -98,7 +102,7 @@ pub async fn run(
         None => None,
     };
     let subscriber = bus.weights_subscriber().await?;
-    let weights = subscriber.watch();
+    let (weights, _vetting) = vetted(subscriber.watch(), setup.policy.clone(), bus.clone());
     let page = match page {
         Some(page) => {
             let policy = setup.policy.clone();
@@ -141,15 +145,20 @@ async fn judge_all(
     mut outlets: Outlets<'_>,
     stop: &Stop,
 ) -> anyhow::Result<u64> {
-    let _alive = bus.declare_alive(Role::Evaluator, &setup.id).await?;
+    let _alive = tokio::select! {
+        () = stop.now.cancelled() => return Ok(0),
+        alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
+    };
     let mut clerks = Clerks::hire(bus, setup_hash(setup)).await?;
     let mut last: Option<(Instant, Arc<Weights>)> = None;
     let mut n_passes = 0;
     loop {
+        let waiting = bus.pulse().waiting();
         let newest = tokio::select! {
             () = stop.now.cancelled() => return Ok(n_passes),
             newest = next_due(setup, &mut weights, last.as_ref(), stop.last.clone()) => newest?,
         };
+        drop(waiting);
         let Some(newest) = newest else { return Ok(n_passes) };
         let start = Instant::now();
         last = Some((start, newest.clone()));
@@ -157,7 +166,7 @@ async fn judge_all(
         let casting = films.and_then(|films| films.casting(&newest, &setup.config.episodes.acting));
         let desk = Arc::new(Desk::new(newest));
         clerks.open(desk.clone());
-        let pass = judge(setup, selected.to_vec(), desk, casting, parts, &stop.now);
+        let pass = judge(setup, selected.to_vec(), desk, casting, parts, (&stop.now, bus.pulse()));
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -181,6 +190,12 @@ async fn judge_all(
         clerks.close();
         let report = match ended {
             Err(EvalError::Interrupted) => return Ok(n_passes),
+            // They were of use on the scene of the trial, but not throughout.
+            Err(EvalError::Policy(error)) if error.is_of_weights() => {
+                bus.count_refused_weights();
+                tracing::warn!(%error, "weights refused, the pass is given up");
+                continue;
+            }
             report => stamp(report?),
         };
         n_passes += 1;
@@ -280,7 +295,7 @@ async fn judge(
     desk: Arc<Desk>,
     films: Option<Casting>,
     parts: watch::Sender<Option<EvalReport>>,
-    shutdown: &CancellationToken,
+    (shutdown, pulse): (&CancellationToken, &Pulse),
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
         catalogue: Catalogue::builtin(),
@@ -290,9 +305,12 @@ async fn judge(
         reset_free: setup.config.reset_free.clone(),
         seed: setup.seed,
     };
-    let shutdown = shutdown.clone();
+    let (shutdown, pulse) = (shutdown.clone(), pulse.clone());
     on_thread(setup.config.nice, move || {
-        let keep_going = || !shutdown.is_cancelled();
+        let keep_going = || {
+            pulse.beat();
+            !shutdown.is_cancelled()
+        };
         let workshop = Workshop { setup: &eval_setup, desk: &desk, films: films.as_ref(), keep_going: &keep_going };
         evaluate_in_parts(&workshop, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })

@@ -30,7 +30,7 @@ use crate::history::Pass;
 use crate::run::RecordPaths;
 use attention::Onlooker;
 use board::Board;
-use config::{Token, WebConfig};
+use config::WebConfig;
 use films::{Films, Folders};
 use replay::Replays;
 
@@ -52,7 +52,7 @@ pub enum WebError {
 pub struct Page {
     listener: TcpListener,
     address: SocketAddr,
-    token: Option<Token>,
+    config: WebConfig,
 }
 
 /// A page that is being served.
@@ -71,7 +71,7 @@ impl Page {
         let failed = |source| WebError::Bind { address: config.listen, source };
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        Ok(Self { listener, address, token: config.token.clone() })
+        Ok(Self { listener, address, config: config.clone() })
     }
 
     /// The address with the port that the system has chosen for port 0.
@@ -95,7 +95,7 @@ impl Page {
         let shutdown = CancellationToken::new();
         let replays = Arc::new(Replays::new(Onlooker::new(policy, weights)));
         let folders = records.map(|paths| Folders { videos: paths.videos.clone(), recordings: paths.replays.clone() });
-        let routes = routes::routes(board.clone(), replays.clone(), Films::new(folders), self.token);
+        let routes = routes::routes(board.clone(), replays.clone(), Films::new(folders), self.config);
         let feeding = tokio::spawn(feed.run(board.clone(), shutdown.clone()));
         let recording = tokio::spawn(replays.run(bus.clone(), shutdown.clone()));
         let serving = tokio::spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));

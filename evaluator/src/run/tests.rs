@@ -46,6 +46,17 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights(&small);
+    // Neither judged nor the end: those after them are.
+    // Of a lower version: within one epoch only newer weights are pulled.
+    let version = WeightsVersion(untrained.version.0 - 1);
+    let huge = Weights { version, parameters: vec![1e6; untrained.parameters.len()], ..untrained.clone() };
+    publisher.publish(Arc::new(huge)).await.unwrap();
+    within(async {
+        while bus.counts().weights_refused_total == 0 {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
     publisher.publish(Arc::new(untrained.clone())).await.unwrap();
     let report = within(seen.wait_for(Option::is_some)).await.unwrap().clone().unwrap();
     assert_eq!(report.summary.weights_version, untrained.version);

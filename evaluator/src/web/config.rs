@@ -12,12 +12,15 @@ const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=128;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WebConfig {
-    /// Address and port; port 0 lets the system choose one. Any other than a loopback address needs a token. There is no
-    /// encryption: beyond one's own network, put it behind a proxy that has it. Default `127.0.0.1:0`.
+    /// Address and port; port 0 lets the system choose one. Any other than a loopback address needs a token or `hosts`.
+    /// There is no encryption: beyond one's own network, put it behind a proxy that has it. Default `127.0.0.1:0`.
     pub listen: SocketAddr,
     /// What a browser must know: 16 to 128 characters of `A-Z`, `a-z`, `0-9`, `-` and `_`. Like every setting it is
     /// written into the run's `config.toml`. Default: absent, which only loopback addresses allow.
     pub token: Option<Token>,
+    /// Without a token the page answers requests to these names only, besides those of its own machine. For a container, whose
+    /// port is published on loopback addresses alone: whoever else reaches it can say any name. Default none.
+    pub hosts: Vec<String>,
 }
 
 /// A shared secret. Its `Debug` shows nothing of it.
@@ -29,7 +32,10 @@ pub struct Token(String);
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WebConfigError {
     /// Others could reach the page, and nothing keeps them out.
-    #[error("web.listen is {0}, which others can reach: set web.token, or listen on 127.0.0.1")]
+    #[error(
+        "web.listen is {0}, which others can reach: set web.token, listen on 127.0.0.1, or, in a network of its own, name in \
+         web.hosts how it is reached"
+    )]
     NoToken(SocketAddr),
     /// A token that is too short, too long or has other characters. The token itself is not named.
     #[error("web.token has {n_characters} characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _")]
@@ -41,7 +47,7 @@ pub enum WebConfigError {
 
 impl Default for WebConfig {
     fn default() -> Self {
-        Self { listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0), token: None }
+        Self { listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0), token: None, hosts: Vec::new() }
     }
 }
 
@@ -52,7 +58,9 @@ impl WebConfig {
     /// When a token is missing or unusable.
     pub fn validate(&self) -> Result<(), WebConfigError> {
         match &self.token {
-            None if !self.listen.ip().is_loopback() => Err(WebConfigError::NoToken(self.listen)),
+            None if !self.listen.ip().is_loopback() && self.hosts.is_empty() => {
+                Err(WebConfigError::NoToken(self.listen))
+            }
             Some(token) if !token.is_usable() => Err(WebConfigError::Token { n_characters: token.0.chars().count() }),
             _ => Ok(()),
         }
@@ -104,7 +112,10 @@ mod tests {
             (
                 "0.0.0.0:8080",
                 None,
-                Some("web.listen is 0.0.0.0:8080, which others can reach: set web.token, or listen on 127.0.0.1"),
+                Some(
+                    "web.listen is 0.0.0.0:8080, which others can reach: set web.token, listen on 127.0.0.1, or, in a network \
+                     of its own, name in web.hosts how it is reached",
+                ),
             ),
             (
                 "127.0.0.1:0",
@@ -121,9 +132,16 @@ mod tests {
         assert!(default.listen.ip().is_loopback() && default.token.is_none() && default.validate().is_ok());
         for (listen, token, error) in table {
             let token = token.map(|token| Token(token.to_owned()));
-            let config = WebConfig { listen: listen.parse().unwrap(), token };
+            let config = WebConfig { listen: listen.parse().unwrap(), token, hosts: Vec::new() };
             assert_eq!(config.validate().err().map(|error| error.to_string()).as_deref(), error, "{listen}");
         }
+    }
+
+    #[test]
+    fn a_page_in_a_container_names_its_hosts() {
+        let hosts = vec!["evaluator".to_owned()];
+        let config = WebConfig { listen: "0.0.0.0:8080".parse().unwrap(), token: None, hosts };
+        assert_eq!(config.validate(), Ok(()));
     }
 
     #[test]

@@ -10,7 +10,9 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 use proto::Role;
+use proto::bus::BusCounts;
 use proto::wilson::SuccessRate;
+use serde_json::Value;
 
 use super::board::State;
 use crate::report::Acting;
@@ -74,6 +76,15 @@ impl Scrape {
 
 fn label(name: &'static str, value: &str) -> (&'static str, String) {
     (name, value.to_owned())
+}
+
+/// The counts of a session under the names of their fields, so that one that is added later is shown too.
+fn by_reason(counts: &BusCounts) -> Vec<(Labels, u64)> {
+    let Ok(Value::Object(fields)) = serde_json::to_value(counts) else { return Vec::new() };
+    let named = fields.into_iter().filter_map(|(name, n)| {
+        Some((vec![label("reason", name.strip_suffix("_total").unwrap_or(&name))], n.as_u64()?))
+    });
+    named.collect()
 }
 
 fn success(page: &mut Scrape, state: &State) {
@@ -151,6 +162,7 @@ fn roster(page: &mut Scrape, state: &State) {
             ("stale", d.stale_total),
             ("full", d.full_total),
             ("invalid", d.invalid_total),
+            ("name_taken", d.name_taken_total),
             ("no_learner", d.no_learner_total),
             ("no_reply", d.no_reply_total),
             ("too_large", d.too_large_total),
@@ -160,17 +172,31 @@ fn roster(page: &mut Scrape, state: &State) {
         reasons.map(|(reason, n)| ([&labels[..], &[label("reason", reason)]].concat(), n))
     });
     page.counters("actor_trajectories_dropped", "Trajectories that an actor dropped, by reason", drops);
+    let of_bus = actors().flat_map(|(labels, actor)| {
+        // Thousands of actors with a dozen reasons each are too many for a scrape; most are 0 for ever.
+        let some = by_reason(&actor.bus).into_iter().filter(|(_, n)| *n > 0);
+        some.map(move |(reason, n)| ([&labels[..], &reason[..]].concat(), n))
+    });
+    page.counters(
+        "actor_bus_dropped",
+        "What an actor's session dropped or refused, by reason, once there is any",
+        of_bus,
+    );
 }
 
 fn dropped(page: &mut Scrape, state: &State) {
+    let of_bus = state.learner.iter().flat_map(|learner| by_reason(&learner.bus));
+    page.counters("learner_bus_dropped", "What the learner's session dropped or refused, by reason", of_bus);
     let reasons = state.learner.iter().flat_map(|learner| {
         let ingest = &learner.ingest;
         [
             ("stale", ingest.stale_total),
             ("full", ingest.full_total),
             ("invalid", ingest.invalid_total),
+            ("name_taken", ingest.name_taken_total),
             ("duplicate", ingest.duplicates_total),
             ("expired", learner.expired_total),
+            ("unmade", learner.unmade_total),
         ]
     });
     let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
@@ -222,6 +248,14 @@ mod tests {
             }
         }
         samples
+    }
+
+    #[test]
+    fn every_count_of_a_session_has_its_reason() {
+        let counts = BusCounts { weights_refused_total: 2, ..BusCounts::default() };
+        let reasons = by_reason(&counts);
+        assert!(reasons.contains(&(vec![label("reason", "weights_refused")], 2)), "{reasons:?}");
+        assert!(reasons.contains(&(vec![label("reason", "tokens_invalid")], 0)), "{reasons:?}");
     }
 
     #[test]

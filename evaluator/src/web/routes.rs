@@ -17,7 +17,7 @@ use axum::routing::get;
 use serde::Serialize;
 
 use super::board::Board;
-use super::config::Token;
+use super::config::{Token, WebConfig};
 use super::films::{FilmView, Films};
 use super::prometheus;
 use super::replay::Replays;
@@ -62,9 +62,10 @@ pub(super) const ASSETS: [Asset; 4] = [
     ),
 ];
 
-/// The routes; all but the two for probes ask for `token`, or, if there is none, for a name of this machine.
-pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, films: Films, token: Option<Token>) -> Router {
-    let guard = Arc::new(Guard { board: board.clone(), token });
+/// The routes; all but the two for probes ask for the token of `config`, or, if there is none, for a name of this machine or one
+/// of its hosts.
+pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, films: Films, config: WebConfig) -> Router {
+    let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
     let mut guarded = Router::new()
         .route("/api/history", get(history))
         .route("/api/events", get(events))
@@ -195,16 +196,20 @@ async fn dress(request: Request, next: Next) -> Response {
 struct Guard {
     board: Arc<Board>,
     token: Option<Token>,
+    hosts: Vec<String>,
 }
 
 async fn admit(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let Some(token) = &guard.token else {
         // A page of somebody else can make a browser resolve its own name to 127.0.0.1; the name then gives it away.
-        if names_this_machine(request.headers()) {
+        if is_for_us(request.headers(), &guard.hosts) {
             return next.run(request).await;
         }
         guard.board.state().counts.requests_refused_total += 1;
-        return (StatusCode::FORBIDDEN, "without a token the page answers to 127.0.0.1 and localhost only\n")
+        return (
+            StatusCode::FORBIDDEN,
+            "without a token the page answers to 127.0.0.1, localhost and web.hosts only\n",
+        )
             .into_response();
     };
     let in_query = request.uri().query().into_iter().flat_map(|query| query.split('&'));
@@ -242,13 +247,15 @@ fn in_headers(token: &Token, headers: &HeaderMap) -> bool {
     bearer || headers.get_all(COOKIE).iter().map(text).any(in_cookie)
 }
 
-/// Whether the request is to `localhost` or a loopback address, with any port.
-fn names_this_machine(headers: &HeaderMap) -> bool {
+/// Whether the request is to `localhost`, a loopback address or one of `hosts`, with any port.
+fn is_for_us(headers: &HeaderMap, hosts: &[String]) -> bool {
     let Some(host) = headers.get(HOST).and_then(|host| host.to_str().ok()) else { return false };
     let name = match host.rsplit_once(':') {
         Some((name, port)) if port.bytes().all(|c| c.is_ascii_digit()) => name,
         _ => host,
     };
     let address = name.trim_start_matches('[').trim_end_matches(']');
-    name.eq_ignore_ascii_case("localhost") || address.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
+    name.eq_ignore_ascii_case("localhost")
+        || hosts.iter().any(|known| name.eq_ignore_ascii_case(known))
+        || address.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
 }

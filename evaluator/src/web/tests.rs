@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 
+use super::config::Token;
 use super::events::MAX_VIEWERS;
 use super::replay::tests::segment;
 use super::server::MAX_CONNECTIONS;

@@ -4,6 +4,7 @@ const model = {
   history: { blueprints: [], passes: [], n_left_out: 0 },
   points: [],
   learner: null,
+  summary: null,
   actors: new Map(),
   roster: { actors: [], learners: [], evaluators: [] },
   acting: "mode",
@@ -38,7 +39,7 @@ function draw() {
   }
   if (parts.has("learner")) drawHealth($("health"), model.points);
   drawRoster($("roster"), model.roster, model.actors, model.learner);
-  drawDrops($("drops"), model.actors, model.learner);
+  drawDrops($("drops"), model.actors, model.learner, model.summary);
   drawTiles();
 }
 
@@ -97,6 +98,9 @@ function measured({ key, payload }) {
     redraw("learner");
   } else if (key.startsWith("actor/")) {
     model.actors.set(key.slice("actor/".length), payload);
+    redraw("roster");
+  } else if (key === "eval/summary") {
+    model.summary = payload;
     redraw("roster");
   }
 }

@@ -60,7 +60,7 @@ function drawRoster(table, roster, actors, learner) {
   fill(table, caption, ["member", "steps/s", "weights", "lag", "dropped"], rows);
 }
 
-function drawDrops(table, actors, learner) {
+function drawDrops(table, actors, learner, summary) {
   const totals = new Map();
   const add = (who, reason, n) => {
     if (isNumber(n) && n > 0) totals.set(`${who}: ${reason}`, (totals.get(`${who}: ${reason}`) || 0) + n);
@@ -68,10 +68,15 @@ function drawDrops(table, actors, learner) {
   const words = (name) => name.replace(/_total$/, "").replaceAll("_", " ");
   for (const actor of actors.values()) {
     for (const [reason, n] of Object.entries(actor.dropped || {})) add("actors", words(reason), n);
+    for (const [reason, n] of Object.entries(actor.bus || {})) add("actors' bus", words(reason), n);
   }
+  for (const [reason, n] of Object.entries((summary && summary.bus) || {})) add("evaluator's bus", words(reason), n);
   if (learner) {
-    for (const reason of ["duplicates_total", "stale_total", "full_total", "invalid_total"]) add("learner", words(reason), learner.ingest[reason]);
+    for (const [reason, n] of Object.entries(learner.ingest || {})) {
+      if (!["received_total", "accepted_total"].includes(reason)) add("learner", words(reason), n);
+    }
     add("learner", "expired", learner.expired_total);
+    add("learner", "goal not made", learner.unmade_total);
     for (const [reason, n] of Object.entries(learner.bus || {})) add("learner's bus", words(reason), n);
   }
   const rows = [...totals].sort().map(([reason, n]) => [reason, count(n)]);

@@ -1,0 +1,47 @@
+//! Keeps weights that cannot be acted by from all that judge and show them.
+
+use std::sync::Arc;
+
+use policy::{Policy, PolicyConfig};
+use proto::Weights;
+use proto::bus::Bus;
+use tokio::sync::watch;
+use tokio_util::task::AbortOnDropHandle;
+
+/// Newest weights as they come.
+type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
+
+/// The newest weights by which a policy can act, for as long as the handle lives; others are counted by the bus. Weights of
+/// another network pass, since waiting does not mend them: whoever judges says what is wrong.
+pub(crate) fn vetted(mut arrivals: Arrivals, config: PolicyConfig, bus: Bus) -> (Arrivals, AbortOnDropHandle<()>) {
+    let (usable, vetted) = watch::channel(None);
+    let task = tokio::spawn(async move {
+        loop {
+            let newest = arrivals.borrow_and_update().clone();
+            if let Some(newest) = newest
+                && passes(&config, &newest, &bus).await
+            {
+                usable.send_replace(Some(newest));
+            }
+            if arrivals.changed().await.is_err() {
+                return;
+            }
+        }
+    });
+    (vetted, AbortOnDropHandle::new(task))
+}
+
+async fn passes(config: &PolicyConfig, weights: &Arc<Weights>, bus: &Bus) -> bool {
+    let (config, tried) = (config.clone(), weights.clone());
+    // Off the runtime, because a forward pass computes for a moment.
+    let trial = tokio::task::spawn_blocking(move || Policy::new(&config)?.load(&tried));
+    let error = match trial.await {
+        Ok(Ok(())) => return true,
+        Ok(Err(error)) if !error.is_of_weights() => return true,
+        Ok(Err(error)) => error.to_string(),
+        Err(panic) => panic.to_string(),
+    };
+    bus.count_refused_weights();
+    tracing::warn!(version = weights.version.0, error, "weights refused, those before them stay in force");
+    false
+}
