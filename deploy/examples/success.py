@@ -1,6 +1,7 @@
 """Follows a run's success from Python: the latest numbers at once, then every new one.
 
 Usage: pip install eclipse-zenoh; python success.py tcp/127.0.0.1:7447 [--run NAME] [--once | --history]
+       python success.py quic/127.0.0.1:7447 --keys KEYS [--run NAME] [--once | --history]
 
 Needs a router (`lodestone router --listen tcp/127.0.0.1:7447`) and, for numbers to come, an evaluator. Prints one line per
 group and pass; the fields of the JSON are described in README.md, section "Live metrics".
@@ -8,6 +9,7 @@ group and pass; the fields of the JSON are described in README.md, section "Live
 
 import argparse
 import json
+import pathlib
 import queue
 
 import zenoh
@@ -32,10 +34,24 @@ def lines(summary):
                 )
 
 
+def show_keys(config, folder):
+    """Lets the router know us by the keys in `folder`, and us the router."""
+    if (folder / "viewer").is_dir():
+        folder /= "viewer"
+    config.insert_json5("transport/link/tls/root_ca_certificate", json.dumps(str(folder / "ca.pem")))
+    config.insert_json5("transport/link/tls/connect_certificate", json.dumps(str(folder / "cert.pem")))
+    config.insert_json5("transport/link/tls/connect_private_key", json.dumps(str(folder / "key.pem")))
+    config.insert_json5("transport/link/tls/enable_mtls", "true")
+    config.insert_json5("transport/link/tls/verify_name_on_connect", "true")
+    user, _, password = (folder / "password").read_text().strip().partition(":")
+    config.insert_json5("transport/auth/usrpwd", json.dumps({"user": user, "password": password}))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("endpoint", help="the router's, for example tcp/127.0.0.1:7447")
     parser.add_argument("--run", default="*", help="name of the run (`bus.run`, or the preset); all by default")
+    parser.add_argument("--keys", metavar="DIR", type=pathlib.Path, help="folder of the role viewer, or of all roles, for quic/…")
     parser.add_argument("--once", action="store_true", help="print the first complete summary as JSON and end")
     parser.add_argument("--history", action="store_true", help="print all passes so far as JSON and end")
     args = parser.parse_args()
@@ -43,6 +59,8 @@ def main():
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([args.endpoint]))
+    if args.keys:
+        show_keys(config, args.keys)
     key = f"lodestone/{args.run}/metrics/eval/summary"
     samples = queue.SimpleQueue()
     with zenoh.open(config) as session:

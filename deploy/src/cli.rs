@@ -6,13 +6,17 @@ use ::blueprints::{BlueprintId, Split};
 use clap::builder::PossibleValuesParser;
 use clap::{Args, Parser, Subcommand};
 
+mod bench;
 mod blueprints;
+mod bus;
 mod expert;
 mod render;
 mod report;
 mod watch;
 
+pub use self::bench::{BenchActorsArgs, BenchCommand, Transport};
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
+pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
 pub use self::report::ReportArgs;
@@ -47,6 +51,11 @@ pub enum Command {
     Evaluator(EvaluatorArgs),
     /// Connect the processes of runs, and nothing else.
     Router(RouterArgs),
+    /// Make keys, without which nobody joins a router that other machines can reach.
+    #[command(subcommand)]
+    Keys(KeysCommand),
+    /// Ask a service on this machine whether it is well: exit code 0, or 1 and the reason.
+    Healthcheck(HealthcheckArgs),
     /// Watch a run: success, throughput, losses, actors and drops as they come.
     Watch(WatchArgs),
     /// Judge a checkpoint, or the policy that comes with the program.
@@ -65,6 +74,9 @@ pub enum Command {
     /// Look at blueprints.
     #[command(subcommand)]
     Blueprints(BlueprintsCommand),
+    /// Measure what this machine's processes and their connections can carry.
+    #[command(subcommand)]
+    Bench(BenchCommand),
 }
 
 /// Where the configuration comes from.
@@ -74,7 +86,7 @@ pub struct ConfigArgs {
     #[arg(long, value_name = "FILE", env = "LODESTONE_CONFIG", conflicts_with = "preset")]
     pub config: Option<PathBuf>,
     /// Configuration that comes with the program [default: quickstart].
-    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
+    #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
     pub preset: Option<String>,
     /// Set one key of the configuration, for example actor.n_worlds=16; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
@@ -110,8 +122,14 @@ pub struct TrainArgs {
     #[arg(long)]
     pub lockstep: bool,
     /// Let other processes join here, for example tcp/127.0.0.1:7447; may be repeated.
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',')]
     pub listen: Vec<String>,
+    /// Keys of those who join.
+    #[command(flatten)]
+    pub keys: KeysArgs,
+    /// Health.
+    #[command(flatten)]
+    pub health: HealthArgs,
     /// The page.
     #[command(flatten)]
     pub page: PageArgs,
@@ -122,7 +140,7 @@ pub struct TrainArgs {
 pub struct PageArgs {
     /// Serve a page about the training here, for example 127.0.0.1:0 for a free port; an address that others can reach
     /// needs evaluator.web.token.
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", env = "LODESTONE_WEB")]
     pub web: Option<std::net::SocketAddr>,
 }
 
@@ -130,25 +148,18 @@ pub struct PageArgs {
 #[derive(Clone, Debug, Default, Args)]
 pub struct RunArgs {
     /// End after this many environment steps, those before a resume included.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..))]
+    #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = clap::value_parser!(i64).range(1..))]
     pub steps: Option<i64>,
     /// Folder for checkpoints and metrics [default: runs/DATE-NAME].
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR")]
     pub run_dir: Option<PathBuf>,
     /// Continue the run in this folder, with its configuration.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["config", "preset"])]
     pub resume: Option<PathBuf>,
-}
-
-/// Endpoints of a process that joins others.
-#[derive(Clone, Debug, Default, Args)]
-pub struct EndpointArgs {
-    /// Endpoint of the router, for example tcp/127.0.0.1:7447 or unixsock-stream//tmp/bus.sock; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',')]
-    pub connect: Vec<String>,
-    /// Be a router oneself and listen here; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',')]
-    pub listen: Vec<String>,
+    /// Continue the run in --run-dir, with its configuration, if there is one, and start it there otherwise: whoever
+    /// restarts this process need not know which.
+    #[arg(long, env = "LODESTONE_AUTO_RESUME", requires = "run_dir", conflicts_with = "resume")]
+    pub auto_resume: bool,
 }
 
 /// Arguments of a process that joins a run.
@@ -160,9 +171,12 @@ pub struct MemberArgs {
     /// The bus.
     #[command(flatten)]
     pub endpoints: EndpointArgs,
-    /// Name among its kind: 1 to 64 characters of a-z, 0-9 and - [default: the process id].
+    /// Name among its kind: 1 to 64 characters of a-z, 0-9 and -, which nobody else of the run has [default: a random one].
     #[arg(long, value_name = "ID", env = "LODESTONE_ID")]
     pub id: Option<String>,
+    /// Health.
+    #[command(flatten)]
+    pub health: HealthArgs,
 }
 
 /// Arguments of `learner`.
@@ -183,7 +197,7 @@ pub struct EvaluatorArgs {
     #[command(flatten)]
     pub member: MemberArgs,
     /// Keep reports in this folder: in metrics.jsonl and eval.db.
-    #[arg(long, value_name = "DIR", conflicts_with = "assist")]
+    #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR", conflicts_with = "assist")]
     pub run_dir: Option<PathBuf>,
     /// Judge nothing, and run episodes for the evaluator of the run instead; as many as there are share its passes.
     #[arg(long)]
@@ -191,17 +205,6 @@ pub struct EvaluatorArgs {
     /// The page.
     #[command(flatten)]
     pub page: PageArgs,
-}
-
-/// Arguments of `router`.
-#[derive(Debug, Args)]
-pub struct RouterArgs {
-    /// Where processes find it, for example tcp/0.0.0.0:7447; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_LISTEN", value_delimiter = ',')]
-    pub listen: Vec<String>,
-    /// Other routers to connect to; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',')]
-    pub connect: Vec<String>,
 }
 
 /// Which policy.
@@ -332,21 +335,6 @@ impl PageArgs {
     /// The flag that changes the configuration.
     pub fn overrides(&self) -> Option<Override> {
         self.web.map(|address| Override::flag("--web", "evaluator.web.listen", address.to_string()))
-    }
-}
-
-impl EndpointArgs {
-    /// The flags that change the configuration: whoever listens is a router, everyone else a client.
-    pub fn overrides(&self) -> Vec<Override> {
-        let mode = if self.listen.is_empty() { "client" } else { "router" };
-        let mut overrides = vec![Override::flag("--listen", "bus.mode", mode)];
-        if !self.connect.is_empty() {
-            overrides.push(Override::flag("--connect", "bus.connect", self.connect.clone()));
-        }
-        if !self.listen.is_empty() {
-            overrides.push(Override::flag("--listen", "bus.listen", self.listen.clone()));
-        }
-        overrides
     }
 }
 

@@ -10,6 +10,7 @@ use learner::{CheckpointError, LearnerError};
 use proto::bus::BusError;
 
 use crate::config::{ConfigError, suggestion};
+use crate::keys::MakeKeysError;
 
 /// A failed command.
 #[derive(Debug, thiserror::Error)]
@@ -23,6 +24,12 @@ pub enum Failure {
     /// The page cannot be served where the configuration says; code 64.
     #[error(transparent)]
     Page(#[from] WebError),
+    /// Keys cannot be made; code 64, or 2 when keys are there already.
+    #[error(transparent)]
+    Keys(#[from] MakeKeysError),
+    /// A service is not well; code 1.
+    #[error("{0}")]
+    Unhealthy(String),
     /// The bus cannot be opened, or was lost; code 65.
     #[error("{0:#}")]
     Bus(anyhow::Error),
@@ -87,7 +94,12 @@ pub enum Failure {
 
 impl From<BusError> for Failure {
     fn from(error: BusError) -> Self {
-        Self::Bus(error.into())
+        match error {
+            BusError::Config(_) | BusError::Keys(_) => {
+                Self::Config(ConfigError::Invalid { origin: "bus".to_owned(), message: error.to_string() })
+            }
+            error => Self::Bus(error.into()),
+        }
     }
 }
 
@@ -114,8 +126,9 @@ impl Failure {
     /// The process's exit code.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Usage(_) => 2,
+            Self::Usage(_) | Self::Keys(MakeKeysError::Exists(_)) => 2,
             Self::Config(_)
+            | Self::Keys(_)
             | Self::Page(_)
             | Self::Catalogue(_)
             | Self::Blueprints { .. }
@@ -127,7 +140,7 @@ impl Failure {
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
             Self::Checkpoint(_) | Self::History(_) | Self::NothingToShow(_) => 66,
-            Self::Service(_) => 1,
+            Self::Service(_) | Self::Unhealthy(_) => 1,
         })
     }
 }

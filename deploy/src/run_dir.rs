@@ -1,20 +1,53 @@
 //! The folder that a run leaves behind.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
 
+use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::exit::Failure;
 
 /// Name of the file with every setting.
 pub const CONFIG_FILE: &str = "config.toml";
 
-/// A run's folder, which exists.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RunDir(PathBuf);
+/// Name of the file that the process which learns in the folder locks.
+const LOCK_FILE: &str = "run.lock";
+
+/// A run's folder, which exists and in which no other process learns until this is dropped.
+#[derive(Debug)]
+pub struct RunDir {
+    path: PathBuf,
+    /// The system gives the lock back when the process ends, however it ends.
+    _lock: File,
+}
+
+/// Where a run begins.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Origin {
+    /// The folder whose configuration is used, if it is that of an earlier start.
+    pub config: Option<PathBuf>,
+    /// The folder whose checkpoints are used, if any.
+    pub checkpoint: Option<PathBuf>,
+}
+
+impl Origin {
+    /// The run to continue, if it is named, or is there already and may be continued.
+    pub fn find(args: &RunArgs) -> Self {
+        if let Some(resume) = &args.resume {
+            return Self { config: Some(resume.clone()), checkpoint: Some(resume.clone()) };
+        }
+        let Some(folder) = args.run_dir.as_ref().filter(|folder| args.auto_resume && folder.join(CONFIG_FILE).exists())
+        else {
+            return Self::default();
+        };
+        // One that was ended before its first checkpoint begins again.
+        let has_checkpoint = learner::checkpoint::exists(&folder.join(learner::run::CHECKPOINTS));
+        Self { config: Some(folder.clone()), checkpoint: has_checkpoint.then(|| folder.clone()) }
+    }
+}
 
 /// What produced a run, beside its configuration.
 #[derive(Debug, Serialize)]
@@ -27,42 +60,53 @@ struct Meta<'a> {
 }
 
 impl RunDir {
-    /// Makes the folder, `runs/<date>-<name>` unless a path is given, and writes `config.toml` and `meta.json` into it.
+    /// Makes the folder, `runs/<date>-<name>` unless a path is given, takes its lock and writes `config.toml` and `meta.json` into
+    /// it.
     ///
     /// # Errors
-    /// When the folder holds another run, unless it is the one to resume, or cannot be written.
-    pub fn create(path: Option<&Path>, config: &Config, resume: Option<&Path>) -> Result<Self, Failure> {
+    /// When the folder holds another run than `origin`, a process learns in it, or it cannot be written. Nothing has been
+    /// changed then.
+    pub fn create(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let started = utc(SystemTime::now());
         let stamp = started.replace(':', "");
         let path = path
-            .or(resume)
+            .or(origin.config.as_deref())
             .map_or_else(|| Path::new("runs").join(format!("{stamp}-{}", config.bus.run)), Path::to_owned);
-        let is_resumed = resume == Some(path.as_path());
-        if path.join(CONFIG_FILE).exists() && !is_resumed {
-            let shown = path.display();
+        let shown = path.display();
+        let failed = |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {shown}")));
+        fs::create_dir_all(&path).map_err(failed)?;
+        let lock = File::create(path.join(LOCK_FILE)).map_err(failed)?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(Failure::Usage(format!(
+                    "another process learns in {shown}: end it first, or choose another `--run-dir`"
+                )));
+            }
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
+        }
+        // Looked at under the lock, so that of two processes that start at once only one finds the folder empty.
+        if path.join(CONFIG_FILE).exists() && origin.config.as_ref() != Some(&path) {
             return Err(Failure::Usage(format!(
                 "{shown} holds a run already: continue it with `--resume {shown}` or choose another `--run-dir`"
             )));
         }
-        let failed =
-            |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {}", path.display())));
-        fs::create_dir_all(&path).map_err(failed)?;
         let meta = Meta {
             lodestone_version: env!("CARGO_PKG_VERSION"),
             command: std::env::args().collect(),
             started_utc: started,
             seed: config.seed,
-            resumed_from: resume,
+            resumed_from: origin.checkpoint.as_deref(),
         };
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
         fs::write(path.join(CONFIG_FILE), config.to_toml()).map_err(failed)?;
         fs::write(path.join("meta.json"), meta + "\n").map_err(failed)?;
-        Ok(Self(path))
+        Ok(Self { path, _lock: lock })
     }
 
     /// Where it is.
     pub fn path(&self) -> &Path {
-        &self.0
+        &self.path
     }
 }
 

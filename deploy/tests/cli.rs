@@ -108,7 +108,10 @@ fn a_missing_checkpoint_is_named() {
 
 #[test]
 fn an_endpoint_that_makes_no_sense_is_named() {
-    check_refused(&["router", "--listen", "nonsense"], &[], None, 65, &["nonsense"]);
+    for (role, endpoint) in [("router", "nonsense"), ("router", "tls/127.0.0.1:7447"), ("router", "tcp/localhost")] {
+        check_refused(&[role, "--listen", endpoint], &[], None, 64, &[endpoint, "tcp/HOST:PORT"]);
+    }
+    check_refused(&["actor", "--connect", "localhost:7447"], &[], None, 64, &["`localhost:7447`", "tcp/HOST:PORT"]);
 }
 
 #[cfg(not(feature = "gpu"))]

@@ -98,10 +98,12 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     assert_eq!(samples("learner_env_steps", "counter")[""], recorded(&learner["n_env_steps"]));
     assert_eq!(samples("learner_entropy_nats", "gauge")[""], recorded(&learner["ppo"]["entropy"]));
     let drops = samples("learner_trajectories_dropped", "counter");
-    for reason in ["stale", "full", "invalid"] {
+    for reason in ["stale", "full", "invalid", "name_taken"] {
         assert_eq!(drops[reason], recorded(&learner["ingest"][format!("{reason}_total")]), "{reason}");
     }
-    assert_eq!(samples("actor_trajectories_dropped", "counter").len(), 8);
+    assert_eq!(samples("actor_trajectories_dropped", "counter").len(), 9);
+    assert_eq!(drops["unmade"], recorded(&learner["unmade_total"]));
+    assert_eq!(samples("learner_bus_dropped", "counter")["weights_refused"], 0.0);
     assert_eq!(samples("page_dropped", "counter")["request_refused"], 1.0);
 }
 

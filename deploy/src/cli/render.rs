@@ -7,6 +7,8 @@ use clap::{Args, ValueEnum};
 use evaluator::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 use proto::ActorId;
 
+use super::KeysArgs;
+
 /// Arguments of `render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
@@ -48,6 +50,9 @@ pub struct LiveArgs {
     /// Name of the run; processes that were not told one have their preset's.
     #[arg(long, value_name = "NAME", default_value = "quickstart", requires = "connect")]
     pub run: String,
+    /// Keys, of which those of the role evaluator are used: a viewer may not see episodes.
+    #[command(flatten)]
+    pub keys: KeysArgs,
     /// Only this actor.
     #[arg(long, value_name = "ID", requires = "connect")]
     pub actor: Option<ActorId>,

@@ -2,15 +2,21 @@
 
 use clap::Args;
 
+use super::KeysArgs;
+
 /// Arguments of `watch`.
 #[derive(Debug, Args)]
 pub struct WatchArgs {
-    /// Endpoint of the run's router, for example tcp/127.0.0.1:7447 or unixsock-stream//tmp/bus.sock; may be repeated.
+    /// Endpoint of the run's router, for example tcp/127.0.0.1:7447, quic/HOST:7447 or unixsock-stream//tmp/bus.sock; may be
+    /// repeated.
     #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_CONNECT", value_delimiter = ',')]
     pub connect: Vec<String>,
     /// Name of the run; processes that were not told one have their preset's.
-    #[arg(long, value_name = "NAME", default_value = "quickstart")]
+    #[arg(long, value_name = "NAME", default_value = "quickstart", env = "LODESTONE_RUN")]
     pub run: String,
+    /// Keys, of which those of the role viewer are used.
+    #[command(flatten)]
+    pub keys: KeysArgs,
     /// Print what is known as text and end, as soon as the learner or the evaluator has said something.
     #[arg(long)]
     pub once: bool,

@@ -1,9 +1,11 @@
 //! What the subcommands do.
 
+mod bench;
 mod blueprints;
 mod eval;
 mod expert;
 mod files;
+mod keys;
 mod models;
 mod play;
 mod render;
@@ -18,11 +20,13 @@ use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::{Command, ConfigArgs};
+use crate::cli::{Command, ConfigArgs, RunArgs};
 use crate::config::{Config, Override};
 use crate::exit::Failure;
+use crate::limits;
 use crate::live::Terminal;
-use crate::signals;
+use crate::run_dir::Origin;
+use crate::{health, signals};
 
 /// Threads for the bus and the services' waiting; stepping and training have threads of their own.
 const N_RUNTIME_THREADS: usize = 2;
@@ -36,6 +40,7 @@ const LAST_THREADS: Duration = Duration::from_secs(10);
 /// Says what failed; see [`Failure`] for the kinds.
 pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
+        Command::Bench(command) => bench::run(&command, terminal),
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Expert(command) => expert::run(&command, terminal),
         Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
@@ -48,6 +53,8 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             on_runtime(async |shutdown| play::run(source, &config, &args, terminal, shutdown).await)
         }
         Command::Report(args) => report::run(&args, terminal),
+        Command::Keys(command) => keys::run(&command, terminal),
+        Command::Healthcheck(args) => health::check(&args.file, args.alive).map(drop),
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
         Command::Watch(args) => on_runtime(async |shutdown| watch::run(&args, terminal, shutdown).await),
         Command::Train(args) => {
@@ -55,32 +62,46 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
                 (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
             let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));
             let lockstep = args.lockstep.then(|| Override::flag("--lockstep", "lockstep", true));
-            let given = [listen, actors, lockstep, args.page.overrides()];
+            let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
+            let given = [listen, actors, lockstep, keys, args.page.overrides()];
             let flags = args.run.overrides().into_iter().chain(given.into_iter().flatten()).collect();
-            let Some(config) = configure(&args.config, args.run.resume.as_ref(), flags, terminal)? else {
+            let origin = origin(&args.run, &args.config, terminal);
+            let Some(config) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
-            let preset = args.config.preset(args.run.resume.as_ref())?;
-            on_runtime(async |shutdown| train::run(&config, &args.run, preset, terminal, shutdown).await)
+            let preset = args.config.preset(origin.config.as_ref())?;
+            on_runtime(async |shutdown| train::run(&config, &args, origin, preset, terminal, shutdown).await)
         }
         Command::Actor(args) => {
-            let flags = args.endpoints.overrides();
+            let flags = args.endpoints.overrides("actor");
             let Some(config) = configure(&args.config, None, flags, terminal)? else { return Ok(()) };
-            on_runtime(async |shutdown| services::run_actor(&config, args.id.clone(), shutdown).await)
+            on_runtime(async |shutdown| services::run_actor(&config, &args, shutdown).await)
         }
         Command::Learner(args) => {
-            let flags = [args.member.endpoints.overrides(), args.run.overrides()].concat();
-            let Some(config) = configure(&args.member.config, args.run.resume.as_ref(), flags, terminal)? else {
+            let flags = [args.member.endpoints.overrides("learner"), args.run.overrides()].concat();
+            let origin = origin(&args.run, &args.member.config, terminal);
+            let Some(config) = configure(&args.member.config, origin.config.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
-            on_runtime(async |shutdown| services::run_learner(&config, &args.run, terminal, shutdown).await)
+            on_runtime(async |shutdown| services::run_learner(&config, &args, origin, terminal, shutdown).await)
         }
         Command::Evaluator(args) => {
-            let flags = args.member.endpoints.overrides().into_iter().chain(args.page.overrides()).collect();
+            let flags = args.member.endpoints.overrides("evaluator").into_iter().chain(args.page.overrides()).collect();
             let Some(config) = configure(&args.member.config, None, flags, terminal)? else { return Ok(()) };
             on_runtime(async |shutdown| services::run_evaluator(&config, &args, terminal, shutdown).await)
         }
     }
+}
+
+/// Where the run begins; says so when that makes a preset or file of no effect.
+fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Origin {
+    let origin = Origin::find(run);
+    if let (Some(folder), true) = (&origin.config, run.auto_resume) {
+        let ignored = config.config.as_ref().map(|file| file.display().to_string()).or_else(|| config.preset.clone());
+        let ignored = ignored.map_or_else(String::new, |name| format!("; `{name}` is not read"));
+        terminal.print(&format!("the run in {} goes on with its own configuration{ignored}", folder.display()));
+    }
+    origin
 }
 
 /// The valid configuration, or `None` after printing it when that was asked for.
@@ -101,6 +122,7 @@ fn configure(
 
 /// Runs `command` on a runtime, with a token that the first signal cancels.
 fn on_runtime(command: impl AsyncFnOnce(CancellationToken) -> Result<(), Failure>) -> Result<(), Failure> {
+    limits::allow_many_files();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(N_RUNTIME_THREADS)
         .enable_all()

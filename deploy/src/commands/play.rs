@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
 use blueprints::Catalogue;
-use evaluator::Stop;
+use evaluator::{Policy, Stop};
 use proto::Weights;
 use proto::bus::Bus;
 use tokio::sync::watch;
@@ -16,7 +16,7 @@ use crate::cli::PlayArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::live::{self, Terminal};
-use crate::run_dir::RunDir;
+use crate::run_dir::{Origin, RunDir};
 
 /// Name of the run, and of its only service.
 const NAME: &str = "play";
@@ -54,12 +54,16 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
+    let weights = published(source, config)?;
+    // The page would wait for them for ever.
+    let mut policy = Policy::new(&config.policy).map_err(anyhow::Error::from)?;
+    policy.load(&weights).map_err(anyhow::Error::from)?;
     let page = services::page(config, terminal).await?;
-    let run_dir = RunDir::create(args.run_dir.as_deref(), config, None)?;
+    let run_dir = RunDir::create(args.run_dir.as_deref(), config, &Origin::default())?;
     terminal.print(&format!("episodes and films go to {}; Ctrl-C ends", run_dir.path().display()));
     let bus = Bus::open(&config.bus).await?;
     let publisher = bus.weights_publisher().await?;
-    publisher.publish(Arc::new(published(source, config)?)).await?;
+    publisher.publish(Arc::new(weights)).await?;
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
     let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));

@@ -1,10 +1,11 @@
 //! `router`: carries the messages of all runs whose processes connect to it.
 
-use proto::bus::{Bus, BusConfig, BusMode};
+use proto::bus::{Bus, BusConfig, BusMode, SecurityConfig};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::RouterArgs;
 use crate::exit::Failure;
+use crate::health::Reporter;
 
 /// Routes until `shutdown`.
 ///
@@ -13,9 +14,14 @@ use crate::exit::Failure;
 pub(super) async fn run(args: &RouterArgs, shutdown: CancellationToken) -> Result<(), Failure> {
     // The name of a run prefixes only what a process itself sends, so one router serves every run.
     let (listen, connect) = (args.listen.clone(), args.connect.clone());
-    let config = BusConfig { mode: BusMode::Router, listen, connect, ..BusConfig::default() };
+    let security = SecurityConfig { keys: args.keys.folder("router") };
+    let config = BusConfig { mode: BusMode::Router, listen, connect, security, ..BusConfig::default() };
+    let health = Reporter::start("router", args.health.health_file.as_deref())?;
     let bus = Bus::open(&config).await?;
-    tracing::info!(listen = ?config.listen, "routing");
+    health.joined(&bus);
+    // It has no loop of its own that could hang.
+    let _waiting = bus.pulse().waiting();
+    tracing::info!(listen = ?config.listen, with_keys = config.security.keys.is_some(), "routing");
     shutdown.cancelled().await;
     bus.close().await?;
     Ok(())

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use actor::Lockstep;
 use blueprints::Catalogue;
@@ -13,30 +14,38 @@ use proto::{ActorId, Role, tensorboard};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::{EvaluatorArgs, RunArgs};
+use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
+use crate::health::Reporter;
 use crate::live::{self, Terminal};
-use crate::run_dir::RunDir;
+use crate::names::random_name;
+use crate::run_dir::{Origin, RunDir};
+
+/// How often a process that waits for its router says so.
+const WAIT_NOTICE: Duration = Duration::from_secs(10);
 
 /// Runs `actor`.
-pub(super) async fn run_actor(config: &Config, id: Option<String>, shutdown: CancellationToken) -> Result<(), Failure> {
-    let id = actor_id(id)?;
-    on_bus(config, &shutdown, async |bus| actor(config.clone(), id, bus, shutdown.clone()).await).await
+pub(super) async fn run_actor(config: &Config, args: &MemberArgs, shutdown: CancellationToken) -> Result<(), Failure> {
+    let id = actor_id(args.id.clone())?;
+    let health = Reporter::start(Role::Actor.as_str(), args.health.health_file.as_deref())?;
+    on_bus(config, &health, &shutdown, async |bus| actor(config.clone(), id, bus, shutdown.clone()).await).await
 }
 
 /// Runs `learner`.
 pub(super) async fn run_learner(
     config: &Config,
-    args: &RunArgs,
+    args: &LearnerArgs,
+    origin: Origin,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let setup = learner_setup(config)?;
-    let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
+    let health = Reporter::start(Role::Learner.as_str(), args.member.health.health_file.as_deref())?;
+    let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
-    let options = run_options(setup, config, &run_dir, args.resume.clone());
-    on_bus(config, &shutdown, async |bus| learner(options, None, bus, shutdown.clone()).await.map(drop)).await
+    let options = run_options(setup, config, &run_dir, origin.checkpoint);
+    on_bus(config, &health, &shutdown, async |bus| learner(options, None, bus, shutdown.clone()).await.map(drop)).await
 }
 
 /// Runs `evaluator`, which prints its reports, or assists another.
@@ -46,10 +55,14 @@ pub(super) async fn run_evaluator(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let id = args.member.id.clone().unwrap_or_else(|| format!("evaluator-{}", std::process::id()));
+    let id = match &args.member.id {
+        Some(id) => id.clone(),
+        None => random_name(Role::Evaluator.as_str()).map_err(anyhow::Error::from)?,
+    };
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
+    let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
     if args.assist {
-        return on_bus(config, &shutdown, async |bus| {
+        return on_bus(config, &health, &shutdown, async |bus| {
             let n_units = evaluator::assist(setup, &bus, shutdown.clone()).await?;
             tracing::info!(n_units, "assisted");
             Ok(())
@@ -60,7 +73,7 @@ pub(super) async fn run_evaluator(
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
-    let ended = on_bus(config, &shutdown, async |bus| evaluator(setup, reports, page, bus, stop).await).await;
+    let ended = on_bus(config, &health, &shutdown, async |bus| evaluator(setup, reports, page, bus, stop).await).await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
 }
@@ -68,22 +81,31 @@ pub(super) async fn run_evaluator(
 /// Joins the bus for as long as `service` runs; does nothing if `shutdown` comes before a router is there.
 async fn on_bus(
     config: &Config,
+    health: &Reporter,
     shutdown: &CancellationToken,
     service: impl AsyncFnOnce(Bus) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
+    let endpoints = config.bus.connect.join(", ");
+    let notice = async {
+        loop {
+            tokio::time::sleep(WAIT_NOTICE).await;
+            tracing::warn!("no router answers at {endpoints} yet; trying again until one does");
+        }
+    };
     let bus = tokio::select! {
         () = shutdown.cancelled() => return Ok(()),
         bus = Bus::open(&config.bus) => bus?,
+        () = notice => unreachable!("it has no end"),
     };
+    health.joined(&bus);
     let ended = service(bus.clone()).await;
     bus.close().await?;
     ended
 }
 
-/// An actor's life; its seed differs from that of others of the same run.
+/// An actor's life; what it draws differs from all others of the same run.
 pub(super) async fn actor(config: Config, id: ActorId, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
-    let seed = config.seed ^ fnv1a64(id.as_str());
-    actor::run(config.actor, config.policy, config.environment, id, seed, &bus, shutdown).await?;
+    actor::run(config.actor, config.policy, config.environment, id, config.seed, &bus, shutdown).await?;
     Ok(())
 }
 
@@ -146,12 +168,15 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
 pub(super) fn learner_setup(config: &Config) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
     let catalogue = Catalogue::builtin();
-    let tasks = config.actor.tasks.filter.select(catalogue).map_err(|error| invalid("actor.tasks.filter", error))?;
+    let unusable = |error| invalid("actor.tasks.filter", error);
+    let tasks = config.actor.tasks.filter.select(catalogue).map_err(unusable)?;
+    let generated = config.actor.tasks.draws(catalogue).map_err(unusable)?;
     Ok(LearnerSetup {
         config: config.learner.clone(),
         policy: config.policy.clone(),
         catalogue: catalogue.clone().into(),
         tasks,
+        generated,
         seed: config.seed,
         device: config.device,
     })
@@ -168,15 +193,13 @@ pub(super) fn run_options(
 }
 
 fn actor_id(id: Option<String>) -> Result<ActorId, Failure> {
-    let id = id.unwrap_or_else(|| format!("actor-{}", std::process::id()));
+    let id = match id {
+        Some(id) => id,
+        None => random_name(Role::Actor.as_str()).map_err(anyhow::Error::from)?,
+    };
     ActorId::try_from(id).map_err(|error| Failure::Usage(format!("--id: {error}")))
 }
 
 fn invalid(origin: &str, message: impl std::fmt::Display) -> Failure {
     ConfigError::Invalid { origin: origin.to_owned(), message: message.to_string() }.into()
-}
-
-/// FNV-1a, which is the same in every process and version.
-fn fnv1a64(text: &str) -> u64 {
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }

@@ -9,11 +9,12 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::services;
-use crate::cli::RunArgs;
+use crate::cli::TrainArgs;
 use crate::config::{Config, Preset};
 use crate::exit::Failure;
+use crate::health::Reporter;
 use crate::live::{self, Terminal};
-use crate::run_dir::RunDir;
+use crate::run_dir::{Origin, RunDir};
 
 /// Name of the actor and the evaluator of this process, beside which others may join.
 const LOCAL: &str = "local";
@@ -24,7 +25,8 @@ const LOCAL: &str = "local";
 /// The first failure of a service, after all others were stopped and the learner has saved.
 pub(super) async fn run(
     config: &Config,
-    args: &RunArgs,
+    args: &TrainArgs,
+    origin: Origin,
     preset: Option<&Preset>,
     terminal: &Terminal,
     shutdown: CancellationToken,
@@ -32,10 +34,12 @@ pub(super) async fn run(
     let setup = services::learner_setup(config)?;
     // Before anything is written, because the address may be taken.
     let page = services::page(config, terminal).await?;
-    let run_dir = RunDir::create(args.run_dir.as_deref(), config, args.resume.as_deref())?;
-    terminal.print(&introduction(config, args, preset, &run_dir));
+    let health = Reporter::start("train", args.health.health_file.as_deref())?;
+    let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
+    terminal.print(&introduction(config, &origin, preset, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
     let bus = Bus::open(&config.bus).await?;
+    health.joined(&bus);
     let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
     let actors = bus.alive(Role::Actor).await?;
     let learning = tokio::spawn(live::show_learning(metrics, actors, terminal.clone(), config.n_env_steps));
@@ -43,7 +47,7 @@ pub(super) async fn run(
     let judging = tokio::spawn(live::show_reports(judged, terminal.clone()));
 
     let mut running = JoinSet::new();
-    let options = services::run_options(setup, config, &run_dir, args.resume.clone());
+    let options = services::run_options(setup, config, &run_dir, origin.checkpoint);
     let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
     let feed = config.lockstep.then(|| services::lockstep_feed(config));
     let (tell, last) = watch::channel(None);
@@ -82,9 +86,9 @@ pub(super) async fn run(
     Ok(())
 }
 
-fn introduction(config: &Config, args: &RunArgs, preset: Option<&Preset>, run_dir: &RunDir) -> String {
+fn introduction(config: &Config, origin: &Origin, preset: Option<&Preset>, run_dir: &RunDir) -> String {
     let (actor, path) = (&config.actor, run_dir.path().display());
-    let how = if args.resume.is_some() { "continuing" } else { "training" };
+    let how = if origin.checkpoint.is_some() { "continuing" } else { "training" };
     let listening = match &config.bus.listen[..] {
         [] => String::new(),
         endpoints => format!("\nothers can join at {}, run `{}`", endpoints.join(" and "), config.bus.run),

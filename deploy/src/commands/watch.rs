@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use proto::bus::{BusConfig, BusMode};
+use proto::bus::{BusConfig, BusMode, SecurityConfig};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::WatchArgs;
@@ -16,7 +16,8 @@ use crate::watch;
 /// When the run's name breaks the rule, stdout is no terminal where one is needed, or the bus fails.
 pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let (run, connect) = (args.run.clone(), args.connect.clone());
-    let config = BusConfig { run, connect, mode: BusMode::Client, ..BusConfig::default() };
+    let security = SecurityConfig { keys: args.keys.folder("viewer") };
+    let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     if args.once {
         watch::once(config, Duration::from_secs(args.timeout), terminal, shutdown).await

@@ -47,6 +47,8 @@ impl Override {
             .filter_map(|(name, value)| {
                 let key = name.strip_prefix(PREFIX)?.to_ascii_lowercase();
                 let counts = key.contains("__") || ["seed", "run", "device"].contains(&key.as_str());
+                // The name of a run is the bus's, and everybody's who starts one.
+                let key = if key == "run" { "bus__run".to_owned() } else { key };
                 counts.then(|| Self {
                     path: key.split("__").map(str::to_owned).collect(),
                     value: parse_value(&value),

@@ -16,8 +16,13 @@ pub(crate) fn python() -> Option<OsString> {
 }
 
 /// Runs a script from the folder of examples and returns the JSON that it prints.
+#[allow(dead_code, reason = "not every test that has a Python reads examples")]
 pub(crate) fn told_by(python: &OsStr, script: &str, args: &[&str]) -> serde_json::Value {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script);
+    told_by_script(python, &Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script), args)
+}
+
+/// Runs a script and returns the JSON that it prints.
+pub(crate) fn told_by_script(python: &OsStr, script: &Path, args: &[&str]) -> serde_json::Value {
     let read = Command::new(python).arg(script).args(args).output().unwrap();
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
     serde_json::from_slice(&read.stdout).unwrap()

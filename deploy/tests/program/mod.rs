@@ -14,6 +14,7 @@ pub(crate) fn lodestone(folder: &Path) -> Command {
 }
 
 /// Environment steps of the newest checkpoint of a run.
+#[allow(dead_code, reason = "not every test looks at checkpoints")]
 pub(crate) fn n_saved_steps(run_dir: &Path) -> u64 {
     let folders = std::fs::read_dir(run_dir.join("checkpoints")).unwrap();
     let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());

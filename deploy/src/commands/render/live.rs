@@ -5,7 +5,7 @@ use std::time::Duration;
 use anyhow::anyhow;
 use evaluator::video::{Collector, Episode};
 use proto::Trajectory;
-use proto::bus::{Bus, BusConfig, BusMode};
+use proto::bus::{Bus, BusConfig, BusMode, SecurityConfig};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
@@ -25,7 +25,8 @@ pub(in crate::commands) async fn run(
 ) -> Result<(), Failure> {
     let (goals, policy) = (Goals::new(args)?, policy(args)?);
     let (run, connect) = (args.live.run.clone(), args.live.connect.clone());
-    let config = BusConfig { run, connect, mode: BusMode::Client, ..BusConfig::default() };
+    let security = SecurityConfig { keys: args.live.keys.folder("evaluator") };
+    let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     let patience = Duration::from_secs(args.live.timeout);
     // A task of its own, because a session that waits for its router does so without giving way.

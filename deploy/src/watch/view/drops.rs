@@ -18,6 +18,7 @@ pub(super) fn lines(board: &Board, width: usize) -> Vec<Line<'static>> {
     let mut drops = Drops::default();
     if let Some(learner) = board.learner().map(|heard| &heard.value) {
         drops.add("learner.expired_total", learner.expired_total);
+        drops.add("learner.unmade_total", learner.unmade_total);
         drops.add("learner.ppo.n_skipped_steps", learner.ppo.n_skipped_steps);
         drops.add_all("learner.ingest", &learner.ingest);
         drops.add_all("learner.bus", &learner.bus);

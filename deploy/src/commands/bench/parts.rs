@@ -1,0 +1,171 @@
+//! The processes of a measurement: each reads its plan and its orders from stdin, one a line, and writes notes to stdout.
+
+use std::io::{self, BufRead, Write};
+use std::path::PathBuf;
+
+use actor::load::{Load, LoadPlan, LoadReport};
+use anyhow::Context;
+use learner::Learner;
+use learner::sink::{Sink, SinkPlan, SinkReport};
+use proto::Trajectory;
+use proto::bus::{Bus, BusConfig};
+use proto::codec::decode_trajectory;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::commands::services::learner_setup;
+use crate::config::merge;
+use crate::exit::Failure;
+
+/// What the process of the ingest is told.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct IngestPlan {
+    /// The learner's configuration, as TOML.
+    pub(super) config: String,
+    pub(super) bus: BusConfig,
+    pub(super) sink: SinkPlan,
+}
+
+/// What a process with actors is told.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct LoadOrder {
+    pub(super) load: LoadPlan,
+    /// Files with one segment each.
+    pub(super) segments: Vec<PathBuf>,
+}
+
+/// What a process is told to do next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Order {
+    /// Begin.
+    Go,
+    /// End and report.
+    Stop,
+}
+
+/// What a process says.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) enum Note {
+    /// It waits for [`Order::Go`].
+    Ready {
+        /// Actors that have joined; 0 for the ingest.
+        n_actors: usize,
+        /// Why fewer have joined than planned.
+        shortfall: Option<String>,
+    },
+    /// What the ingest took.
+    Sank(SinkReport),
+    /// What actors sent.
+    Sent(LoadReport),
+}
+
+/// Runs `bench router`: as `router` does, but no longer than the process that measures.
+pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
+    let mut orders = Orders::open(&shutdown);
+    let bus = Bus::open(&orders.plan()?).await?;
+    orders.gone.cancelled().await;
+    bus.close().await?;
+    Ok(())
+}
+
+/// Runs `bench ingest`.
+pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
+    let mut orders = Orders::open(&shutdown);
+    let plan: IngestPlan = orders.plan()?;
+    let learner = Learner::new(learner_setup(&merge(&plan.config, "the plan", &[])?)?).map_err(anyhow::Error::new)?;
+    let bus = Bus::open(&plan.bus).await?;
+    let mut sink = Sink::open(&learner, plan.sink, &bus).await?;
+    say(&Note::Ready { n_actors: 0, shortfall: None })?;
+    if orders.next().await == Some(Order::Go) {
+        let stop = orders.stop();
+        sink.publish_until(&stop).await?;
+    }
+    say(&Note::Sank(sink.close().await?))?;
+    bus.close().await?;
+    Ok(())
+}
+
+/// Runs `bench load`.
+pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
+    let mut orders = Orders::open(&shutdown);
+    let LoadOrder { load: plan, segments } = orders.plan()?;
+    let segments = segments.iter().map(read_segment).collect::<anyhow::Result<Vec<Trajectory>>>()?;
+    let load = tokio::select! {
+        () = orders.gone.cancelled() => return Ok(()),
+        load = Load::open(plan) => load?,
+    };
+    say(&Note::Ready { n_actors: load.n_actors(), shortfall: load.shortfall().map(str::to_owned) })?;
+    if orders.next().await == Some(Order::Go) {
+        let stop = orders.stop();
+        say(&Note::Sent(load.run(segments, stop).await?))?;
+    }
+    // Everything has been counted: a session that cannot leave in time takes nothing away.
+    if let Err(error) = load.close().await {
+        tracing::warn!("{error:#}");
+    }
+    Ok(())
+}
+
+fn read_segment(path: &PathBuf) -> anyhow::Result<Trajectory> {
+    let context = || format!("reading {}", path.display());
+    let bytes = std::fs::read(path).with_context(context)?;
+    decode_trajectory(&bytes).with_context(context)
+}
+
+/// Writes a line to stdout, where the starting process reads it.
+fn say(note: &Note) -> anyhow::Result<()> {
+    let line = serde_json::to_string(note).context("a note is JSON")?;
+    writeln!(io::stdout(), "{line}").context("the process that measures is gone")
+}
+
+/// The lines on stdin; their end is an order to stop, so that no process outlives the one that measures.
+struct Orders {
+    lines: mpsc::UnboundedReceiver<String>,
+    /// Cancelled with the process and at the end of stdin.
+    gone: CancellationToken,
+}
+
+impl Orders {
+    fn open(shutdown: &CancellationToken) -> Self {
+        let (sender, lines) = mpsc::unbounded_channel();
+        let gone = shutdown.child_token();
+        let ended = gone.clone();
+        // A thread of its own: reading stdin cannot be given up, and the runtime would wait for it.
+        std::thread::spawn(move || {
+            for line in io::stdin().lock().lines() {
+                let Ok(line) = line else { break };
+                if sender.send(line).is_err() {
+                    return;
+                }
+            }
+            ended.cancel();
+        });
+        Self { lines, gone }
+    }
+
+    fn plan<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
+        let line = tokio::task::block_in_place(|| self.lines.blocking_recv());
+        let line = line.context("stdin ended before the plan; `lodestone bench actors` starts this process")?;
+        serde_json::from_str(&line).context("reading the plan")
+    }
+
+    async fn next(&mut self) -> Option<Order> {
+        tokio::select! {
+            () = self.gone.cancelled() => None,
+            line = self.lines.recv() => serde_json::from_str(&line?).ok(),
+        }
+    }
+
+    /// A token that any further line cancels.
+    fn stop(mut self) -> CancellationToken {
+        let stop = CancellationToken::new();
+        let cancel = stop.clone();
+        tokio::spawn(async move {
+            self.next().await;
+            cancel.cancel();
+        });
+        stop
+    }
+}

@@ -1,0 +1,66 @@
+//! How long weights take to reach the actors.
+
+use actor::load::Pull;
+use learner::sink::Publication;
+use serde::Serialize;
+
+/// How one version came to the actors.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Delivery {
+    pub(super) version: u64,
+    /// Actors that had it, or a newer one, before the end.
+    pub(super) n_reached: usize,
+    pub(super) n_missing: usize,
+    /// Time from the publication until half of those had it.
+    pub(super) p50_s: f64,
+    pub(super) p99_s: f64,
+    pub(super) max_s: f64,
+}
+
+/// The way of every version that was published after the actors had begun.
+pub(super) fn deliveries(published: &[Publication], pulls: &[Vec<Pull>]) -> Vec<Delivery> {
+    published.iter().filter_map(|publication| delivery(publication, pulls)).collect()
+}
+
+/// `None` for weights that an actor already began with.
+fn delivery(publication: &Publication, pulls: &[Vec<Pull>]) -> Option<Delivery> {
+    if pulls.iter().any(|pulls| pulls.first().is_some_and(|first| first.version >= publication.version)) {
+        return None;
+    }
+    let arrival = |pulls: &Vec<Pull>| pulls.iter().find(|pull| pull.version >= publication.version).copied();
+    let mut times: Vec<u64> = pulls.iter().filter_map(arrival).map(|pull| pull.unix_us).collect();
+    times.sort_unstable();
+    let after_s = |share: f64| {
+        let rank = (share * times.len() as f64).ceil().max(1.0) as usize - 1;
+        times.get(rank).map_or(0.0, |time| time.saturating_sub(publication.unix_us) as f64 / 1e6)
+    };
+    Some(Delivery {
+        version: publication.version,
+        n_reached: times.len(),
+        n_missing: pulls.len() - times.len(),
+        p50_s: after_s(0.5),
+        p99_s: after_s(0.99),
+        max_s: after_s(1.0),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_newer_version_counts_and_a_missing_one_is_counted() {
+        let pull = |version, s: u64| Pull { version, unix_us: s * 1_000_000 };
+        let pulls = vec![
+            vec![pull(0, 1), pull(1, 11), pull(2, 21)],
+            // Skipped version 1.
+            vec![pull(0, 1), pull(2, 24)],
+            vec![pull(0, 1), pull(1, 13)],
+        ];
+        let published = [0, 1, 2].map(|version| Publication { version, unix_us: version * 10_000_000 });
+        let found = deliveries(&published, &pulls);
+        let expected = [(1, 3, 0, 3.0, 14.0), (2, 2, 1, 1.0, 4.0)];
+        let rows = found.iter().map(|d| (d.version, d.n_reached, d.n_missing, d.p50_s, d.max_s));
+        assert_eq!(rows.collect::<Vec<_>>(), expected);
+    }
+}

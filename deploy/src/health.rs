@@ -1,0 +1,184 @@
+//! The health of a service: it writes its state into a file, and `healthcheck` reads it.
+//!
+//! A file needs no port, no credentials and no shell, so containers, batch jobs and people ask in the same way.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use proto::bus::{Bus, BusMode};
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+use crate::exit::Failure;
+
+/// Time between two states in the file.
+const PERIOD: Duration = Duration::from_secs(2);
+
+/// A state older than this is that of a process that hangs or is gone.
+const MAX_AGE: Duration = Duration::from_secs(15);
+
+/// A main loop that has not turned for this long hangs. The largest updates on slow machines take a minute.
+const MAX_IDLE: Duration = Duration::from_secs(300);
+
+/// What a service says of itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct State {
+    /// Its role, for example `actor`.
+    pub role: String,
+    /// Process id.
+    pub pid: u32,
+    /// When this was written, milliseconds since 1970.
+    pub unix_ms: u64,
+    /// Whether it reaches a router, or is one.
+    pub connected: bool,
+    /// Seconds since its main loop turned; 0 while it waits for others.
+    pub idle_s: f64,
+}
+
+/// Writes the state of this process until it is dropped; then the file goes.
+#[derive(Debug)]
+pub struct Reporter {
+    file: Option<PathBuf>,
+    bus: watch::Sender<Option<Bus>>,
+    task: Option<JoinHandle<()>>,
+}
+
+impl Reporter {
+    /// Begins to write, if there is a file to write to.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn start(role: &str, file: Option<&Path>) -> Result<Self, Failure> {
+        let (sender, bus) = watch::channel(None);
+        let Some(path) = file.map(Path::to_owned) else { return Ok(Self { file: None, bus: sender, task: None }) };
+        let role = role.to_owned();
+        write(&path, &state(&role, false, Duration::ZERO))
+            .map_err(|error| Failure::Usage(format!("--health-file: cannot write {}: {error}", path.display())))?;
+        let its_path = path.clone();
+        let task = tokio::spawn(async move {
+            loop {
+                let session = bus.borrow().clone();
+                let (connected, idle) = match session {
+                    None => (false, Duration::ZERO),
+                    Some(bus) => (bus.mode() == BusMode::Router || bus.has_router().await, bus.pulse().age()),
+                };
+                if let Err(error) = write(&its_path, &state(&role, connected, idle)) {
+                    tracing::warn!(path = %its_path.display(), %error, "the state of health was not written");
+                }
+                tokio::time::sleep(PERIOD).await;
+            }
+        });
+        Ok(Self { file: Some(path), bus: sender, task: Some(task) })
+    }
+
+    /// Reports from now on on the service that works on this session.
+    pub fn joined(&self, bus: &Bus) {
+        self.bus.send_replace(Some(bus.clone()));
+    }
+}
+
+impl Drop for Reporter {
+    fn drop(&mut self) {
+        if let Some(task) = &self.task {
+            task.abort();
+        }
+        if let Some(file) = &self.file {
+            // Without it the process counts as gone, which it is soon.
+            let _ = fs::remove_file(file);
+        }
+    }
+}
+
+/// Whether the service that writes `file` is well: it lives, its main loop turns and, unless only `alive` is asked, it reaches
+/// a router.
+///
+/// # Errors
+/// [`Failure::Unhealthy`] with the reason.
+pub fn check(file: &Path, alive: bool) -> Result<State, Failure> {
+    let unhealthy = |reason: String| Err(Failure::Unhealthy(reason));
+    let text = match fs::read_to_string(file) {
+        Ok(text) => text,
+        Err(error) => return unhealthy(format!("no service reports at {}: {error}", file.display())),
+    };
+    let state: State = match serde_json::from_str(&text) {
+        Ok(state) => state,
+        Err(error) => return unhealthy(format!("{} holds no state: {error}", file.display())),
+    };
+    let role = &state.role;
+    let age = Duration::from_millis(unix_ms().saturating_sub(state.unix_ms));
+    if age > MAX_AGE {
+        return unhealthy(format!("the {role} has given no sign of life for {} s", age.as_secs()));
+    }
+    if state.idle_s > MAX_IDLE.as_secs_f64() {
+        return unhealthy(format!("the {role}'s main loop has not turned for {:.0} s", state.idle_s));
+    }
+    if !alive && !state.connected {
+        return unhealthy(format!("the {role} reaches no router"));
+    }
+    Ok(state)
+}
+
+fn state(role: &str, connected: bool, idle: Duration) -> State {
+    State { role: role.to_owned(), pid: std::process::id(), unix_ms: unix_ms(), connected, idle_s: idle.as_secs_f64() }
+}
+
+/// Replaces the file at once, so that nobody reads half a state.
+fn write(path: &Path, state: &State) -> io::Result<()> {
+    let new = path.with_extension("new");
+    fs::write(&new, serde_json::to_vec(state)?)?;
+    fs::rename(&new, path)
+}
+
+fn unix_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn verdict(state: &State, alive: bool) -> Option<String> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("health");
+        write(&file, state).unwrap();
+        check(&file, alive).err().map(|failure| failure.to_string())
+    }
+
+    #[test]
+    fn a_service_is_well_while_it_lives_turns_and_is_connected() {
+        let well = state("actor", true, Duration::from_secs(299));
+        assert_eq!(verdict(&well, false), None);
+        let gone = State { unix_ms: unix_ms() - 16_000, ..well.clone() };
+        assert_eq!(verdict(&gone, true).unwrap(), "the actor has given no sign of life for 16 s");
+        let hangs = State { idle_s: 301.0, ..well.clone() };
+        assert_eq!(verdict(&hangs, true).unwrap(), "the actor's main loop has not turned for 301 s");
+        let lost = State { connected: false, ..well };
+        assert_eq!(verdict(&lost, true), None);
+        assert_eq!(verdict(&lost, false).unwrap(), "the actor reaches no router");
+    }
+
+    #[test]
+    fn nobody_reports_before_the_start_or_with_nonsense() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("health");
+        assert!(check(&file, true).unwrap_err().to_string().contains("no service reports"));
+        fs::write(&file, "{").unwrap();
+        assert!(check(&file, true).unwrap_err().to_string().contains("holds no state"));
+    }
+
+    #[tokio::test]
+    async fn the_file_is_there_as_long_as_the_service() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("health");
+        let reporter = Reporter::start("router", Some(&file)).unwrap();
+        let message = check(&file, false).unwrap_err().to_string();
+        assert_eq!(message, "the router reaches no router");
+        assert_eq!(check(&file, true).unwrap().pid, std::process::id());
+        drop(reporter);
+        assert!(!file.exists());
+    }
+}

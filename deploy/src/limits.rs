@@ -1,0 +1,20 @@
+//! What the system allows this process.
+
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+/// Allows as many open files as the system lets this process have: every process that joins a router costs it one, and the
+/// usual limit of 1024 is less than a router's sessions.
+pub fn allow_many_files() {
+    let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
+    if current == maximum {
+        return;
+    }
+    if let Err(error) = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }) {
+        tracing::debug!(%error, "the limit of open files stays at {current:?}");
+    }
+}
+
+/// Open files that this process may have; `None` for any number.
+pub fn max_files() -> Option<u64> {
+    getrlimit(Resource::Nofile).maximum
+}
