@@ -29,6 +29,7 @@ impl Ring {
             policy: config.policy.clone(),
             catalogue: Catalogue::builtin().clone().into(),
             tasks: config.actor.tasks.filter.select(Catalogue::builtin()).unwrap(),
+            generated: config.actor.tasks.draws(Catalogue::builtin()).unwrap(),
             seed: config.seed,
             device: config.device,
         }

@@ -1,0 +1,131 @@
+# shellcheck shell=bash disable=SC2154 # the options are lodestone-slurm's
+# `lodestone-slurm launch`: keys, what the jobs are told, and the jobs.
+
+launch() {
+    find_binary
+    collect_sbatch_options
+    refuse_if_active
+    local learner_args=()
+    [[ -z $preset ]] || learner_args+=(--preset "$preset")
+    [[ -z $config ]] || learner_args+=(--config "$(readlink -f "$config")")
+    [[ -z $run ]] || learner_args+=(--run "$run")
+    [[ -z $seed ]] || learner_args+=(--seed "$seed")
+    [[ -z $steps ]] || learner_args+=(--steps "$steps")
+    [[ -z $gpu ]] || learner_args+=(--device gpu)
+    # A misspelt setting is found now and not when the job starts. Where the router is makes no difference to that.
+    "$binary" learner "${learner_args[@]}" --connect tcp/127.0.0.1:1 --print-config >/dev/null || die 64 "nothing was submitted"
+
+    if [[ -e $folder/run/config.toml ]]; then
+        echo "$folder holds a run: it goes on with the settings that it began with"
+    else
+        echo "a new run of ${preset:-$config} in $folder"
+    fi
+    prepare
+    if [[ -n $hetjob ]]; then submit_hetjob; else submit_jobs; fi
+    [[ -n $dry_run ]] || cat <<TEXT
+logs are in $folder/logs; these commands show and stop the run:
+  $home/lodestone-slurm status --dir $(printf %q "$folder")
+  $home/lodestone-slurm stop --dir $(printf %q "$folder")
+TEXT
+}
+
+find_binary() {
+    local candidates=("$home/../../target/release/lodestone" "$home/../../target/debug/lodestone") candidate
+    candidates=("$(command -v lodestone || true)" "${candidates[@]}")
+    [[ -z $binary ]] || candidates=("$binary")
+    for candidate in "${candidates[@]}"; do
+        if [[ -f $candidate && -x $candidate ]]; then
+            binary=$(readlink -f "$candidate")
+            return
+        fi
+    done
+    die 64 "no program at ${candidates[*]}: build it with \`cargo build --release\` or name it with --binary PATH"
+}
+
+collect_sbatch_options() {
+    learner_sbatch=("--cpus-per-task=$learner_cpus" "--signal=B:USR1@$save_lead_s" "${learner_sbatch[@]}")
+    actor_sbatch=("--cpus-per-task=$actor_cpus" "${actor_sbatch[@]}")
+    [[ -z $gpu ]] || learner_sbatch=(--gres=gpu:1 "${learner_sbatch[@]}")
+    [[ -z $learner_partition ]] || learner_sbatch=("--partition=$learner_partition" "${learner_sbatch[@]}")
+    [[ -z $actor_partition ]] || actor_sbatch=("--partition=$actor_partition" "${actor_sbatch[@]}")
+    [[ -z $time_limit ]] || learner_sbatch=("--time=$time_limit" "${learner_sbatch[@]}")
+    actor_time=${actor_time:-$time_limit}
+    [[ -z $actor_time ]] || actor_sbatch=("--time=$actor_time" "${actor_sbatch[@]}")
+}
+
+refuse_if_active() {
+    command -v squeue >/dev/null || return 0
+    local id states
+    for id in $(ids_of learner) $(ids_of hetjob) $(ids_of actors); do
+        states=$(states_of "$id")
+        [[ -z $states ]] ||
+            die 1 "$folder is trained by job $id already: see \`lodestone-slurm status --dir $folder\`, or stop it first"
+    done
+}
+
+# Makes the folder, the keys and what the jobs read.
+prepare() {
+    act mkdir -p "$folder/logs" "$folder/health"
+    if [[ ! -e $folder/keys/ca/cert.pem ]]; then
+        # What it says of where to put them does not hold here, where all processes read them from one folder.
+        show "$binary" keys new "$folder/keys" --keep
+        [[ -n $dry_run ]] || "$binary" keys new "$folder/keys" --keep >/dev/null
+    fi
+    act rm -f "$folder/stop" "$folder/finished" "$folder/endpoint"
+    if [[ -n $dry_run ]]; then
+        echo "+ write $folder/launch.env"
+    else
+        settings | write_whole "$folder/launch.env"
+    fi
+}
+
+# shellcheck disable=SC2034 # `declare -p` prints them
+settings() {
+    local LODESTONE_SLURM_HOME=$home LODESTONE_SLURM_BINARY=$binary LODESTONE_SLURM_LEARNER=("${learner_args[@]}") \
+        LODESTONE_SLURM_EVALUATOR=$evaluator LODESTONE_SLURM_INTERFACE=$interface LODESTONE_SLURM_ACTORS=$n_actors \
+        LODESTONE_SLURM_ACTOR_CPUS=$actor_cpus
+    echo "# What lodestone-slurm launch was told; the jobs of this run read it whenever they start."
+    declare -p LODESTONE_SLURM_HOME LODESTONE_SLURM_BINARY LODESTONE_SLURM_LEARNER LODESTONE_SLURM_EVALUATOR \
+        LODESTONE_SLURM_INTERFACE LODESTONE_SLURM_ACTORS LODESTONE_SLURM_ACTOR_CPUS
+}
+
+submit_jobs() {
+    local first last ids=() id
+    submit "$name-learner" "$folder/logs/learner-%j.log" "${learner_sbatch[@]}" "${both_sbatch[@]}" "$home/learner.sbatch"
+    ids=("$submitted")
+    [[ -n $dry_run ]] || echo "learner $submitted" | write_whole "$folder/jobs"
+    # A cluster limits the size of an array, so many actors are several arrays.
+    local most
+    most=$(scontrol show config 2>/dev/null | sed -n 's/^MaxArraySize *= *//p' || true)
+    most=${most:-1001}
+    for ((first = 0; first < n_actors; first += most)); do
+        last=$((n_actors - first < most ? n_actors - first : most))
+        if ! submit "$name-actors" "$folder/logs/actors-%A-%a.log" "--array=0-$((last - 1))" "${actor_sbatch[@]}" \
+            "${both_sbatch[@]}" "$home/actors.sbatch"; then
+            for id in "${ids[@]}"; do act scancel "$id"; done
+            die 1 "the actors were not accepted, so the other jobs were cancelled"
+        fi
+        ids+=("$submitted")
+        [[ -n $dry_run ]] || { cat "$folder/jobs" && echo "actors $submitted"; } | write_whole "$folder/jobs"
+    done
+    [[ -n $dry_run ]] || echo "submitted the learner as job ${ids[0]}, $n_actors actors as ${ids[*]:1}"
+}
+
+submit_hetjob() {
+    submit "$name" "$folder/logs/learner-%j.log" "${learner_sbatch[@]}" "${both_sbatch[@]}" : \
+        "--ntasks=$n_actors" "${actor_sbatch[@]}" "${both_sbatch[@]}" "$home/hetjob.sbatch"
+    [[ -n $dry_run ]] || echo "hetjob $submitted" | write_whole "$folder/jobs"
+    [[ -n $dry_run ]] || echo "submitted learner and $n_actors actors as job $submitted"
+}
+
+# Submits a job of the run's folder; its id is then in `submitted`.
+submit() {
+    local name=$1 log=$2 line
+    shift 2
+    line=(sbatch --parsable "--job-name=$name" "--output=$log" "$@" "$folder")
+    submitted=
+    show "${line[@]}"
+    [[ -z $dry_run ]] || return 0
+    submitted=$("${line[@]}") || return
+    submitted=${submitted%%;*}
+}

@@ -1,0 +1,250 @@
+#!/usr/bin/env bash
+# The learner's node of a run: router, learner, evaluator, and in a heterogeneous job the actors' step.
+#
+# usage: learner.sh FOLDER (from learner.sbatch or hetjob.sbatch)
+set -euo pipefail
+
+folder=$1
+# shellcheck source=/dev/null
+source "$folder/launch.env"
+# shellcheck source=common.sh
+source "$LODESTONE_SLURM_HOME/common.sh"
+forget_variables
+
+job=${SLURM_JOB_ID:?this script runs in a job}
+owner="job $job restart ${SLURM_RESTART_COUNT:-0} on ${SLURMD_NODENAME:-$(hostname)}"
+run=$folder/run
+
+# Why this job ends: `term` when Slurm has told all its processes (requeued, cancelled, preempted), `limit` when its time is
+# almost over, `stop` when a person wants it, `fenced` when Slurm has given the run to another node.
+stopping=
+trap 'stopping=term' TERM INT
+# Not SIGTERM, which Slurm sends to every process of a job: then the learner has it already, and a second one half a second
+# later would end it before it has saved.
+trap 'stopping=${stopping:-limit}' USR1
+
+router=
+learner=
+evaluator=
+actors=
+
+# Address of this node for the other nodes: of the interface that was asked for, or as Slurm itself reaches the node.
+address() {
+    local found
+    if [[ -n ${LODESTONE_SLURM_INTERFACE:-} ]]; then
+        found=$(ip -o -4 address show dev "$LODESTONE_SLURM_INTERFACE" | awk '{ sub("/.*", "", $4); print $4; exit }')
+        [[ -n $found ]] || {
+            say "$LODESTONE_SLURM_INTERFACE has no IPv4 address on this node: choose another --interface" >&2
+            return 64
+        }
+    else
+        found=$(scontrol show node "${SLURMD_NODENAME:-$(hostname)}" | sed -n 's/.*NodeAddr=\([^ ]*\).*/\1/p')
+    fi
+    printf '%s' "${found:-$(hostname -f)}"
+}
+
+is_healthy() {
+    "$LODESTONE_SLURM_BINARY" healthcheck --file "$folder/health/$1" >/dev/null 2>&1
+}
+
+# Starts a router on a free port and says to all where it is.
+start_router() {
+    local host port code n
+    # `set -e` does not count in a function that is called with `||`, so each command says for itself that it failed.
+    host=$(address) || return
+    # The router's certificate names the node on which the job has landed.
+    "$LODESTONE_SLURM_BINARY" keys router "$folder/keys" --host "$host" >/dev/null || return
+    for ((n = 0; n < 20; n++)); do
+        port=$((20000 + RANDOM % 12000))
+        rm -f "$folder/health/router"
+        "$LODESTONE_SLURM_BINARY" router --listen "quic/0.0.0.0:$port" --keys "$folder/keys" \
+            --health-file "$folder/health/router" &
+        router=$!
+        while is_alive "$router" && ! is_healthy router; do
+            [[ -z $stopping ]] || return 0
+            nap 0.2
+        done
+        if is_alive "$router"; then
+            printf 'quic/%s:%s\n%s\n' "$host" "$port" "$owner" | write_whole "$folder/endpoint"
+            local_endpoint=quic/127.0.0.1:$port
+            say "router at quic/$host:$port"
+            return 0
+        fi
+        code=0
+        reap "$router" || code=$?
+        router=
+        # Only a port that is taken is worth another try.
+        ((code == 65)) || return "$code"
+    done
+    say "no free port found for the router" >&2
+    return 65
+}
+
+# Whether nobody else learns in the run's folder, by the lock that a learner holds.
+is_free() {
+    [[ ! -e $run/run.lock ]] || flock --nonblock "$run/run.lock" true
+}
+
+start_learner() {
+    "$LODESTONE_SLURM_BINARY" learner "${LODESTONE_SLURM_LEARNER[@]}" --run-dir "$run" --auto-resume \
+        --connect "$local_endpoint" --keys "$folder/keys" --health-file "$folder/health/learner" &
+    learner=$!
+}
+
+start_evaluator() {
+    [[ -n $LODESTONE_SLURM_EVALUATOR && -e $run/config.toml ]] || return 0
+    env -u CUDA_VISIBLE_DEVICES "$LODESTONE_SLURM_BINARY" evaluator --config "$run/config.toml" --device cpu --run-dir "$run" \
+        --connect "$local_endpoint" --keys "$folder/keys" --health-file "$folder/health/evaluator" &
+    evaluator=$!
+}
+
+# In a heterogeneous job the actors are a step of it.
+start_actors() {
+    [[ -n ${LODESTONE_SLURM_HETJOB:-} ]] || return 0
+    srun --het-group=1 --ntasks="$LODESTONE_SLURM_ACTORS" --cpus-per-task="$LODESTONE_SLURM_ACTOR_CPUS" \
+        --kill-on-bad-exit=0 --output="$folder/logs/actors-$job-%t.log" --open-mode=append \
+        bash "$LODESTONE_SLURM_HOME/actor.sh" "$folder" &
+    actors=$!
+}
+
+# Ends what is left; the learner first, because it has something to save.
+end_all() {
+    if [[ -n $learner ]]; then
+        [[ $stopping == term ]] || kill -TERM "$learner" 2>/dev/null || true
+        reap "$learner" || say "the learner ended with $?"
+        learner=
+    fi
+    for child in $evaluator $router; do
+        end "$child" 15
+    done
+    evaluator=
+    router=
+}
+
+# Whether the run's steps are reached.
+is_finished() {
+    local wanted saved
+    wanted=$(sed -n 's/^n_env_steps *= *//p' "$run/config.toml" | tr -d _)
+    saved=$(newest_step "$run")
+    [[ -n $wanted && -n $saved ]] && ((saved >= wanted))
+}
+
+# Whether another node serves the run now: Slurm lost sight of this one and started the job again elsewhere. The job there
+# waits until the learner here has saved and ended.
+is_fenced() {
+    local now
+    now=$(owner_of "$folder")
+    [[ -n $now && $now != "$owner" ]]
+}
+
+# Watches until something ends or is to end. 0: the learner has ended, and its code is in `code`. 1: all else.
+watch_over() {
+    local next_evaluator_s=0
+    while [[ -z $stopping ]]; do
+        nap 1
+        if [[ -z $learner ]] && is_free; then
+            start_learner
+        elif [[ -n $learner ]] && ! is_alive "$learner"; then
+            code=0
+            reap "$learner" || code=$?
+            learner=
+            return 0
+        elif ! is_alive "$router"; then
+            say "the router ended"
+            return 1
+        elif [[ -e $folder/stop ]]; then
+            stopping=${stopping:-stop}
+        elif is_fenced; then
+            stopping=${stopping:-fenced}
+        elif ! is_alive "$evaluator" && ((SECONDS >= next_evaluator_s)); then
+            start_evaluator
+            [[ -z $evaluator ]] || next_evaluator_s=$((SECONDS + 30))
+        fi
+    done
+    return 1
+}
+
+# Runs router, learner and evaluator until the run is finished, cannot go on, or this job is to end.
+serve() {
+    local code n_failures=0 began
+    while [[ -z $stopping ]]; do
+        start_router || return
+        [[ -z $stopping ]] || break
+        is_free || say "waits for the learner that holds $run/run.lock"
+        began=$SECONDS
+        code=1
+        if watch_over; then
+            case $code in
+            0)
+                if is_finished; then
+                    return 0
+                fi
+                say "somebody ended the learner before its steps were reached"
+                ;;
+            2 | 64)
+                say "the learner cannot work: it ended with $code, and would again"
+                return "$code"
+                ;;
+            *) say "the learner ended with $code" ;;
+            esac
+        fi
+        [[ -z $stopping ]] || break
+        end_all
+        ((SECONDS - began < 300)) || n_failures=0
+        n_failures=$((n_failures + 1))
+        if ((n_failures >= 12)); then
+            say "gives up after $n_failures failures in a row"
+            return 1
+        fi
+        nap "$((n_failures < 6 ? 5 * n_failures : 30))"
+        if is_fenced; then
+            stopping=${stopping:-fenced}
+        fi
+    done
+    return 0
+}
+
+cancel_actors() {
+    local ids
+    ids=$(sed -n 's/^actors //p' "$folder/jobs" 2>/dev/null || true)
+    # shellcheck disable=SC2086 # one word an id
+    [[ -z $ids ]] || scancel $ids || true
+}
+
+if [[ -e $folder/stop ]]; then
+    say "the run was stopped"
+    exit 0
+fi
+say "$owner serves the run in $folder"
+start_actors
+failed=0
+serve || failed=$?
+end_all
+[[ $(owner_of "$folder") != "$owner" ]] || rm -f "$folder/endpoint"
+saved=$(newest_step "$run")
+
+case $stopping in
+'')
+    if ((failed == 0)); then
+        touch "$folder/finished"
+        say "finished with ${saved:-0} steps"
+    else
+        say "failed with $failed; the newest checkpoint holds ${saved:-0} steps"
+    fi
+    cancel_actors
+    ;;
+limit)
+    say "no time is left; saved at ${saved:-0} steps, back into the queue"
+    scontrol requeue "$job"
+    ;;
+*) say "ended by ${stopping}; saved at ${saved:-0} steps" ;;
+esac
+if [[ -n $actors ]]; then
+    # The actors' step ends by itself when the run is over or Slurm ends the job; SIGTERM to `srun` would kill them.
+    deadline=$((SECONDS + (failed == 0 ? 60 : 0)))
+    while is_alive "$actors" && ((SECONDS < deadline)); do
+        nap 1
+    done
+    end "$actors" 10
+fi
+exit "$failed"

@@ -1,0 +1,66 @@
+"""The image under test: the runtime stage of deploy/Dockerfile around a binary that was built on this machine."""
+
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from checks import Failed, require
+from shell import run, works
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# A base of our own under a name of our own, so that it never stands in for the real one.
+BASE = "lodestone-test-base"
+
+
+def base_image() -> str:
+    """The base image; made from Debian's packages unless it is there from an earlier run."""
+    suite = _suite()
+    tag = f"{BASE}:{suite}"
+    if works(["docker", "image", "inspect", tag]):
+        return tag
+    with tempfile.TemporaryDirectory(prefix="lodestone-base-") as folder:
+        root = Path(folder) / "root"
+        command: list[str | Path] = ["debootstrap", "--variant=minbase", suite, root]
+        if mirror := os.environ.get("DEBIAN_MIRROR"):
+            command.append(mirror)
+        run(command, seconds=600)
+        # Where nothing is ever installed these are ballast, as the official slim image sees it too.
+        for ballast in ("var/cache/apt/archives", "var/lib/apt/lists", "usr/share/doc", "usr/share/locale", "usr/share/man"):
+            shutil.rmtree(root / ballast, ignore_errors=True)
+        with subprocess.Popen(["tar", "-C", root, "-c", "."], stdout=subprocess.PIPE) as packed:
+            imported = subprocess.run(["docker", "import", "-", tag], stdin=packed.stdout, capture_output=True, check=False)
+        require(imported.returncode == 0 and packed.returncode == 0, f"docker import: {imported.stderr.decode()}")
+    return tag
+
+
+def runtime_image(binary: Path, tag: str) -> int:
+    """Builds the image `tag` with `binary` and returns its size in bytes."""
+    base = base_image()
+    with tempfile.TemporaryDirectory(prefix="lodestone-context-") as folder:
+        run(["strip", "-o", Path(folder) / "lodestone", binary])
+        Path(folder, "lodestone").chmod(0o755)
+        dockerfile = str(ROOT / "deploy/Dockerfile")
+        command = ["docker", "build", "--quiet", "--file", dockerfile, "--target", "prebuilt", "--tag", tag]
+        run(
+            [*command, "--build-arg", f"BASE_IMAGE={base}", "--build-arg", "BINARY=lodestone", folder],
+            # The classic builder is in the daemon; BuildKit would need a plugin.
+            env={**os.environ, "DOCKER_BUILDKIT": "0"},
+        )
+    return int(run(["docker", "image", "inspect", "--format", "{{.Size}}", tag]))
+
+
+def remove_image(tag: str) -> None:
+    """Forgets `tag`; its layers go unless something uses them."""
+    run(["docker", "image", "rm", "--force", tag])
+
+
+def _suite() -> str:
+    """Debian's release here, because the binary wants the C library that it was built with."""
+    about = platform.freedesktop_os_release()
+    if about.get("ID") != "debian" or "VERSION_CODENAME" not in about:
+        raise Failed("the image's base is made from this machine's Debian release, and this is no Debian")
+    return about["VERSION_CODENAME"]

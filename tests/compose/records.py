@@ -1,0 +1,106 @@
+"""What a run left in its volume, and whether the figures in it agree."""
+
+import json
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from checks import require
+
+# Trajectories that an actor has under way at most, and so what has arrived and has no verdict yet.
+UNDER_WAY = 64
+
+Update = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Life:
+    """The updates of one process of the learner, in order."""
+
+    updates: list[Update]
+
+    @property
+    def began_with(self) -> int:
+        """Steps that the process found when it began."""
+        first = self.updates[0]
+        return int(first["n_env_steps"]) - n_consumed(first)
+
+    @property
+    def ended_with(self) -> int:
+        """Steps after its last update."""
+        return int(self.updates[-1]["n_env_steps"])
+
+
+def n_consumed(update: Update) -> int:
+    """Steps of one update: each is counted by the lag of the weights that made it."""
+    return sum(update["policy_lag_histogram"])
+
+
+def lives(metrics: Path) -> list[Life]:
+    """The learner's processes, from the lines of metrics.jsonl; fails if one is broken."""
+    found: list[Life] = []
+    elapsed = float("inf")
+    for number, line in enumerate(metrics.read_text().splitlines(keepends=True), 1):
+        if not line.endswith("\n"):
+            # It is just being written; a line that was cut short would have others behind it.
+            break
+        try:
+            update = json.loads(line)
+        except ValueError as error:
+            raise AssertionError(f"line {number} of metrics.jsonl is broken: {error}") from None
+        if update["key"] != "learner":
+            continue
+        # Seconds since the process began, which begin anew with the next one.
+        if update["elapsed_s"] < elapsed:
+            found.append(Life([]))
+        elapsed = update["elapsed_s"]
+        found[-1].updates.append(update)
+    require(found, "metrics.jsonl has no line of the learner")
+    return found
+
+
+def verdicts_add_up(all_lives: list[Life]) -> str:
+    """Everything that arrived has a verdict, in every update of every process."""
+    n_received = 0
+    for life in all_lives:
+        for update in life.updates:
+            ingest = update["ingest"]
+            answered = sum(n for name, n in ingest.items() if name != "received_total")
+            pending = ingest["received_total"] - answered
+            require(0 <= pending <= UNDER_WAY, f"{pending} trajectories have no verdict in {ingest}")
+        n_received += life.updates[-1]["ingest"]["received_total"]
+    return f"{n_received} trajectories in {len(all_lives)} lives of the learner"
+
+
+def steps_add_up(all_lives: list[Life]) -> str:
+    """Within a process no step is counted twice or lost, and versions have no gap."""
+    n_updates = 0
+    for life in all_lives:
+        for before, after in zip(life.updates, life.updates[1:]):
+            expected = before["n_env_steps"] + n_consumed(after)
+            require(after["n_env_steps"] == expected, f"{after['n_env_steps']} steps, not {expected}")
+            require(after["n_updates"] == before["n_updates"] + 1, f"update {after['n_updates']} after {before['n_updates']}")
+        n_updates += len(life.updates)
+    return f"{n_updates} updates"
+
+
+def saved_steps(run: Path) -> list[int]:
+    """Steps of the checkpoints of a run, in order."""
+    return sorted(int(entry.name.removeprefix("step-")) for entry in (run / "checkpoints").glob("step-*"))
+
+
+def nothing_is_left_over(run: Path) -> None:
+    """Nothing that was cut short lies among the checkpoints."""
+    strange = [entry.name for entry in (run / "checkpoints").iterdir() if not entry.name.startswith("step-")]
+    require(not strange, f"there are {strange}")
+
+
+def database_is_whole(path: Path) -> str:
+    """SQLite finds nothing wrong with the history of evaluations."""
+    with sqlite3.connect(path) as database:
+        verdict = database.execute("pragma integrity_check").fetchone()[0]
+        tables = [row[0] for row in database.execute("select name from sqlite_master where type = 'table' order by name")]
+    require(verdict == "ok", verdict)
+    require(tables, "it has no tables")
+    return ", ".join(tables)

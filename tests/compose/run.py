@@ -1,0 +1,77 @@
+"""Starts the ring of deploy/compose.yaml in containers, hurts it in every way that machines do, and looks what was lost.
+
+Usage: python tests/compose/run.py --binary target/debug/lodestone [--compose COMMAND] [--patience X] [--keep]
+
+Needs root, Debian's packages docker.io, docker-compose, debootstrap and iptables (or a daemon and Compose from elsewhere), the
+Python package eclipse-zenoh, and `strip`; with the package prometheus it looks at monitoring as well. It installs nothing.
+Starts a daemon if none runs and stops it in the end. The last line counts the checks; the exit code is 0 if all passed.
+"""
+
+import argparse
+import importlib.util
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+# The modules beside this file leave nothing there.
+sys.dont_write_bytecode = True
+
+from checks import Patience, Tally
+from daemon import daemon
+from shell import works
+
+# Program, and Debian's package that has it.
+PROGRAMS = {"docker": "docker.io", "debootstrap": "debootstrap", "strip": "binutils", "tar": "tar"}
+
+COMPOSE = (["docker-compose"], ["docker", "compose"])
+
+
+def missing() -> list[str]:
+    """What has to be installed first, as sentences."""
+    found = [f"{program} is missing (package {name})" for program, name in PROGRAMS.items() if not shutil.which(program)]
+    if importlib.util.find_spec("zenoh") is None:
+        found.append("the Python package eclipse-zenoh is missing (pip install -r deploy/examples/requirements.txt)")
+    if not any(works([*command, "version"]) for command in COMPOSE):
+        found.append("Compose is missing (package docker-compose, or the plugin of Compose v2)")
+    if os.geteuid() != 0:
+        found.append("only root can make a base image and kill processes in containers")
+    return found
+
+
+def arguments() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--binary", type=Path, required=True, help="the program to put into the image")
+    parser.add_argument("--compose", help="`docker-compose` or `docker compose` [default: both, where they are]")
+    parser.add_argument("--patience", type=float, default=1.0, metavar="X", help="wait X times as long, on a busy machine")
+    parser.add_argument("--keep", action="store_true", help="leave containers, volumes and image of a failed run")
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Runs all checks."""
+    args = arguments()
+    if lacks := missing():
+        print("\n".join(lacks), file=sys.stderr)
+        return 2
+    if not args.binary.is_file():
+        print(f"{args.binary} is no file: build it with `cargo build`", file=sys.stderr)
+        return 2
+    import scenario  # It needs what may be missing.
+
+    # Whoever ends us, for example a time limit, shall find nothing of us left.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    Patience.factor = args.patience
+    tally = Tally()
+    with daemon() as which:
+        print(f"Docker: {which}", flush=True)
+        commands = [args.compose.split()] if args.compose else [c for c in COMPOSE if works([*c, "version"])]
+        scenario.run(tally, args.binary, commands, args.keep)
+    print(tally.closing_line())
+    return 1 if tally.n_failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,53 @@
+"""What `lodestone-slurm` says of mistakes, and what becomes of jobs that cannot work."""
+
+from __future__ import annotations
+
+import queue_of_slurm as queue
+from launched import COMMAND, Launched, partitions
+from training import Check, Training
+from wait import wait_for
+
+
+def a_rehearsal_changes_nothing(training: Training) -> None:
+    """`--dry-run` prints both submissions and makes no folder."""
+    run = Launched(training.run.binary, training.run.folder.with_name("rehearsal"))
+    printed = run.launch("--actors", "2500", "--gpu", "--time", "12:00:00", "--dry-run", "--", "--account=lab")
+    learner, *actors = [line for line in printed.splitlines() if line.startswith("+ sbatch")]
+    assert "--gres=gpu:1" in learner and "--time=12:00:00" in learner and "--account=lab" in learner, learner
+    # An array has at most 1001 tasks where a cluster says nothing else.
+    assert [word for line in actors for word in line.split() if word.startswith("--array=")] == [
+        "--array=0-1000", "--array=0-1000", "--array=0-497",
+    ]  # fmt: skip
+    assert not run.folder.exists()
+
+
+def mistakes_are_explained(training: Training) -> None:
+    """A mistake ends with a code and a hint, and submits nothing."""
+    run = Launched(training.run.binary, training.run.folder.with_name("mistakes"))
+    binary = ["--binary", str(run.binary)]
+    for options, code, hint in [
+        (["launch", *binary, "--actors", "none"], 2, "valid is a number"),
+        (["launch", *binary, "--actor", "8"], 2, "is no option"),
+        (["launch", *binary, "--run", "My Run"], 2, "valid are 1 to 64 characters"),
+        (["launch", *binary, "--preset", "quick"], 64, "nothing was submitted"),
+        (["launch", "--binary", "/nowhere"], 64, "no program at /nowhere"),
+        (["launch", *binary, "--preset", "near-goal", "--partition", "nowhere"], 1, "invalid partition"),
+        (["status"], 1, "holds no run"),
+        (["stop"], 1, "holds no run"),
+        (["begin"], 2, "none of launch, status, stop"),
+    ]:
+        found, printed = run.attempt(*options)
+        assert (found, hint in printed) == (code, True), f"{COMMAND.name} {options}: {found}, {printed}"
+
+
+def a_learner_that_cannot_work_frees_the_actors(training: Training) -> None:
+    """A learner's job that would fail again fails at once, says why, and cancels the actors."""
+    run = Launched(training.run.binary, training.run.folder.with_name("unreachable"))
+    run.launch("--preset", "near-goal", "--actors", "2", "--learner-cpus", "2", "--interface", "nowhere0", *partitions())
+    job, actors = run.learner_job(), run.actor_job()
+    wait_for("the learner's job has failed", lambda: queue.state(job) == "FAILED", 40)
+    assert "nowhere0 has no IPv4 address" in run.learner_log(), run.learner_log()
+    wait_for("the actors' jobs are gone", lambda: not queue.is_queued(actors), 40)
+
+
+CHECKS: list[Check] = [a_rehearsal_changes_nothing, mistakes_are_explained, a_learner_that_cannot_work_frees_the_actors]

@@ -1,0 +1,114 @@
+"""Configuration of the test cluster."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+CONTROLLER = "ctl"
+NODES = ("n1", "n2", "n3")
+ADDRESSES = {CONTROLLER: "10.213.0.1", "n1": "10.213.0.11", "n2": "10.213.0.12", "n3": "10.213.0.13"}
+
+# Partitions: a learner is not preempted, actors are, by whatever is urgent.
+LEARNERS, ACTORS, URGENT, ALL = "learners", "actors", "urgent", "all"
+
+FOLDER = Path("/etc/slurm")
+PATH = FOLDER / "slurm.conf"
+
+N_CPUS = 3
+"""CPUs that a node claims to have; Slurm counts them and binds nothing."""
+
+REQUEUE_DELAY_S = 5
+"""How long a requeued job waits, which is what a credential lives; Slurm's own is 120 s."""
+
+SLURM_CONF = """
+ClusterName=test
+SlurmctldHost={controller}({controller_address})
+SlurmUser=root
+SlurmdUser=root
+AuthType=auth/munge
+AuthInfo=socket={socket},cred_expire={requeue_delay}
+CredType=cred/munge
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool/%n
+SlurmctldLogFile={folder}/logs/slurmctld.log
+SlurmdLogFile={folder}/logs/%n.log
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd-%n.pid
+SlurmdParameters=config_overrides
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+JobAcctGatherType=jobacct_gather/none
+AccountingStorageType=accounting_storage/none
+MpiDefault=none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU
+SchedulerType=sched/backfill
+SchedulerParameters=sched_interval=2,bf_interval=2,sched_min_interval=100000,batch_sched_delay=1
+PreemptType=preempt/partition_prio
+PreemptMode=REQUEUE
+JobRequeue=1
+ReturnToService=2
+MessageTimeout=5
+SlurmctldTimeout=60
+SlurmdTimeout=10
+KillWait=120
+GresTypes=gpu
+NodeName={nodes} NodeAddr={addresses} CPUs={n_cpus} RealMemory=16000 Gres=gpu:1 State=UNKNOWN
+PartitionName={all} Nodes={nodes} Default=YES PriorityTier=1 PreemptMode=OFF
+PartitionName={learners} Nodes={nodes} PriorityTier=10 PreemptMode=OFF
+PartitionName={actors} Nodes={nodes} PriorityTier=1 PreemptMode=REQUEUE
+PartitionName={urgent} Nodes={nodes} PriorityTier=20 PreemptMode=OFF
+"""
+
+
+def munge_socket(folder: Path) -> Path:
+    """Where `munged` listens."""
+    return folder / "munge" / "socket"
+
+
+def write(folder: Path) -> None:
+    """Writes what the daemons read, over the machine's own files but in this mount namespace alone."""
+    for name in ("munge", "state", "spool", "logs", *(f"spool/{node}" for node in NODES)):
+        (folder / name).mkdir(parents=True, mode=0o755)
+    key = folder / "munge" / "key"
+    key.write_bytes(os.urandom(128))
+    key.chmod(0o600)
+
+    FOLDER.mkdir(exist_ok=True)
+    mount_tmpfs(FOLDER)
+    # Where no cgroup of version 1 is mounted slurmd still wants to see the folder; it is told to use none of it.
+    mount_tmpfs(Path("/sys/fs/cgroup"))
+    PATH.write_text(slurm_conf(folder), encoding="utf-8")
+    (FOLDER / "cgroup.conf").write_text("CgroupPlugin=cgroup/v1\nCgroupAutomount=no\n", encoding="utf-8")
+    # A GPU that can be asked for and not used: whoever gets it has CUDA_VISIBLE_DEVICES set.
+    (FOLDER / "gres.conf").write_text("Name=gpu File=/dev/null\n", encoding="utf-8")
+
+    hosts = folder / "hosts"
+    lines = [f"{address} {name}\n" for name, address in ADDRESSES.items()]
+    hosts.write_text("127.0.0.1 localhost\n" + "".join(lines), encoding="utf-8")
+    subprocess.run(["mount", "--bind", str(hosts), "/etc/hosts"], check=True)
+
+
+def slurm_conf(folder: Path) -> str:
+    """The text of `slurm.conf`."""
+    return SLURM_CONF.format(
+        controller=CONTROLLER,
+        controller_address=ADDRESSES[CONTROLLER],
+        socket=munge_socket(folder),
+        folder=folder,
+        nodes=",".join(NODES),
+        addresses=",".join(ADDRESSES[node] for node in NODES),
+        n_cpus=N_CPUS,
+        requeue_delay=REQUEUE_DELAY_S,
+        learners=LEARNERS,
+        actors=ACTORS,
+        urgent=URGENT,
+        all=ALL,
+    )
+
+
+def mount_tmpfs(folder: Path) -> None:
+    """An empty file system over `folder`."""
+    subprocess.run(["mount", "-t", "tmpfs", "tmpfs", str(folder)], check=True)

@@ -1,0 +1,54 @@
+"""Waiting for conditions instead of for time."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+
+INTERVAL_S = 0.2
+
+PATIENCE = float(os.environ.get("PATIENCE", "1"))
+"""Factor on all limits, for a machine that has other work; `run.py --patience` sets it."""
+
+
+class LateError(AssertionError):
+    """A condition did not come true in time."""
+
+
+def wait_for(what: str, condition: Callable[[], T], limit_s: float, still_well: Callable[[], None] | None = None) -> T:
+    """The first true value of `condition`; fails after `limit_s` times `PATIENCE`, or when `still_well` fails before."""
+    limit_s *= PATIENCE
+    deadline = time.monotonic() + limit_s
+    while True:
+        value = condition()
+        if value:
+            return value
+        if still_well is not None:
+            still_well()
+        if time.monotonic() > deadline:
+            raise LateError(f"not within {limit_s:.0f} s: {what}; last seen: {value!r}")
+        time.sleep(INTERVAL_S)
+
+
+class Watch:
+    """Measures the time of a block."""
+
+    seconds: float = 0.0
+
+    def __enter__(self) -> Watch:
+        self._began = time.monotonic()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds = time.monotonic() - self._began
+
+
+def timed(what: str, condition: Callable[[], object], limit_s: float, still_well: Callable[[], None] | None = None) -> float:
+    """Seconds until `condition` was true."""
+    with Watch() as watch:
+        wait_for(what, condition, limit_s, still_well)
+    return watch.seconds

@@ -1,0 +1,83 @@
+"""Whether the memory of each role stays bounded."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from checks import require
+from members import Member
+
+# Megabytes that no role may exceed: several times what each was seen to take.
+LIMITS_MB = {"router": 256, "learner": 768, "actor": 256, "evaluator": 512}
+
+# A process fills its caches at first.
+WARM_S = 20.0
+
+# Below so many seconds of samples a slope says nothing.
+ENOUGH_S = 300.0
+
+LARGEST_SLOPE_MB_PER_MINUTE = 1.0
+
+
+@dataclass
+class Sample:
+    """VmRSS of one process at one time."""
+
+    life: tuple[str, int]
+    age_s: float
+    mb: float
+
+
+def slope(samples: list[Sample]) -> float:
+    """Megabytes a minute at which processes grow once they are warm, by least squares with a level for each process.
+
+    A level for each keeps a large one that follows a small one from counting as growth.
+    """
+    above = below = 0.0
+    for life in {sample.life for sample in samples}:
+        own = [sample for sample in samples if sample.life == life and sample.age_s >= WARM_S]
+        if len(own) < 2:
+            continue
+        mean_age = sum(sample.age_s for sample in own) / len(own)
+        mean_mb = sum(sample.mb for sample in own) / len(own)
+        above += sum((sample.age_s - mean_age) * (sample.mb - mean_mb) for sample in own)
+        below += sum((sample.age_s - mean_age) ** 2 for sample in own)
+    return 60 * above / below if below else 0.0
+
+
+class Memory:
+    """Samples of all processes by role."""
+
+    def __init__(self) -> None:
+        self.samples: dict[str, list[Sample]] = {}
+
+    def sample(self, member: Member) -> None:
+        """Looks at the newest process of a member."""
+        kb = member.resident_kb() if member.lives else None
+        if kb is not None:
+            age = time.time() - member.life.began
+            self.samples.setdefault(member.role, []).append(Sample((member.name, member.life.number), age, kb / 1024))
+
+    def most_mb(self, role: str) -> float:
+        """The largest sample of a role."""
+        return max(sample.mb for sample in self.samples[role])
+
+    def slope_mb_per_minute(self, role: str) -> float:
+        """At which rate its processes grow."""
+        return slope(self.samples[role])
+
+    def warm_s(self, role: str) -> float:
+        """Seconds of samples that the slope is of; there is one a second."""
+        return float(sum(sample.age_s >= WARM_S for sample in self.samples[role]))
+
+    def is_bounded(self) -> str:
+        """Fails if a role exceeds its limit, or grows for long."""
+        said = []
+        for role, limit in LIMITS_MB.items():
+            most, growth = self.most_mb(role), self.slope_mb_per_minute(role)
+            require(most <= limit, f"{role} took {most:.0f} MB, more than {limit}")
+            if self.warm_s(role) >= ENOUGH_S:
+                require(growth <= LARGEST_SLOPE_MB_PER_MINUTE, f"{role} grows by {growth:.2f} MB a minute")
+            said.append(f"{role} {most:.0f} MB ({growth:+.2f} a minute)")
+        return ", ".join(said)

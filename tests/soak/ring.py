@@ -1,0 +1,201 @@
+"""The ring under test: router, learner, three actors and evaluator on loopback, clients behind relays."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from pathlib import Path
+
+import records
+from bus import ActorLife, Listener
+from checks import until
+from members import Accident, End, Member, supervise
+from memory import Memory
+from relay import Relay
+
+RUN = "soak"
+N_ACTORS = 3
+SEGMENT_LEN = 16
+N_WORLDS = 4
+N_OUTSTANDING = 2
+BACKLOG = 16
+INGEST_QUEUE = 256
+
+# Small updates and a checkpoint after every second, so that a kill finds much to break; answers that are given up
+# soon; reports that come often, so that a kill leaves little unsaid.
+SETTINGS = {
+    "learner.steps_per_update": "256",
+    "learner.minibatch_size": "128",
+    "learner.mailbox.capacity_steps": "256",
+    "learner.checkpoints.every_updates": "2",
+    "learner.checkpoints.keep": "5",
+    "actor.n_worlds": str(N_WORLDS),
+    "actor.segment_len": str(SEGMENT_LEN),
+    "actor.n_outstanding": str(N_OUTSTANDING),
+    "actor.backlog_limit": str(BACKLOG),
+    "actor.full_backlog": "drop-oldest",
+    "actor.lead_in.probability": "0.0",
+    "actor.metrics_period_ms": "200",
+    "bus.ack_timeout_ms": "2000",
+    "bus.ingest_queue": str(INGEST_QUEUE),
+    "evaluator.every.versions": "10",
+    "evaluator.episodes.n_episodes": "2",
+    "evaluator.films.groups": "[]",
+}
+
+# More than anybody waits for.
+ENDLESS = "1000000000000"
+
+BACK_S = 60.0
+
+
+def free_port() -> int:
+    """A port that was free a moment ago; the router comes back to it, so it cannot choose one itself."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return int(listener.getsockname()[1])
+
+
+def settings(chosen: dict[str, str]) -> list[str]:
+    """The arguments for some settings."""
+    return [argument for key, value in chosen.items() for argument in ("--set", f"{key}={value}")]
+
+
+class Ring:
+    """All members, and what is known of them."""
+
+    def __init__(self, binary: Path, folder: Path, seed: int) -> None:
+        self.run_dir = folder / "run"
+        self.lines = records.Lines(self.run_dir / "metrics.jsonl")
+        self.learner_lives: list[records.LearnerLife] = []
+        self.accidents: list[Accident] = []
+        self.memory = Memory()
+        self._logs = folder / "logs"
+        self._logs.mkdir(parents=True)
+        self._binary = str(binary)
+        self._seed = seed
+        self._port = free_port()
+        self.listener = Listener(self._port, RUN)
+        self._tasks: list[asyncio.Task[None]] = []
+        self.members: list[Member] = []
+
+    async def start(self) -> None:
+        """Starts everything and waits until the learner learns from every actor."""
+        router = ["--listen", f"tcp/127.0.0.1:{self._port}"]
+        self.router = await self._add("router", "router", router)
+        learner = ["--run-dir", str(self.run_dir), "--auto-resume", "--steps", ENDLESS]
+        self.learner = await self._add("learner", "learner", learner)
+        self.evaluator = await self._add("evaluator", "evaluator", ["--run-dir", str(self.run_dir)])
+        self.actors = [await self._add(f"actor-{n}", "actor", ["--id", f"actor-{n}"]) for n in range(1, N_ACTORS + 1)]
+        self.router.start()
+        self._begin_learner_life()
+        for member in (self.learner, self.evaluator, *self.actors):
+            member.start()
+        supervisor = supervise(self.members, self.accidents, self._restart)
+        self._tasks = [asyncio.create_task(self._watch()), asyncio.create_task(supervisor)]
+        await self.listener.open(BACK_S)
+        await until("all actors have something acknowledged", 2 * BACK_S, lambda: all(map(self.acked, self.actors)))
+        await until("a first checkpoint", BACK_S, lambda: records.checkpoints(self.run_dir))
+
+    async def restart_learner(self, end: End) -> None:
+        """Ends the learner and starts it again at once, with account of what is on the disk in between."""
+        ended = self.learner_lives[-1]
+        ended.killed = end is End.KILLED
+        try:
+            await (self.learner.kill() if ended.killed else self.learner.terminate())
+        finally:
+            self._end_learner_life()
+            self._begin_learner_life()
+            self.learner.start()
+
+    async def stop_learner(self) -> None:
+        """Ends the learner by SIGTERM; `resume_learner` starts it again."""
+        await self.learner.terminate()
+        self._end_learner_life()
+
+    def resume_learner(self) -> None:
+        """Starts the learner again."""
+        self._begin_learner_life()
+        self.learner.start()
+
+    def learner_has_taken(self) -> bool:
+        """Whether the lines of the newest learner tell of a trajectory that it took."""
+        return self.learner_lives[-1].ingest.get("accepted_total", 0) > 0
+
+    def n_updates(self) -> int:
+        """Updates of all lives so far that have a line."""
+        return sum(len(life.updates) for life in self.learner_lives)
+
+    def report(self, actor: Member) -> ActorLife | None:
+        """What the newest process of an actor has said, if it has."""
+        life = self.listener.newest(actor.name)
+        # The process takes its time a moment after it was started.
+        return life if life and life.epoch_ms >= int(actor.life.began * 1000) else None
+
+    def acked(self, actor: Member) -> int:
+        """Trajectories of the newest process of an actor that the learner took."""
+        life = self.report(actor)
+        return life.n_acked if life else 0
+
+    async def stop(self) -> None:
+        """Ends everything by SIGTERM, actors first and the router last."""
+        for member in (*self.actors, self.evaluator):
+            await member.terminate()
+        await self.stop_learner()
+        self.listener.digest()
+        # The last reports of the actors are on their way before the router goes.
+        self.listener.close()
+        await self.router.terminate()
+
+    async def close(self) -> None:
+        """Ends what is left, however it ended."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for member in self.members:
+            member.end_now()
+            if member.relay is not None:
+                await member.relay.close()
+        await asyncio.to_thread(self.listener.close)
+
+    async def _add(self, name: str, role: str, arguments: list[str]) -> Member:
+        relay = None
+        command = [self._binary]
+        if role == "router":
+            command += ["router", *arguments]
+        else:
+            relay = Relay(self._port)
+            await relay.listen()
+            connect = ["--connect", f"tcp/127.0.0.1:{relay.port}", "--preset", "near-goal", "--run", RUN]
+            command += [role, *connect, "--seed", str(self._seed), *settings(SETTINGS), *arguments]
+        member = Member(name, role, command, self._logs, relay)
+        self.members.append(member)
+        return member
+
+    async def _watch(self) -> None:
+        next_sample = 0.0
+        while True:
+            self.listener.digest()
+            self.learner_lives[-1].updates += self.lines.read()
+            if time.monotonic() >= next_sample:
+                next_sample = time.monotonic() + 1
+                for member in self.members:
+                    self.memory.sample(member)
+            await asyncio.sleep(0.05)
+
+    def _restart(self, member: Member) -> None:
+        """Starts a member again that ended by itself."""
+        if member is self.learner:
+            self.learner_lives[-1].killed = True
+            self._end_learner_life()
+            self._begin_learner_life()
+        member.start()
+
+    def _begin_learner_life(self) -> None:
+        self.learner_lives.append(records.LearnerLife(*records.newest_checkpoint(self.run_dir)))
+
+    def _end_learner_life(self) -> None:
+        life = self.learner_lives[-1]
+        life.updates += self.lines.read()
+        life.saved_steps_after, life.saved_accepted_after = records.newest_checkpoint(self.run_dir)
