@@ -10,6 +10,10 @@ use serde_json::{Value, json};
 /// Longest time that a condition on a page is waited for.
 const PATIENCE_MS: u64 = 120_000;
 
+/// How often chromedriver is started: it takes any free port on one family of addresses and then the same on the other, where
+/// somebody else may have it, and then it ends.
+const DRIVER_STARTS: usize = 10;
+
 /// Under which name the protocol hands out elements.
 const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
 
@@ -27,13 +31,24 @@ pub(crate) struct Element<'b> {
     id: String,
 }
 
+/// A driver and the port that it listens on; none if it ends before it listens.
+fn start_driver(chromedriver: &std::ffi::OsStr) -> Option<(Child, u16)> {
+    let mut driver = Command::new(chromedriver).arg("--port=0").stdout(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let port_of = |line: String| line.strip_suffix('.')?.rsplit_once("on port ")?.1.parse().ok();
+    let port = lines.filter_map(port_of).next();
+    if port.is_none() {
+        driver.wait().unwrap();
+    }
+    Some((driver, port?))
+}
+
 impl Browser {
     /// Starts `chromedriver` and a browser with a new profile in `folder`.
     pub(crate) fn start(chromedriver: &std::ffi::OsStr, folder: &Path) -> Self {
-        let mut driver = Command::new(chromedriver).arg("--port=0").stdout(Stdio::piped()).spawn().unwrap();
-        let lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
-        let port_of = |line: String| line.strip_suffix('.')?.rsplit_once("on port ")?.1.parse().ok();
-        let port = lines.filter_map(port_of).next().unwrap();
+        let (driver, port) = (0..DRIVER_STARTS)
+            .find_map(|_| start_driver(chromedriver))
+            .expect("chromedriver ended at each start without naming its port");
         let mut browser = Self { driver, port, session: String::new() };
         let profile = format!("--user-data-dir={}", folder.join("profile").display());
         // Without a sandbox, because containers run as root; the page is ours.
