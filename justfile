@@ -1,0 +1,61 @@
+# Shortcuts for `.ci/run`, which is what CI runs: a recipe here adds nothing to it. `just` is optional.
+
+# List the recipes.
+default:
+    @just --list
+
+# Everything that must pass before a change lands.
+ci:
+    .ci/run
+
+# Formatting.
+fmt:
+    .ci/run fmt
+
+# Fix the formatting.
+fmt-fix:
+    cargo fmt --all
+
+# Spelling.
+typos:
+    .ci/run typos
+
+# Licenses, sources and banned crates.
+deny:
+    .ci/run deny
+
+# The same, and known vulnerabilities; needs the network.
+advisories:
+    cargo deny check
+
+# Clippy without warnings.
+lint:
+    .ci/run lint
+
+# Rustdoc without warnings.
+doc:
+    .ci/run doc
+
+# All tests, or those that the arguments select: `just test -p policy gat`.
+test *ARGS:
+    {{ if ARGS == "" { ".ci/run test" } else { "cargo test --locked " + ARGS } }}
+
+# Both fuzz targets, a minute each.
+fuzz:
+    .ci/run fuzz
+
+# The Kubernetes manifests, without a cluster.
+kubernetes:
+    .ci/run kubernetes
+
+# Rings in containers, on Slurm and under random faults. Run as root; takes about 15 minutes.
+launchers: build
+    .ci/launchers target/debug/lodestone
+
+# Speed, crate by crate; compare with docs/performance.md.
+bench:
+    cargo bench --locked --workspace --benches
+
+# The program, for development.
+build:
+    cargo build --locked
