@@ -1,11 +1,11 @@
-//! Lists the catalogue's files for embedding, so that adding a blueprint is adding a file.
+//! Lists the catalog's files for embedding, so that adding a blueprint is adding a file.
 
 use std::fmt::Write as _;
 use std::path::Path;
 use std::{env, fs, io};
 
 fn main() -> io::Result<()> {
-    let folder = Path::new(&env::var("CARGO_MANIFEST_DIR").map_err(io::Error::other)?).join("catalogue");
+    let folder = Path::new(&env::var("CARGO_MANIFEST_DIR").map_err(io::Error::other)?).join("catalog");
     println!("cargo::rerun-if-changed={}", folder.display());
     let mut names = Vec::new();
     for entry in fs::read_dir(&folder)? {
@@ -22,5 +22,5 @@ fn main() -> io::Result<()> {
     }
     list.push_str("]\n");
     let out = env::var("OUT_DIR").map_err(io::Error::other)?;
-    fs::write(Path::new(&out).join("catalogue.rs"), list)
+    fs::write(Path::new(&out).join("catalog.rs"), list)
 }

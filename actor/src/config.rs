@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{TaskConfig, TeacherConfig};
+use crate::{DaggerConfig, TaskConfig};
 
 /// How many worlds an actor steps, how it cuts episodes, and how it deals with a slow or absent learner.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,9 +17,9 @@ pub struct ActorConfig {
     /// Which tasks are rolled out and how their episodes begin.
     pub tasks: TaskConfig,
     /// Steps before an episode is learned from.
-    pub lead_in: LeadInConfig,
+    pub burn_in: BurnInConfig,
     /// The expert, who labels every scene and acts in some episodes; absent means none. Default: absent.
-    pub teacher: Option<TeacherConfig>,
+    pub dagger: Option<DaggerConfig>,
     /// Segments that may wait for the learner's answer at once, 1 to 16. Default 2.
     pub n_outstanding: usize,
     /// Segments kept while the learner does not take them, 1 to 100 000. Default 512.
@@ -38,10 +38,10 @@ pub struct ActorConfig {
 /// from there on teaches the mode to leave them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct LeadInConfig {
+pub struct BurnInConfig {
     /// Share of the episodes, 0 to 1. Default 0.
     pub probability: f64,
-    /// Longest lead-in in steps, 1 to 1000; the length is uniform from 1. Default 60.
+    /// Longest burn-in in steps, 1 to 1000; the length is uniform from 1. Default 60.
     pub max_steps: u16,
 }
 
@@ -75,8 +75,8 @@ impl Default for ActorConfig {
             n_worlds: 32,
             segment_len: 32,
             tasks: TaskConfig::default(),
-            lead_in: LeadInConfig::default(),
-            teacher: None,
+            burn_in: BurnInConfig::default(),
+            dagger: None,
             n_outstanding: 2,
             backlog_limit: 512,
             full_backlog: FullBacklog::DropOldest,
@@ -86,7 +86,7 @@ impl Default for ActorConfig {
     }
 }
 
-impl Default for LeadInConfig {
+impl Default for BurnInConfig {
     fn default() -> Self {
         Self { probability: 0.0, max_steps: 60 }
     }
@@ -101,15 +101,15 @@ impl ActorConfig {
         check("n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1 to 64")?;
         check("n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1 to 1024")?;
         check("segment_len", self.segment_len, (1..=1000).contains(&self.segment_len), "1 to 1000")?;
-        let LeadInConfig { probability, max_steps } = self.lead_in;
-        check("lead_in.probability", probability, (0.0..=1.0).contains(&probability), "0 to 1")?;
-        check("lead_in.max_steps", max_steps, (1..=1000).contains(&max_steps), "1 to 1000")?;
+        let BurnInConfig { probability, max_steps } = self.burn_in;
+        check("burn_in.probability", probability, (0.0..=1.0).contains(&probability), "0 to 1")?;
+        check("burn_in.max_steps", max_steps, (1..=1000).contains(&max_steps), "1 to 1000")?;
         check("n_outstanding", self.n_outstanding, (1..=16).contains(&self.n_outstanding), "1 to 16")?;
         check("backlog_limit", self.backlog_limit, (1..=100_000).contains(&self.backlog_limit), "1 to 100000")?;
         let metrics = self.metrics_period_ms;
         check("metrics_period_ms", metrics, (50..=3_600_000).contains(&metrics), "50 to 3600000")?;
         check("drain_timeout_ms", self.drain_timeout_ms, self.drain_timeout_ms <= 60_000, "0 to 60000")?;
-        self.teacher.as_ref().map_or(Ok(()), TeacherConfig::validate)?;
+        self.dagger.as_ref().map_or(Ok(()), DaggerConfig::validate)?;
         self.tasks.validate()
     }
 }

@@ -8,6 +8,7 @@
 
 pub mod backlog;
 pub mod config;
+pub mod dagger;
 pub mod load;
 pub mod lockstep;
 pub mod rollout;
@@ -15,12 +16,12 @@ mod run;
 pub mod segment;
 pub mod streams;
 pub mod task;
-pub mod teacher;
 #[cfg(test)]
 mod toy;
 
 pub use backlog::Backlog;
-pub use config::{ActorConfig, ActorConfigError, FullBacklog, LeadInConfig};
+pub use config::{ActorConfig, ActorConfigError, BurnInConfig, FullBacklog};
+pub use dagger::{DaggerConfig, DaggerMixture, NoiseConfig};
 pub use environment::EnvironmentConfig;
 pub use lockstep::Lockstep;
 pub use policy::PolicyConfig;
@@ -29,4 +30,3 @@ pub use run::{ActorReport, run};
 pub use segment::{Identity, SegmentBuilder};
 pub use streams::Life;
 pub use task::{FilterError, TaskConfig, TaskFilter, TaskSampler};
-pub use teacher::{NoiseConfig, Teacher, TeacherConfig};

@@ -12,8 +12,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
+use bus::{Bus, BusConfig};
 use proto::Trajectory;
-use proto::bus::{Bus, BusConfig};
 use proto::codec::encode_trajectory;
 use serde::{Deserialize, Serialize};
 use tokio::task::JoinSet;

@@ -1,17 +1,18 @@
 //! Many worlds, one policy: steps all of them with one forward pass and hands out finished segments.
 
-use blueprints::{BlueprintId, Catalogue};
+use blueprints::{BlueprintId, Catalog};
 use environment::{Env, EnvironmentConfig, ResetError};
-use policy::{ActionMode, FeatureBatch, Policy, PolicyConfig, PolicyError};
+use policy::{FeatureBatch, Policy, PolicyConfig, PolicyError};
+use proto::ActionMode;
 use proto::{Driver, Status, Task, Trajectory, Transition, Weights, WeightsVersion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::config::{ActorConfig, LeadInConfig};
+use crate::config::{ActorConfig, BurnInConfig};
+use crate::dagger::{DaggerEpisode, DaggerMixture};
 use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
 use crate::task::{FilterError, TaskConfig, TaskSampler};
-use crate::teacher::{Lesson, Teacher};
 
 /// Tasks that are tried before a world gives up on starting an episode.
 const MAX_RESETS: usize = 16;
@@ -20,7 +21,7 @@ const MAX_RESETS: usize = 16;
 #[derive(Clone, Debug)]
 pub struct RolloutSetup<'c> {
     /// Where goals and starts come from.
-    pub catalogue: &'c Catalogue,
+    pub catalog: &'c Catalog,
     /// The policy that acts; it must be the learner's.
     pub policy: PolicyConfig,
     /// Which goals and starts.
@@ -28,9 +29,9 @@ pub struct RolloutSetup<'c> {
     /// Steps after which a segment is cut, at least 1.
     pub segment_len: usize,
     /// Steps that are not learned from.
-    pub lead_in: LeadInConfig,
+    pub burn_in: BurnInConfig,
     /// The expert, if there is one.
-    pub teacher: Option<Teacher>,
+    pub dagger: Option<DaggerMixture>,
     /// Names and numbers the segments.
     pub identity: Identity,
     /// Determines tasks and actions.
@@ -38,7 +39,7 @@ pub struct RolloutSetup<'c> {
 }
 
 impl RolloutSetup<'static> {
-    /// As an actor with these settings rolls out goals of the built-in catalogue.
+    /// As an actor with these settings rolls out goals of the built-in catalog.
     pub fn new(
         config: &ActorConfig,
         policy: &PolicyConfig,
@@ -47,12 +48,12 @@ impl RolloutSetup<'static> {
         seed: u64,
     ) -> Self {
         Self {
-            catalogue: Catalogue::builtin(),
+            catalog: Catalog::builtin(),
             policy: policy.clone(),
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
-            lead_in: config.lead_in,
-            teacher: config.teacher.clone().map(|teacher| Teacher::new(teacher, environment.clone())),
+            burn_in: config.burn_in,
+            dagger: config.dagger.clone().map(|teacher| DaggerMixture::new(teacher, environment.clone())),
             identity,
             seed,
         }
@@ -66,7 +67,7 @@ pub struct Rollout<'c, E> {
     policy: Policy,
     version: WeightsVersion,
     tasks: TaskSampler,
-    seats: Vec<Seat<E>>,
+    slots: Vec<EnvSlot<E>>,
     /// One for each world, for its actions.
     action_rngs: Vec<ChaCha8Rng>,
     /// Kept for its memory.
@@ -89,8 +90,8 @@ pub struct RolloutCounters {
     pub n_diverged_episodes: u64,
     /// Steps of those episodes that were dropped.
     pub n_diverged_steps: u64,
-    /// Steps of lead-ins.
-    pub n_lead_in_steps: u64,
+    /// Steps of burn-ins.
+    pub n_burn_in_steps: u64,
     /// Tasks that a world could not start and that were replaced by others.
     pub n_failed_resets: u64,
 }
@@ -116,16 +117,16 @@ pub enum RolloutError {
 
 /// A world with the generator of its tasks and its episode so far.
 #[derive(Debug)]
-struct Seat<E> {
+struct EnvSlot<E> {
     env: E,
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
-    lesson: Option<Lesson>,
+    dagger: Option<DaggerEpisode>,
     /// Steps that the mode still has to act before the episode is learned from.
-    n_lead_in: u16,
+    n_burn_in: u16,
 }
 
-impl<E: Env> Seat<E> {
+impl<E: Env> EnvSlot<E> {
     /// Starts the next episode.
     fn begin(
         &mut self,
@@ -134,10 +135,10 @@ impl<E: Env> Seat<E> {
         version: WeightsVersion,
         counters: &mut RolloutCounters,
     ) -> Result<(), RolloutError> {
-        let task = start_episode(&mut self.env, tasks, setup.catalogue, &mut self.task_rng, counters)?;
-        self.lesson = begin_lesson(setup, &self.env, version, &mut self.task_rng);
-        self.segment.begin(task, driver(self.lesson.as_ref()));
-        self.n_lead_in = draw_lead_in(&setup.lead_in, &mut self.task_rng);
+        let task = start_episode(&mut self.env, tasks, setup.catalog, &mut self.task_rng, counters)?;
+        self.dagger = begin_dagger(setup, &self.env, version, &mut self.task_rng);
+        self.segment.begin(task, driver(self.dagger.as_ref()));
+        self.n_burn_in = draw_burn_in(&setup.burn_in, &mut self.task_rng);
         Ok(())
     }
 }
@@ -150,22 +151,22 @@ impl<'c, E: Env> Rollout<'c, E> {
     pub fn new(setup: RolloutSetup<'c>, worlds: Vec<E>, weights: &Weights) -> Result<Self, RolloutError> {
         let mut policy = Policy::new(&setup.policy)?;
         policy.load(weights)?;
-        let mut tasks = TaskSampler::new(&setup.tasks, setup.catalogue)?;
+        let mut tasks = TaskSampler::new(&setup.tasks, setup.catalog)?;
         tasks.set_probabilities(&weights.task_probabilities);
         let mut counters = RolloutCounters::default();
-        let mut seats = Vec::with_capacity(worlds.len());
+        let mut slots = Vec::with_capacity(worlds.len());
         for (world_idx, mut env) in worlds.into_iter().enumerate() {
             // Even streams draw tasks, odd ones actions, so neither depends on how many worlds there are.
             let mut task_rng = stream(setup.seed, 2 * world_idx as u64);
-            let task = start_episode(&mut env, &tasks, setup.catalogue, &mut task_rng, &mut counters)?;
-            let lesson = begin_lesson(&setup, &env, weights.version, &mut task_rng);
-            let segment = SegmentBuilder::new(setup.segment_len, task, driver(lesson.as_ref()));
-            let n_lead_in = draw_lead_in(&setup.lead_in, &mut task_rng);
-            seats.push(Seat { env, task_rng, segment, lesson, n_lead_in });
+            let task = start_episode(&mut env, &tasks, setup.catalog, &mut task_rng, &mut counters)?;
+            let dagger = begin_dagger(&setup, &env, weights.version, &mut task_rng);
+            let segment = SegmentBuilder::new(setup.segment_len, task, driver(dagger.as_ref()));
+            let n_burn_in = draw_burn_in(&setup.burn_in, &mut task_rng);
+            slots.push(EnvSlot { env, task_rng, segment, dagger, n_burn_in });
         }
-        let action_rngs = (0..seats.len() as u64).map(|world_idx| stream(setup.seed, 2 * world_idx + 1)).collect();
+        let action_rngs = (0..slots.len() as u64).map(|world_idx| stream(setup.seed, 2 * world_idx + 1)).collect();
         let batch = policy.batch();
-        Ok(Self { setup, policy, version: weights.version, tasks, seats, action_rngs, batch, counters })
+        Ok(Self { setup, policy, version: weights.version, tasks, slots, action_rngs, batch, counters })
     }
 
     /// Acts by other weights from the next step on; episodes go on.
@@ -187,10 +188,10 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// When no task can be started.
     pub fn restart(&mut self, seed: u64) -> Result<(), RolloutError> {
         self.setup.seed = seed;
-        for (world_idx, (seat, action_rng)) in self.seats.iter_mut().zip(&mut self.action_rngs).enumerate() {
-            seat.task_rng = stream(seed, 2 * world_idx as u64);
+        for (world_idx, (slot, action_rng)) in self.slots.iter_mut().zip(&mut self.action_rngs).enumerate() {
+            slot.task_rng = stream(seed, 2 * world_idx as u64);
             *action_rng = stream(seed, 2 * world_idx as u64 + 1);
-            seat.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
+            slot.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
         }
         Ok(())
     }
@@ -202,14 +203,14 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// can go on.
     pub fn step(&mut self) -> Result<Vec<Trajectory>, RolloutError> {
         self.batch.clear();
-        for seat in &self.seats {
-            self.batch.push(seat.env.scene(), seat.env.blueprint());
+        for slot in &self.slots {
+            self.batch.push(slot.env.scene(), slot.env.blueprint());
         }
-        let mode = |seat: &Seat<E>| match driver(seat.lesson.as_ref()) {
-            Driver::Sample if seat.n_lead_in == 0 => ActionMode::Sampled,
-            _ => ActionMode::Mode,
+        let mode = |slot: &EnvSlot<E>| match driver(slot.dagger.as_ref()) {
+            Driver::Sample if slot.n_burn_in == 0 => ActionMode::Sampled,
+            _ => ActionMode::Greedy,
         };
-        let modes: Vec<ActionMode> = self.seats.iter().map(mode).collect();
+        let modes: Vec<ActionMode> = self.slots.iter().map(mode).collect();
         let decisions = self.policy.act_each(&self.batch, &mut self.action_rngs, &modes)?;
 
         let mut finished: Vec<Trajectory> = Vec::new();
@@ -217,21 +218,21 @@ impl<'c, E: Env> Rollout<'c, E> {
         // it.
         self.batch.clear();
         let mut unvalued: Vec<usize> = Vec::new();
-        for ((seat, decision), rng) in self.seats.iter_mut().zip(decisions).zip(&mut self.action_rngs) {
-            let Seat { env, segment, lesson, n_lead_in, .. } = &mut *seat;
+        for ((slot, decision), rng) in self.slots.iter_mut().zip(decisions).zip(&mut self.action_rngs) {
+            let EnvSlot { env, segment, dagger, n_burn_in, .. } = &mut *slot;
             let scene = env.scene().clone();
-            let (action, label) = match lesson {
-                Some(lesson) if *n_lead_in == 0 => lesson.step(&scene, decision.action, rng),
+            let (action, label) = match dagger {
+                Some(dagger) if *n_burn_in == 0 => dagger.step(&scene, decision.action, rng),
                 _ => (decision.action, None),
             };
             let result = env.step(&action);
             self.counters.n_env_steps += 1;
-            if *n_lead_in > 0 {
-                *n_lead_in -= 1;
-                self.counters.n_lead_in_steps += 1;
+            if *n_burn_in > 0 {
+                *n_burn_in -= 1;
+                self.counters.n_burn_in_steps += 1;
                 segment.skip(&result.reward);
                 if result.status != Status::Running {
-                    seat.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
+                    slot.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
                 }
                 continue;
             }
@@ -239,7 +240,7 @@ impl<'c, E: Env> Rollout<'c, E> {
                 scene,
                 action,
                 // Noise and the expert have no probability under the policy that could be of use.
-                behavior_log_prob: if driver(lesson.as_ref()) == Driver::Sample { decision.log_prob } else { 0.0 },
+                behavior_log_prob: if driver(dagger.as_ref()) == Driver::Sample { decision.log_prob } else { 0.0 },
                 value: decision.value,
                 reward: result.reward,
                 label,
@@ -270,7 +271,7 @@ impl<'c, E: Env> Rollout<'c, E> {
                 Status::TimeLimit => self.counters.n_episodes += 1,
                 Status::Diverged => {}
             }
-            seat.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
+            slot.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
         }
         // The worlds have moved, so weights that have no value for a last scene must not stop the step. The learner refuses a
         // segment without one, which the actor then counts.
@@ -300,13 +301,13 @@ impl std::ops::AddAssign for RolloutCounters {
         self.n_successes += other.n_successes;
         self.n_diverged_episodes += other.n_diverged_episodes;
         self.n_diverged_steps += other.n_diverged_steps;
-        self.n_lead_in_steps += other.n_lead_in_steps;
+        self.n_burn_in_steps += other.n_burn_in_steps;
         self.n_failed_resets += other.n_failed_resets;
     }
 }
 
-/// Length of an episode's lead-in; without any, nothing is drawn.
-fn draw_lead_in(config: &LeadInConfig, rng: &mut ChaCha8Rng) -> u16 {
+/// Length of an episode's burn-in; without any, nothing is drawn.
+fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
     if config.probability > 0.0 && rng.random_bool(config.probability) {
         rng.random_range(1..=config.max_steps)
     } else {
@@ -315,18 +316,18 @@ fn draw_lead_in(config: &LeadInConfig, rng: &mut ChaCha8Rng) -> u16 {
 }
 
 /// The teacher's part in an episode that has begun; without a teacher nothing is drawn.
-fn begin_lesson<E: Env>(
+fn begin_dagger<E: Env>(
     setup: &RolloutSetup<'_>,
     env: &E,
     version: WeightsVersion,
     rng: &mut ChaCha8Rng,
-) -> Option<Lesson> {
-    setup.teacher.as_ref().map(|teacher| teacher.begin(env.blueprint(), version, rng))
+) -> Option<DaggerEpisode> {
+    setup.dagger.as_ref().map(|teacher| teacher.begin(env.blueprint(), version, rng))
 }
 
 /// Who acts in an episode.
-fn driver(lesson: Option<&Lesson>) -> Driver {
-    lesson.map_or(Driver::Sample, Lesson::driver)
+fn driver(dagger: Option<&DaggerEpisode>) -> Driver {
+    dagger.map_or(Driver::Sample, DaggerEpisode::driver)
 }
 
 /// An independent generator for each `stream_idx` of a seed.
@@ -340,14 +341,14 @@ fn stream(seed: u64, stream_idx: u64) -> ChaCha8Rng {
 fn start_episode<E: Env>(
     env: &mut E,
     tasks: &TaskSampler,
-    catalogue: &Catalogue,
+    catalog: &Catalog,
     rng: &mut ChaCha8Rng,
     counters: &mut RolloutCounters,
 ) -> Result<Task, RolloutError> {
     let mut n_tried = 0;
     loop {
-        let task = tasks.sample(catalogue, rng);
-        match env.reset(&task, catalogue) {
+        let task = tasks.sample(catalog, rng);
+        match env.reset(&task, catalog) {
             Ok(()) => return Ok(task),
             Err(source) => {
                 n_tried += 1;

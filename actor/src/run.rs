@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use bus::{Bus, BusError, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
 use environment::EnvironmentConfig;
 use policy::{PolicyConfig, PolicyError};
-use proto::bus::{Bus, BusError, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
 use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
 use proto::{ActorId, Refusal, Role, Trajectory, Weights, WeightsVersion, keys};
 use tokio::task::JoinSet;

@@ -1,5 +1,6 @@
 //! Random streams: no two processes of a run, and no two lives of one, draw the same tasks and actions.
 
+use blueprints::hash::fnv1a;
 use proto::{ActorId, WeightsVersion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -33,16 +34,11 @@ impl Life {
     }
 }
 
-/// FNV-1a with 64 bits, which is the same in every process and version.
-fn fnv1a(bytes: impl Iterator<Item = u8>) -> u64 {
-    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
 
-    use blueprints::Catalogue;
+    use blueprints::Catalog;
     use proto::Task;
 
     use super::*;
@@ -54,9 +50,9 @@ mod tests {
 
     /// The first tasks of a thread.
     fn tasks(life: &Life, thread_idx: usize) -> Vec<Task> {
-        let sampler = TaskSampler::new(&TaskConfig::default(), Catalogue::builtin()).unwrap();
+        let sampler = TaskSampler::new(&TaskConfig::default(), Catalog::builtin()).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(life.thread_seed(thread_idx));
-        (0..20).map(|_| sampler.sample(Catalogue::builtin(), &mut rng)).collect()
+        (0..20).map(|_| sampler.sample(Catalog::builtin(), &mut rng)).collect()
     }
 
     #[test]

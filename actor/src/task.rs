@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use blueprints::generator::{Draws, MAX_DRAWN_SEED, MAX_INDEX, Request, Style};
-use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::sample_assignment;
 use proto::{Start, Task};
 use rand::RngExt;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{ActorConfigError, check};
 
-/// Generated structures that are tried before a goal of the catalogue is taken after all.
+/// Generated structures that are tried before a goal of the catalog is taken after all.
 const MAX_GENERATED: usize = 8;
 
 /// Which training blueprints are goals, and how their episodes begin.
@@ -61,7 +61,7 @@ pub enum TaskFilter {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FilterError {
     /// An id that neither the training split nor the generator has, or one of a held-out structure.
-    #[error("blueprint {0} is neither in the training split of the catalogue nor a generated one")]
+    #[error("blueprint {0} is neither in the training split of the catalog nor a generated one")]
     NotForTraining(BlueprintId),
     /// Nothing remains.
     #[error("no training blueprint has between {min} and {max} blocks")]
@@ -80,7 +80,7 @@ pub enum FilterError {
 #[derive(Clone, Debug)]
 pub struct TaskSampler {
     config: TaskConfig,
-    /// Goals in catalogue order with their number of blocks and their probability, which need not sum to 1.
+    /// Goals in catalog order with their number of blocks and their probability, which need not sum to 1.
     goals: Vec<(BlueprintId, usize, f64)>,
     /// What may stand at the start: the whole training split, whatever the filter.
     prebuilt: Vec<BlueprintId>,
@@ -124,11 +124,11 @@ impl TaskConfig {
     ///
     /// # Errors
     /// When the filter selects nothing or an unknown blueprint.
-    pub fn draws(&self, catalogue: &Catalogue) -> Result<Option<Draws>, FilterError> {
+    pub fn draws(&self, catalog: &Catalog) -> Result<Option<Draws>, FilterError> {
         if self.generated_probability == 0.0 {
             return Ok(None);
         }
-        let sizes = self.filter.select(catalogue)?.into_iter().map(|id| id.size());
+        let sizes = self.filter.select(catalog)?.into_iter().map(|id| id.size());
         Ok(Some(Draws::new(self.generated_styles.iter().copied(), sizes)))
     }
 }
@@ -138,8 +138,8 @@ impl TaskFilter {
     ///
     /// # Errors
     /// When an id is not a training blueprint, or when nothing is selected.
-    pub fn select(&self, catalogue: &Catalogue) -> Result<Vec<BlueprintId>, FilterError> {
-        let training = catalogue.of_split(Split::Train);
+    pub fn select(&self, catalog: &Catalog) -> Result<Vec<BlueprintId>, FilterError> {
+        let training = catalog.of_split(Split::Train);
         let mut ids: Vec<BlueprintId> = match self {
             Self::All => training.iter().map(|blueprint| blueprint.id().clone()).collect(),
             Self::Sizes { min, max } => training
@@ -149,8 +149,8 @@ impl TaskFilter {
                 .collect(),
             Self::Blueprints(ids) => {
                 let trainable =
-                    |blueprint: &Blueprint| blueprint.split() == Split::Train && catalogue.is_for_training(blueprint);
-                let known = |id: &BlueprintId| catalogue.find(id).is_some_and(|blueprint| trainable(&blueprint));
+                    |blueprint: &Blueprint| blueprint.split() == Split::Train && catalog.is_for_training(blueprint);
+                let known = |id: &BlueprintId| catalog.find(id).is_some_and(|blueprint| trainable(&blueprint));
                 if let Some(unknown) = ids.iter().find(|id| !known(id)) {
                     return Err(FilterError::NotForTraining(unknown.clone()));
                 }
@@ -172,12 +172,11 @@ impl TaskSampler {
     ///
     /// # Errors
     /// When the filter selects nothing or an unknown blueprint.
-    pub fn new(config: &TaskConfig, catalogue: &Catalogue) -> Result<Self, FilterError> {
-        let ids = config.filter.select(catalogue)?;
-        let goals = ids
-            .into_iter()
-            .filter_map(|id| catalogue.find(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
-        let prebuilt = catalogue.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
+    pub fn new(config: &TaskConfig, catalog: &Catalog) -> Result<Self, FilterError> {
+        let ids = config.filter.select(catalog)?;
+        let goals =
+            ids.into_iter().filter_map(|id| catalog.find(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
+        let prebuilt = catalog.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
         Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
     }
 
@@ -197,11 +196,11 @@ impl TaskSampler {
         }
     }
 
-    /// Draws the next task; generated structures are held against the held-out ones of `catalogue`.
-    pub fn sample(&self, catalogue: &Catalogue, rng: &mut ChaCha8Rng) -> Task {
+    /// Draws the next task; generated structures are held against the held-out ones of `catalog`.
+    pub fn sample(&self, catalog: &Catalog, rng: &mut ChaCha8Rng) -> Task {
         let (blueprint, n_blocks) = self.draw_goal(rng);
         let replaced = rng.random_bool(self.config.generated_probability);
-        let generated = if replaced { self.draw_generated(catalogue, n_blocks, rng) } else { None };
+        let generated = if replaced { self.draw_generated(catalog, n_blocks, rng) } else { None };
         let blueprint = generated.unwrap_or_else(|| blueprint.clone());
         let assignment = self.draw_assignment(rng);
         let start = self.draw_start(&blueprint, n_blocks, rng);
@@ -209,7 +208,7 @@ impl TaskSampler {
     }
 
     /// A generated structure to be trained on; `None` if a few draws come to nothing.
-    fn draw_generated(&self, catalogue: &Catalogue, n_blocks: usize, rng: &mut ChaCha8Rng) -> Option<BlueprintId> {
+    fn draw_generated(&self, catalog: &Catalog, n_blocks: usize, rng: &mut ChaCha8Rng) -> Option<BlueprintId> {
         let fits = |style: &&Style| style.sizes().contains(&n_blocks);
         let styles: Vec<Style> = self.config.generated_styles.iter().filter(fits).copied().collect();
         if styles.is_empty() {
@@ -219,7 +218,7 @@ impl TaskSampler {
             let style = styles[rng.random_range(0..styles.len())];
             let (seed, index) = (rng.random_range(0..=MAX_DRAWN_SEED).into(), rng.random_range(0..=MAX_INDEX));
             let id = Request { style, seed, n_blocks, index }.id().ok()?;
-            catalogue.find(&id).filter(|blueprint| catalogue.is_for_training(blueprint)).map(|_| id)
+            catalog.find(&id).filter(|blueprint| catalog.is_for_training(blueprint)).map(|_| id)
         })
     }
 

@@ -1,10 +1,10 @@
 //! A world without physics for tests: nothing moves, and a script says how each step ends.
 
-use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS};
 use environment::{Env, ResetError, StepResult};
 use policy::{EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig};
 use proto::{
-    Action, ActorId, Driver, Gripper, Normalisation, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
+    Action, ActorId, Driver, Gripper, Normalization, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
     Transition, Weights, WeightsVersion,
 };
 
@@ -22,15 +22,15 @@ pub(crate) struct Toy {
 
 impl Toy {
     pub(crate) fn new(script: &[Status]) -> Self {
-        let blueprint = Catalogue::builtin().get(&id("2_000")).unwrap().clone();
+        let blueprint = Catalog::builtin().get(&id("2_000")).unwrap().clone();
         Self { script: script.to_vec(), n_steps: 0, scene: scene(), blueprint, tasks: Vec::new() }
     }
 }
 
 impl Env for Toy {
-    fn reset(&mut self, task: &Task, catalogue: &Catalogue) -> Result<(), ResetError> {
+    fn reset(&mut self, task: &Task, catalog: &Catalog) -> Result<(), ResetError> {
         let unknown = || ResetError::UnknownBlueprint(task.blueprint.clone());
-        self.blueprint = catalogue.find(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
+        self.blueprint = catalog.find(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
         self.tasks.push(task.clone());
         Ok(())
     }
@@ -57,7 +57,7 @@ pub(crate) fn id(name: &str) -> BlueprintId {
     BlueprintId::try_from(name.to_owned()).unwrap()
 }
 
-/// Blocks in a row, one metre apart.
+/// Blocks in a row, one meter apart.
 pub(crate) fn scene() -> Scene {
     let gripper = Gripper {
         held: None,
@@ -127,7 +127,7 @@ pub(crate) fn weights(version: u64, value: f32) -> Weights {
         n_env_steps: 0,
         network_hash: config.hash(),
         parameters: policy::parameters::flatten(&network),
-        normalisation: Normalisation { value_mean: value, value_std: 1e-3, ..Normalisation::default() },
+        normalization: Normalization { value_mean: value, value_std: 1e-3, ..Normalization::default() },
         task_probabilities: [(id("2_000"), 1.0)].into(),
     }
 }

@@ -13,7 +13,7 @@ use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT
 #[serde(try_from = "String", into = "String")]
 pub struct BlueprintId(String);
 
-/// Which part of the catalogue a blueprint belongs to (paper, Table "Number of blueprint block distributions").
+/// Which part of the catalog a blueprint belongs to (paper, Table "Number of blueprint block distributions").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Split {
@@ -21,7 +21,7 @@ pub enum Split {
     Train,
     /// Held out, same style as training.
     Test,
-    /// Held out: recognisable objects.
+    /// Held out: recognizable objects.
     TestLiteral,
     /// Held out: largest horizontal extent.
     TestLongest,
@@ -34,7 +34,7 @@ pub enum Split {
 pub struct Placement {
     /// Which block of the inventory.
     pub block: BlockIdx,
-    /// Centre in half units (0.05 m), blueprint frame, z up; the lowest cell rests on z = 0.
+    /// Center in half units (0.05 m), blueprint frame, z up; the lowest cell rests on z = 0.
     pub center_half_units: [i32; 3],
     /// Orientation in the blueprint frame.
     pub rotation: CubeRotation,
@@ -162,7 +162,7 @@ impl FromStr for Split {
 }
 
 impl Placement {
-    /// Centre in metres, blueprint frame.
+    /// Center in meters, blueprint frame.
     pub fn position_m(&self) -> nalgebra::Vector3<f32> {
         nalgebra::Vector3::from(self.center_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
     }
@@ -192,7 +192,7 @@ impl Blueprint {
         &self.id
     }
 
-    /// The part of the catalogue it belongs to.
+    /// The part of the catalog it belongs to.
     pub fn split(&self) -> Split {
         self.split
     }

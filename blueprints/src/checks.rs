@@ -33,7 +33,7 @@ pub enum Check {
     Connections,
     /// The structure is one piece.
     Connected,
-    /// The centre of mass is over the support polygon by at least [`MIN_SUPPORT_MARGIN_U`].
+    /// The center of mass is over the support polygon by at least [`MIN_SUPPORT_MARGIN_U`].
     Stands,
     /// No connection carries more than half of what would break it in the default world, as far as statics tells.
     Strength,
@@ -131,6 +131,15 @@ impl Report {
 }
 
 /// Runs every check but [`Check::Unique`] on a file's text; `file` is only used in messages.
+///
+/// # Example
+/// ```
+/// use blueprints::checks::check_text;
+///
+/// let report = check_text("mine.toml", "id = \"2_000\"");
+/// assert!(!report.passed());
+/// assert!(report.blueprint.is_err_and(|error| error.to_string().starts_with("mine.toml: line 1: missing field")));
+/// ```
 pub fn check_text(file: &str, text: &str) -> Report {
     let inventory = Inventory::standard();
     let mut run = Run::default();
@@ -188,7 +197,7 @@ pub(crate) fn check_placements(
     Ok(structure.blueprint())
 }
 
-/// Runs every check on `(file name, text)` pairs that are to form one catalogue.
+/// Runs every check on `(file name, text)` pairs that are to form one catalog.
 pub fn check_all<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Vec<Report> {
     let mut reports: Vec<_> = files.into_iter().map(|(file, text)| check_text(file, text)).collect();
     let mut by_id: BTreeMap<BlueprintId, String> = BTreeMap::new();

@@ -65,7 +65,7 @@ pub enum BlueprintError {
     Disconnected { block: String, root: String },
     /// It would tip over.
     #[error(
-        "the centre of mass at ({x_u:.2}, {y_u:.2}) u has a support margin of {margin_u:.2} u, less than {min_u} u"
+        "the center of mass at ({x_u:.2}, {y_u:.2}) u has a support margin of {margin_u:.2} u, less than {min_u} u"
     )]
     Unsupported { x_u: f64, y_u: f64, margin_u: f64, min_u: f64 },
     /// Too much hangs on one connection.

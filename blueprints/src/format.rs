@@ -185,7 +185,7 @@ impl MagnetName {
     /// The name of a magnet of the given block.
     pub(crate) fn of(inventory: &Inventory, block: BlockIdx, magnet: &Magnet) -> Self {
         let cells = inventory.cells(block).map(i32::from);
-        // The cell's centre lies half a cell inside the face.
+        // The cell's center lies half a cell inside the face.
         let cell = std::array::from_fn(|k| (magnet.position_half_units[k] - magnet.normal[k] + cells[k] - 1) / 2);
         Self { normal: magnet.normal, cell }
     }

@@ -10,7 +10,7 @@ use crate::RelativePlacement;
 /// Number of blocks in every world (paper, section "Magnetic Block Assembly Environment").
 pub const N_BLOCKS: usize = 16;
 
-/// Edge of a unit cell in metres.
+/// Edge of a unit cell in meters.
 pub const UNIT_M: f32 = 0.1;
 
 /// Index of a block in the inventory, 0..16.
@@ -73,7 +73,7 @@ pub enum Polarity {
 /// A magnet in its block's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Magnet {
-    /// Position from the block's centre in half units (0.05 m).
+    /// Position from the block's center in half units (0.05 m).
     pub position_half_units: [i32; 3],
     /// Outward unit normal of the face.
     pub normal: [i32; 3],
@@ -144,12 +144,12 @@ impl Inventory {
         self.block_type(block).cells
     }
 
-    /// Half of a block's size in metres along its own x, y and z.
+    /// Half of a block's size in meters along its own x, y and z.
     pub fn half_extents_m(&self, block: BlockIdx) -> [f32; 3] {
         self.cells(block).map(|n| f32::from(n) * UNIT_M / 2.0)
     }
 
-    /// The magnets of a block, one at the centre of every unit cell of every face.
+    /// The magnets of a block, one at the center of every unit cell of every face.
     ///
     /// Order: faces +x −x +y −y +z −z, within a face by increasing position.
     pub fn magnets(&self, block: BlockIdx) -> &[Magnet] {
@@ -239,7 +239,7 @@ impl Magnet {
     }
 }
 
-/// The magnets of a cuboid: a unit cell's centre lies at odd half units from the cuboid's corner.
+/// The magnets of a cuboid: a unit cell's center lies at odd half units from the cuboid's corner.
 fn magnets_of(cells: [u8; 3]) -> Vec<Magnet> {
     let size = cells.map(i32::from);
     let centers = |axis: usize| (0..size[axis]).map(move |k| 2 * k + 1 - size[axis]);

@@ -112,7 +112,7 @@ impl CubeRotation {
 /// The pose of block `b` seen from block `a` on the lattice: exact, so two of them can be compared with `==`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RelativePlacement {
-    /// Centre of `b` minus centre of `a` in `a`'s frame, in half units (0.05 m).
+    /// Center of `b` minus center of `a` in `a`'s frame, in half units (0.05 m).
     pub offset_half_units: [i32; 3],
     /// Rotation of `b` relative to `a`.
     pub rotation: CubeRotation,
@@ -126,7 +126,7 @@ impl RelativePlacement {
         Self { offset_half_units: to_a.apply(offset), rotation: to_a.compose(b.rotation) }
     }
 
-    /// Centre of `b` minus centre of `a` in `a`'s frame, in metres.
+    /// Center of `b` minus center of `a` in `a`'s frame, in meters.
     pub fn position_m(&self) -> nalgebra::Vector3<f32> {
         nalgebra::Vector3::from(self.offset_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
     }

@@ -1,18 +1,20 @@
 //! Blocks, magnets, the inventory and the target structures ("blueprints"), with no physics and no I/O in the math.
 //!
 //! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`] and
-//! [`strength`] → [`checks`] → the writer of files → the canonical hash → [`catalogue`].
+//! [`strength`] → [`checks`] → the writer of files → the canonical hash → [`catalog`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod assembly;
 pub mod blueprint;
 mod canonical;
-pub mod catalogue;
+pub mod catalog;
 pub mod checks;
 pub mod error;
 pub mod format;
 pub mod generator;
+pub mod group;
+pub mod hash;
 pub mod inventory;
 pub mod lattice;
 pub mod stance;
@@ -21,7 +23,8 @@ mod writer;
 
 pub use assembly::{Assembly, NoAssembly};
 pub use blueprint::{Blueprint, BlueprintId, Link, Placement, Split};
-pub use catalogue::{Catalogue, CatalogueError};
+pub use catalog::{Catalog, CatalogError};
 pub use error::{BlueprintError, BlueprintFileError};
+pub use group::{Group, InvalidGroup};
 pub use inventory::{BlockIdx, BlockType, Inventory, InventoryError, Magnet, N_BLOCKS, Polarity, UNIT_M};
 pub use lattice::{CubeRotation, RelativePlacement};

@@ -1,14 +1,14 @@
-//! Whether a structure stands: its centre of mass over the convex hull of what touches the ground.
+//! Whether a structure stands: its center of mass over the convex hull of what touches the ground.
 
 use crate::{Inventory, Placement};
 
-/// Least distance from the centre of mass to the edge of the support polygon that a blueprint must have, in units.
+/// Least distance from the center of mass to the edge of the support polygon that a blueprint must have, in units.
 pub const MIN_SUPPORT_MARGIN_U: f64 = 0.1;
 
 /// Where a structure's weight rests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stance {
-    /// Horizontal position of the centre of mass from the structure's frame, in units. All blocks have one density.
+    /// Horizontal position of the center of mass from the structure's frame, in units. All blocks have one density.
     pub center_u: [f64; 2],
     /// Distance from there to the nearest edge of the support polygon in units, negative outside it.
     pub margin_u: f64,
@@ -82,9 +82,9 @@ mod tests {
             assert!((got - margin_u).abs() < 1e-12, "{got} is not {margin_u}");
         };
         check(&[cube(0, 0, 0)], 0.5);
-        // Two cells of overhang put the centre at x = (0.5 + 0.5 + 1.5 + 2.5) / 4 = 1.25, past the edge at 1.
+        // Two cells of overhang put the center at x = (0.5 + 0.5 + 1.5 + 2.5) / 4 = 1.25, past the edge at 1.
         check(&[cube(0, 0, 0), cube(0, 0, 1), cube(1, 0, 1), cube(2, 0, 1)], -0.25);
-        // Feet at (0,0) and (1,1): the hull's long edges are x − y = ±1, at 1/√2 from the centre (1, 1).
+        // Feet at (0,0) and (1,1): the hull's long edges are x − y = ±1, at 1/√2 from the center (1, 1).
         check(&[cube(0, 0, 0), cube(1, 1, 0)], std::f64::consts::FRAC_1_SQRT_2);
     }
 }

@@ -44,7 +44,7 @@ impl Load {
 ///
 /// `cells` are the filled cells of each block, `lowest` the height of the ground in units. Only joints whose removal
 /// cuts the structure in two are looked at, and only where one of the parts does not touch the ground: its weight is
-/// the joint's force, that times the horizontal lever from the centre of the contact the torque. Where several ways
+/// the joint's force, that times the horizontal lever from the center of the contact the torque. Where several ways
 /// lead to the ground they share the load, in a proportion that statics alone does not tell.
 pub(crate) fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32) -> Option<(usize, Load)> {
     let grounded: Vec<bool> = cells.iter().map(|cells| cells.iter().any(|cell| cell[2] == lowest)).collect();

@@ -1,4 +1,4 @@
-//! A blueprint as the text of a file, in the form of the catalogue's.
+//! A blueprint as the text of a file, in the form of the catalog's.
 
 use std::fmt::Write as _;
 
@@ -84,18 +84,18 @@ fn axes(rotation: CubeRotation) -> String {
 #[cfg(test)]
 mod tests {
     use crate::checks::check_text;
-    use crate::{Blueprint, Catalogue};
+    use crate::{Blueprint, Catalog};
 
     #[test]
     fn what_is_written_reads_back() {
-        for blueprint in Catalogue::builtin().iter() {
+        for blueprint in Catalog::builtin().iter() {
             let text = blueprint.to_toml("a \"test\"");
             assert_eq!(check_text("written.toml", &text).blueprint.as_ref(), Ok(blueprint), "{text}");
         }
     }
 
     #[test]
-    fn the_text_looks_like_the_catalogue() {
+    fn the_text_looks_like_the_catalog() {
         let text = "id = \"2_001\"\nsplit = \"train\"\ntitle = \"a \\\\ b\"\nprovenance = \"by hand\"\nup = \"+z\"\n\n\
                     blocks = [\n    { name = \"cube\", type = \"1x1x1\", at = [0, 0, 1], axes = \"-x +y\" },\n    \
                     { name = \"beam\", type = \"4x1x1\", at = [0, 0, 0], axes = \"+x -y\" },\n]\n\n\

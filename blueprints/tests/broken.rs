@@ -60,8 +60,8 @@ fn form_errors_name_the_line_or_the_word() {
     let form = |from: &str, to: &str, error: &str| check(from, to, Check::Format, error);
     form(
         "title",
-        "colour",
-        "line 4: unknown field `colour`, expected one of `id`, `split`, `title`, `provenance`, `up`, `blocks`, \
+        "color",
+        "line 4: unknown field `color`, expected one of `id`, `split`, `title`, `provenance`, `up`, `blocks`, \
          `connections`",
     );
     form("split = \"train\"\n", "", "line 1: missing field `split`");
@@ -128,7 +128,7 @@ fn loose_and_tipping_structures_are_refused() {
         .replace("    { a = \"end\", b = \"top\", magnets = [\"+z(0,0,0) -z(0,0,0)\"] },\n", "");
     let error = check_text("loose.toml", &loose).blueprint.expect_err("it is in two pieces").to_string();
     assert_eq!(error, "loose.toml: block \"top\" is not connected to \"bar\"");
-    // The bar as a jib over a cube at its end: centre at (2.5 + 1.5·3 + 2.5) / 5 = 1.9 along x, support from 2 to 3.
+    // The bar as a jib over a cube at its end: center at (2.5 + 1.5·3 + 2.5) / 5 = 1.9 along x, support from 2 to 3.
     let tipping = GOOD
         .replace("at = [0, 0, 0]", "at = [0, 0, 1]")
         .replace("at = [2, 0, 1]", "at = [2, 0, 0]")
@@ -138,7 +138,7 @@ fn loose_and_tipping_structures_are_refused() {
             "a = \"bar\", b = \"top\", magnets = [\"+z(2,0,0)",
         );
     let error = check_text("tipping.toml", &tipping).blueprint.expect_err("it tips over").to_string();
-    let expected = "tipping.toml: the centre of mass at (1.90, 0.50) u has a support margin of -0.10 u, \
+    let expected = "tipping.toml: the center of mass at (1.90, 0.50) u has a support margin of -0.10 u, \
                     less than 0.1 u";
     assert_eq!(error, expected);
 }
@@ -165,7 +165,7 @@ connections = [
     // Board: 3 cells of 1.962 N at 1.5 u are 0.88 N m. With the post, 5 cells at 1.2 u: 1.18 N m.
     let report = check_text("board.toml", text);
     assert!(report.passed(), "{report:#?}");
-    // On the foot: post and a board of four are 6 cells, their centre at x = (2·0.5 + 4·3) / 6 = 2.17 u, the contact's at
+    // On the foot: post and a board of four are 6 cells, their center at x = (2·0.5 + 4·3) / 6 = 2.17 u, the contact's at
     // 0.5 u, so 11.77 N at 0.167 m.
     let longer = text.replace("3x1x1\", at = [1", "4x1x1\", at = [1").replace("+x(2,0,0)", "+x(3,0,0)");
     let report = check_text("board.toml", &longer);

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use blueprints::checks::check_text;
 use blueprints::generator::{GenerateError, MAX_INDEX, Request, Style, from_id, generate, generate_many};
-use blueprints::{Assembly, Blueprint, BlueprintId, Catalogue, Split};
+use blueprints::{Assembly, Blueprint, BlueprintId, Catalog, Split};
 use proptest::prelude::*;
 
 /// Canonical hashes of a few structures: a change here changes what every generated id names and needs a new version.
@@ -68,7 +68,7 @@ fn what_an_id_names_is_pinned() {
 }
 
 #[test]
-fn the_catalogue_s_records_are_what_their_provenance_names() {
+fn the_catalog_s_records_are_what_their_provenance_names() {
     for (file, generated) in [
         ("longest_12_000", "gen1-longest-3_12_003"),
         ("longest_13_000", "gen1-longest-3_13_000"),
@@ -81,7 +81,7 @@ fn the_catalogue_s_records_are_what_their_provenance_names() {
         ("tallest_15_000", "gen1-tallest-1f_15_153"),
         ("tallest_16_000", "gen1-tallest-1a_16_048"),
     ] {
-        let kept = Catalogue::builtin().get(&id(file)).expect(file);
+        let kept = Catalog::builtin().get(&id(file)).expect(file);
         let made = from_id(&id(generated)).expect(generated).expect(generated);
         assert_eq!((kept.placements(), kept.links()), (made.placements(), made.links()), "{file}");
         assert_eq!(kept.title(), made.title());
@@ -119,7 +119,7 @@ fn impossible_requests_say_what_is_possible() {
 
 #[test]
 fn many_are_distinct_and_none_is_excluded() {
-    let builtin: BTreeSet<u64> = Catalogue::builtin().iter().map(Blueprint::canonical_hash).collect();
+    let builtin: BTreeSet<u64> = Catalog::builtin().iter().map(Blueprint::canonical_hash).collect();
     let first = generate_many(Style::Any, 3, 2, 20, &builtin).expect("there are enough pairs");
     let hashes: BTreeSet<u64> = first.iter().map(Blueprint::canonical_hash).collect();
     assert_eq!((first.len(), hashes.len()), (20, 20));

@@ -4,7 +4,7 @@ Usage: pip install eclipse-zenoh; python success.py tcp/127.0.0.1:7447 [--run NA
        python success.py quic/127.0.0.1:7447 --keys KEYS [--run NAME] [--once | --history]
 
 Needs a router (`lodestone router --listen tcp/127.0.0.1:7447`) and, for numbers to come, an evaluator. Prints one line per
-group and pass; the fields of the JSON are described in README.md, section "Live metrics".
+group and pass; the fields of the JSON are described in docs/metrics.md.
 """
 
 import argparse

@@ -23,8 +23,8 @@ pub use self::report::ReportArgs;
 pub use self::watch::WatchArgs;
 
 use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
-use crate::run_dir::CONFIG_FILE;
 use crate::telemetry::LogFormat;
+use runlog::RunPaths;
 
 /// Trains an agent to assemble magnet blocks into blueprints.
 #[derive(Debug, Parser)]
@@ -139,7 +139,7 @@ pub struct TrainArgs {
 #[derive(Clone, Debug, Default, Args)]
 pub struct PageArgs {
     /// Serve a page about the training here, for example 127.0.0.1:0 for a free port; an address that others can reach
-    /// needs evaluator.web.token.
+    /// needs dashboard.web.token.
     #[arg(long, value_name = "ADDRESS:PORT", env = "LODESTONE_WEB")]
     pub web: Option<std::net::SocketAddr>,
 }
@@ -197,11 +197,11 @@ pub struct EvaluatorArgs {
     #[command(flatten)]
     pub member: MemberArgs,
     /// Keep reports in this folder: in metrics.jsonl and eval.db.
-    #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR", conflicts_with = "assist")]
+    #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR", conflicts_with = "worker")]
     pub run_dir: Option<PathBuf>,
-    /// Judge nothing, and run episodes for the evaluator of the run instead; as many as there are share its passes.
-    #[arg(long)]
-    pub assist: bool,
+    /// Run episodes on behalf of the run's evaluator. Start as many as you like.
+    #[arg(long, alias = "assist")]
+    pub worker: bool,
     /// The page.
     #[command(flatten)]
     pub page: PageArgs,
@@ -236,7 +236,7 @@ pub struct PlayArgs {
     /// The policy.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// Only these blueprints [default: the whole catalogue].
+    /// Only these blueprints [default: the whole catalog].
     #[arg(value_name = "ID")]
     pub blueprints: Vec<BlueprintId>,
     /// Episodes per blueprint.
@@ -259,7 +259,7 @@ pub struct EvalArgs {
     /// The policy.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// All of this part of the catalogue: train, test, test-literal, test-longest or test-tallest [default: what the run's
+    /// All of this part of the catalog: train, test, test-literal, test-longest or test-tallest [default: what the run's
     /// evaluator judges].
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,
@@ -300,7 +300,7 @@ impl ConfigArgs {
     /// # Errors
     /// Names file, variable or flag and what would be valid.
     pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Config, ConfigError> {
-        let file = resume.map(|folder| folder.join(CONFIG_FILE)).or_else(|| self.config.clone());
+        let file = resume.map(|folder| RunPaths::new(folder).config()).or_else(|| self.config.clone());
         let (text, origin) = match file {
             Some(path) => {
                 let text = std::fs::read_to_string(&path)
@@ -334,7 +334,7 @@ impl RunArgs {
 impl PageArgs {
     /// The flag that changes the configuration.
     pub fn overrides(&self) -> Option<Override> {
-        self.web.map(|address| Override::flag("--web", "evaluator.web.listen", address.to_string()))
+        self.web.map(|address| Override::flag("--web", "dashboard.web.listen", address.to_string()))
     }
 }
 

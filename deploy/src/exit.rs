@@ -5,9 +5,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use blueprints::Split;
-use evaluator::{HistoryError, WebError};
+use bus::BusError;
+use dashboard::WebError;
+use dashboard::terminal::WatchError;
 use learner::{CheckpointError, LearnerError};
-use proto::bus::BusError;
+use runlog::HistoryError;
 
 use crate::config::{ConfigError, suggestion};
 use crate::keys::MakeKeysError;
@@ -33,9 +35,9 @@ pub enum Failure {
     /// The bus cannot be opened, or was lost; code 65.
     #[error("{0:#}")]
     Bus(anyhow::Error),
-    /// Blueprint files cannot be read or make no catalogue; code 64.
+    /// Blueprint files cannot be read or make no catalog; code 64.
     #[error(transparent)]
-    Catalogue(#[from] blueprints::CatalogueError),
+    Catalog(#[from] blueprints::CatalogError),
     /// Blueprint files failed a check that was asked for; code 64.
     #[error("{n_failed} of {n_files} blueprints failed a check")]
     Blueprints {
@@ -59,7 +61,7 @@ pub enum Failure {
         #[source]
         error: io::Error,
     },
-    /// An id that the catalogue does not have; code 64.
+    /// An id that the catalog does not have; code 64.
     #[error("there is no blueprint `{id}`{}", suggestion(nearest))]
     UnknownBlueprint {
         /// The id given.
@@ -75,8 +77,8 @@ pub enum Failure {
         /// What is wrong with them.
         reason: String,
     },
-    /// A part of the catalogue without blueprints; code 64.
-    #[error("the catalogue has no blueprints of the split {0}")]
+    /// A part of the catalog without blueprints; code 64.
+    #[error("the catalog has no blueprints of the split {0}")]
     EmptySplit(Split),
     /// A checkpoint or run directory cannot be read or written; code 66.
     #[error("{0:#}")]
@@ -99,6 +101,18 @@ impl From<BusError> for Failure {
                 Self::Config(ConfigError::Invalid { origin: "bus".to_owned(), message: error.to_string() })
             }
             error => Self::Bus(error.into()),
+        }
+    }
+}
+
+impl From<WatchError> for Failure {
+    fn from(error: WatchError) -> Self {
+        match error {
+            WatchError::NoTerminal => Self::Usage(error.to_string()),
+            WatchError::Silent { .. } => Self::NothingToShow(error.to_string()),
+            WatchError::NoRouter { .. } => Self::Bus(error.into()),
+            WatchError::Bus(error) => error.into(),
+            WatchError::Terminal(_) | WatchError::Panic(_) => Self::Service(error.into()),
         }
     }
 }
@@ -130,7 +144,7 @@ impl Failure {
             Self::Config(_)
             | Self::Keys(_)
             | Self::Page(_)
-            | Self::Catalogue(_)
+            | Self::Catalog(_)
             | Self::Blueprints { .. }
             | Self::Generate(_)
             | Self::BlueprintExists(_)

@@ -7,7 +7,7 @@ use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use proto::bus::security::{AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, PASSWORD_FILE, ROLES, USERS_FILE};
+use bus::security::{AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, PASSWORD_FILE, ROLES, USERS_FILE};
 use rand::TryRng;
 use rand::rngs::SysRng;
 use rcgen::{

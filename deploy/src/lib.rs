@@ -1,6 +1,6 @@
 //! The program `lodestone`: command line, configuration, signals, logs and terminal around the services.
 //!
-//! Reading order: [`cli`] → [`config`] → [`commands`] → [`live`] → [`watch`] and the small parts.
+//! Reading order: [`cli`] → [`config`] → [`commands`] → [`live`] and the small parts.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -16,4 +16,3 @@ pub mod names;
 pub mod run_dir;
 pub mod signals;
 pub mod telemetry;
-pub mod watch;

@@ -2,24 +2,20 @@
 
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::SystemTime;
 
+use runlog::RunPaths;
 use serde::Serialize;
+use time::OffsetDateTime;
 
 use crate::cli::RunArgs;
 use crate::config::Config;
 use crate::exit::Failure;
 
-/// Name of the file with every setting.
-pub const CONFIG_FILE: &str = "config.toml";
-
-/// Name of the file that the process which learns in the folder locks.
-const LOCK_FILE: &str = "run.lock";
-
 /// A run's folder, which exists and in which no other process learns until this is dropped.
 #[derive(Debug)]
 pub struct RunDir {
-    path: PathBuf,
+    paths: RunPaths,
     /// The system gives the lock back when the process ends, however it ends.
     _lock: File,
 }
@@ -39,12 +35,13 @@ impl Origin {
         if let Some(resume) = &args.resume {
             return Self { config: Some(resume.clone()), checkpoint: Some(resume.clone()) };
         }
-        let Some(folder) = args.run_dir.as_ref().filter(|folder| args.auto_resume && folder.join(CONFIG_FILE).exists())
+        let Some(folder) =
+            args.run_dir.as_ref().filter(|folder| args.auto_resume && RunPaths::new(*folder).config().exists())
         else {
             return Self::default();
         };
         // One that was ended before its first checkpoint begins again.
-        let has_checkpoint = learner::checkpoint::exists(&folder.join(learner::run::CHECKPOINTS));
+        let has_checkpoint = learner::checkpoint::exists(&RunPaths::new(folder).checkpoints());
         Self { config: Some(folder.clone()), checkpoint: has_checkpoint.then(|| folder.clone()) }
     }
 }
@@ -72,10 +69,10 @@ impl RunDir {
         let path = path
             .or(origin.config.as_deref())
             .map_or_else(|| Path::new("runs").join(format!("{stamp}-{}", config.bus.run)), Path::to_owned);
-        let shown = path.display();
+        let (paths, shown) = (RunPaths::new(&path), path.display());
         let failed = |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {shown}")));
         fs::create_dir_all(&path).map_err(failed)?;
-        let lock = File::create(path.join(LOCK_FILE)).map_err(failed)?;
+        let lock = File::create(paths.lock()).map_err(failed)?;
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
@@ -86,7 +83,7 @@ impl RunDir {
             Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
         // Looked at under the lock, so that of two processes that start at once only one finds the folder empty.
-        if path.join(CONFIG_FILE).exists() && origin.config.as_ref() != Some(&path) {
+        if paths.config().exists() && origin.config.as_ref() != Some(&path) {
             return Err(Failure::Usage(format!(
                 "{shown} holds a run already: continue it with `--resume {shown}` or choose another `--run-dir`"
             )));
@@ -99,41 +96,32 @@ impl RunDir {
             resumed_from: origin.checkpoint.as_deref(),
         };
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
-        fs::write(path.join(CONFIG_FILE), config.to_toml()).map_err(failed)?;
-        fs::write(path.join("meta.json"), meta + "\n").map_err(failed)?;
-        Ok(Self { path, _lock: lock })
+        fs::write(paths.config(), config.to_toml()).map_err(failed)?;
+        fs::write(paths.meta(), meta + "\n").map_err(failed)?;
+        Ok(Self { paths, _lock: lock })
     }
 
     /// Where it is.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.paths.folder()
+    }
+
+    /// Where the files in it are.
+    pub fn paths(&self) -> &RunPaths {
+        &self.paths
     }
 }
 
 /// `2026-01-31T08:05` of a time after 1970, in UTC.
 fn utc(time: SystemTime) -> String {
-    let seconds = time.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    let (year, month, day) = civil_date(seconds / 86_400);
-    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}", seconds / 3600 % 24, seconds / 60 % 60)
-}
-
-/// The Gregorian date of a number of days after 1970-01-01.
-///
-/// Howard Hinnant's `civil_from_days`: years begin in March, so that the leap day is the last of a year.
-fn civil_date(days_since_1970: u64) -> (u64, u64, u64) {
-    let days = days_since_1970 + 719_468;
-    let (era, day_of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let march_month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * march_month + 2) / 5 + 1;
-    let month = if march_month < 10 { march_month + 3 } else { march_month - 9 };
-    (era * 400 + year_of_era + u64::from(month <= 2), month, day)
+    let time = OffsetDateTime::from(time);
+    let (month, day) = (u8::from(time.month()), time.day());
+    format!("{:04}-{month:02}-{day:02}T{:02}:{:02}", time.year(), time.hour(), time.minute())
 }
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
+    use std::time::{Duration, UNIX_EPOCH};
 
     use super::*;
 

@@ -12,7 +12,7 @@ pub enum LogFormat {
     /// `pretty` on a terminal, plain lines elsewhere.
     #[default]
     Auto,
-    /// Coloured lines.
+    /// Colored lines.
     Pretty,
     /// One JSON object a line.
     Json,

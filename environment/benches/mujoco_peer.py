@@ -6,7 +6,7 @@ CPU-second. Both sides run in turn and the best of each counts. A control step i
 
 settled: nothing is touched. random: two random blocks get a random velocity for each control step.
 held: the 16 blocks are welded into one row (one weld per joint), gravity compensated, and held still.
-moved: as held, and the row is swung. MuJoCo gets no magnets, no features and no reward, so the comparison favours it.
+moved: as held, and the row is swung. MuJoCo gets no magnets, no features and no reward, so the comparison favors it.
 """
 
 import json
@@ -23,7 +23,7 @@ SUBSTEPS, DT = 10, 0.01
 
 
 def model(row):
-    """Scattered blocks on the ground, or with `row` all blocks welded end to end a metre above it."""
+    """Scattered blocks on the ground, or with `row` all blocks welded end to end a meter above it."""
     bodies, welds, x = "", "", 0.0
     for i, c in enumerate(CELLS):
         if row:

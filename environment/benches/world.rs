@@ -5,7 +5,7 @@
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
-use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use environment::{Env, EnvironmentConfig, World};
 use proto::{Action, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
@@ -97,11 +97,11 @@ fn moved(config: &EnvironmentConfig, seed: u64) -> f64 {
 /// The row in the air, and the upward direction in the frame of the block that is held.
 fn lifted(config: &EnvironmentConfig, seed: u64) -> (World, nalgebra::Vector3<f32>) {
     let row = row();
-    let catalogue = Catalogue::from_files([("16_999.toml", row.as_str())]).unwrap();
-    let goal = catalogue.iter().next().unwrap();
+    let catalog = Catalog::from_files([("16_999.toml", row.as_str())]).unwrap();
+    let goal = catalog.iter().next().unwrap();
     let mut world = World::new(config).unwrap();
     let task = task(goal, Start::Prebuilt(goal.id().clone()), seed);
-    world.reset(&task, &catalogue).unwrap();
+    world.reset(&task, &catalog).unwrap();
     let q = world.scene().blocks[HELD].orientation;
     let rotation = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(q[3], q[0], q[1], q[2]));
     let up = rotation.inverse() * nalgebra::Vector3::z();
@@ -147,9 +147,9 @@ fn idle() -> Action {
 }
 
 fn scattered(config: &EnvironmentConfig, seed: u64) -> World {
-    let goal = Catalogue::builtin().iter().next().unwrap();
+    let goal = Catalog::builtin().iter().next().unwrap();
     let mut world = World::new(config).unwrap();
-    world.reset(&task(goal, Start::Scattered, seed), Catalogue::builtin()).unwrap();
+    world.reset(&task(goal, Start::Scattered, seed), Catalog::builtin()).unwrap();
     world
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Each function panics with what went wrong, like an assertion.
 
-use blueprints::{BlockIdx, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, Catalog, N_BLOCKS};
 use proto::{Action, RewardTerms, Scene, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -19,28 +19,28 @@ const N_STEPS: usize = 25;
 /// `reward`.
 ///
 /// # Panics
-/// When a check fails, or when `catalogue` is empty.
-pub fn check_all<E: Env>(make: impl Fn() -> E, catalogue: &Catalogue, reward: &RewardConfig, episode_steps: u16) {
+/// When a check fails, or when `catalog` is empty.
+pub fn check_all<E: Env>(make: impl Fn() -> E, catalog: &Catalog, reward: &RewardConfig, episode_steps: u16) {
     for seed in 0..3 {
-        for task in tasks(catalogue, seed) {
-            check_repeatable(&make, catalogue, &task);
-            check_episode(&mut make(), catalogue, &task, reward);
+        for task in tasks(catalog, seed) {
+            check_repeatable(&make, catalog, &task);
+            check_episode(&mut make(), catalog, &task, reward);
         }
     }
-    let task = &tasks(catalogue, 3)[0];
-    check_time_limit(&mut make(), catalogue, task, episode_steps);
-    check_refusals(&mut make(), catalogue, task);
-    check_bad_action(&mut make(), catalogue, task);
+    let task = &tasks(catalog, 3)[0];
+    check_time_limit(&mut make(), catalog, task, episode_steps);
+    check_refusals(&mut make(), catalog, task);
+    check_bad_action(&mut make(), catalog, task);
 }
 
-/// A task of every kind of start, on a goal drawn from the catalogue.
+/// A task of every kind of start, on a goal drawn from the catalog.
 ///
 /// # Panics
-/// When `catalogue` is empty.
-pub fn tasks(catalogue: &Catalogue, seed: u64) -> Vec<Task> {
+/// When `catalog` is empty.
+pub fn tasks(catalog: &Catalog, seed: u64) -> Vec<Task> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let blueprints: Vec<_> = catalogue.iter().collect();
-    assert!(!blueprints.is_empty(), "the catalogue is empty");
+    let blueprints: Vec<_> = catalog.iter().collect();
+    assert!(!blueprints.is_empty(), "the catalog is empty");
     let mut draw = || blueprints[rng.random_range(0..blueprints.len())].id().clone();
     let starts = [Start::Scattered, Start::Prebuilt(draw()), Start::NearGoal { undone: 1 }];
     let goals = [draw(), draw(), draw()];
@@ -53,20 +53,20 @@ pub fn tasks(catalogue: &Catalogue, seed: u64) -> Vec<Task> {
 ///
 /// # Panics
 /// When they differ in any bit.
-pub fn check_repeatable<E: Env>(make: impl Fn() -> E, catalogue: &Catalogue, task: &Task) {
-    let first = play(&mut make(), catalogue, task);
-    assert!(first == play(&mut make(), catalogue, task), "two fresh environments differ on {task:?}");
+pub fn check_repeatable<E: Env>(make: impl Fn() -> E, catalog: &Catalog, task: &Task) {
+    let first = play(&mut make(), catalog, task);
+    assert!(first == play(&mut make(), catalog, task), "two fresh environments differ on {task:?}");
     let mut used = make();
-    play(&mut used, catalogue, &Task { seed: task.seed + 1000, start: Start::Scattered, ..task.clone() });
-    assert!(first == play(&mut used, catalogue, task), "a reset environment differs from a fresh one on {task:?}");
+    play(&mut used, catalog, &Task { seed: task.seed + 1000, start: Start::Scattered, ..task.clone() });
+    assert!(first == play(&mut used, catalog, task), "a reset environment differs from a fresh one on {task:?}");
 }
 
 /// Scenes are well-formed, grippers hold what was chosen, and the rewards sum to the difference of the potentials.
 ///
 /// # Panics
 /// When one of these fails.
-pub fn check_episode<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task, config: &RewardConfig) {
-    env.reset(task, catalogue).expect("the task is valid");
+pub fn check_episode<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, config: &RewardConfig) {
+    env.reset(task, catalog).expect("the task is valid");
     assert_eq!(env.blueprint().id(), &task.blueprint);
     check_scene(env.scene());
     assert!(env.scene().grippers.iter().flatten().all(|g| g.held.is_none()), "a gripper holds before the first step");
@@ -102,8 +102,8 @@ pub fn check_episode<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task, co
 ///
 /// # Panics
 /// When it does not.
-pub fn check_time_limit<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task, episode_steps: u16) {
-    env.reset(task, catalogue).expect("the task is valid");
+pub fn check_time_limit<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, episode_steps: u16) {
+    env.reset(task, catalog).expect("the task is valid");
     let idle = Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] };
     for step in 1..=episode_steps {
         let wanted = if step == episode_steps { Status::TimeLimit } else { Status::Running };
@@ -115,10 +115,10 @@ pub fn check_time_limit<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task,
 ///
 /// # Panics
 /// When one is accepted, or changes the scene.
-pub fn check_refusals<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) {
+pub fn check_refusals<E: Env>(env: &mut E, catalog: &Catalog, task: &Task) {
     let as_it_is = Task { start: Start::AsItIs, ..task.clone() };
-    assert_eq!(env.reset(&as_it_is, catalogue), Err(ResetError::NothingToKeep));
-    env.reset(task, catalogue).expect("the task is valid");
+    assert_eq!(env.reset(&as_it_is, catalog), Err(ResetError::NothingToKeep));
+    env.reset(task, catalog).expect("the task is valid");
     let before = env.scene().clone();
     let unknown: blueprints::BlueprintId = "nowhere_2_999".parse().expect("it is an id");
     let mut assignment = task.assignment;
@@ -130,10 +130,10 @@ pub fn check_refusals<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) {
         (Task { start: Start::NearGoal { undone: 0 }, ..task.clone() }, "nothing undone"),
         (Task { start: Start::NearGoal { undone: 16 }, ..task.clone() }, "more undone than there is"),
     ] {
-        assert!(env.reset(&task, catalogue).is_err(), "accepted: {refused}");
+        assert!(env.reset(&task, catalog).is_err(), "accepted: {refused}");
         assert!(*env.scene() == before, "changed by a refused task: {refused}");
     }
-    assert_eq!(env.reset(&as_it_is, catalogue), Ok(()));
+    assert_eq!(env.reset(&as_it_is, catalog), Ok(()));
     assert!(env.scene().blocks == before.blocks, "a start as it is moved blocks");
 }
 
@@ -141,19 +141,19 @@ pub fn check_refusals<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) {
 ///
 /// # Panics
 /// When it does not.
-pub fn check_bad_action<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) {
+pub fn check_bad_action<E: Env>(env: &mut E, catalog: &Catalog, task: &Task) {
     for bad in [f32::NAN, f32::INFINITY] {
-        env.reset(task, catalogue).expect("the task is valid");
+        env.reset(task, catalog).expect("the task is valid");
         let action = Action { choices: [BlockIdx::all().next(), None], moves: [[bad; 6]; N_BLOCKS] };
         assert_eq!(env.step(&action).status, Status::Diverged);
         check_scene(env.scene());
     }
-    env.reset(task, catalogue).expect("a diverged environment can be reset");
+    env.reset(task, catalog).expect("a diverged environment can be reset");
     check_scene(env.scene());
 }
 
-fn play<E: Env>(env: &mut E, catalogue: &Catalogue, task: &Task) -> Vec<(Scene, Option<StepResult>)> {
-    env.reset(task, catalogue).expect("the task is valid");
+fn play<E: Env>(env: &mut E, catalog: &Catalog, task: &Task) -> Vec<(Scene, Option<StepResult>)> {
+    env.reset(task, catalog).expect("the task is valid");
     let mut seen = vec![(env.scene().clone(), None)];
     for action in actions(task.seed) {
         let result = env.step(&action);

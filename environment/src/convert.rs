@@ -19,7 +19,7 @@ pub(crate) fn pose_to_rapier(pose: &Isometry3<f32>) -> math::Pose {
 
 pub(crate) fn pose_from_rapier(pose: &math::Pose) -> Isometry3<f32> {
     let q = pose.rotation;
-    // Not normalised again: the engine keeps its quaternions normalised, and a second pass would change their last bit.
+    // Not normalized again: the engine keeps its quaternions normalized, and a second pass would change their last bit.
     let rotation = UnitQuaternion::new_unchecked(Quaternion::new(q.w, q.x, q.y, q.z));
     Isometry3::from_parts(Translation3::from(from_rapier(pose.translation)), rotation)
 }
@@ -30,7 +30,7 @@ pub(crate) fn to_pose(pose: &Isometry3<f32>) -> Pose {
     Pose { position: pose.translation.vector.into(), orientation: [q.i, q.j, q.k, q.w] }
 }
 
-/// The pose as used in calculations; the quaternion is normalised, because one that travelled may be off by rounding.
+/// The pose as used in calculations; the quaternion is normalized, because one that traveled may be off by rounding.
 pub(crate) fn from_pose(pose: &Pose) -> Isometry3<f32> {
     let [x, y, z, w] = pose.orientation;
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));

@@ -13,7 +13,7 @@ use rapier3d::pipeline::PhysicsPipeline;
 use crate::config::PhysicsConfig;
 use crate::convert::{from_rapier, pose_from_rapier, pose_to_rapier, to_rapier};
 
-/// Half of the ground's size in metres; blocks end their episode before they can reach its rim.
+/// Half of the ground's size in meters; blocks end their episode before they can reach its rim.
 const GROUND_HALF_EXTENTS_M: [f32; 3] = [60.0, 60.0, 0.5];
 
 /// Time at rest after which a block costs nothing until it is touched; the engine's default is 0.5 s.
@@ -48,7 +48,7 @@ pub(crate) struct Engine {
     physics: PhysicsConfig,
 }
 
-/// Velocity of a rigid body: linear (of its centre) and angular, world frame.
+/// Velocity of a rigid body: linear (of its center) and angular, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Velocity {
     pub(crate) linear: Vector3<f32>,
@@ -99,7 +99,7 @@ impl Engine {
             num_solver_iterations: 1,
             // With 4, towers and long bridges sag and sway until they come apart; more cost time and gain little.
             num_internal_pgs_iterations: 8,
-            // Without it, feet that stand still slide by centimetres a second under structures with several legs.
+            // Without it, feet that stand still slide by centimeters a second under structures with several legs.
             friction_in_bias_pass: true,
             ..IntegrationParameters::default()
         };
@@ -218,7 +218,7 @@ impl Engine {
         (Vector3::new(fx, fy, fz).norm() / self.parameters.dt, torque / self.parameters.dt)
     }
 
-    /// A force-limited motor between the ground and the block's centre.
+    /// A force-limited motor between the ground and the block's center.
     pub(crate) fn insert_motor(&mut self, block: BlockIdx, target: Velocity) -> JointHandle {
         let mut joint = GenericJointBuilder::new(JointAxesMask::empty()).build();
         let (linear, angular) = (target.linear, target.angular);

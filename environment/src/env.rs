@@ -1,6 +1,6 @@
 //! What the rest of the system needs of a world.
 
-use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalogue};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog};
 use proto::{Action, RewardTerms, Scene, Status, Task};
 
 /// What came of a step.
@@ -15,13 +15,13 @@ pub struct StepResult {
 /// Why a task cannot be started.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ResetError {
-    /// The goal or the prebuilt structure is not in the catalogue.
-    #[error("blueprint {0} is not in the catalogue")]
+    /// The goal or the prebuilt structure is not in the catalog.
+    #[error("blueprint {0} is not in the catalog")]
     UnknownBlueprint(BlueprintId),
     /// The assignment is no permutation of blocks of one type.
     #[error("the assignment lets block {played_by} play block {block}; it must permute blocks of one type")]
     Assignment {
-        /// The catalogue's block.
+        /// The catalog's block.
         block: u8,
         /// Who should play it.
         played_by: u8,
@@ -48,11 +48,11 @@ pub enum ResetError {
 ///
 /// Deterministic: the same tasks and actions give the same scenes, bit for bit, on one machine.
 pub trait Env {
-    /// Starts an episode; what follows depends on `task`, `catalogue` and the actions only, except for a start "as it is".
+    /// Starts an episode; what follows depends on `task`, `catalog` and the actions only, except for a start "as it is".
     ///
     /// # Errors
-    /// When the task does not fit the catalogue or the world; the world is then as before.
-    fn reset(&mut self, task: &Task, catalogue: &Catalogue) -> Result<(), ResetError>;
+    /// When the task does not fit the catalog or the world; the world is then as before.
+    fn reset(&mut self, task: &Task, catalog: &Catalog) -> Result<(), ResetError>;
 
     /// Advances by one control step.
     ///

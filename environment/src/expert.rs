@@ -220,7 +220,7 @@ impl Expert {
         let twist = if push.is_some() {
             load.go(view, &self.limits, &target)
         } else {
-            self.limits.towards(view.pose(gripped), &target)
+            self.limits.toward(view.pose(gripped), &target)
         };
         Some(Command { block: gripped, twist })
     }

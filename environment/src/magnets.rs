@@ -65,7 +65,7 @@ impl MagnetTable {
         Self { half_extents, radii: half_extents.map(|h| h.norm()), faces }
     }
 
-    /// Whether the two blocks' surfaces are possibly within `reach` metres; false is certain.
+    /// Whether the two blocks' surfaces are possibly within `reach` meters; false is certain.
     pub(crate) fn may_touch(
         &self,
         (a, frame_a): (BlockIdx, &Frame),
@@ -88,7 +88,7 @@ impl MagnetTable {
         })
     }
 
-    /// Calls `f` for every pair of opposite magnets on opposed faces that are within `reach` metres.
+    /// Calls `f` for every pair of opposite magnets on opposed faces that are within `reach` meters.
     pub(crate) fn for_each_pair(
         &self,
         (a, frame_a): (BlockIdx, &Frame),
@@ -143,7 +143,7 @@ impl MagnetPair {
         Some(RelativePlacement { offset_half_units: std::array::from_fn(|i| local_a[i] - turned[i]), rotation })
     }
 
-    /// Attraction in N on the second block, towards the first; the first gets the opposite.
+    /// Attraction in N on the second block, toward the first; the first gets the opposite.
     pub(crate) fn attraction(&self, config: &MagnetConfig) -> Vector3<f32> {
         let strength = config.attraction_peak_n * (1.0 - self.distance / config.attraction_range_m).max(0.0);
         (self.point_a - self.point_b) * (strength / self.distance.max(1e-6))
@@ -194,7 +194,7 @@ mod tests {
         assert_eq!(found.len(), 1);
         assert!((found[0].distance - 0.02).abs() < 1e-6);
         let force = found[0].attraction(&MagnetConfig::default());
-        // Half way into the range, half of 8 N, towards the first block.
+        // Half way into the range, half of 8 N, toward the first block.
         assert!((force - Vector3::new(-4.0, 0.0, 0.0)).norm() < 1e-3, "{force}");
         let placement = found[0].snap(&at(0.0, 0.0, 0.0), &at(0.12, 0.0, 0.0), &MagnetConfig::default()).unwrap();
         assert_eq!(placement, RelativePlacement { offset_half_units: [2, 0, 0], rotation: CubeRotation::IDENTITY });

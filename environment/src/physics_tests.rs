@@ -64,7 +64,7 @@ impl Rig {
         blocks.iter().map(|&block| self.engine.kinetic_energy_j(block)).sum()
     }
 
-    /// Greatest distance (m) and angle (rad) of a connected block from its place as seen from its neighbour.
+    /// Greatest distance (m) and angle (rad) of a connected block from its place as seen from its neighbor.
     fn worst_joint_error(&self) -> (f32, f32) {
         self.connections.joints().iter().fold((0.0_f32, 0.0_f32), |(distance, angle), joint| {
             let seen = self.engine.pose(joint.a).inv_mul(&self.engine.pose(joint.b));
@@ -151,7 +151,7 @@ fn a_hanging_block_loads_its_connection_with_its_weight() {
 fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
     // All blocks end to end along x, 3.2 m long, held at the first block and then near the middle.
     let cells = |i: usize| Inventory::standard().cells(BlockIdx::all().nth(i).unwrap()).map(i32::from);
-    // Centres in half units; blocks two cells wide stand half a cell aside, so that their magnets meet the next ones'.
+    // Centers in half units; blocks two cells wide stand half a cell aside, so that their magnets meet the next ones'.
     let mut centers = vec![[cells(0)[0], 0, 0]];
     for i in 1..N_BLOCKS {
         centers.push([centers[i - 1][0] + cells(i - 1)[0] + cells(i)[0], 1 - cells(i)[1] % 2, 0]);

@@ -58,7 +58,7 @@ pub(crate) struct Misfit {
 pub(crate) struct Fit {
     /// Mean over the magnet pairs that should meet.
     pub(crate) magnets: Misfit,
-    /// Of the blocks: each one's centre against its place as seen from the other, the mean of the two.
+    /// Of the blocks: each one's center against its place as seen from the other, the mean of the two.
     pub(crate) blocks: Misfit,
 }
 

@@ -1,6 +1,6 @@
 //! The world on rapier.
 
-use blueprints::{BlockIdx, Blueprint, Catalogue, Inventory, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, N_BLOCKS};
 use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -16,6 +16,24 @@ use crate::reward::{potential, reward};
 use crate::success::is_success;
 
 /// One world; cheap to step, so a thread drives many.
+///
+/// # Example
+/// ```
+/// use blueprints::{BlockIdx, Catalog};
+/// use environment::{Env, EnvironmentConfig, Expert, World};
+/// use proto::{Start, Status, Task};
+///
+/// let config = EnvironmentConfig::default();
+/// let mut world = World::new(&config)?;
+/// let blocks: Vec<BlockIdx> = BlockIdx::all().collect();
+/// let assignment = blocks.try_into().expect("16 blocks");
+/// let task = Task { blueprint: "2_000".parse()?, assignment, start: Start::Scattered, seed: 1 };
+/// world.reset(&task, Catalog::builtin())?;
+/// let mut expert = Expert::new(&config, world.blueprint())?;
+/// let result = world.step(&expert.act(world.scene()));
+/// assert_eq!(result.status, Status::Running);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct World {
     config: EnvironmentConfig,
     engine: Engine,
@@ -120,9 +138,9 @@ impl World {
 }
 
 impl Env for World {
-    fn reset(&mut self, task: &Task, catalogue: &Catalogue) -> Result<(), ResetError> {
+    fn reset(&mut self, task: &Task, catalog: &Catalog) -> Result<(), ResetError> {
         check_assignment(&task.assignment)?;
-        let find = |id| catalogue.find(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
+        let find = |id| catalog.find(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
         let blueprint = find(&task.blueprint)?.permuted(&task.assignment);
         let mut rng = ChaCha8Rng::seed_from_u64(task.seed);
         let config = &self.config.reset;
@@ -195,7 +213,7 @@ fn check_assignment(assignment: &[BlockIdx; N_BLOCKS]) -> Result<(), ResetError>
 
 /// What the world shows as its goal before its first reset.
 fn initial_blueprint() -> Blueprint {
-    Catalogue::builtin().iter().next().expect("the built-in catalogue is not empty").clone()
+    Catalog::builtin().iter().next().expect("the built-in catalog is not empty").clone()
 }
 
 fn empty_scene() -> Scene {

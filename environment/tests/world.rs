@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use environment::config::{ForcePenalty, RewardConfig, SuccessConfig};
 use environment::reward::potential;
 use environment::success::is_success;
@@ -75,13 +75,13 @@ fn the_world_keeps_the_contract() {
                 c.episode_steps = 30;
             })
         };
-        contract::check_all(make, Catalogue::builtin(), &RewardConfig::default(), 30);
+        contract::check_all(make, Catalog::builtin(), &RewardConfig::default(), 30);
     }
 }
 
 #[test]
 fn the_goal_pose_is_a_success_with_the_full_potential_for_every_blueprint() {
-    for blueprint in Catalogue::builtin().iter() {
+    for blueprint in Catalog::builtin().iter() {
         let scene = goal_scene(blueprint);
         assert!(is_success(&scene, blueprint, &SuccessConfig::default()), "{}", blueprint.id());
         let terms = potential(&scene, blueprint, &RewardConfig::default());
@@ -99,9 +99,9 @@ fn the_goal_pose_is_a_success_with_the_full_potential_for_every_blueprint() {
 fn a_built_goal_stands_in_physics_for_every_blueprint() {
     let config = EnvironmentConfig::default();
     let mut world = World::new(&config).unwrap();
-    for blueprint in Catalogue::builtin().iter() {
+    for blueprint in Catalog::builtin().iter() {
         let start = Start::Prebuilt(blueprint.id().clone());
-        world.reset(&task(blueprint, start, 1), Catalogue::builtin()).unwrap();
+        world.reset(&task(blueprint, start, 1), Catalog::builtin()).unwrap();
         let mut stable = StableSuccess::default();
         let mut is_stable = false;
         for _ in 0..10 {
@@ -114,12 +114,12 @@ fn a_built_goal_stands_in_physics_for_every_blueprint() {
 
 #[test]
 fn a_near_goal_start_lacks_what_was_taken_off() {
-    for blueprint in Catalogue::builtin().iter() {
+    for blueprint in Catalog::builtin().iter() {
         let mut world = world(|_| ());
         for undone in 1..blueprint.n_blocks().min(4) as u8 {
             for seed in 0..5 {
                 let near = task(blueprint, Start::NearGoal { undone }, seed);
-                world.reset(&near, Catalogue::builtin()).unwrap();
+                world.reset(&near, Catalog::builtin()).unwrap();
                 let loose =
                     |p: &&blueprints::Placement| world.scene().joints.iter().all(|j| j.a != p.block && j.b != p.block);
                 let n_loose = blueprint.placements().iter().filter(loose).count();
@@ -134,10 +134,10 @@ fn a_near_goal_start_lacks_what_was_taken_off() {
 
 #[test]
 fn a_scattered_start_stays_as_it_is() {
-    let goal = Catalogue::builtin().iter().next().unwrap();
+    let goal = Catalog::builtin().iter().next().unwrap();
     for seed in 0..30 {
         let mut world = world(|_| ());
-        world.reset(&task(goal, Start::Scattered, seed), Catalogue::builtin()).unwrap();
+        world.reset(&task(goal, Start::Scattered, seed), Catalog::builtin()).unwrap();
         let before = world.scene().blocks;
         (0..10).for_each(|_| {
             world.step(&idle());
@@ -152,9 +152,9 @@ fn a_scattered_start_stays_as_it_is() {
 
 #[test]
 fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
-    let goal = Catalogue::builtin().iter().next().unwrap();
+    let goal = Catalog::builtin().iter().next().unwrap();
     let mut world = world(|_| ());
-    world.reset(&task(goal, Start::Scattered, 4), Catalogue::builtin()).unwrap();
+    world.reset(&task(goal, Start::Scattered, 4), Catalog::builtin()).unwrap();
     let before = world.scene().blocks[0];
     let [i, j, k, w] = before.orientation;
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
@@ -174,9 +174,9 @@ fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
 
 #[test]
 fn a_switch_disables_the_gripper_for_the_delay() {
-    let goal = Catalogue::builtin().iter().next().unwrap();
+    let goal = Catalog::builtin().iter().next().unwrap();
     let mut world = world(|c| c.transition_delay_steps = 2);
-    world.reset(&task(goal, Start::Scattered, 4), Catalogue::builtin()).unwrap();
+    world.reset(&task(goal, Start::Scattered, 4), Catalog::builtin()).unwrap();
     let held: Vec<_> = [0, 0, 1, 1, 1, 1]
         .map(|b| {
             world.step(&Action { choices: [Some(block(b)), None], ..idle() });
@@ -188,9 +188,9 @@ fn a_switch_disables_the_gripper_for_the_delay() {
 
 #[test]
 fn a_single_gripper_world_ignores_the_second_choice() {
-    let goal = Catalogue::builtin().iter().next().unwrap();
+    let goal = Catalog::builtin().iter().next().unwrap();
     let mut world = world(|c| c.n_grippers = 1);
-    world.reset(&task(goal, Start::Scattered, 4), Catalogue::builtin()).unwrap();
+    world.reset(&task(goal, Start::Scattered, 4), Catalog::builtin()).unwrap();
     let before = world.scene().blocks[3].position;
     world.step(&Action { choices: [None, Some(block(3))], moves: [[1.0; 6]; N_BLOCKS] });
     assert_eq!(world.scene().grippers[1], None);
@@ -235,13 +235,13 @@ proptest! {
         goal in 0_usize..1000, yaw in -3.2_f32..3.2, x in -1.0_f32..1.0, y in -1.0_f32..1.0, seed in 0_u64..1000,
         built in any::<bool>(),
     ) {
-        let all: Vec<_> = Catalogue::builtin().iter().collect();
+        let all: Vec<_> = Catalog::builtin().iter().collect();
         let blueprint = all[goal % all.len()];
         let scene = if built {
             goal_scene(blueprint)
         } else {
             let mut world = world(|_| ());
-            world.reset(&task(blueprint, Start::Scattered, seed), Catalogue::builtin()).unwrap();
+            world.reset(&task(blueprint, Start::Scattered, seed), Catalog::builtin()).unwrap();
             world.scene().clone()
         };
         let shifted = moved(&scene, yaw, x, y);

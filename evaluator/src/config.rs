@@ -1,11 +1,13 @@
 //! Settings of an evaluator.
 
-use blueprints::{Blueprint, BlueprintId, Catalogue, N_BLOCKS, Split};
+mod films;
+
+use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::films::FilmsConfig;
-use crate::report::Acting;
-use crate::web::config::{WebConfig, WebConfigError};
+use proto::ActionMode;
+
+pub use films::FilmsConfig;
 
 /// When, on what and how weights are judged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,7 +16,7 @@ pub struct EvaluatorConfig {
     /// How far apart passes are. Default: 10 minutes (paper, "Performance Evaluation").
     pub every: Every,
     /// Whether `train` judges the last weights before it ends, whatever [`Self::every`] says. Default false.
-    pub judge_last: bool,
+    pub evaluate_last: bool,
     /// Which blueprints.
     pub selection: Selection,
     /// How episodes are run.
@@ -26,8 +28,6 @@ pub struct EvaluatorConfig {
     pub nice: i32,
     /// Films of some episodes. Default: a success and a failure of every group.
     pub films: FilmsConfig,
-    /// A page about the training; absent means none. Default: absent.
-    pub web: Option<WebConfig>,
 }
 
 /// The distance between the starts of two passes; a pass that takes longer is followed by the next at once.
@@ -42,7 +42,7 @@ pub enum Every {
     Versions(u64),
 }
 
-/// A choice of blueprints from the catalogue.
+/// A choice of blueprints from the catalog.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Selection {
@@ -78,7 +78,7 @@ pub struct EpisodeConfig {
     /// How they begin. Default: scattered.
     pub starts: Starts,
     /// Ways of acting, none twice, at least one. Default: both.
-    pub acting: Vec<Acting>,
+    pub acting: Vec<ActionMode>,
     /// Threads, 1 to 64. Default 1, so that training loses at most one core while a pass runs.
     pub n_threads: usize,
     /// Worlds of a thread; each step is one forward pass over them. 1 to 1024. Default 20.
@@ -110,28 +110,24 @@ pub enum EvaluatorConfigError {
         /// What may be given.
         valid: &'static str,
     },
-    /// A blueprint that the catalogue does not have.
-    #[error("the catalogue has no blueprint {0}")]
+    /// A blueprint that the catalog does not have.
+    #[error("the catalog has no blueprint {0}")]
     UnknownBlueprint(BlueprintId),
     /// No blueprint is left to judge.
     #[error("the selection of splits, sizes and blueprints leaves nothing to evaluate")]
     NothingSelected,
-    /// The page would be open to anybody, or its token is unusable.
-    #[error(transparent)]
-    Web(#[from] WebConfigError),
 }
 
 impl Default for EvaluatorConfig {
     fn default() -> Self {
         Self {
             every: Every::Minutes(10.0),
-            judge_last: false,
+            evaluate_last: false,
             selection: Selection::default(),
             episodes: EpisodeConfig::default(),
             reset_free: None,
             nice: 10,
             films: FilmsConfig::default(),
-            web: None,
         }
     }
 }
@@ -144,7 +140,7 @@ impl Default for Selection {
 
 impl Default for EpisodeConfig {
     fn default() -> Self {
-        let acting = vec![Acting::Mode, Acting::Sampled];
+        let acting = vec![ActionMode::Greedy, ActionMode::Sampled];
         Self { n_episodes: 40, starts: Starts::default(), acting, n_threads: 1, n_worlds: 20 }
     }
 }
@@ -174,18 +170,17 @@ impl EvaluatorConfig {
         self.episodes.validate()?;
         check("nice", self.nice, (0..=19).contains(&self.nice), "0 to 19")?;
         self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)?;
-        self.films.validate()?;
-        Ok(self.web.as_ref().map_or(Ok(()), WebConfig::validate)?)
+        self.films.validate()
     }
 }
 
 impl Selection {
-    /// The selected blueprints in the catalogue's order.
+    /// The selected blueprints in the catalog's order.
     ///
     /// # Errors
     /// When a named blueprint is unknown or nothing is selected.
-    pub fn select<'c>(&self, catalogue: &'c Catalogue) -> Result<Vec<&'c Blueprint>, EvaluatorConfigError> {
-        if let Some(unknown) = self.blueprints.iter().find(|id| catalogue.get(id).is_none()) {
+    pub fn select<'c>(&self, catalog: &'c Catalog) -> Result<Vec<&'c Blueprint>, EvaluatorConfigError> {
+        if let Some(unknown) = self.blueprints.iter().find(|id| catalog.get(id).is_none()) {
             return Err(EvaluatorConfigError::UnknownBlueprint(unknown.clone()));
         }
         let wanted = |blueprint: &&Blueprint| {
@@ -193,7 +188,7 @@ impl Selection {
                 && (self.sizes[0]..=self.sizes[1]).contains(&blueprint.n_blocks())
                 && (self.blueprints.is_empty() || self.blueprints.contains(blueprint.id()))
         };
-        let selected: Vec<&Blueprint> = catalogue.iter().filter(wanted).collect();
+        let selected: Vec<&Blueprint> = catalog.iter().filter(wanted).collect();
         if selected.is_empty() { Err(EvaluatorConfigError::NothingSelected) } else { Ok(selected) }
     }
 }
@@ -237,7 +232,7 @@ pub(crate) fn check<T: std::fmt::Debug>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::group::Group;
+    use blueprints::Group;
 
     #[test]
     fn the_defaults_are_valid() {
@@ -247,7 +242,7 @@ mod tests {
 
     #[test]
     fn an_error_names_field_value_and_range() {
-        let twice = EpisodeConfig { acting: vec![Acting::Mode, Acting::Mode], ..Default::default() };
+        let twice = EpisodeConfig { acting: vec![ActionMode::Greedy, ActionMode::Greedy], ..Default::default() };
         let table = [
             (EvaluatorConfig { every: Every::Steps(0), ..Default::default() }, "every.steps is 0, valid is at least 1"),
             (

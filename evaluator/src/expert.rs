@@ -2,25 +2,28 @@
 
 mod diary;
 
-use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
+use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::{Env, EnvironmentConfig, Expert, World};
 use proto::metrics::{EvalOutcome, EvalResetFree, EvalRuns};
 use proto::{Status, Trajectory};
 use serde::{Deserialize, Serialize};
 
 use crate::config::{ResetFreeConfig, Starts};
-use crate::episodes::EvalError;
-use crate::lanes::{Job, Played, Rules, Seat};
-use crate::report::{Acting, End, EvalReport, Judged};
+use crate::report::{Judged, summarize};
 use crate::reset_free;
+use crate::sequences::{EnvSlot, EpisodeResult, EpisodeSpec, Rules};
+use crate::setup::EvalError;
 use diary::Diary;
 pub use diary::{Cause, Trouble};
+use proto::ActionMode;
+use proto::metrics::EvalReport;
+use proto::unit::End;
 
 /// All that an evaluation of the expert needs besides blueprints.
 #[derive(Clone, Debug)]
 pub struct ExpertSetup<'c> {
     /// Where blueprints come from.
-    pub catalogue: &'c Catalogue,
+    pub catalog: &'c Catalog,
     /// The world.
     pub environment: EnvironmentConfig,
     /// Episodes per blueprint.
@@ -110,7 +113,7 @@ pub struct ExpertFailure {
 
 /// One episode of the expert.
 struct Trial {
-    played: Played,
+    results: EpisodeResult,
     failure: Option<ExpertFailure>,
     success: Option<Trajectory>,
 }
@@ -124,18 +127,18 @@ pub fn evaluate_expert(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<ExpertReport, EvalError> {
-    let lane = |blueprint: &Blueprint| -> Vec<Job> {
-        let job = |idx| Job::one_of(setup.catalogue, blueprint, setup.starts, setup.seed, idx);
-        (0..u64::from(setup.n_episodes)).map(job).collect()
+    let sequence = |blueprint: &Blueprint| -> Vec<EpisodeSpec> {
+        let spec = |idx| EpisodeSpec::one_of(setup.catalog, blueprint, setup.starts, setup.seed, idx);
+        (0..u64::from(setup.n_episodes)).map(spec).collect()
     };
-    let lanes: Vec<Vec<Job>> = blueprints.iter().map(|blueprint| lane(blueprint)).collect();
-    let trials = run_all(setup, &lanes, setup.keeps_successes, keep_going)?;
+    let sequences: Vec<Vec<EpisodeSpec>> = blueprints.iter().map(|blueprint| sequence(blueprint)).collect();
+    let trials = run_all(setup, &sequences, setup.keeps_successes, keep_going)?;
     let (mut failures, mut successes) = (Vec::new(), Vec::new());
     let mut episodes = Vec::new();
     for trial in trials.into_iter().flatten() {
         failures.extend(trial.failure);
         successes.extend(trial.success);
-        episodes.push(trial.played.episode);
+        episodes.push(trial.results.episode);
     }
     let n_steps = episodes.iter().map(|episode| u64::from(episode.n_steps)).sum();
     let judged = Judged {
@@ -145,14 +148,15 @@ pub fn evaluate_expert(
         n_planned: episodes.len() as u64,
         is_complete: true,
     };
-    let EvalReport { summary, blueprints } = EvalReport::new(judged, &episodes);
+    let EvalReport { summary, blueprints } = summarize(judged, &episodes);
     let blueprints: Vec<ExpertBlueprint> = blueprints
         .into_iter()
         .map(|b| ExpertBlueprint { blueprint: b.blueprint, split: b.split, n_blocks: b.n_blocks, outcome: b.mode })
         .collect();
     let n_built = |name: &str| {
         let built = |b: &&ExpertBlueprint| b.outcome.success.n_successes > 0;
-        let group = |b: &ExpertBlueprint| crate::Group::of(b.split, b.n_blocks as usize).map(crate::Group::name);
+        let group =
+            |b: &ExpertBlueprint| blueprints::Group::of(b.split, b.n_blocks as usize).map(blueprints::Group::name);
         let of_group = |b: &&ExpertBlueprint| name == summary.all.name || group(b) == Some(name);
         blueprints.iter().filter(of_group).filter(built).count() as u64
     };
@@ -173,33 +177,33 @@ fn run_reset_free(
     config: &ResetFreeConfig,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<ExpertResetFree, EvalError> {
-    let lanes = reset_free::lanes(setup.catalogue, config, setup.seed)?;
-    let trials = run_all(setup, &lanes, false, keep_going)?;
-    let runs: Vec<Vec<Played>> =
-        trials.into_iter().map(|run| run.into_iter().map(|trial| trial.played).collect()).collect();
-    let score: EvalResetFree = reset_free::score(config, &runs, Acting::Mode);
+    let sequences = reset_free::sequences(setup.catalog, config, setup.seed)?;
+    let trials = run_all(setup, &sequences, false, keep_going)?;
+    let runs: Vec<Vec<EpisodeResult>> =
+        trials.into_iter().map(|run| run.into_iter().map(|trial| trial.results).collect()).collect();
+    let score: EvalResetFree = reset_free::score(config, &runs, ActionMode::Greedy);
     Ok(ExpertResetFree { n_runs: score.n_runs, n_goals: score.n_goals, runs: score.mode })
 }
 
 fn run_all(
     setup: &ExpertSetup<'_>,
-    lanes: &[Vec<Job>],
+    sequences: &[Vec<EpisodeSpec>],
     keeps_successes: bool,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Vec<Vec<Trial>>, EvalError> {
     let success = &setup.environment.success;
-    let rules = Rules { catalogue: setup.catalogue, acting: Acting::Mode, success, keep_going, films: None };
-    share_out(lanes, setup.n_threads, |lanes| {
+    let rules = Rules { catalog: setup.catalog, acting: ActionMode::Greedy, success, keep_going, films: None };
+    share_out(sequences, setup.n_threads, |sequences| {
         let mut world = World::new(&setup.environment)?;
-        let mut results = Vec::with_capacity(lanes.len());
-        for (lane_idx, lane) in lanes.iter().enumerate().filter(|(_, lane)| !lane.is_empty()) {
-            let (mut seat, _) = Seat::begin(&rules, world, lane_idx, lane.as_slice().into())?;
-            let mut trials: Vec<Trial> = Vec::with_capacity(lane.len());
-            for (job_idx, job) in lane.iter().enumerate() {
+        let mut results = Vec::with_capacity(sequences.len());
+        for (sequence_idx, sequence) in sequences.iter().enumerate().filter(|(_, sequence)| !sequence.is_empty()) {
+            let (mut slot, _) = EnvSlot::begin(&rules, world, sequence_idx, sequence.as_slice().into())?;
+            let mut trials: Vec<Trial> = Vec::with_capacity(sequence.len());
+            for (job_idx, spec) in sequence.iter().enumerate() {
                 if job_idx > 0 {
-                    seat.start(&rules, job_idx)?;
+                    slot.start(&rules, job_idx)?;
                 }
-                let mut trial = run_episode(&rules, &setup.environment, &mut seat, job, job_idx as u64)?;
+                let mut trial = run_episode(&rules, &setup.environment, &mut slot, spec, job_idx as u64)?;
                 // One is enough to look at, and all of them would be gigabytes.
                 if !keeps_successes || trials.iter().any(|earlier| earlier.success.is_some()) {
                     trial.success = None;
@@ -207,71 +211,71 @@ fn run_all(
                 trials.push(trial);
             }
             results.push(trials);
-            world = seat.env;
+            world = slot.env;
         }
         Ok(results)
     })
 }
 
-/// Shares the lanes out among threads; the results are in the order of the lanes.
+/// Shares the sequences out among threads; the results are in the order of the sequences.
 fn share_out<T: Send>(
-    lanes: &[Vec<Job>],
+    sequences: &[Vec<EpisodeSpec>],
     n_threads: usize,
-    run: impl Fn(&[Vec<Job>]) -> Result<Vec<T>, EvalError> + Sync,
+    run: impl Fn(&[Vec<EpisodeSpec>]) -> Result<Vec<T>, EvalError> + Sync,
 ) -> Result<Vec<T>, EvalError> {
     if n_threads <= 1 {
-        return run(lanes);
+        return run(sequences);
     }
-    // Dealt out in turn, because neighbours cost alike.
-    let n_shares = n_threads.min(lanes.len()).max(1);
-    let shares: Vec<Vec<Vec<Job>>> =
-        (0..n_shares).map(|first| lanes.iter().skip(first).step_by(n_shares).cloned().collect()).collect();
+    // Dealt out in turn, because neighbors cost alike.
+    let n_shares = n_threads.min(sequences.len()).max(1);
+    let shares: Vec<Vec<Vec<EpisodeSpec>>> =
+        (0..n_shares).map(|first| sequences.iter().skip(first).step_by(n_shares).cloned().collect()).collect();
     std::thread::scope(|scope| {
         let run = &run;
-        let threads: Vec<_> = shares.iter().map(|lanes| scope.spawn(move || run(lanes))).collect();
+        let threads: Vec<_> = shares.iter().map(|sequences| scope.spawn(move || run(sequences))).collect();
         let mut piles = Vec::with_capacity(n_shares);
         for thread in threads {
             piles.push(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?.into_iter());
         }
-        Ok((0..lanes.len()).filter_map(|lane_idx| piles[lane_idx % n_shares].next()).collect())
+        Ok((0..sequences.len()).filter_map(|sequence_idx| piles[sequence_idx % n_shares].next()).collect())
     })
 }
 
 fn run_episode(
     rules: &Rules<'_>,
     config: &EnvironmentConfig,
-    seat: &mut Seat<World>,
-    job: &Job,
+    slot: &mut EnvSlot<World>,
+    spec: &EpisodeSpec,
     episode_idx: u64,
 ) -> Result<Trial, EvalError> {
-    let mut expert = Expert::new(config, seat.env.blueprint());
-    let mut diary = Diary::new(seat.env.scene(), seat.env.blueprint());
+    let mut expert = Expert::new(config, slot.env.blueprint());
+    let mut diary = Diary::new(slot.env.scene(), slot.env.blueprint());
     loop {
         if !(rules.keep_going)() {
             return Err(EvalError::Interrupted);
         }
-        let scene = seat.env.scene().clone();
+        let scene = slot.env.scene().clone();
         let decision = match &mut expert {
             Ok(expert) => expert.decide(&scene),
             // It does nothing until the time is up, as an episode must end.
             Err(_) => diary::nothing(),
         };
-        let played = seat.step(rules, &decision.action);
-        let after = seat.end_scene.as_ref().unwrap_or_else(|| seat.env.scene());
-        diary.note(scene, decision, seat.reward, after, seat.env.blueprint());
-        let Some(played) = played else { continue };
-        let status = match played.episode.end {
+        let results = slot.step(rules, &decision.action);
+        let after = slot.end_scene.as_ref().unwrap_or_else(|| slot.env.scene());
+        diary.note(scene, decision, slot.reward, after, slot.env.blueprint());
+        let Some(results) = results else { continue };
+        let status = match results.episode.end {
             End::Success { .. } => Status::Success,
             End::TimeLimit => Status::TimeLimit,
             End::Diverged => Status::Diverged,
         };
         let trouble = diary.trouble(status, expert.is_err());
-        let replay = diary.into_replay(job.task(), after, &played.episode);
+        let replay = diary.into_replay(spec.task(), after, &results.episode);
         if status == Status::Success {
-            return Ok(Trial { played, failure: None, success: replay });
+            return Ok(Trial { results, failure: None, success: replay });
         }
-        let failure = ExpertFailure { blueprint: job.task().blueprint.clone(), episode_idx, trouble, replay };
-        return Ok(Trial { played, failure: Some(failure), success: None });
+        let failure = ExpertFailure { blueprint: spec.task().blueprint.clone(), episode_idx, trouble, replay };
+        return Ok(Trial { results, failure: Some(failure), success: None });
     }
 }
 

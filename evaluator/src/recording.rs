@@ -4,7 +4,8 @@ use proto::{
     Action, ActorId, Driver, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
 };
 
-use crate::report::{End, Episode};
+use crate::report::Episode;
+use proto::unit::End;
 
 /// The steps of an episode so far.
 #[derive(Clone, Debug, Default)]

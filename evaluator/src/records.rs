@@ -1,42 +1,39 @@
-//! The files in which a running evaluator keeps its reports.
+//! What a running evaluator keeps of its reports in the folder of the run.
 
-use std::fs::OpenOptions;
-use std::io::Write;
-use std::path::{Path, PathBuf};
-
-use anyhow::Context;
-use proto::keys;
-use proto::metrics::EvalOutcome;
-use proto::tensorboard::EventWriter;
-use serde::Serialize;
-
-use crate::history::{History, Pass};
-use crate::report::{Acting, EvalReport};
-use crate::run::RecordPaths;
+use proto::metrics::{EvalOutcome, EvalReport};
+use proto::{ActionMode, Role, keys};
+use runlog::{History, Lines, MetricsWriter, Pass, RunPaths};
 
 /// Open files of records.
 pub(crate) struct Records {
-    metrics: PathBuf,
+    metrics: MetricsWriter,
     history: History,
-    tensorboard: EventWriter,
 }
 
 impl Records {
-    /// Opens the history; the file of metrics is opened for each report, because others append to it.
-    pub(crate) fn open(paths: &RecordPaths) -> anyhow::Result<Self> {
-        let history = History::open(&paths.history)?;
-        let tensorboard = EventWriter::create(&paths.tensorboard)
-            .with_context(|| format!("writing to {}", paths.tensorboard.display()))?;
-        Ok(Self { metrics: paths.metrics.clone(), history, tensorboard })
+    /// Opens the history first: a second writer of it is refused before anything is written.
+    pub(crate) fn open(paths: &RunPaths) -> anyhow::Result<Self> {
+        let history = History::open(&paths.history())?;
+        Ok(Self { metrics: MetricsWriter::open(paths, Role::Evaluator)?, history })
     }
 
     /// Keeps a report, which is `pass` in the history, and gives the files back.
     pub(crate) fn keep(mut self, report: &EvalReport, pass: &Pass) -> anyhow::Result<Self> {
-        append(&self.metrics, report).with_context(|| format!("cannot write {}", self.metrics.display()))?;
+        self.metrics.append(&lines(report)?)?;
         self.history.append(pass)?;
-        self.tensorboard.scalars(report.summary.n_env_steps, scalars(report)).context("writing for TensorBoard")?;
+        self.metrics.scalars(report.summary.n_env_steps, scalars(report))?;
         Ok(self)
     }
+}
+
+/// A line for the summary and one for each blueprint.
+fn lines(report: &EvalReport) -> anyhow::Result<Lines> {
+    let mut lines = Lines::default();
+    lines.push(keys::METRICS_EVAL_SUMMARY, &report.summary)?;
+    for score in &report.blueprints {
+        lines.push(&keys::metrics_eval(score.split, &score.blueprint), score)?;
+    }
+    Ok(lines)
 }
 
 /// What TensorBoard is told: success and steps to success of every group, success of every blueprint, 0 to 1.
@@ -44,7 +41,7 @@ fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
     let judged = |outcome: &EvalOutcome| outcome.success.n_episodes > 0;
     let mut scalars = Vec::new();
     for group in [&report.summary.all].into_iter().chain(&report.summary.groups) {
-        for (acting, outcome) in [(Acting::Mode, &group.mode), (Acting::Sampled, &group.sampled)] {
+        for (acting, outcome) in [(ActionMode::Greedy, &group.mode), (ActionMode::Sampled, &group.sampled)] {
             let (acting, group) = (acting.name(), group.name.replace(' ', "-"));
             if judged(outcome) {
                 scalars.push((format!("success-{acting}/{group}"), outcome.success.rate));
@@ -53,41 +50,11 @@ fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
         }
     }
     for score in &report.blueprints {
-        for (acting, outcome) in [(Acting::Mode, &score.mode), (Acting::Sampled, &score.sampled)] {
+        for (acting, outcome) in [(ActionMode::Greedy, &score.mode), (ActionMode::Sampled, &score.sampled)] {
             if judged(outcome) {
                 scalars.push((format!("{}-{}/{}", score.split, acting.name(), score.blueprint), outcome.success.rate));
             }
         }
     }
     scalars
-}
-
-/// A line of the metrics.
-#[derive(Serialize)]
-struct Line<'a, M> {
-    /// Key of the metrics on the bus after `metrics/`.
-    key: String,
-    #[serde(flatten)]
-    metrics: &'a M,
-}
-
-/// Appends a line for the summary and one for each blueprint, in one write because others append to the same file.
-fn append(path: &Path, report: &EvalReport) -> anyhow::Result<()> {
-    let mut lines = String::new();
-    let mut push = |line: String| {
-        lines.push_str(&line);
-        lines.push('\n');
-    };
-    let key = keys::METRICS_EVAL_SUMMARY.to_owned();
-    push(serde_json::to_string(&Line { key, metrics: &report.summary })?);
-    for score in &report.blueprints {
-        let key = keys::metrics_eval(score.split, &score.blueprint);
-        push(serde_json::to_string(&Line { key, metrics: score })?);
-    }
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
-    let mut file = OpenOptions::new().create(true).append(true).open(path)?;
-    file.write_all(lines.as_bytes())?;
-    Ok(())
 }

@@ -3,48 +3,13 @@
 use std::collections::BTreeMap;
 
 use blueprints::{BlueprintId, Split};
-use proto::bus::BusCounts;
-use proto::metrics::{EvalBlueprint, EvalGroup, EvalOutcome, EvalSummary, METRICS_SCHEMA_VERSION};
+use proto::metrics::BusCounts;
+use proto::metrics::{EvalBlueprint, EvalGroup, EvalOutcome, EvalReport, EvalSummary, METRICS_SCHEMA_VERSION};
 pub use proto::unit::End;
 use proto::wilson::SuccessRate;
-use proto::{RewardTerms, WeightsVersion};
-use serde::{Deserialize, Serialize};
+use proto::{ActionMode, RewardTerms, WeightsVersion};
 
-use crate::group::Group;
-
-/// How actions are taken from the policy's distribution.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Acting {
-    /// The most probable action: what the policy can do.
-    Mode,
-    /// A sample, as in training: its noise alone can undo a snap, so this understates a policy.
-    Sampled,
-}
-
-/// The error of a text that is no way of acting.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a way of acting: mode or sampled")]
-pub struct InvalidActing(pub String);
-
-impl Acting {
-    /// The name as it stands in reports: `mode` or `sampled`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mode => "mode",
-            Self::Sampled => "sampled",
-        }
-    }
-}
-
-impl std::str::FromStr for Acting {
-    type Err = InvalidActing;
-
-    fn from_str(text: &str) -> Result<Self, InvalidActing> {
-        let all = [Self::Mode, Self::Sampled];
-        all.into_iter().find(|acting| acting.name() == text).ok_or_else(|| InvalidActing(text.to_owned()))
-    }
-}
+use blueprints::Group;
 
 /// One finished episode.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,22 +21,13 @@ pub struct Episode {
     /// The goal's number of blocks.
     pub n_blocks: usize,
     /// How actions were taken.
-    pub acting: Acting,
+    pub acting: ActionMode,
     /// How it ended.
     pub end: End,
     /// Steps until it ended, at least 1.
     pub n_steps: u32,
     /// Undiscounted return by term.
     pub episode_return: RewardTerms,
-}
-
-/// What one pass over frozen weights found.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EvalReport {
-    /// All blueprints, groups and reset-free runs.
-    pub summary: EvalSummary,
-    /// Each blueprint, ordered by split, size and id.
-    pub blueprints: Vec<EvalBlueprint>,
 }
 
 /// The weights that a report is about.
@@ -89,50 +45,47 @@ pub struct Judged {
     pub is_complete: bool,
 }
 
-impl EvalReport {
-    /// Sorts episodes into blueprints and groups; the duration, the share of assistants and the counts of the bus are left at 0.
-    pub fn new(judged: Judged, episodes: &[Episode]) -> Self {
-        let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&Episode>> = BTreeMap::new();
-        let mut by_group: BTreeMap<Group, Vec<&Episode>> = BTreeMap::new();
-        for episode in episodes {
-            let key = (episode.split, episode.n_blocks, &episode.blueprint);
-            by_blueprint.entry(key).or_default().push(episode);
-            if let Some(group) = Group::of(episode.split, episode.n_blocks) {
-                by_group.entry(group).or_default().push(episode);
-            }
+/// Sorts episodes into blueprints and groups; the duration, the share of remote workers and the counts of the bus are left at 0.
+pub fn summarize(judged: Judged, episodes: &[Episode]) -> EvalReport {
+    let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&Episode>> = BTreeMap::new();
+    let mut by_group: BTreeMap<Group, Vec<&Episode>> = BTreeMap::new();
+    for episode in episodes {
+        let key = (episode.split, episode.n_blocks, &episode.blueprint);
+        by_blueprint.entry(key).or_default().push(episode);
+        if let Some(group) = Group::of(episode.split, episode.n_blocks) {
+            by_group.entry(group).or_default().push(episode);
         }
-        let blueprint =
-            |((split, n_blocks, id), episodes): ((Split, usize, &BlueprintId), Vec<&Episode>)| EvalBlueprint {
-                schema_version: METRICS_SCHEMA_VERSION,
-                weights_version: judged.weights_version,
-                n_env_steps: judged.n_env_steps,
-                blueprint: id.clone(),
-                split,
-                n_blocks: n_blocks as u64,
-                sampled: outcome(&episodes, Acting::Sampled),
-                mode: outcome(&episodes, Acting::Mode),
-            };
-        let summary = EvalSummary {
-            schema_version: METRICS_SCHEMA_VERSION,
-            weights_version: judged.weights_version,
-            n_env_steps: judged.n_env_steps,
-            elapsed_s: 0.0,
-            is_complete: judged.is_complete,
-            n_planned: judged.n_planned,
-            n_assisted: 0,
-            seed: judged.seed,
-            all: score_group("all", &episodes.iter().collect::<Vec<_>>()),
-            groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),
-            reset_free: None,
-            bus: BusCounts::default(),
-            films: None,
-        };
-        Self { summary, blueprints: by_blueprint.into_iter().map(blueprint).collect() }
     }
+    let blueprint = |((split, n_blocks, id), episodes): ((Split, usize, &BlueprintId), Vec<&Episode>)| EvalBlueprint {
+        schema_version: METRICS_SCHEMA_VERSION,
+        weights_version: judged.weights_version,
+        n_env_steps: judged.n_env_steps,
+        blueprint: id.clone(),
+        split,
+        n_blocks: n_blocks as u64,
+        sampled: outcome(&episodes, ActionMode::Sampled),
+        mode: outcome(&episodes, ActionMode::Greedy),
+    };
+    let summary = EvalSummary {
+        schema_version: METRICS_SCHEMA_VERSION,
+        weights_version: judged.weights_version,
+        n_env_steps: judged.n_env_steps,
+        elapsed_s: 0.0,
+        is_complete: judged.is_complete,
+        n_planned: judged.n_planned,
+        n_assisted: 0,
+        seed: judged.seed,
+        all: score_group("all", &episodes.iter().collect::<Vec<_>>()),
+        groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),
+        reset_free: None,
+        bus: BusCounts::default(),
+        films: None,
+    };
+    EvalReport { summary, blueprints: by_blueprint.into_iter().map(blueprint).collect() }
 }
 
 /// Success, steps and return of those episodes in which actions were taken so.
-pub fn outcome(episodes: &[&Episode], acting: Acting) -> EvalOutcome {
+pub fn outcome(episodes: &[&Episode], acting: ActionMode) -> EvalOutcome {
     let (mut n_episodes, mut n_successes, mut n_stable, mut n_diverged) = (0_u64, 0_u64, 0_u64, 0_u64);
     let (mut n_steps, mut n_steps_to_success) = (0_u64, 0_u64);
     let mut sum = [0.0_f64; 5];
@@ -170,8 +123,8 @@ fn score_group(name: &str, episodes: &[&Episode]) -> EvalGroup {
     EvalGroup {
         name: name.to_owned(),
         n_blueprints: ids.len() as u64,
-        sampled: outcome(episodes, Acting::Sampled),
-        mode: outcome(episodes, Acting::Mode),
+        sampled: outcome(episodes, ActionMode::Sampled),
+        mode: outcome(episodes, ActionMode::Greedy),
     }
 }
 
@@ -179,7 +132,7 @@ fn score_group(name: &str, episodes: &[&Episode]) -> EvalGroup {
 mod tests {
     use super::*;
 
-    fn episode(id: &str, split: Split, n_blocks: usize, acting: Acting, end: End, n_steps: u32) -> Episode {
+    fn episode(id: &str, split: Split, n_blocks: usize, acting: ActionMode, end: End, n_steps: u32) -> Episode {
         let episode_return = RewardTerms { connected: 1.0, wrong: -0.5, ..RewardTerms::default() };
         let blueprint = BlueprintId::try_from(id.to_owned()).unwrap();
         Episode { blueprint, split, n_blocks, acting, end, n_steps, episode_return }
@@ -190,13 +143,13 @@ mod tests {
         let steady = End::Success { stable: true };
         let shaky = End::Success { stable: false };
         let episodes = [
-            episode("2_000", Split::Train, 2, Acting::Mode, steady, 10),
-            episode("2_000", Split::Train, 2, Acting::Mode, shaky, 20),
-            episode("2_000", Split::Train, 2, Acting::Mode, End::TimeLimit, 100),
-            episode("2_000", Split::Train, 2, Acting::Mode, End::Diverged, 30),
-            episode("2_000", Split::Train, 2, Acting::Sampled, End::TimeLimit, 100),
+            episode("2_000", Split::Train, 2, ActionMode::Greedy, steady, 10),
+            episode("2_000", Split::Train, 2, ActionMode::Greedy, shaky, 20),
+            episode("2_000", Split::Train, 2, ActionMode::Greedy, End::TimeLimit, 100),
+            episode("2_000", Split::Train, 2, ActionMode::Greedy, End::Diverged, 30),
+            episode("2_000", Split::Train, 2, ActionMode::Sampled, End::TimeLimit, 100),
         ];
-        let found = outcome(&episodes.iter().collect::<Vec<_>>(), Acting::Mode);
+        let found = outcome(&episodes.iter().collect::<Vec<_>>(), ActionMode::Greedy);
         assert_eq!((found.success.n_successes, found.success.n_episodes, found.success.rate), (2, 4, 0.5));
         assert_eq!((found.stable_success.n_successes, found.n_diverged), (1, 1));
         assert_eq!((found.mean_steps, found.mean_steps_to_success), (40.0, Some(15.0)));
@@ -207,14 +160,14 @@ mod tests {
     fn episodes_are_sorted_into_blueprints_and_groups() {
         let success = End::Success { stable: true };
         let episodes = [
-            episode("10_000", Split::Train, 10, Acting::Mode, End::TimeLimit, 100),
-            episode("3_000", Split::Train, 3, Acting::Mode, success, 5),
-            episode("2_000", Split::Train, 2, Acting::Mode, End::TimeLimit, 100),
-            episode("2_000", Split::Train, 2, Acting::Sampled, success, 9),
+            episode("10_000", Split::Train, 10, ActionMode::Greedy, End::TimeLimit, 100),
+            episode("3_000", Split::Train, 3, ActionMode::Greedy, success, 5),
+            episode("2_000", Split::Train, 2, ActionMode::Greedy, End::TimeLimit, 100),
+            episode("2_000", Split::Train, 2, ActionMode::Sampled, success, 9),
         ];
         let judged =
             Judged { weights_version: WeightsVersion(7), n_env_steps: 11, seed: 3, n_planned: 4, is_complete: true };
-        let report = EvalReport::new(judged, &episodes);
+        let report = summarize(judged, &episodes);
         let ids: Vec<&str> = report.blueprints.iter().map(|score| score.blueprint.as_str()).collect();
         assert_eq!(ids, ["2_000", "3_000", "10_000"]);
         let groups: Vec<_> =

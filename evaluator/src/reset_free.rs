@@ -1,40 +1,43 @@
 //! Goals one after the other in a world that is never reset (paper, section "Reset-Free Evaluation").
 
-use blueprints::{Blueprint, Catalogue, Split};
+use blueprints::{Blueprint, Catalog, Split};
 use proto::Start;
 use proto::metrics::{EvalResetFree, EvalRuns};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::ResetFreeConfig;
-use crate::episodes::{EvalError, Workshop};
-use crate::lanes::{Job, Played};
-use crate::report::{Acting, End, Episode, outcome};
+use crate::pool::EvaluationPool;
+use crate::report::{Episode, outcome};
+use crate::sequences::{EpisodeResult, EpisodeSpec};
+use crate::setup::EvalError;
+use proto::ActionMode;
+use proto::unit::End;
 
-/// Judges the weights of a workshop on runs over several goals: a run begins scattered, and each goal begins where the
+/// Judges the weights of a pool on runs over several goals: a run begins scattered, and each goal begins where the
 /// last one ended, by success or at the time limit. Goals are training blueprints of some size, never the same twice in a
 /// row.
 ///
 /// A world that diverged is reset and the reset is counted. Runs depend on the setup's seed only.
 ///
 /// # Errors
-/// When the weights do not fit, no blueprint is large enough, or the workshop is not to go on.
-pub(crate) fn evaluate(workshop: &Workshop<'_>, config: &ResetFreeConfig) -> Result<EvalResetFree, EvalError> {
-    let lanes = lanes(workshop.setup.catalogue, config, workshop.setup.seed)?;
+/// When the weights do not fit, no blueprint is large enough, or the pool is not to go on.
+pub(crate) fn evaluate(pool: &EvaluationPool<'_>, config: &ResetFreeConfig) -> Result<EvalResetFree, EvalError> {
+    let sequences = sequences(pool.setup.catalog, config, pool.setup.seed)?;
     let mut score = EvalResetFree::default();
-    for &acting in &workshop.setup.episodes.acting {
-        let found = self::score(config, &workshop.run(&lanes, acting)?, acting);
+    for &acting in &pool.setup.episodes.acting {
+        let found = self::score(config, &pool.run(&sequences, acting)?, acting);
         (score.n_runs, score.n_goals) = (found.n_runs, found.n_goals);
         match acting {
-            Acting::Mode => score.mode = found.mode,
-            Acting::Sampled => score.sampled = found.sampled,
+            ActionMode::Greedy => score.mode = found.mode,
+            ActionMode::Sampled => score.sampled = found.sampled,
         }
     }
     Ok(score)
 }
 
 /// The score of runs with one way of acting.
-pub(crate) fn score(config: &ResetFreeConfig, runs: &[Vec<Played>], acting: Acting) -> EvalResetFree {
+pub(crate) fn score(config: &ResetFreeConfig, runs: &[Vec<EpisodeResult>], acting: ActionMode) -> EvalResetFree {
     let mut score = EvalResetFree {
         n_runs: u64::from(config.n_runs),
         n_goals: u64::from(config.n_goals),
@@ -42,18 +45,22 @@ pub(crate) fn score(config: &ResetFreeConfig, runs: &[Vec<Played>], acting: Acti
     };
     let counted = count(runs, acting);
     match acting {
-        Acting::Mode => score.mode = counted,
-        Acting::Sampled => score.sampled = counted,
+        ActionMode::Greedy => score.mode = counted,
+        ActionMode::Sampled => score.sampled = counted,
     }
     score
 }
 
-/// The runs: one lane each.
+/// The runs: one sequence each.
 ///
 /// # Errors
 /// When no training blueprint is large enough.
-pub(crate) fn lanes(catalogue: &Catalogue, config: &ResetFreeConfig, seed: u64) -> Result<Vec<Vec<Job>>, EvalError> {
-    let mut goals = catalogue.of_split(Split::Train);
+pub(crate) fn sequences(
+    catalog: &Catalog,
+    config: &ResetFreeConfig,
+    seed: u64,
+) -> Result<Vec<Vec<EpisodeSpec>>, EvalError> {
+    let mut goals = catalog.of_split(Split::Train);
     goals.retain(|blueprint| blueprint.n_blocks() >= config.min_blocks);
     if goals.is_empty() {
         return Err(EvalError::NoGoals { min_blocks: config.min_blocks });
@@ -61,7 +68,7 @@ pub(crate) fn lanes(catalogue: &Catalogue, config: &ResetFreeConfig, seed: u64) 
     Ok(plan_runs(&goals, config, seed))
 }
 
-fn plan_runs(goals: &[&Blueprint], config: &ResetFreeConfig, seed: u64) -> Vec<Vec<Job>> {
+fn plan_runs(goals: &[&Blueprint], config: &ResetFreeConfig, seed: u64) -> Vec<Vec<EpisodeSpec>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut plan = Vec::new();
     for run_idx in 0..config.n_runs {
@@ -79,15 +86,15 @@ fn plan_runs(goals: &[&Blueprint], config: &ResetFreeConfig, seed: u64) -> Vec<V
             last = Some(goal);
             let start = if goal_idx == 0 { Start::Scattered } else { Start::AsItIs };
             let episode_idx = u64::from(run_idx) * u64::from(config.n_goals) + u64::from(goal_idx);
-            run.push(Job::new(goals[goal], start, seed, episode_idx));
+            run.push(EpisodeSpec::new(goals[goal], start, seed, episode_idx));
         }
         plan.push(run);
     }
     plan
 }
 
-fn count(runs: &[Vec<Played>], acting: Acting) -> EvalRuns {
-    let succeeded = |played: &Played| matches!(played.episode.end, End::Success { .. });
+fn count(runs: &[Vec<EpisodeResult>], acting: ActionMode) -> EvalRuns {
+    let succeeded = |results: &EpisodeResult| matches!(results.episode.end, End::Success { .. });
     let n_goals = runs.first().map_or(0, Vec::len);
     let n_successes_at = |goal_idx: usize| runs.iter().filter(|run| succeeded(&run[goal_idx])).count() as u64;
     let rates: Vec<f64> =
@@ -95,12 +102,12 @@ fn count(runs: &[Vec<Played>], acting: Acting) -> EvalRuns {
     let n = rates.len().max(1) as f64;
     let mean = rates.iter().sum::<f64>() / n;
     let variance = rates.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / n;
-    let episodes: Vec<&Episode> = runs.iter().flatten().map(|played| &played.episode).collect();
+    let episodes: Vec<&Episode> = runs.iter().flatten().map(|results| &results.episode).collect();
     EvalRuns {
         outcome: outcome(&episodes, acting),
         n_successes_by_goal: (0..n_goals).map(n_successes_at).collect(),
         run_rate_std: variance.sqrt(),
-        n_forced_resets: runs.iter().flatten().filter(|played| played.forced_reset).count() as u64,
+        n_forced_resets: runs.iter().flatten().filter(|results| results.forced_reset).count() as u64,
     }
 }
 
@@ -110,29 +117,29 @@ mod tests {
 
     use super::*;
 
-    fn played(end: End, forced_reset: bool) -> Played {
-        let blueprint = Catalogue::builtin().of_split(Split::Train)[0];
+    fn result(end: End, forced_reset: bool) -> EpisodeResult {
+        let blueprint = Catalog::builtin().of_split(Split::Train)[0];
         let episode = Episode {
             blueprint: blueprint.id().clone(),
             split: Split::Train,
             n_blocks: blueprint.n_blocks(),
-            acting: Acting::Mode,
+            acting: ActionMode::Greedy,
             end,
             n_steps: 10,
             episode_return: RewardTerms::default(),
         };
-        Played { episode, forced_reset }
+        EpisodeResult { episode, forced_reset }
     }
 
     #[test]
     fn hand_worked_counts() {
-        let success = || played(End::Success { stable: true }, false);
+        let success = || result(End::Success { stable: true }, false);
         let runs = [
             vec![success(), success()],
-            vec![success(), played(End::TimeLimit, false)],
-            vec![played(End::Diverged, false), played(End::TimeLimit, true)],
+            vec![success(), result(End::TimeLimit, false)],
+            vec![result(End::Diverged, false), result(End::TimeLimit, true)],
         ];
-        let found = count(&runs, Acting::Mode);
+        let found = count(&runs, ActionMode::Greedy);
         assert_eq!((found.n_successes_by_goal, found.n_forced_resets), (vec![2, 1], 1));
         assert_eq!((found.outcome.success.rate, found.outcome.n_diverged), (0.5, 1));
         // Rates 1, 1/2 and 0: variance (1/4 + 0 + 1/4) / 3.
@@ -141,13 +148,13 @@ mod tests {
 
     #[test]
     fn a_run_begins_scattered_and_changes_its_goal_every_time() {
-        let goals = Catalogue::builtin().of_split(Split::Train);
+        let goals = Catalog::builtin().of_split(Split::Train);
         let config = ResetFreeConfig { n_runs: 20, n_goals: 10, min_blocks: 1 };
         let plan = plan_runs(&goals[..2], &config, 3);
         assert_eq!((plan.len(), plan[0].len()), (20, 10));
         for run in &plan {
             assert_eq!(run[0].task().start, Start::Scattered);
-            assert!(run[1..].iter().all(|job| job.task().start == Start::AsItIs));
+            assert!(run[1..].iter().all(|spec| spec.task().start == Start::AsItIs));
             assert!(run.windows(2).all(|pair| pair[0].task().blueprint != pair[1].task().blueprint));
         }
     }

@@ -1,33 +1,31 @@
 //! The evaluator as a service: judges weights as they come and tells the bus, a file and the caller.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Catalogue};
-use environment::EnvironmentConfig;
-use policy::PolicyConfig;
-use proto::bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
+use blueprints::{Blueprint, BlueprintId, Catalog};
+use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
 use proto::{Role, Weights, WeightsVersion, keys};
-use tokio::sync::watch;
+use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::assist::setup_hash;
-use crate::clerks::Clerks;
-use crate::config::EvaluatorConfig;
-use crate::desk::Desk;
-use crate::episodes::{EvalError, EvalSetup, Workshop, evaluate_in_parts};
-use crate::films::{Casting, Studio};
-use crate::history::overview::Passes;
-use crate::history::{History, Pass};
+use crate::dispatcher::Dispatcher;
+use crate::episodes::evaluate_in_parts;
+use crate::films::{EpisodeSelector, VideoRecorder};
 use crate::nice::on_thread;
+use crate::pool::EvaluationPool;
 use crate::records::Records;
-use crate::report::EvalReport;
 use crate::schedule::{Due, LastPass, due};
+use crate::setup::EvaluatorSetup;
+use crate::setup::setup_hash;
+use crate::setup::{EvalError, EvalSetup};
 use crate::vetting::vetted;
-use crate::web::{OpenPage, Page};
+use crate::work_queue::WorkQueue;
+use proto::metrics::EvalReport;
+use runlog::overview::Passes;
+use runlog::{History, Pass, RunPaths};
 
 /// How long an evaluator waits for another of its name to go: a process that was killed seems to live for up to 6 s.
 const NAME_PATIENCE: Duration = Duration::from_secs(15);
@@ -35,36 +33,22 @@ const NAME_PATIENCE: Duration = Duration::from_secs(15);
 /// How long the last weights may be on their way.
 const LAST_WEIGHTS_WAIT: Duration = Duration::from_secs(15);
 
-/// What an evaluator process needs besides the bus.
-#[derive(Clone, Debug)]
-pub struct EvaluatorSetup {
-    /// When, on what and how.
-    pub config: EvaluatorConfig,
-    /// The policy; it must be the learner's.
-    pub policy: PolicyConfig,
-    /// The world.
-    pub environment: EnvironmentConfig,
-    /// Name among the living: 1 to 64 characters of `a-z`, `0-9`, `-`.
-    pub id: String,
-    /// Seed of start states and sampled actions.
-    pub seed: u64,
-    /// Where reports are kept; none keeps nothing.
-    pub records: Option<RecordPaths>,
+/// Who else in this process hears what an evaluator finds. A receiver that has gone is no error.
+#[derive(Debug, Default)]
+pub struct Listeners {
+    /// The newest report.
+    pub reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
+    /// Every evaluation: first those that the history has, then each as it ends.
+    pub passes: Option<mpsc::UnboundedSender<Pass>>,
+    /// The newest weights by which a policy can act.
+    pub weights: Option<watch::Sender<Option<Arc<Weights>>>>,
 }
 
-/// The files that keep reports.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RecordPaths {
-    /// Each report is appended as lines of JSON; `metrics.jsonl` in a run's folder, where others write too.
-    pub metrics: PathBuf,
-    /// Database of all reports; [`HISTORY`](crate::HISTORY) in a run's folder.
-    pub history: PathBuf,
-    /// Folder of event files for TensorBoard.
-    pub tensorboard: PathBuf,
-    /// Folder of films, with one for each blueprint in it.
-    pub videos: PathBuf,
-    /// Folder of the recordings that films are made of, likewise.
-    pub replays: PathBuf,
+/// What an evaluator has done when it ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Summary {
+    /// Evaluations that were completed.
+    pub n_evaluations: u64,
 }
 
 /// What ends an evaluator.
@@ -76,59 +60,54 @@ pub struct Stop {
     pub last: Option<watch::Receiver<Option<WeightsVersion>>>,
 }
 
-/// Judges the newest weights whenever a pass is due, the first ones at once, until `stop`. Returns the number of passes.
+/// Evaluates the newest weights whenever an evaluation is due, the first ones at once, until `stop`.
 ///
-/// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of records, and into
-/// `reports`, which may have no receiver. While a pass is under way its first numbers go to the bus, see
-/// [`FIRST_PART`](crate::episodes::FIRST_PART). Passes run on threads of their own and share their episodes with all
-/// [assistants](crate::assist()); weights that come meanwhile wait. A `page` is served for as long.
+/// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of the run, and to the
+/// `listeners`. While an evaluation is under way its first numbers go to the bus, see
+/// [`FIRST_PART`](crate::episodes::FIRST_PART). Evaluations run on threads of their own and share their episodes with all
+/// [remote workers](crate::run_worker()); weights that come meanwhile wait.
 ///
 /// # Errors
 /// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
 /// started, or the records cannot be written; also when another evaluator writes the same history.
-pub async fn run(
-    setup: EvaluatorSetup,
-    bus: &Bus,
-    reports: watch::Sender<Option<Arc<EvalReport>>>,
-    page: Option<Page>,
-    stop: Stop,
-) -> anyhow::Result<u64> {
+pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.validate().context("invalid evaluator configuration")?;
-    let selected = setup.config.selection.select(Catalogue::builtin())?;
+    let selected = setup.config.selection.select(Catalog::builtin())?;
     let records = setup.records.as_ref().map(Records::open).transpose()?;
     let history = past(setup.records.as_ref()).await?;
     let films = match &setup.records {
-        Some(paths) => Studio::open(&setup.config.films, paths)?,
+        Some(paths) => VideoRecorder::open(&setup.config.films, paths)?,
         None => None,
     };
     let subscriber = bus.weights_subscriber().await?;
-    let (weights, _vetting) = vetted(subscriber.watch(), setup.policy.clone(), bus.clone());
-    let page = match page {
-        Some(page) => {
-            let policy = setup.policy.clone();
-            Some(page.open(bus, &history, setup.records.as_ref(), policy, weights.clone()).await?)
-        }
-        None => None,
-    };
+    let usable = listeners.weights.unwrap_or_else(|| watch::channel(None).0);
+    let (weights, _vetting) = vetted(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
     let mut passes = Passes::default();
-    history.iter().for_each(|pass| passes.push(pass));
+    for pass in history {
+        passes.push(&pass);
+        tell(listeners.passes.as_ref(), pass);
+    }
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&passes.overview())?;
-    let outlets = Outlets { records, passes, publishers, reports, page: page.as_ref() };
+    let outlets = Outlets { records, passes, publishers, reports: listeners.reports, listener: listeners.passes };
     let ended = judge_all(&setup, bus, weights, &selected, films.as_ref(), outlets, &stop).await;
     if let Some(films) = films {
         // Off the runtime: the film in hand takes a moment.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
     }
-    if let Some(page) = page {
-        page.close().await;
+    ended.map(|n_evaluations| Summary { n_evaluations })
+}
+
+/// Whoever listened may have gone.
+fn tell(listener: Option<&mpsc::UnboundedSender<Pass>>, pass: Pass) {
+    if let Some(listener) = listener {
+        let _ = listener.send(pass);
     }
-    ended
 }
 
 /// The passes that are recorded already.
-async fn past(records: Option<&RecordPaths>) -> anyhow::Result<Vec<Pass>> {
-    let Some(path) = records.map(|paths| paths.history.clone()).filter(|path| path.is_file()) else {
+async fn past(records: Option<&RunPaths>) -> anyhow::Result<Vec<Pass>> {
+    let Some(path) = records.map(RunPaths::history).filter(|path| path.is_file()) else {
         return Ok(Vec::new());
     };
     // Off the runtime, because it waits for the disk.
@@ -141,7 +120,7 @@ async fn judge_all(
     bus: &Bus,
     mut weights: watch::Receiver<Option<Arc<Weights>>>,
     selected: &[&'static Blueprint],
-    films: Option<&Studio>,
+    films: Option<&VideoRecorder>,
     mut outlets: Outlets<'_>,
     stop: &Stop,
 ) -> anyhow::Result<u64> {
@@ -149,7 +128,7 @@ async fn judge_all(
         () = stop.now.cancelled() => return Ok(0),
         alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
     };
-    let mut clerks = Clerks::hire(bus, setup_hash(setup)).await?;
+    let mut workers = Dispatcher::start(bus, setup_hash(setup)).await?;
     let mut last: Option<(Instant, Arc<Weights>)> = None;
     let mut n_passes = 0;
     loop {
@@ -163,20 +142,20 @@ async fn judge_all(
         let start = Instant::now();
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
-        let casting = films.and_then(|films| films.casting(&newest, &setup.config.episodes.acting));
-        let desk = Arc::new(Desk::new(newest));
-        clerks.open(desk.clone());
-        let pass = judge(setup, selected.to_vec(), desk, casting, parts, (&stop.now, bus.pulse()));
+        let selector = films.and_then(|films| films.selector(&newest, &setup.config.episodes.acting));
+        let queue = Arc::new(WorkQueue::new(newest));
+        workers.open(queue.clone());
+        let pass = judge(setup, selected.to_vec(), queue, selector, parts, (&stop.now, bus.pulse()));
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
             report.summary.bus = bus.counts();
-            report.summary.films = films.map(Studio::counts);
+            report.summary.films = films.map(VideoRecorder::counts);
             report
         };
         let ended = loop {
             tokio::select! {
-                // A part that came just before the end is still told.
+                // A part that came just before the end is still last_version.
                 biased;
                 Ok(()) = newest_part.changed() => {
                     let part = newest_part.borrow_and_update().clone();
@@ -187,7 +166,7 @@ async fn judge_all(
                 ended = &mut pass => break ended?,
             }
         };
-        clerks.close();
+        workers.close();
         let report = match ended {
             Err(EvalError::Interrupted) => return Ok(n_passes),
             // They were of use on the scene of the trial, but not throughout.
@@ -208,16 +187,14 @@ struct Outlets<'r> {
     records: Option<Records>,
     passes: Passes,
     publishers: Publishers<'r>,
-    reports: watch::Sender<Option<Arc<EvalReport>>>,
-    page: Option<&'r OpenPage>,
+    reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
+    listener: Option<mpsc::UnboundedSender<Pass>>,
 }
 
 impl Outlets<'_> {
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
         let pass = Pass::new(&report, unix_ms());
-        if let Some(page) = self.page {
-            page.judged(&pass);
-        }
+        tell(self.listener.as_ref(), pass.clone());
         self.passes.push(&pass);
         self.publishers.history.set(&self.passes.overview())?;
         if let Some(open) = self.records.take() {
@@ -227,7 +204,9 @@ impl Outlets<'_> {
             self.records = Some(kept.await.context("the recording thread panicked")??);
         }
         self.publishers.publish(&report).await?;
-        self.reports.send_replace(Some(Arc::new(report)));
+        if let Some(reports) = &self.reports {
+            reports.send_replace(Some(Arc::new(report)));
+        }
         Ok(())
     }
 }
@@ -237,10 +216,10 @@ async fn next_due(
     setup: &EvaluatorSetup,
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
     last: Option<&(Instant, Arc<Weights>)>,
-    mut told: Option<watch::Receiver<Option<WeightsVersion>>>,
+    mut last_version: Option<watch::Receiver<Option<WeightsVersion>>>,
 ) -> anyhow::Result<Option<Arc<Weights>>> {
     loop {
-        if let Some(version) = told.as_mut().and_then(|told| *told.borrow_and_update()) {
+        if let Some(version) = last_version.as_mut().and_then(|last_version| *last_version.borrow_and_update()) {
             // They may still be on their way. Should they have been lost, those before them are judged.
             let are_there = |weights: &Option<Arc<Weights>>| weights.as_ref().is_some_and(|w| w.version >= version);
             drop(tokio::time::timeout(LAST_WEIGHTS_WAIT, weights.wait_for(are_there)).await);
@@ -266,16 +245,16 @@ async fn next_due(
         };
         tokio::select! {
             changed = weights.changed() => changed.context("the bus closed")?,
-            () = is_told(&mut told) => {}
+            () = is_known(&mut last_version) => {}
             () = tokio::time::sleep(rest.unwrap_or_default()), if rest.is_some() => {}
         }
     }
 }
 
 /// Waits until the last weights are known; for ever if nobody says.
-async fn is_told(told: &mut Option<watch::Receiver<Option<WeightsVersion>>>) {
-    if let Some(told) = told
-        && told.changed().await.is_ok()
+async fn is_known(last_version: &mut Option<watch::Receiver<Option<WeightsVersion>>>) {
+    if let Some(last_version) = last_version
+        && last_version.changed().await.is_ok()
     {
         return;
     }
@@ -292,13 +271,13 @@ fn unix_ms() -> u64 {
 async fn judge(
     setup: &EvaluatorSetup,
     selected: Vec<&'static Blueprint>,
-    desk: Arc<Desk>,
-    films: Option<Casting>,
+    queue: Arc<WorkQueue>,
+    films: Option<EpisodeSelector>,
     parts: watch::Sender<Option<EvalReport>>,
     (shutdown, pulse): (&CancellationToken, &Pulse),
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
-        catalogue: Catalogue::builtin(),
+        catalog: Catalog::builtin(),
         policy: setup.policy.clone(),
         environment: setup.environment.clone(),
         episodes: setup.config.episodes.clone(),
@@ -311,8 +290,8 @@ async fn judge(
             pulse.beat();
             !shutdown.is_cancelled()
         };
-        let workshop = Workshop { setup: &eval_setup, desk: &desk, films: films.as_ref(), keep_going: &keep_going };
-        evaluate_in_parts(&workshop, &selected, &mut |part| drop(parts.send_replace(Some(part))))
+        let pool = EvaluationPool { setup: &eval_setup, queue: &queue, films: films.as_ref(), keep_going: &keep_going };
+        evaluate_in_parts(&pool, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await
 }

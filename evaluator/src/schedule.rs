@@ -64,7 +64,7 @@ mod tests {
             n_env_steps,
             network_hash: 0,
             parameters: Vec::new(),
-            normalisation: Default::default(),
+            normalization: Default::default(),
             task_probabilities: Default::default(),
         }
     }

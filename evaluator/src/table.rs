@@ -6,7 +6,7 @@ use std::fmt::{Arguments, Write};
 use proto::metrics::EvalOutcome;
 
 use crate::expert::{Cause, ExpertReport};
-use crate::report::EvalReport;
+use proto::metrics::EvalReport;
 
 /// How much of a report the text shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,7 +116,9 @@ mod tests {
     use proto::{RewardTerms, WeightsVersion};
 
     use super::*;
-    use crate::report::{Acting, End, Episode, Judged};
+    use crate::report::{Episode, Judged, summarize};
+    use proto::ActionMode;
+    use proto::unit::End;
 
     #[test]
     fn the_table_shows_what_was_judged() {
@@ -126,14 +128,14 @@ mod tests {
             blueprint: BlueprintId::try_from("2_003".to_owned()).unwrap(),
             split: Split::Train,
             n_blocks: 2,
-            acting: Acting::Mode,
+            acting: ActionMode::Greedy,
             end,
             n_steps,
             episode_return: RewardTerms { connected: 1.0, wrong: -0.25, ..RewardTerms::default() },
         });
         let judged =
             Judged { weights_version: WeightsVersion(4), n_env_steps: 8192, seed: 0, n_planned: 3, is_complete: true };
-        let text = render(&EvalReport::new(judged, &episodes), Detail::Blueprints);
+        let text = render(&summarize(judged, &episodes), Detail::Blueprints);
         let expected = "\
 weights 4 after 8192 environment steps
 group (blueprints)       actions  episodes      %    interval     stable  steps  return

@@ -1,13 +1,13 @@
 //! What physics says of a blueprint: whether it stands, and whether it can be built.
 
-use blueprints::{Blueprint, Catalogue, N_BLOCKS};
+use blueprints::{Blueprint, Catalog, N_BLOCKS};
 use environment::{Env, EnvironmentConfig, World};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use proto::{Action, N_GRIPPERS, Pose, Start, Task};
 
 use crate::config::Starts;
-use crate::episodes::EvalError;
 use crate::expert::{ExpertSetup, evaluate_expert};
+use crate::setup::EvalError;
 
 /// Greatest distance that a block of a standing blueprint may move, m (0.2 units).
 pub const MAX_DRIFT_M: f32 = 0.02;
@@ -45,13 +45,13 @@ impl Settling {
 /// When the world cannot be made or has no room.
 pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<Settling, EvalError> {
     let mut world = World::new(environment)?;
-    let catalogue = Catalogue::of_one(blueprint.clone());
+    let catalog = Catalog::of_one(blueprint.clone());
     let mut worst = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for seed in 0..N_PLACES {
         let id = blueprint.id().clone();
         let assignment = std::array::from_fn(|i| blueprints::BlockIdx::all().nth(i).expect("there are 16 blocks"));
         let task = Task { blueprint: id.clone(), assignment, start: Start::Prebuilt(id.clone()), seed };
-        world.reset(&task, &catalogue).map_err(|source| EvalError::Reset { blueprint: id, source })?;
+        world.reset(&task, &catalog).map_err(|source| EvalError::Reset { blueprint: id, source })?;
         let found = stand(&mut world, blueprint);
         worst.drift_m = worst.drift_m.max(found.drift_m);
         worst.turn_rad = worst.turn_rad.max(found.turn_rad);
@@ -85,9 +85,9 @@ fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
 /// # Errors
 /// When the world cannot be made or has no room.
 pub fn try_building(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<(u64, u64), EvalError> {
-    let catalogue = Catalogue::of_one(blueprint.clone());
+    let catalog = Catalog::of_one(blueprint.clone());
     let setup = ExpertSetup {
-        catalogue: &catalogue,
+        catalog: &catalog,
         environment: environment.clone(),
         n_episodes: N_EPISODES,
         starts: Starts::Scattered,
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn every_built_in_blueprint_stands_for_two_seconds() {
-        for blueprint in Catalogue::builtin().iter() {
+        for blueprint in Catalog::builtin().iter() {
             let found = settle(&EnvironmentConfig::default(), blueprint).unwrap();
             assert!(found.is_calm(), "{}: {found:?}", blueprint.id());
         }
@@ -123,7 +123,7 @@ mod tests {
         // The giraffe's tail hangs on two magnets; without strength it falls off.
         let mut weak = EnvironmentConfig::default();
         weak.magnets.break_force_n = 1.0;
-        let blueprint = Catalogue::builtin().get(&"literal_14_000".parse().unwrap()).unwrap();
+        let blueprint = Catalog::builtin().get(&"literal_14_000".parse().unwrap()).unwrap();
         assert!(!settle(&weak, blueprint).unwrap().is_calm());
     }
 }

@@ -2,19 +2,24 @@
 
 use std::sync::Arc;
 
+use bus::Bus;
 use policy::{Policy, PolicyConfig};
 use proto::Weights;
-use proto::bus::Bus;
 use tokio::sync::watch;
 use tokio_util::task::AbortOnDropHandle;
 
 /// Newest weights as they come.
 type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 
-/// The newest weights by which a policy can act, for as long as the handle lives; others are counted by the bus. Weights of
+/// The newest weights by which a policy can act, which go to `usable` for as long as the handle lives; others are counted by the bus. Weights of
 /// another network pass, since waiting does not mend them: whoever judges says what is wrong.
-pub(crate) fn vetted(mut arrivals: Arrivals, config: PolicyConfig, bus: Bus) -> (Arrivals, AbortOnDropHandle<()>) {
-    let (usable, vetted) = watch::channel(None);
+pub(crate) fn vetted(
+    mut arrivals: Arrivals,
+    usable: watch::Sender<Option<Arc<Weights>>>,
+    config: PolicyConfig,
+    bus: Bus,
+) -> (Arrivals, AbortOnDropHandle<()>) {
+    let vetted = usable.subscribe();
     let task = tokio::spawn(async move {
         loop {
             let newest = arrivals.borrow_and_update().clone();

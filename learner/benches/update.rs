@@ -7,7 +7,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use blueprints::{BlockIdx, BlueprintId, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, BlueprintId, Catalog, N_BLOCKS};
 use learner::{DeviceKind, Learner, LearnerConfig, LearnerSetup};
 use policy::PolicyConfig;
 use proto::{Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition};
@@ -30,7 +30,7 @@ fn main() {
     let setup = LearnerSetup {
         config,
         policy: PolicyConfig::default(),
-        catalogue: Arc::new(Catalogue::builtin().clone()),
+        catalog: Arc::new(Catalog::builtin().clone()),
         tasks: vec![id.clone()],
         generated: None,
         seed: 0,

@@ -1,6 +1,6 @@
 //! Adam, clipping by global norm and the learning rate's rule, on flat vectors.
 //!
-//! The optimiser works on the same flat parameter vector that travels to the actors: its moments are two plain vectors,
+//! The optimizer works on the same flat parameter vector that travels to the actors: its moments are two plain vectors,
 //! so a checkpoint is exact and needs no tree of tensors. The cost is below 1 % of an update.
 
 use serde::{Deserialize, Serialize};
@@ -70,7 +70,7 @@ impl LearningRate {
 
 /// Scales `gradient` by `min(1, max_norm / ‖gradient‖)` and returns the norm before.
 pub fn clip_global_norm(gradient: &mut [f32], max_norm: f32) -> f32 {
-    // Partial sums in f32 are vectorised; their total in f64 keeps a million squares exact enough.
+    // Partial sums in f32 are vectorized; their total in f64 keeps a million squares exact enough.
     let sum: f64 = gradient.chunks(1024).map(|chunk| f64::from(chunk.iter().map(|g| g * g).sum::<f32>())).sum();
     let norm = sum.sqrt() as f32;
     if norm > max_norm {

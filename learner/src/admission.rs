@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use blueprints::generator::{Draws, Request};
-use blueprints::{BlueprintId, Catalogue, Split};
+use blueprints::{BlueprintId, Catalog, Split};
 use proto::{Action, Label, RewardTerms, Scene, Start, Status, Trajectory};
 
 /// Largest coordinate of a block, m: where the widest world that can be configured gives an episode up.
@@ -31,10 +31,10 @@ pub struct Admission {
 }
 
 impl Admission {
-    /// Admits the training split of `catalogue`, the run's own `tasks` and, if there are any, `generated` goals, acted with
+    /// Admits the training split of `catalog`, the run's own `tasks` and, if there are any, `generated` goals, acted with
     /// `n_grippers` grippers.
-    pub fn new(catalogue: &Catalogue, tasks: &[BlueprintId], generated: Option<Draws>, n_grippers: usize) -> Self {
-        let split = catalogue.of_split(Split::Train).into_iter().map(|blueprint| blueprint.id().clone());
+    pub fn new(catalog: &Catalog, tasks: &[BlueprintId], generated: Option<Draws>, n_grippers: usize) -> Self {
+        let split = catalog.of_split(Split::Train).into_iter().map(|blueprint| blueprint.id().clone());
         Self { n_grippers, training: split.chain(tasks.iter().cloned()).collect(), generated }
     }
 
@@ -133,7 +133,7 @@ mod tests {
     use crate::fixtures::trajectory;
 
     fn admission(generated: Option<Draws>) -> Admission {
-        Admission::new(Catalogue::builtin(), &["gen1-arch-7_6_000".parse().unwrap()], generated, 2)
+        Admission::new(Catalog::builtin(), &["gen1-arch-7_6_000".parse().unwrap()], generated, 2)
     }
 
     fn of_goal(goal: &str, start: Start) -> Trajectory {
@@ -146,7 +146,7 @@ mod tests {
     fn goals_are_those_of_the_training() {
         let none = admission(None);
         let some = admission(Some(Draws::new([Style::Tower], 2..=4)));
-        let held_out = Catalogue::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
+        let held_out = Catalog::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
         // Admitted without and with generated goals.
         for (goal, expected) in [
             ("2_000", [true, true]),
@@ -169,7 +169,7 @@ mod tests {
     #[test]
     fn starts_are_those_that_actors_draw() {
         let prebuilt = |id: &str| Start::Prebuilt(id.parse().unwrap());
-        let held_out = Catalogue::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
+        let held_out = Catalog::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
         for (start, is_admitted) in [
             (prebuilt("2_001"), true),
             (prebuilt(held_out.id().as_str()), false),

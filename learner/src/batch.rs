@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use blueprints::Catalogue;
+use blueprints::Catalog;
 use policy::{FeatureBatch, PolicyConfig};
 use proto::{Action, Status, Trajectory, WeightsVersion};
 
@@ -40,11 +40,11 @@ pub struct Segment {
 
 impl Batch {
     /// Computes the features of `trajectories` that wait for weights `version` to be updated. One whose blueprint is
-    /// not in the catalogue is left out (the mailbox refuses those).
+    /// not in the catalog is left out (the mailbox refuses those).
     pub fn new(
         trajectories: Vec<Trajectory>,
         version: WeightsVersion,
-        catalogue: &Catalogue,
+        catalog: &Catalog,
         policy: &PolicyConfig,
     ) -> Self {
         let mut batch = Self {
@@ -56,7 +56,7 @@ impl Batch {
         };
         let mut last_scenes = Vec::new();
         for trajectory in trajectories {
-            let Some(blueprint) = catalogue.find(&trajectory.task.blueprint) else { continue };
+            let Some(blueprint) = catalog.find(&trajectory.task.blueprint) else { continue };
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
             let policy_lag = policy_lag(version, &trajectory);
             let first = batch.actions.len();
@@ -116,7 +116,7 @@ mod tests {
         ended.status = Status::Success;
         ended.transitions[1].reward.connected = 1.0;
         let policy = PolicyConfig::default();
-        let batch = Batch::new(vec![ended, trajectory(3, 5)], WeightsVersion(5), Catalogue::builtin(), &policy);
+        let batch = Batch::new(vec![ended, trajectory(3, 5)], WeightsVersion(5), Catalog::builtin(), &policy);
         assert_eq!((batch.n_samples(), batch.features.n), (5, 7));
         assert_eq!(batch.lag_histogram(), [3, 0, 2]);
         // γ = λ = 1, all values 0 but those of the last scenes: 7 (ignored: success) and 4.

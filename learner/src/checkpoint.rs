@@ -4,7 +4,7 @@
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
 //! - `mailbox.bin`: trajectories that waited, each as a little-endian u64 length and its wire form;
-//! - `replay.bin`: labelled segments in the same form, and `imitator.safetensors`, of which a network without a teacher has
+//! - `replay.bin`: labeled segments in the same form, and `imitator.safetensors`, of which a network without a teacher has
 //!   none;
 //! - `model.json`: the policy's configuration, enough to act with the parameters;
 //! - `state.json`: the rest, and the length and FNV-1a hash of each of the files above.
@@ -55,13 +55,13 @@ pub struct Checkpoint {
     pub table: Vec<ParameterInfo>,
     /// All parameters as one flat vector.
     pub parameters: Vec<f32>,
-    /// The optimiser.
+    /// The optimizer.
     pub adam: Adam,
     /// The policy that is not to be forgotten, flat like `parameters`, once there is one.
     pub imitator: Option<Vec<f32>>,
     /// Trajectories that waited, oldest first.
     pub mailbox: Vec<Trajectory>,
-    /// Labelled segments.
+    /// Labeled segments.
     pub replay: Vec<Arc<Trajectory>>,
 }
 
@@ -89,7 +89,7 @@ pub enum CheckpointError {
     /// No folder `step-<n>` at all.
     #[error("there is no checkpoint in {0}")]
     Absent(PathBuf),
-    /// The checkpoint is of another network or catalogue than this learner's.
+    /// The checkpoint is of another network or catalog than this learner's.
     #[error("the checkpoint does not fit this learner: {0}")]
     Mismatch(String),
 }

@@ -1,16 +1,16 @@
 //! All settings of the learner, with units, defaults and valid ranges.
 
+mod curriculum;
 mod imitation;
 mod loss;
 mod schedule;
 
 use serde::{Deserialize, Serialize};
 
+pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, UniformConfig, WideningConfig};
 pub use imitation::{ImitationConfig, ReplayConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
 pub use schedule::Schedule;
-
-use crate::curriculum::CurriculumConfig;
 
 /// Settings of the learner. The defaults are those of published PPO practice on long-horizon manipulation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,7 +40,7 @@ pub struct LearnerConfig {
     /// Gradient step.
     pub optimizer: OptimizerConfig,
     /// Statistics of features and value targets.
-    pub normalisation: NormalisationConfig,
+    pub normalization: NormalizationConfig,
     /// Inbox of trajectories.
     pub mailbox: MailboxConfig,
     /// Which blueprints to train on.
@@ -108,12 +108,12 @@ pub struct AdaptiveRate {
 /// Running statistics.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct NormalisationConfig {
+pub struct NormalizationConfig {
     /// Features are shifted and scaled by their running mean and deviation; default true.
     pub features: bool,
     /// Scenes after which the feature statistics no longer move; default 500 000.
     pub feature_samples: u64,
-    /// The value head learns normalised targets; default true.
+    /// The value head learns normalized targets; default true.
     pub values: bool,
     /// Weight of a new batch in the running statistics of the value targets; above 0, at most 1, default 0.1.
     pub value_rate: f64,
@@ -166,7 +166,7 @@ impl Default for LearnerConfig {
             loss: LossConfig::default(),
             imitation: None,
             optimizer: OptimizerConfig::default(),
-            normalisation: NormalisationConfig::default(),
+            normalization: NormalizationConfig::default(),
             mailbox: MailboxConfig::default(),
             curriculum: CurriculumConfig::default(),
             checkpoints: CheckpointConfig::default(),
@@ -200,7 +200,7 @@ impl Default for AdaptiveRate {
     }
 }
 
-impl Default for NormalisationConfig {
+impl Default for NormalizationConfig {
     fn default() -> Self {
         Self { features: true, feature_samples: 500_000, values: true, value_rate: 0.1, min_value_std: 0.01 }
     }
@@ -237,7 +237,7 @@ impl LearnerConfig {
     /// # Errors
     /// The first field out of range, with its value and the range.
     pub fn validate(&self) -> Result<(), LearnerConfigError> {
-        let (optimizer, norm) = (&self.optimizer, &self.normalisation);
+        let (optimizer, norm) = (&self.optimizer, &self.normalization);
         let int = |value: usize| value as f64;
         check(
             "steps_per_update",
@@ -274,9 +274,9 @@ impl LearnerConfig {
         if let RateRule::Adaptive(adaptive) = &optimizer.rate_rule {
             adaptive.validate()?;
         }
-        check_positive("normalisation.min_value_std", norm.min_value_std)?;
+        check_positive("normalization.min_value_std", norm.min_value_std)?;
         check(
-            "normalisation.value_rate",
+            "normalization.value_rate",
             norm.value_rate,
             norm.value_rate > 0.0 && norm.value_rate <= 1.0,
             "above 0 and at most 1",
@@ -343,7 +343,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_valid_and_survive_serialisation() {
+    fn the_defaults_are_valid_and_survive_serialization() {
         let config = LearnerConfig::default();
         config.validate().unwrap();
         let text = serde_json::to_string(&config).unwrap();

@@ -7,7 +7,7 @@ use proto::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A blueprint of the built-in catalogue.
+/// A blueprint of the built-in catalog.
 pub(crate) fn blueprint_id() -> BlueprintId {
     BlueprintId::try_from("2_000".to_owned()).unwrap()
 }

@@ -1,4 +1,4 @@
-//! Generalised advantage estimation over one segment of an episode.
+//! Generalized advantage estimation over one segment of an episode.
 
 use proto::Status;
 
@@ -37,7 +37,7 @@ pub fn bootstrap_value(status: Status, last_value: f32) -> f32 {
 }
 
 /// Shifts and scales to mean 0 and deviation 1: `(x − mean) / (population deviation + 1e-8)`.
-pub fn normalise(values: &mut [f32]) {
+pub fn normalize(values: &mut [f32]) {
     let n = values.len().max(1) as f64;
     let mean = values.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
     let variance = values.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / n;
@@ -70,15 +70,15 @@ mod tests {
     }
 
     #[test]
-    fn normalised_values_have_mean_zero_and_deviation_one() {
+    fn normalized_values_have_mean_zero_and_deviation_one() {
         // Mean 2, population deviation 1.
         let mut values = [1.0, 3.0, 1.0, 3.0];
-        normalise(&mut values);
+        normalize(&mut values);
         for (x, expected) in values.iter().zip([-1.0, 1.0, -1.0, 1.0]) {
             assert!((x - expected).abs() < 1e-6);
         }
         let mut constant = [5.0; 3];
-        normalise(&mut constant);
+        normalize(&mut constant);
         assert_eq!(constant, [0.0; 3]);
     }
 }

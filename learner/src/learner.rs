@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use blueprints::generator::{Draws, MADE_CAPACITY};
-use blueprints::{BlueprintId, Catalogue};
+use blueprints::{BlueprintId, Catalog};
 use policy::PolicyConfig;
 use policy::device::{DeviceError, DeviceKind};
-use policy::normalisation::{FeatureMoments, normalise};
-use proto::{Driver, Normalisation, Refusal, Trajectory, Weights, WeightsVersion};
+use policy::normalization::{FeatureMoments, normalize};
+use proto::{Driver, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -22,8 +22,8 @@ use crate::curriculum::Curriculum;
 use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::metrics::UpdateMetrics;
-use crate::normalisation::ValueStatistics;
-use crate::ppo::{Ppo, Progress, Teaching};
+use crate::normalization::ValueStatistics;
+use crate::ppo::{ImitationSource, Ppo, Progress};
 use crate::replay::Replay;
 use crate::state::LearnerState;
 
@@ -35,8 +35,8 @@ pub struct LearnerSetup {
     /// The policy that all services share.
     pub policy: PolicyConfig,
     /// All blueprints that there are; trajectories may name those of the training split.
-    pub catalogue: Arc<Catalogue>,
-    /// Blueprints to train on, known to the catalogue.
+    pub catalog: Arc<Catalog>,
+    /// Blueprints to train on, known to the catalog.
     pub tasks: Vec<BlueprintId>,
     /// Structures of the generator that actors draw as goals besides, if any.
     pub generated: Option<Draws>,
@@ -62,7 +62,7 @@ pub enum LearnerError {
     #[error("there is no training blueprint")]
     NoTasks,
     /// A training blueprint that nobody knows.
-    #[error("training blueprint {0} is not in the catalogue")]
+    #[error("training blueprint {0} is not in the catalog")]
     UnknownTask(BlueprintId),
     /// The checkpoint cannot be used.
     #[error(transparent)]
@@ -76,7 +76,7 @@ pub struct Learner {
     ppo: Ppo,
     state: LearnerState,
     mailbox: Arc<Mailbox>,
-    /// Labelled scenes, if there is anything to learn from them.
+    /// Labeled scenes, if there is anything to learn from them.
     replay: Option<Replay>,
     /// Trajectories that were dropped because of their generated goals.
     n_unmade: u64,
@@ -98,7 +98,7 @@ impl Learner {
         if setup.tasks.is_empty() {
             return Err(LearnerError::NoTasks);
         }
-        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalogue.find(id).is_none()) {
+        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalog.find(id).is_none()) {
             return Err(LearnerError::UnknownTask(unknown.clone()));
         }
         let device = setup.device.open()?;
@@ -114,10 +114,10 @@ impl Learner {
             n_feature_scenes: 0,
             values: ValueStatistics::default(),
             mailbox: MailboxCounts::default(),
-            normalisation: Normalisation { value_std: 1.0, ..Normalisation::default() },
+            normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         };
         let n_grippers = usize::from(setup.policy.network.n_grippers);
-        let admission = Admission::new(&setup.catalogue, &setup.tasks, setup.generated.clone(), n_grippers);
+        let admission = Admission::new(&setup.catalog, &setup.tasks, setup.generated.clone(), n_grippers);
         let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), admission));
         let n_threads = setup.config.n_threads.unwrap_or_else(|| match setup.device {
             DeviceKind::Cpu => n_cores(),
@@ -148,13 +148,13 @@ impl Learner {
         }
         let n_parameters = learner.ppo.parameters().len();
         if checkpoint.adam.first.len() != n_parameters || checkpoint.adam.second.len() != n_parameters {
-            return mismatch("the optimiser has other parameters");
+            return mismatch("the optimizer has other parameters");
         }
         if let Err(error) = learner.ppo.restore(checkpoint.parameters, checkpoint.adam, checkpoint.imitator) {
             return mismatch(&error.to_string());
         }
         if let Some(replay) = &mut learner.replay {
-            replay.restore(checkpoint.replay, &learner.setup.catalogue);
+            replay.restore(checkpoint.replay, &learner.setup.catalog);
         }
         let Checkpoint { state, mailbox, .. } = checkpoint;
         learner.mailbox.restore(state.version, state.mailbox, mailbox);
@@ -181,7 +181,7 @@ impl Learner {
         self.mailbox.n_steps() >= self.setup.config.steps_per_update
     }
 
-    /// One update with the oldest trajectories and, if there is a teacher, labelled scenes; `None` when there are not
+    /// One update with the oldest trajectories and, if there is a teacher, labeled scenes; `None` when there are not
     /// enough trajectories. PPO learns from those alone whose actions were sampled.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
         let mut trajectories = self.mailbox.take(self.setup.config.steps_per_update);
@@ -197,10 +197,10 @@ impl Learner {
             }
         }
         if let Some(replay) = &mut self.replay {
-            trajectories.iter().for_each(|trajectory| replay.push(trajectory.clone(), &self.setup.catalogue));
+            trajectories.iter().for_each(|trajectory| replay.push(trajectory.clone(), &self.setup.catalog));
         }
         let batch =
-            |trajectories| Batch::new(trajectories, self.state.version, &self.setup.catalogue, &self.setup.policy);
+            |trajectories| Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy);
         let (sampled, others): (Vec<_>, Vec<_>) =
             trajectories.into_iter().partition(|trajectory| trajectory.driver == Driver::Sample);
         let own = batch(sampled);
@@ -208,7 +208,7 @@ impl Learner {
         let moving = self.features_move();
         let next = moving.then(|| self.features_after([&own, &batch(others)]));
         let mut batch = own;
-        normalise(&mut batch.features, &self.state.normalisation);
+        normalize(&mut batch.features, &self.state.normalization);
         let config = &self.setup.config;
         let mut progress = Progress {
             rng: &mut self.state.rng,
@@ -216,18 +216,19 @@ impl Learner {
             values: &mut self.state.values,
             n_env_steps: self.state.n_env_steps,
         };
-        let teaching = self.replay.as_ref().zip(config.imitation.as_ref()).map(|(replay, imitation)| Teaching {
-            config: imitation,
-            replay,
-            features: &self.setup.policy.features,
-            normalisation: &self.state.normalisation,
-        });
-        let learned = self.ppo.update(&batch, teaching, config, &mut progress);
+        let imitation_source =
+            self.replay.as_ref().zip(config.imitation.as_ref()).map(|(replay, imitation)| ImitationSource {
+                config: imitation,
+                replay,
+                features: &self.setup.policy.features,
+                normalization: &self.state.normalization,
+            });
+        let learned = self.ppo.update(&batch, imitation_source, config, &mut progress);
         if let Some((features, n_scenes)) = next {
             self.adopt_features(features, n_scenes);
         }
-        self.state.normalisation.value_mean = self.state.values.mean as f32;
-        self.state.normalisation.value_std = self.state.values.std as f32;
+        self.state.normalization.value_mean = self.state.values.mean as f32;
+        self.state.normalization.value_std = self.state.values.std as f32;
         self.state.version.0 += 1;
         self.state.n_updates += 1;
         self.state.n_env_steps += n_steps as u64;
@@ -285,13 +286,13 @@ impl Learner {
     /// Makes the generated goals and drops the trajectories of those that are held out, that come to nothing, or that are
     /// too many. Only here, of what has passed every other check and away from the bus, does a goal cost anything.
     fn drop_unmade(&mut self, trajectories: &mut Vec<Trajectory>) {
-        let catalogue = &self.setup.catalogue;
+        let catalog = &self.setup.catalog;
         let mut n_blocks_left = MADE_BLOCKS_PER_STEP * self.setup.config.steps_per_update;
         let mut verdicts: BTreeMap<BlueprintId, bool> = BTreeMap::new();
         let n_before = trajectories.len();
         trajectories.retain(|trajectory| {
             let goal = &trajectory.task.blueprint;
-            if catalogue.get(goal).is_some() {
+            if catalog.get(goal).is_some() {
                 return true;
             }
             if let Some(&verdict) = verdicts.get(goal) {
@@ -302,7 +303,7 @@ impl Learner {
                 return false;
             }
             n_blocks_left -= goal.size();
-            let verdict = catalogue.find(goal).is_some_and(|made| catalogue.is_for_training(&made));
+            let verdict = catalog.find(goal).is_some_and(|made| catalog.is_for_training(&made));
             verdicts.insert(goal.clone(), verdict);
             verdict
         });
@@ -316,7 +317,7 @@ impl Learner {
 
     /// Whether the feature statistics still move.
     fn features_move(&self) -> bool {
-        let config = &self.setup.config.normalisation;
+        let config = &self.setup.config.normalization;
         config.features && self.state.n_feature_scenes < config.feature_samples
     }
 
@@ -329,7 +330,7 @@ impl Learner {
 
     /// Puts the statistics in force for the weights about to be named.
     fn adopt_features(&mut self, features: FeatureMoments, n_scenes: usize) {
-        features.freeze_into(&mut self.state.normalisation);
+        features.freeze_into(&mut self.state.normalization);
         self.state.features = features;
         self.state.n_feature_scenes += n_scenes as u64;
     }

@@ -1,6 +1,6 @@
 //! Trajectories in, weights out: PPO with everything it needs to run for days.
 //!
-//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalisation`], [`curriculum`] → [`admission`], [`mailbox`] →
+//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`] → [`admission`], [`mailbox`] →
 //! [`batch`] and [`replay`] → [`learner`] (the synchronous whole) → [`checkpoint`], [`model`] → [`mod@run`] (the service on
 //! the bus). [`sink`] measures the bus with a learner that computes nothing.
 
@@ -21,7 +21,7 @@ pub mod loss;
 pub mod mailbox;
 pub mod metrics;
 pub mod model;
-pub mod normalisation;
+pub mod normalization;
 mod ppo;
 pub mod replay;
 pub mod run;

@@ -155,7 +155,7 @@ pub fn policy_lag(newest: WeightsVersion, trajectory: &Trajectory) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::{BlueprintId, Catalogue};
+    use blueprints::{BlueprintId, Catalog};
     use proto::Status;
 
     use super::*;
@@ -163,7 +163,7 @@ mod tests {
 
     fn mailbox(capacity_steps: usize) -> Mailbox {
         let config = MailboxConfig { capacity_steps, max_policy_lag: 2 };
-        Mailbox::new(config, Admission::new(Catalogue::builtin(), &[], None, 2))
+        Mailbox::new(config, Admission::new(Catalog::builtin(), &[], None, 2))
     }
 
     #[test]

@@ -1,17 +1,17 @@
 //! A policy in one file: all that is needed to act, and nothing of what is needed to learn.
 //!
 //! The file is a safetensors file with one f32 tensor per parameter, by name. Its metadata has one entry, `lodestone`: JSON
-//! with the policy's configuration, the order of the parameters and the normalisation.
+//! with the policy's configuration, the order of the parameters and the normalization.
 
 use std::path::Path;
 
 use policy::PolicyConfig;
-use proto::{Normalisation, Weights, WeightsVersion};
+use proto::{Normalization, Weights, WeightsVersion};
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo, tensors};
-use crate::state::NormalisationFields;
+use crate::state::NormalizationFields;
 
 /// Version of the layout; raised when an older reader could not read it.
 const FORMAT_VERSION: u32 = 1;
@@ -38,8 +38,9 @@ struct Header {
     n_env_steps: u64,
     policy: PolicyConfig,
     table: Vec<ParameterInfo>,
-    #[serde(with = "NormalisationFields")]
-    normalisation: Normalisation,
+    // As version 1 of the format spells it.
+    #[serde(rename = "normalisation", with = "NormalizationFields")]
+    normalization: Normalization,
 }
 
 impl From<&Checkpoint> for Model {
@@ -61,7 +62,7 @@ impl Model {
             n_env_steps: self.weights.n_env_steps,
             policy: self.policy.clone(),
             table: self.table.clone(),
-            normalisation: self.weights.normalisation.clone(),
+            normalization: self.weights.normalization.clone(),
         };
         let header = serde_json::to_string(&header).map_err(|error| CheckpointError::Mismatch(error.to_string()))?;
         tensors::write(&self.table, &[("", &self.weights.parameters)], Some((ENTRY, header)))
@@ -88,7 +89,7 @@ impl Model {
             n_env_steps: header.n_env_steps,
             network_hash: header.policy.hash(),
             parameters,
-            normalisation: header.normalisation,
+            normalization: header.normalization,
             task_probabilities: Default::default(),
         };
         Ok(Self { policy: header.policy, weights, table: header.table })

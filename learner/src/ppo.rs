@@ -1,7 +1,7 @@
 //! One PPO update: advantages, epochs, minibatches, gradient steps.
 
+mod imitation_update;
 mod passes;
-mod tutor;
 mod workers;
 
 use std::ops::Range;
@@ -18,13 +18,13 @@ use crate::batch::Batch;
 use crate::config::{LearnerConfig, LossTerms, Objective, RateRule};
 use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
-use crate::normalisation::ValueStatistics;
+use crate::normalization::ValueStatistics;
+pub(crate) use imitation_update::ImitationSource;
+use imitation_update::ImitationUpdate;
 use passes::{Evaluation, LossSums, Targets};
-pub(crate) use tutor::Teaching;
-use tutor::Tutor;
 use workers::{Workers, pieces};
 
-/// The network in training and its optimiser.
+/// The network in training and its optimizer.
 #[derive(Debug)]
 pub(crate) struct Ppo {
     workers: Workers,
@@ -106,7 +106,7 @@ impl Ppo {
         &self.parameters
     }
 
-    /// The optimiser.
+    /// The optimizer.
     pub(crate) fn adam(&self) -> &Adam {
         &self.adam
     }
@@ -116,11 +116,11 @@ impl Ppo {
         self.workers.network().table()
     }
 
-    /// Learns from a batch whose features are normalised, and from a teaching.
+    /// Learns from a batch whose features are normalized, and from a imitation_source.
     pub(crate) fn update(
         &mut self,
         batch: &Batch,
-        teaching: Option<Teaching<'_>>,
+        imitation_source: Option<ImitationSource<'_>>,
         config: &LearnerConfig,
         progress: &mut Progress<'_>,
     ) -> (PpoMetrics, Option<ImitationMetrics>) {
@@ -132,17 +132,18 @@ impl Ppo {
             self.workers.freeze(&self.parameters).expect("finite parameters of the same number");
             self.imitator = Some(self.parameters.clone());
         }
-        let mut tutor = teaching.and_then(|teaching| Tutor::new(teaching, progress.n_env_steps));
+        let mut imitation_update =
+            imitation_source.and_then(|imitation_source| ImitationUpdate::new(imitation_source, progress.n_env_steps));
         let learns = terms.policy > 0.0 || terms.value_coefficient > 0.0 || terms.imitator_kl > 0.0;
         let mut metrics = PpoMetrics { learning_rate: f64::from(progress.learning_rate.0), ..PpoMetrics::default() };
         if learns && batch.n_samples() > 0 {
-            metrics = self.update_with(batch, terms, tutor.as_mut(), config, progress);
+            metrics = self.update_with(batch, terms, imitation_update.as_mut(), config, progress);
         }
-        let Some(mut tutor) = tutor else { return (metrics, None) };
+        let Some(mut imitation_update) = imitation_update else { return (metrics, None) };
         let mut steps = Steps::default();
-        while tutor.n_left() > 0 {
+        while imitation_update.n_left() > 0 {
             let mut gradient = vec![0.0; self.parameters.len()];
-            tutor.add_gradient(&mut self.workers, config.forward_size, progress.rng, &mut gradient);
+            imitation_update.add_gradient(&mut self.workers, config.forward_size, progress.rng, &mut gradient);
             self.step(&mut gradient, *progress.learning_rate, config, &mut steps);
         }
         if metrics.n_gradient_steps == 0 {
@@ -150,15 +151,15 @@ impl Ppo {
         }
         metrics.n_gradient_steps += steps.n_steps;
         metrics.n_skipped_steps += steps.n_skipped;
-        (metrics, Some(tutor.metrics()))
+        (metrics, Some(imitation_update.metrics()))
     }
 
-    /// PPO, with the teaching in every gradient step for as long as it lasts.
+    /// PPO, with the imitation_source in every gradient step for as long as it lasts.
     fn update_with(
         &mut self,
         batch: &Batch,
         terms: LossTerms,
-        mut tutor: Option<&mut Tutor<'_>>,
+        mut imitation_update: Option<&mut ImitationUpdate<'_>>,
         config: &LearnerConfig,
         progress: &mut Progress<'_>,
     ) -> PpoMetrics {
@@ -166,8 +167,8 @@ impl Ppo {
         let values = in_reward_units(&before.values, progress.values);
         let advantages = batch.advantages(&values, config.gamma, config.lambda);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
-        if config.normalisation.values && returns.iter().all(|x| x.is_finite()) {
-            let norm = &config.normalisation;
+        if config.normalization.values && returns.iter().all(|x| x.is_finite()) {
+            let norm = &config.normalization;
             let next = progress.values.after(&returns, norm.value_rate, norm.min_value_std);
             self.rescale_value_head(progress.values, &next);
             *progress.values = next;
@@ -185,10 +186,10 @@ impl Ppo {
             reference,
             weights,
             advantages,
-            old_values: normalised(&values[..batch.n_samples()], progress.values),
-            value_targets: normalised(&returns, progress.values),
+            old_values: normalized(&values[..batch.n_samples()], progress.values),
+            value_targets: normalized(&returns, progress.values),
         };
-        gae::normalise(&mut targets.advantages);
+        gae::normalize(&mut targets.advantages);
 
         let mut steps = Steps::default();
         let mut moved = RatioStatistics::default();
@@ -200,7 +201,8 @@ impl Ppo {
                 // reinforcement learning", section 3.5).
                 self.refresh(batch, config, progress.values, &mut targets);
             }
-            moved = self.epoch(batch, tutor.as_deref_mut(), config, &targets, rate, progress.rng, &mut steps);
+            moved =
+                self.epoch(batch, imitation_update.as_deref_mut(), config, &targets, rate, progress.rng, &mut steps);
             n_epochs += 1;
             if config.optimizer.stop_kl.is_some_and(|limit| moved.approx_kl > f64::from(limit)) {
                 break;
@@ -238,7 +240,7 @@ impl Ppo {
     fn epoch(
         &mut self,
         batch: &Batch,
-        mut tutor: Option<&mut Tutor<'_>>,
+        mut imitation_update: Option<&mut ImitationUpdate<'_>>,
         config: &LearnerConfig,
         targets: &Targets<'_>,
         rate: LearningRate,
@@ -258,8 +260,10 @@ impl Ppo {
                 steps.losses += pass.losses;
             }
             steps.n_samples += minibatch.len();
-            if let Some(tutor) = tutor.as_mut().filter(|tutor| tutor.n_left() > 0) {
-                tutor.add_gradient(&mut self.workers, config.forward_size, rng, &mut gradient);
+            if let Some(imitation_update) =
+                imitation_update.as_mut().filter(|imitation_update| imitation_update.n_left() > 0)
+            {
+                imitation_update.add_gradient(&mut self.workers, config.forward_size, rng, &mut gradient);
             }
             self.step(&mut gradient, rate, config, steps);
         }
@@ -293,8 +297,8 @@ impl Ppo {
         let values = in_reward_units(&values, statistics);
         let mut advantages = batch.advantages(&values, config.gamma, config.lambda);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
-        targets.value_targets = normalised(&returns, statistics);
-        gae::normalise(&mut advantages);
+        targets.value_targets = normalized(&returns, statistics);
+        gae::normalize(&mut advantages);
         targets.advantages = advantages;
     }
 
@@ -336,7 +340,7 @@ fn in_reward_units(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
     values.iter().map(|v| std * v + mean).collect()
 }
 
-fn normalised(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
+fn normalized(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
     let (mean, std) = (statistics.mean as f32, statistics.std as f32);
     values.iter().map(|v| (v - mean) / std).collect()
 }

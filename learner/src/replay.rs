@@ -1,9 +1,9 @@
-//! Labelled scenes, kept for many updates: bounded, and balanced over the sizes of goals.
+//! Labeled scenes, kept for many updates: bounded, and balanced over the sizes of goals.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use blueprints::{Blueprint, Catalogue};
+use blueprints::{Blueprint, Catalog};
 use policy::FeatureBatch;
 use proto::{Label, Trajectory};
 use rand::RngExt;
@@ -40,10 +40,10 @@ impl Replay {
         Self { config, shelves: BTreeMap::new(), n_steps: 0 }
     }
 
-    /// Keeps the labelled steps of a segment, if it has any and the catalogue knows its goal.
-    pub fn push(&mut self, mut trajectory: Trajectory, catalogue: &Catalogue) {
+    /// Keeps the labeled steps of a segment, if it has any and the catalog knows its goal.
+    pub fn push(&mut self, mut trajectory: Trajectory, catalog: &Catalog) {
         trajectory.transitions.retain(|transition| transition.label.is_some());
-        let Some(blueprint) = catalogue.find(&trajectory.task.blueprint) else { return };
+        let Some(blueprint) = catalog.find(&trajectory.task.blueprint) else { return };
         let n_steps = trajectory.transitions.len();
         if n_steps == 0 {
             return;
@@ -61,7 +61,7 @@ impl Replay {
         }
     }
 
-    /// Labelled scenes that are kept.
+    /// Labeled scenes that are kept.
     pub fn n_steps(&self) -> usize {
         self.n_steps
     }
@@ -107,9 +107,9 @@ impl Replay {
     }
 
     /// Puts back what [`Self::segments`] gave; what is too much for this capacity goes.
-    pub(crate) fn restore(&mut self, segments: Vec<Arc<Trajectory>>, catalogue: &Catalogue) {
+    pub(crate) fn restore(&mut self, segments: Vec<Arc<Trajectory>>, catalog: &Catalog) {
         for trajectory in segments {
-            self.push(Arc::unwrap_or_clone(trajectory), catalogue);
+            self.push(Arc::unwrap_or_clone(trajectory), catalog);
         }
     }
 }
@@ -123,7 +123,7 @@ mod tests {
     use super::*;
     use crate::fixtures::random_trajectory;
 
-    fn labelled(goal: &str, n_steps: usize, mark: u8) -> Trajectory {
+    fn labeled(goal: &str, n_steps: usize, mark: u8) -> Trajectory {
         let mut trajectory = random_trajectory(n_steps, 0, &mut ChaCha8Rng::seed_from_u64(1));
         trajectory.task.blueprint = goal.parse().unwrap();
         let block = BlockIdx::try_from(mark).ok();
@@ -149,11 +149,11 @@ mod tests {
 
     #[test]
     fn sizes_are_drawn_by_their_weight_and_steps_alike() {
-        let catalogue = Catalogue::builtin();
-        let six = catalogue.of_split(Split::Train).into_iter().find(|b| b.n_blocks() == 6).unwrap().id().clone();
+        let catalog = Catalog::builtin();
+        let six = catalog.of_split(Split::Train).into_iter().find(|b| b.n_blocks() == 6).unwrap().id().clone();
         let mut replay = replay(100_000, 1.0);
         for (goal, n_steps, mark) in [("2_000", 30, 0), ("2_000", 10, 1), (six.as_str(), 7, 2)] {
-            replay.push(labelled(goal, n_steps, mark), catalogue);
+            replay.push(labeled(goal, n_steps, mark), catalog);
         }
         let counts = counts(&replay, 8000);
         // Sizes 2 : 6, and 30 : 10 steps within the first: 1500, 500 and 6000.
@@ -164,24 +164,24 @@ mod tests {
 
     #[test]
     fn the_fullest_size_makes_room() {
-        let catalogue = Catalogue::builtin();
+        let catalog = Catalog::builtin();
         let mut replay = replay(50, 0.0);
-        replay.push(labelled("3_000", 20, 9), catalogue);
+        replay.push(labeled("3_000", 20, 9), catalog);
         for mark in 0..4 {
-            replay.push(labelled("2_000", 15, mark), catalogue);
+            replay.push(labeled("2_000", 15, mark), catalog);
         }
         assert_eq!(replay.n_steps(), 50);
         let counts = counts(&replay, 500);
         assert!(counts[0] == 0 && counts[1] == 0 && counts[2] > 0 && counts[3] > 0 && counts[9] > 0, "{counts:?}");
         let mut again = super::Replay::new(replay.config.clone());
-        again.restore(replay.segments(), catalogue);
+        again.restore(replay.segments(), catalog);
         assert_eq!((again.n_steps(), self::counts(&again, 500)), (50, counts));
     }
 
     #[test]
     fn nothing_comes_of_scenes_without_labels() {
         let mut replay = replay(50, 0.0);
-        replay.push(random_trajectory(5, 0, &mut ChaCha8Rng::seed_from_u64(1)), Catalogue::builtin());
+        replay.push(random_trajectory(5, 0, &mut ChaCha8Rng::seed_from_u64(1)), Catalog::builtin());
         assert_eq!((replay.n_steps(), counts(&replay, 10)), (0, [0; 16]));
     }
 }

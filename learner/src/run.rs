@@ -1,28 +1,22 @@
 //! The learner as a service: trajectories from the bus, updates on a thread of their own, weights and metrics to the bus.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::Write;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use proto::bus::{Bus, BusCounts, IngestCounts, Pulse, WeightsPublisher};
+use bus::{Bus, Pulse, WeightsPublisher};
+use proto::metrics::{BusCounts, IngestCounts};
 use proto::metrics::{LearnerMetrics, METRICS_SCHEMA_VERSION};
-use proto::tensorboard::{self, EventWriter};
 use proto::{Role, Trajectory, Weights, WeightsVersion, keys};
+use runlog::{Lines, MetricsWriter, RunPaths, tensorboard};
 use serde::Serialize;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::checkpoint::{self, Checkpoint};
 use crate::{Learner, LearnerSetup, MailboxCounts, UpdateMetrics};
-
-/// Folder of the checkpoints in the run's folder.
-pub const CHECKPOINTS: &str = "checkpoints";
-
-/// File of the metrics in the run's folder; one JSON object a line.
-pub const METRICS: &str = "metrics.jsonl";
 
 /// Metrics that TensorBoard is not told: no measure of anything, or one curve for each blueprint.
 const UNPLOTTED: [&str; 3] = ["schema_version", "task_probabilities", "success_by_blueprint"];
@@ -40,7 +34,7 @@ pub struct RunOptions {
     /// What the learner is made of.
     pub setup: LearnerSetup,
     /// Folder of the run, for `checkpoints/`, `metrics.jsonl` and `tb/`.
-    pub run_dir: PathBuf,
+    pub run_dir: RunPaths,
     /// A run's folder, its `checkpoints` or one checkpoint to go on from.
     pub resume: Option<PathBuf>,
     /// Environment steps after which the run is over; `None` runs until it is told to stop.
@@ -87,11 +81,11 @@ pub async fn run(
     bus: &Bus,
     shutdown: CancellationToken,
 ) -> anyhow::Result<LearnerReport> {
-    fs::create_dir_all(&options.run_dir).with_context(|| format!("creating {}", options.run_dir.display()))?;
+    let folder = options.run_dir.folder();
+    fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     // Before anything is cleaned up, which may be what the other is writing.
     let _alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_PATIENCE).await?;
-    let (setup, resume, checkpoints) =
-        (options.setup.clone(), options.resume.clone(), options.run_dir.join(CHECKPOINTS));
+    let (setup, resume, checkpoints) = (options.setup.clone(), options.resume.clone(), options.run_dir.checkpoints());
     let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref(), &checkpoints)).await??;
 
     let publisher = bus.weights_publisher().await?;
@@ -107,8 +101,7 @@ pub async fn run(
         newest: Arc::new(learner.weights()),
         learner,
         feed,
-        metrics: open_metrics(&options.run_dir)?,
-        tensorboard: open_tensorboard(&options.run_dir)?,
+        records: MetricsWriter::open(&options.run_dir, Role::Learner)?,
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
         news,
@@ -151,22 +144,11 @@ async fn publish(
 fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyhow::Result<Learner> {
     checkpoint::clean(checkpoints)?;
     let Some(path) = resume else { return Ok(Learner::new(setup)?) };
-    let inside = path.join(CHECKPOINTS);
+    let inside = RunPaths::new(path).checkpoints();
     let found = Checkpoint::read_latest(if inside.is_dir() { &inside } else { path })
         .with_context(|| format!("resuming from {}", path.display()))?;
     tracing::info!(path = %found.path.display(), n_passed_over = found.passed_over.len(), "resuming");
     Ok(Learner::resume(setup, found.checkpoint)?)
-}
-
-fn open_metrics(run_dir: &Path) -> anyhow::Result<File> {
-    let path = run_dir.join(METRICS);
-    let file = OpenOptions::new().create(true).append(true).open(&path);
-    file.with_context(|| format!("opening {}", path.display()))
-}
-
-fn open_tensorboard(run_dir: &Path) -> anyhow::Result<EventWriter> {
-    let folder = run_dir.join(tensorboard::FOLDER).join(Role::Learner.as_str());
-    EventWriter::create(&folder).with_context(|| format!("writing to {}", folder.display()))
 }
 
 /// The updating thread.
@@ -176,8 +158,7 @@ struct Worker {
     newest: Arc<Weights>,
     feed: Option<Feed>,
     options: RunOptions,
-    metrics: File,
-    tensorboard: EventWriter,
+    records: MetricsWriter,
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
     news: mpsc::Sender<News>,
     shutdown: CancellationToken,
@@ -185,18 +166,9 @@ struct Worker {
     start: Instant,
 }
 
-/// A line of `metrics.jsonl`.
-#[derive(Serialize)]
-struct Line<'a> {
-    /// Key of the metrics on the bus, without the run's prefix.
-    key: &'static str,
-    #[serde(flatten)]
-    metrics: &'a LearnerMetrics,
-}
-
 impl Worker {
     fn work(mut self) -> anyhow::Result<LearnerReport> {
-        let checkpoints = self.options.run_dir.join(CHECKPOINTS);
+        let checkpoints = self.options.run_dir.checkpoints();
         let settings = self.options.setup.config.clone();
         let mailbox = self.learner.mailbox();
         let mut last_report = Instant::now();
@@ -280,12 +252,11 @@ impl Worker {
     }
 
     fn write(&mut self, metrics: &LearnerMetrics) -> anyhow::Result<()> {
-        let mut line = serde_json::to_vec(&Line { key: keys::METRICS_LEARNER, metrics })?;
-        line.push(b'\n');
-        // One write a line, so that other writers of the file cannot come between.
-        self.metrics.write_all(&line)?;
+        let mut line = Lines::default();
+        line.push(keys::METRICS_LEARNER, metrics)?;
+        self.records.append(&line)?;
         let scalars = tensorboard::flatten("learner", &serde_json::to_value(metrics)?, &UNPLOTTED);
-        Ok(self.tensorboard.scalars(metrics.n_env_steps, scalars)?)
+        Ok(self.records.scalars(metrics.n_env_steps, scalars)?)
     }
 
     fn report(&self, update: &UpdateMetrics, pace: &Pace) -> LearnerMetrics {

@@ -7,7 +7,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
-use proto::bus::{AliveToken, Bus, IngestCounts, TrajectoryServer, WeightsPublisher};
+use bus::{AliveToken, Bus, TrajectoryServer, WeightsPublisher};
+use proto::metrics::IngestCounts;
 use proto::{Role, Weights, WeightsVersion};
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;

@@ -1,14 +1,14 @@
-//! The part of a learner that is neither network nor optimiser, and goes into `state.json`.
+//! The part of a learner that is neither network nor optimizer, and goes into `state.json`.
 
-use policy::normalisation::FeatureMoments;
-use proto::{Normalisation, Weights, WeightsVersion};
+use policy::normalization::FeatureMoments;
+use proto::{Normalization, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use crate::adam::LearningRate;
 use crate::curriculum::Curriculum;
 use crate::mailbox::MailboxCounts;
-use crate::normalisation::ValueStatistics;
+use crate::normalization::ValueStatistics;
 
 /// Counters, statistics, curriculum and random numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,9 +36,10 @@ pub struct LearnerState {
     pub values: ValueStatistics,
     /// What became of the trajectories.
     pub mailbox: MailboxCounts,
-    /// Normalisation that goes with the parameters.
-    #[serde(with = "NormalisationFields")]
-    pub normalisation: Normalisation,
+    /// Normalization that goes with the parameters.
+    // As version 1 of the format spells it.
+    #[serde(rename = "normalisation", with = "NormalizationFields")]
+    pub normalization: Normalization,
 }
 
 impl LearnerState {
@@ -49,16 +50,16 @@ impl LearnerState {
             n_env_steps: self.n_env_steps,
             network_hash,
             parameters,
-            normalisation: self.normalisation.clone(),
+            normalization: self.normalization.clone(),
             task_probabilities: self.curriculum.probabilities(),
         }
     }
 }
 
-/// Serialises [`Normalisation`], which has a wire form of its own and no serde form.
+/// Serializes [`Normalization`], which has a wire form of its own and no serde form.
 #[derive(Serialize, Deserialize)]
-#[serde(remote = "Normalisation", deny_unknown_fields)]
-pub(crate) struct NormalisationFields {
+#[serde(remote = "Normalization", deny_unknown_fields)]
+pub(crate) struct NormalizationFields {
     feature_mean: [Vec<f32>; 3],
     feature_std: [Vec<f32>; 3],
     value_mean: f32,

@@ -6,7 +6,8 @@ use blueprints::{BlockIdx, BlueprintId};
 use burn::tensor::{Device, Tensor, TensorData};
 use learner::adam::{Adam, LearningRate, clip_global_norm};
 use learner::config::OptimizerConfig;
-use learner::curriculum::{Curriculum, CurriculumConfig, PaperConfig};
+use learner::config::{CurriculumConfig, PaperConfig};
+use learner::curriculum::Curriculum;
 use learner::gae;
 use learner::loss::{RatioStatistics, policy_loss, value_loss};
 use policy::JointForm;
@@ -127,7 +128,7 @@ fn policy_loss_and_its_gradients_in_the_forms_whose_move_is_shared() {
     let ppo = Ppo::new();
     let clip = ppo.golden["clip_eps"].as_f64().unwrap() as f32;
     let mut advantages = flat(&ppo.golden["advantages"]);
-    gae::normalise(&mut advantages);
+    gae::normalize(&mut advantages);
     close("advantages", &advantages, &flat(&ppo.golden["advantages_normalised"]), 1e-6);
     for (name, form) in [("chosen_unique", JointForm::ChosenUnique), ("matrix_all", JointForm::Matrix)] {
         let expected = &ppo.golden["variants"][name];

@@ -1,8 +1,7 @@
 //! Settings of the policy: what it sees, its network, and its action distribution.
 
+use proto::config_hash;
 use serde::{Deserialize, Serialize};
-
-use crate::features::FeatureSizes;
 
 /// Everything that decides what a set of parameters means; all services of a run share one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -249,17 +248,11 @@ impl PolicyConfig {
         Ok(())
     }
 
-    /// Lengths of the feature vectors.
-    pub fn sizes(&self) -> FeatureSizes {
-        FeatureSizes::new(&self.features)
-    }
-
     /// Hash of everything that gives parameters their meaning; goes into `Weights::network_hash`.
     ///
     /// The mask and the joint form are left out: the same parameters are valid with any of them.
     pub fn hash(&self) -> u64 {
-        // `Debug` prints every field with its shortest exact number, so equal text means equal settings.
-        fnv1a64(format!("{:?}|{:?}", self.network, self.features).as_bytes())
+        config_hash(&(&self.network, &self.features))
     }
 }
 
@@ -327,9 +320,4 @@ impl ScaleConfig {
         };
         (unbounded - self.floor).max(1e-6).exp_m1().ln()
     }
-}
-
-/// FNV-1a, 64 bits.
-fn fnv1a64(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
 }

@@ -9,13 +9,13 @@
 //!
 //! | index | meaning | frame, unit | flag |
 //! |---|---|---|---|
-//! | 0 | height of its centre above the ground | world z, m / 0.5 | base |
+//! | 0 | height of its center above the ground | world z, m / 0.5 | base |
 //! | 1, 2 | held by gripper 0, by gripper 1 in the last step | 0 or 1 | base |
 //! | 3–5 | the world's up axis | i, unit vector | `up_axis` |
 //! | 6 | belongs to the blueprint | 0 or 1 | `membership` |
 //! | 7–9 | half extents | i, m / 0.2 | `block_shape` |
 //! | 10–12 | the up axis of the structure on the side on which its plan builds it | i, unit vector | `plan` |
-//! | 13 | height of its centre above the ground in that structure | m / 0.5 | `plan` |
+//! | 13 | height of its center above the ground in that structure | m / 0.5 | `plan` |
 //! | 14 | its number in the order of the plan, the first being 1 | 1/16 | `plan` |
 //! | 15–17 | from its place to the beginning of its way in | i in its place, m / 0.5 | `plan` |
 //! | 18–20 | from its place to the middle of the structure | i in its place, m / 0.5 | `plan` |
@@ -36,7 +36,7 @@
 //! | 3–8 | rotation that would align them: D Cᵀ, C being j's current orientation relative to i | 6-D | base |
 //! | 9–11 | current minus wanted relative position of j | m / 0.5 | base |
 //! | 12–17 | current relative to wanted orientation: C Dᵀ | 6-D | base |
-//! | 18–20 | centre of j minus centre of i | m / 0.5 | base |
+//! | 18–20 | center of j minus center of i | m / 0.5 | base |
 //! | 21 | the two should be connected | 0 or 1 | base |
 //! | 22 | the two are connected (rightly or not) | 0 or 1 | base |
 //! | 23 | both belong to the blueprint | 0 or 1 | base |
@@ -65,7 +65,7 @@ use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS, UNIT_M};
 use nalgebra::{Matrix3, Vector3};
 use proto::{Gripper, N_GRIPPERS, Scene};
 
-use crate::config::FeatureConfig;
+use crate::config::{FeatureConfig, PolicyConfig};
 use crate::geometry::{Frame, rotation, rotation_vector};
 
 /// Number of directed edges between different blocks.
@@ -113,6 +113,13 @@ impl FeatureSizes {
             edge: BASE_EDGE + on(config.needed_moves, 12) + on(config.pieces, 1),
             global: usize::from(config.n_grippers) * GRIPPER_PART,
         }
+    }
+}
+
+impl PolicyConfig {
+    /// Lengths of the feature vectors.
+    pub fn sizes(&self) -> FeatureSizes {
+        FeatureSizes::new(&self.features)
     }
 }
 

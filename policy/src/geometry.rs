@@ -6,7 +6,7 @@ use proto::Pose;
 /// Position and rotation of a block with the rotation ready as a matrix.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
-    /// Centre, m.
+    /// Center, m.
     pub(crate) position: Vector3<f32>,
     /// Columns are the block's axes in the world.
     pub(crate) axes: Matrix3<f32>,
@@ -23,7 +23,7 @@ impl Frame {
     }
 }
 
-/// The rotation of a quaternion x, y, z, w, normalised first.
+/// The rotation of a quaternion x, y, z, w, normalized first.
 pub(crate) fn rotation([x, y, z, w]: [f32; 4]) -> Matrix3<f32> {
     *UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix().matrix()
 }

@@ -14,10 +14,10 @@ const MOVE: usize = 6;
 pub struct LabelTensors {
     /// One-hot of each gripper's block `[B, G, 16]`.
     pub choices: Tensor<3>,
-    /// Moves of the labelled blocks, zeros for the others `[B, 16, 6]`.
+    /// Moves of the labeled blocks, zeros for the others `[B, 16, 6]`.
     pub moves: Tensor<3>,
-    /// 1 for labelled blocks `[B, 16]`.
-    pub labelled: Tensor<2>,
+    /// 1 for labeled blocks `[B, 16]`.
+    pub labeled: Tensor<2>,
 }
 
 /// Loss by part, one value per scene.
@@ -25,7 +25,7 @@ pub struct LabelTensors {
 pub struct ImitationTensors {
     /// Σ over grippers of the cross-entropy of the block choice, nats, `[B]`.
     pub blocks: Tensor<1>,
-    /// Σ over labelled blocks of the mean smooth L1 distance between mean move and label, `[B]`. A block that both grippers
+    /// Σ over labeled blocks of the mean smooth L1 distance between mean move and label, `[B]`. A block that both grippers
     /// hold counts once, as it moves once.
     pub moves: Tensor<1>,
 }
@@ -36,20 +36,20 @@ impl LabelTensors {
         let b = labels.len();
         let mut choices = vec![0.0_f32; b * n_grippers * N_BLOCKS];
         let mut moves = vec![0.0_f32; b * N_BLOCKS * MOVE];
-        let mut labelled = vec![0.0_f32; b * N_BLOCKS];
+        let mut labeled = vec![0.0_f32; b * N_BLOCKS];
         for (row, label) in labels.iter().enumerate() {
             for (gripper, (choice, entries)) in label.choices.iter().zip(&label.moves).take(n_grippers).enumerate() {
                 let Some(block) = choice else { continue };
                 choices[(row * n_grippers + gripper) * N_BLOCKS + block.get()] = 1.0;
                 let at = row * N_BLOCKS + block.get();
-                labelled[at] = 1.0;
+                labeled[at] = 1.0;
                 moves[at * MOVE..(at + 1) * MOVE].copy_from_slice(entries);
             }
         }
         Self {
             choices: Tensor::from_data(TensorData::new(choices, [b, n_grippers, N_BLOCKS]), device),
             moves: Tensor::from_data(TensorData::new(moves, [b, N_BLOCKS, MOVE]), device),
-            labelled: Tensor::from_data(TensorData::new(labelled, [b, N_BLOCKS]), device),
+            labeled: Tensor::from_data(TensorData::new(labeled, [b, N_BLOCKS]), device),
         }
     }
 }
@@ -62,7 +62,7 @@ pub fn imitation(output: &NetworkOutput, labels: &LabelTensors, delta: f32) -> I
     // With c = min(|e|, δ): c²/(2δ) + |e| − c is e²/(2δ) inside and |e| − δ/2 outside, without a branch.
     let inside = error.clone().clamp_max(delta);
     let smooth = inside.clone().powi_scalar(2).div_scalar(2.0 * delta) + error - inside;
-    let by_block = smooth.mean_dim(2).squeeze_dim::<2>(2) * labels.labelled.clone();
+    let by_block = smooth.mean_dim(2).squeeze_dim::<2>(2) * labels.labeled.clone();
     ImitationTensors { blocks, moves: by_block.sum_dim(1).squeeze_dim(1) }
 }
 

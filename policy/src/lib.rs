@@ -15,7 +15,7 @@ mod geometry;
 pub mod imitation;
 pub mod loss_terms;
 pub mod network;
-pub mod normalisation;
+pub mod normalization;
 pub mod parameters;
 pub mod policy;
 
@@ -27,4 +27,4 @@ pub use config::{
 pub use device::{DeviceError, DeviceKind};
 pub use features::FeatureSizes;
 pub use network::{BatchTensors, Network, NetworkOutput};
-pub use policy::{ActionMode, Attention, Decision, Policy, PolicyError};
+pub use policy::{Attention, Decision, Policy, PolicyError};

@@ -21,18 +21,18 @@ pub struct ParameterSpec {
     /// `[in, out]` for kernels, `[out]` for the others.
     pub shape: Vec<usize>,
     /// How it begins.
-    pub initialiser: Initialiser,
+    pub initializer: Initializer,
 }
 
 /// Initial values of one parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Initialiser {
+pub enum Initializer {
     /// All the same.
     Constant(f32),
     /// Haiku's default for kernels: normal with σ = 1/√fan_in truncated at 2σ. Its variance is *not* corrected for the
     /// truncation, so the values' standard deviation is 0.88 σ.
     HaikuLinear,
-    /// Haiku's `VarianceScaling(scale)`: as [`Initialiser::HaikuLinear`] with σ = √(scale / fan_in), corrected for the truncation.
+    /// Haiku's `VarianceScaling(scale)`: as [`Initializer::HaikuLinear`] with σ = √(scale / fan_in), corrected for the truncation.
     FanIn(f32),
     /// Haiku's `VarianceScaling(scale, fan_out, uniform)`: uniform in ±√(3 · scale / fan_out).
     UniformFanOut(f32),
@@ -108,11 +108,11 @@ pub fn initial_values(table: &[ParameterSpec], seed: u64) -> Vec<f32> {
         let fan_in = spec.shape.first().copied().unwrap_or(1).max(1) as f32;
         let fan_out = spec.shape.last().copied().unwrap_or(1).max(1) as f32;
         for _ in 0..spec.len() {
-            values.push(match spec.initialiser {
-                Initialiser::Constant(x) => x,
-                Initialiser::HaikuLinear => truncated_normal(&mut rng) / fan_in.sqrt(),
-                Initialiser::FanIn(scale) => truncated_normal(&mut rng) * (scale / fan_in).sqrt() / TRUNCATED_STD,
-                Initialiser::UniformFanOut(scale) => {
+            values.push(match spec.initializer {
+                Initializer::Constant(x) => x,
+                Initializer::HaikuLinear => truncated_normal(&mut rng) / fan_in.sqrt(),
+                Initializer::FanIn(scale) => truncated_normal(&mut rng) * (scale / fan_in).sqrt() / TRUNCATED_STD,
+                Initializer::UniformFanOut(scale) => {
                     let limit = (3.0 * scale / fan_out).sqrt();
                     rng.random_range(-limit..limit)
                 }

@@ -4,26 +4,17 @@ mod attention;
 mod trial;
 
 use burn::tensor::{Device, Tensor};
-use proto::{Action, Normalisation, Weights, WeightsVersion};
+use proto::{Action, ActionMode, Normalization, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
 use crate::FeatureBatch;
 use crate::config::{BlockMask, PolicyConfig, PolicyConfigError};
 use crate::distribution::{ActionDistribution, mask_logits};
 use crate::network::{BatchTensors, Folded, Network};
-use crate::normalisation::normalise;
+use crate::normalization::normalize;
 use crate::parameters::{self, ParameterError};
 
 pub use attention::Attention;
-
-/// How actions are taken from the distribution.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ActionMode {
-    /// Drawn at random.
-    Sampled,
-    /// The likeliest block and the mean moves.
-    Mode,
-}
 
 /// An action and what the policy thought of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,8 +52,8 @@ pub enum PolicyError {
         source: ParameterError,
     },
     /// The statistics do not fit.
-    #[error("weights {version:?} have normalisation {field} of length {given}, must be 0 or {expected}")]
-    NormalisationLength {
+    #[error("weights {version:?} have normalization {field} of length {given}, must be 0 or {expected}")]
+    NormalizationLength {
         /// Version of the weights.
         version: WeightsVersion,
         /// Which statistics.
@@ -74,7 +65,7 @@ pub enum PolicyError {
     },
     /// A statistic is not finite, or a standard deviation not above 0.
     #[error("weights {version:?} have {field} = {value}, must be finite and, for a standard deviation, above 0")]
-    NormalisationValue {
+    NormalizationValue {
         /// Version of the weights.
         version: WeightsVersion,
         /// Which statistic.
@@ -102,8 +93,8 @@ impl PolicyError {
         match self {
             Self::Config(_) | Self::OtherNetwork { .. } => false,
             Self::Parameters { .. }
-            | Self::NormalisationLength { .. }
-            | Self::NormalisationValue { .. }
+            | Self::NormalizationLength { .. }
+            | Self::NormalizationValue { .. }
             | Self::NoDistribution { .. } => true,
         }
     }
@@ -119,7 +110,7 @@ pub struct Policy {
     config: PolicyConfig,
     network: Network,
     folded: Folded,
-    normalisation: Normalisation,
+    normalization: Normalization,
     version: Option<WeightsVersion>,
     device: Device,
 }
@@ -134,8 +125,8 @@ impl Policy {
         let device = Device::flex();
         let network = Network::init(&config.network, &config.sizes(), 0, &device);
         let folded = network.fold();
-        let normalisation = Normalisation { value_std: 1.0, ..Normalisation::default() };
-        Ok(Self { config: config.clone(), network, folded, normalisation, version: None, device })
+        let normalization = Normalization { value_std: 1.0, ..Normalization::default() };
+        Ok(Self { config: config.clone(), network, folded, normalization, version: None, device })
     }
 
     /// Version of the loaded weights; `None` before the first.
@@ -163,14 +154,14 @@ impl Policy {
         if weights.network_hash != expected {
             return Err(PolicyError::OtherNetwork { version, given: weights.network_hash, expected });
         }
-        self.check_normalisation(weights)?;
+        self.check_normalization(weights)?;
         let network = parameters::load(self.network.clone(), &weights.parameters)
             .map_err(|source| PolicyError::Parameters { version, source })?;
         let tried = Self {
             config: self.config.clone(),
             folded: network.fold(),
             network,
-            normalisation: weights.normalisation.clone(),
+            normalization: weights.normalization.clone(),
             version: Some(version),
             device: self.device.clone(),
         };
@@ -181,7 +172,7 @@ impl Policy {
 
     /// Decides for every scene of the batch, in its order.
     ///
-    /// `rngs` holds one generator per scene; they are not touched in [`ActionMode::Mode`].
+    /// `rngs` holds one generator per scene; they are not touched in [`ActionMode::Greedy`].
     ///
     /// # Errors
     /// [`PolicyError::NoDistribution`] if there is none for one of the scenes; nothing is decided then.
@@ -224,7 +215,7 @@ impl Policy {
             let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
             let action = match mode {
                 ActionMode::Sampled => distribution.sample(rng).ok_or(self.no_distribution("a logit", f32::NAN))?,
-                ActionMode::Mode => distribution.mode(),
+                ActionMode::Greedy => distribution.mode(),
             };
             let log_prob = distribution.log_prob(&action);
             self.check("a log-probability", &[log_prob])?;
@@ -246,7 +237,7 @@ impl Policy {
             return Ok(RawOutput::default());
         }
         let output = self.network.forward_folded(&self.folded, &self.tensors(batch));
-        let Normalisation { value_mean, value_std, .. } = self.normalisation;
+        let Normalization { value_mean, value_std, .. } = self.normalization;
         let output = RawOutput {
             locs: to_vec(output.locs),
             scales: to_vec(output.scales),
@@ -274,28 +265,28 @@ impl Policy {
         PolicyError::NoDistribution { version: self.version, output, value }
     }
 
-    /// The normalised features on the device.
+    /// The normalized features on the device.
     fn tensors(&self, batch: &FeatureBatch) -> BatchTensors {
         let mut batch = batch.clone();
-        normalise(&mut batch, &self.normalisation);
+        normalize(&mut batch, &self.normalization);
         BatchTensors::new(&batch, self.network.edge_layout(), &self.device)
     }
 
-    fn check_normalisation(&self, weights: &Weights) -> Result<(), PolicyError> {
+    fn check_normalization(&self, weights: &Weights) -> Result<(), PolicyError> {
         let version = weights.version;
         let sizes = self.config.sizes();
-        let n = &weights.normalisation;
+        let n = &weights.normalization;
         for (k, expected) in [sizes.node, sizes.edge, sizes.global].into_iter().enumerate() {
             for (field, values, given) in [
                 ("feature_mean", &n.feature_mean[k], n.feature_mean[k].len()),
                 ("feature_std", &n.feature_std[k], n.feature_std[k].len()),
             ] {
                 if given != expected && (given != 0 || n.feature_mean[k].len() != n.feature_std[k].len()) {
-                    return Err(PolicyError::NormalisationLength { version, field, given, expected });
+                    return Err(PolicyError::NormalizationLength { version, field, given, expected });
                 }
                 let valid = |x: &f32| x.is_finite() && (field == "feature_mean" || *x > 0.0);
                 if let Some(value) = values.iter().copied().find(|x| !valid(x)) {
-                    return Err(PolicyError::NormalisationValue { version, field, value });
+                    return Err(PolicyError::NormalizationValue { version, field, value });
                 }
             }
         }
@@ -304,7 +295,7 @@ impl Policy {
             ("value_std", n.value_std, n.value_std.is_finite() && n.value_std > 0.0),
         ] {
             if !valid {
-                return Err(PolicyError::NormalisationValue { version, field, value });
+                return Err(PolicyError::NormalizationValue { version, field, value });
             }
         }
         Ok(())

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS, RelativePlacement};
+use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS, RelativePlacement};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use policy::{FeatureBatch, FeatureConfig, FeatureSizes};
 use proptest::prelude::*;
@@ -11,9 +11,9 @@ use proto::{Gripper, Joint, Pose, Scene};
 const IDENTITY: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
 fn blueprint(k: usize) -> &'static Blueprint {
-    let catalogue = Catalogue::builtin();
-    let n = catalogue.iter().count();
-    catalogue.iter().nth(k % n).unwrap()
+    let catalog = Catalog::builtin();
+    let n = catalog.iter().count();
+    catalog.iter().nth(k % n).unwrap()
 }
 
 fn pose(position: Vector3<f32>, orientation: UnitQuaternion<f32>) -> Pose {
@@ -109,7 +109,7 @@ fn a_finished_link_needs_no_move() {
 #[test]
 fn a_structure_that_stands_as_planned_looks_like_the_plan() {
     let config = FeatureConfig { plan: true, ..FeatureConfig::default() };
-    for blueprint in Catalogue::builtin().iter().step_by(7) {
+    for blueprint in Catalog::builtin().iter().step_by(7) {
         let plan = blueprint.plan().unwrap();
         let mut scene = row_scene();
         // The shortest turn that brings the plan's up to the world's, and the ground to z = 0.

@@ -4,15 +4,15 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::{BlockIdx, Blueprint, Catalogue, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use burn::tensor::Device;
-use policy::normalisation::FeatureMoments;
-use policy::parameters::{self, Initialiser};
+use policy::normalization::FeatureMoments;
+use policy::parameters::{self, Initializer};
 use policy::{
-    ActionMode, BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig,
-    ResnetConfig, ScaleConfig,
+    BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig, ResnetConfig,
+    ScaleConfig,
 };
-use proto::{Gripper, Joint, Normalisation, Pose, Scene, Weights, WeightsVersion};
+use proto::{ActionMode, Gripper, Joint, Normalization, Pose, Scene, Weights, WeightsVersion};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -37,13 +37,13 @@ fn weights(config: &PolicyConfig, seed: u64) -> Weights {
         n_env_steps: 0,
         network_hash: config.hash(),
         parameters: parameters::flatten(&network),
-        normalisation: Normalisation { value_std: 1.0, ..Normalisation::default() },
+        normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: BTreeMap::new(),
     }
 }
 
 fn blueprint() -> &'static Blueprint {
-    Catalogue::builtin().iter().next().unwrap()
+    Catalog::builtin().iter().next().unwrap()
 }
 
 fn scene(seed: u64) -> Scene {
@@ -84,12 +84,12 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
         // Finite, but their sums are not, or not near anything that a network says.
         (|w| w.parameters.fill(1e30), "must be a number in −1e6..=1e6"),
         (|w| w.parameters.fill(1e6), "must be a number in −1e6..=1e6"),
-        (|w| w.normalisation.value_std = 1e38, "give a value = "),
+        (|w| w.normalization.value_std = 1e38, "give a value = "),
         (|w| w.parameters.truncate(3), "do not fit"),
         (|w| w.parameters[5] = f32::NAN, "do not fit"),
-        (|w| w.normalisation.feature_mean[0] = vec![0.0; 3], "of length 3, must be 0 or 10"),
-        (|w| w.normalisation.value_std = 0.0, "value_std = 0"),
-        (|w| w.normalisation.value_mean = f32::INFINITY, "value_mean = inf"),
+        (|w| w.normalization.feature_mean[0] = vec![0.0; 3], "of length 3, must be 0 or 10"),
+        (|w| w.normalization.value_std = 0.0, "value_std = 0"),
+        (|w| w.normalization.value_mean = f32::INFINITY, "value_mean = inf"),
     ];
     for (spoil, message) in cases {
         let mut spoilt = weights(&config, 2);
@@ -144,7 +144,7 @@ fn a_decision_depends_on_its_own_scene_and_generator_alone() {
         assert!((alone.value - decision.value).abs() < 1e-5);
     }
     let mut generators = rngs(&seeds);
-    policy.act(&batch(&config, &seeds), &mut generators, ActionMode::Mode).unwrap();
+    policy.act(&batch(&config, &seeds), &mut generators, ActionMode::Greedy).unwrap();
     assert_eq!(generators, rngs(&seeds), "the mode draws nothing");
     assert!(policy.act(&policy.batch(), &mut [], ActionMode::Sampled).unwrap().is_empty());
 }
@@ -182,7 +182,7 @@ fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
     policy.load(&weights(&config, 5)).unwrap();
     let batch = batch(&config, &[7, 8]);
     let attention = policy.attention(&batch);
-    let decisions = policy.act(&batch, &mut rngs(&[7, 8]), ActionMode::Mode).unwrap();
+    let decisions = policy.act(&batch, &mut rngs(&[7, 8]), ActionMode::Greedy).unwrap();
     assert_eq!(attention.len(), 2);
     for (seen, decision) in attention.iter().zip(decisions) {
         assert_eq!((seen.n_layers(), seen.n_heads(), seen.n_grippers()), (1, 2, 2));
@@ -208,31 +208,31 @@ fn values_come_back_in_reward_units() {
     let mut scaled = weights(&config, 1);
     policy.load(&scaled).unwrap();
     let raw = policy.values(&batch(&config, &[1])).unwrap()[0];
-    scaled.normalisation.value_mean = -2.0;
-    scaled.normalisation.value_std = 3.0;
+    scaled.normalization.value_mean = -2.0;
+    scaled.normalization.value_std = 3.0;
     policy.load(&scaled).unwrap();
     assert!((policy.values(&batch(&config, &[1])).unwrap()[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
 }
 
 #[test]
-fn statistics_leave_bits_alone_and_centre_the_rest() {
+fn statistics_leave_bits_alone_and_center_the_rest() {
     let config = small();
     let data = batch(&config, &(0..50).collect::<Vec<_>>());
     let mut moments = FeatureMoments::default();
     moments.push(&data);
-    let mut statistics = Normalisation { value_std: 1.0, ..Normalisation::default() };
+    let mut statistics = Normalization { value_std: 1.0, ..Normalization::default() };
     moments.freeze_into(&mut statistics);
     // Globals 9..25 are a one-hot, edge 23 is a bit; edge 18 is an offset.
     assert_eq!((statistics.feature_mean[2][12], statistics.feature_std[2][12]), (0.0, 1.0));
     assert_eq!((statistics.feature_mean[1][23], statistics.feature_std[1][23]), (0.0, 1.0));
-    let mut normalised = data.clone();
-    policy::normalisation::normalise(&mut normalised, &statistics);
-    let offsets: Vec<f32> = normalised.edges.chunks(data.sizes.edge).map(|edge| edge[18]).collect();
+    let mut normalized = data.clone();
+    policy::normalization::normalize(&mut normalized, &statistics);
+    let offsets: Vec<f32> = normalized.edges.chunks(data.sizes.edge).map(|edge| edge[18]).collect();
     let mean = offsets.iter().sum::<f32>() / offsets.len() as f32;
     let variance = offsets.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / offsets.len() as f32;
     assert!(mean.abs() < 1e-3 && (variance - 1.0).abs() < 1e-2, "{mean} {variance}");
     let mut scaled = weights(&config, 1);
-    scaled.normalisation = statistics;
+    scaled.normalization = statistics;
     Policy::new(&config).unwrap().load(&scaled).unwrap();
 }
 
@@ -257,14 +257,14 @@ fn initial_values_follow_haiku() {
             at += spec.len();
             let (fan_in, fan_out) = (spec.shape[0] as f32, spec.shape[spec.shape.len() - 1] as f32);
             // A unit normal truncated at 2 has the standard deviation 0.8796.
-            let (std, limit) = match spec.initialiser {
-                Initialiser::Constant(x) => {
+            let (std, limit) = match spec.initializer {
+                Initializer::Constant(x) => {
                     assert!(part.iter().all(|y| *y == x), "{}", spec.name);
                     continue;
                 }
-                Initialiser::HaikuLinear => (0.8796 / fan_in.sqrt(), 2.0 / fan_in.sqrt()),
-                Initialiser::FanIn(s) => ((s / fan_in).sqrt(), (s / fan_in).sqrt() * 2.0 / 0.8796),
-                Initialiser::UniformFanOut(s) => ((s / fan_out).sqrt(), (3.0 * s / fan_out).sqrt()),
+                Initializer::HaikuLinear => (0.8796 / fan_in.sqrt(), 2.0 / fan_in.sqrt()),
+                Initializer::FanIn(s) => ((s / fan_in).sqrt(), (s / fan_in).sqrt() * 2.0 / 0.8796),
+                Initializer::UniformFanOut(s) => ((s / fan_out).sqrt(), (3.0 * s / fan_out).sqrt()),
             };
             let n = part.len() as f32;
             let ours = (part.iter().map(|x| x * x).sum::<f32>() / n).sqrt();

@@ -23,7 +23,7 @@ pub fn ingest(actor: &ActorId) -> String {
 pub const INGEST_ALL: &str = "ingest/*";
 
 /// The prefix of an ingest key.
-pub(crate) const INGEST_PREFIX: &str = "ingest/";
+pub const INGEST_PREFIX: &str = "ingest/";
 
 /// Where the actor's trajectories are put while somebody watches.
 pub fn trajectories(actor: &ActorId) -> String {
@@ -47,9 +47,9 @@ pub fn weights_version(session: &str) -> String {
     format!("weights/version/{session}")
 }
 
-/// Where an assistant of evaluators takes units of work.
-pub fn assist(assistant: &str) -> String {
-    format!("assist/{assistant}")
+/// Where a remote worker of evaluators takes units of work.
+pub fn worker(worker: &str) -> String {
+    format!("worker/{worker}")
 }
 
 /// The evaluator's queryable with all passes.
@@ -86,7 +86,7 @@ pub enum Role {
     /// Judges.
     Evaluator,
     /// Runs episodes for evaluators.
-    Assistant,
+    Worker,
 }
 
 impl Role {
@@ -96,7 +96,7 @@ impl Role {
             Self::Actor => "actor",
             Self::Learner => "learner",
             Self::Evaluator => "evaluator",
-            Self::Assistant => "assistant",
+            Self::Worker => "worker",
         }
     }
 }

@@ -1,20 +1,19 @@
-//! All that two processes must agree on: the plain validated types, their wire form, the key expressions and the bus.
+//! All that two processes must agree on: plain validated types, their wire form and the key expressions. No I/O.
 //!
 //! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`], [`mod@unit`] of shared evaluations →
-//! [`codec`] → [`keys`] → [`bus`]; [`tensorboard`] writes the reports for others.
+//! [`codec`] → [`keys`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 #[cfg(test)]
 extern crate self as proto; // The samples of the integration tests serve the unit tests too.
 
-pub mod bus;
 pub mod codec;
+mod config_hash;
 pub mod keys;
 pub mod metrics;
 pub mod scene;
 pub mod step;
-pub mod tensorboard;
 pub mod trajectory;
 pub mod unit;
 pub mod weights;
@@ -22,8 +21,9 @@ pub mod wilson;
 mod wire;
 
 pub use codec::{Ack, DecodeError, Refusal};
+pub use config_hash::config_hash;
 pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};
-pub use step::{Action, Move, RewardTerms, Status};
+pub use step::{Action, ActionMode, InvalidActionMode, Move, RewardTerms, Status};
 pub use trajectory::{ActorId, Driver, InvalidActorId, Label, Outcome, Start, Task, Trajectory, Transition};
-pub use weights::{Normalisation, Weights, WeightsVersion};
+pub use weights::{Normalization, Weights, WeightsVersion};

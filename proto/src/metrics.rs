@@ -7,7 +7,6 @@ use std::collections::BTreeMap;
 use blueprints::{BlueprintId, Split};
 use serde::{Deserialize, Serialize};
 
-use crate::bus::{BusCounts, IngestCounts};
 use crate::wilson::SuccessRate;
 use crate::{ActorId, RewardTerms, WeightsVersion};
 
@@ -65,11 +64,11 @@ pub struct LearnerMetrics {
 /// Means over the minibatches of one PPO update, by their usual names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PpoMetrics {
-    /// Weighted sum of the losses that was minimised.
+    /// Weighted sum of the losses that was minimized.
     pub total_loss: f64,
     /// Clipped surrogate loss.
     pub policy_loss: f64,
-    /// Value loss, on normalised values.
+    /// Value loss, on normalized values.
     pub value_loss: f64,
     /// Entropy of the action distribution, nats.
     pub entropy: f64,
@@ -114,13 +113,13 @@ pub struct ImitationMetrics {
     pub weight: f64,
     /// Σ over grippers of the cross-entropy of the block choice, nats.
     pub block_loss: f64,
-    /// Σ over labelled blocks of the mean smooth L1 distance of the move, fractions of the speed limits.
+    /// Σ over labeled blocks of the mean smooth L1 distance of the move, fractions of the speed limits.
     pub move_loss: f64,
     /// Fraction of the scenes in which the likeliest block is the expert's for all grippers, 0 to 1.
     pub block_accuracy: f64,
     /// Gradient steps with labels.
     pub n_gradient_steps: u64,
-    /// Labelled scenes that are kept.
+    /// Labeled scenes that are kept.
     pub n_replay: u64,
 }
 
@@ -205,7 +204,7 @@ pub struct EvalBlueprint {
     pub n_env_steps: u64,
     /// The goal.
     pub blueprint: BlueprintId,
-    /// Its part of the catalogue.
+    /// Its part of the catalog.
     pub split: Split,
     /// Its number of blocks.
     pub n_blocks: u64,
@@ -326,4 +325,64 @@ pub struct EvalRuns {
     pub run_rate_std: f64,
     /// Times that a world diverged and had to be reset after all.
     pub n_forced_resets: u64,
+}
+
+/// What one pass over frozen weights found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EvalReport {
+    /// All blueprints, groups and reset-free runs.
+    pub summary: EvalSummary,
+    /// Each blueprint, ordered by split, size and id.
+    pub blueprints: Vec<EvalBlueprint>,
+}
+
+/// What a session dropped so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BusCounts {
+    /// Notices of weights that could not be read.
+    pub notices_invalid_total: u64,
+    /// Weights that could not be read or broke a rule.
+    pub weights_invalid_total: u64,
+    /// Weights that could be read but not acted by, because they give no distribution over actions or do not fit the network.
+    #[serde(default)]
+    pub weights_refused_total: u64,
+    /// Pulls of weights that failed and were tried again.
+    pub pulls_failed_total: u64,
+    /// Queries for weights or metrics that carried a payload.
+    pub queries_invalid_total: u64,
+    /// Queries for weights or metrics that found too many others waiting.
+    pub queries_dropped_total: u64,
+    /// Metrics that were not JSON.
+    pub metrics_invalid_total: u64,
+    /// Metrics that a slow reader left no room for.
+    pub metrics_dropped_total: u64,
+    /// Trajectories that a viewer could not read.
+    pub viewed_invalid_total: u64,
+    /// Trajectories that a viewer was too slow for.
+    pub viewed_dropped_total: u64,
+    /// Copies for viewers that could not be put.
+    pub views_failed_total: u64,
+    /// Liveliness keys without a valid name, or of more names than are followed.
+    pub tokens_invalid_total: u64,
+}
+
+/// What became of the trajectories that reached a learner: every one is counted in `received_total` and in exactly
+/// one of the others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IngestCounts {
+    /// All that arrived, of whatever quality.
+    pub received_total: u64,
+    /// Taken by the handler.
+    pub accepted_total: u64,
+    /// Retries of one that was taken before; acknowledged again, not handled again.
+    pub duplicates_total: u64,
+    /// Refused because of old weights.
+    pub stale_total: u64,
+    /// Refused because the mailbox, or the queue before it, was full.
+    pub full_total: u64,
+    /// Refused because a rule was broken.
+    pub invalid_total: u64,
+    /// Refused because another live actor has the sender's name.
+    #[serde(default)]
+    pub name_taken_total: u64,
 }

@@ -8,7 +8,7 @@ pub const N_GRIPPERS: usize = 2;
 /// Position and orientation in the world frame, z up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// Centre in metres.
+    /// Center in meters.
     pub position: [f32; 3],
     /// Unit quaternion, order x, y, z, w.
     pub orientation: [f32; 4],

@@ -34,6 +34,41 @@ pub struct RewardTerms {
     pub force: f32,
 }
 
+/// How actions are taken from the policy's distribution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ActionMode {
+    /// The likeliest block and the mean move: what the policy can do.
+    #[serde(rename = "mode", alias = "greedy")]
+    Greedy,
+    /// A sample, as in training: its noise alone can undo a snap, so this understates a policy.
+    Sampled,
+}
+
+/// The error of a text that is no way of acting.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not a way of acting: mode or sampled")]
+pub struct InvalidActionMode(pub String);
+
+impl ActionMode {
+    /// The name as it stands in reports: `mode` or `sampled`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Greedy => "mode",
+            Self::Sampled => "sampled",
+        }
+    }
+}
+
+impl std::str::FromStr for ActionMode {
+    type Err = InvalidActionMode;
+
+    fn from_str(text: &str) -> Result<Self, InvalidActionMode> {
+        let all = [Self::Greedy, Self::Sampled];
+        all.into_iter().find(|acting| acting.name() == text).ok_or_else(|| InvalidActionMode(text.to_owned()))
+    }
+}
+
 /// How an episode stands after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -46,6 +81,20 @@ pub enum Status {
     TimeLimit,
     /// The physics left the rails; the episode is discarded and counted.
     Diverged,
+}
+
+impl std::ops::Add for RewardTerms {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            connected: self.connected + other.connected,
+            wrong: self.wrong + other.wrong,
+            magnets: self.magnets + other.magnets,
+            blocks: self.blocks + other.blocks,
+            force: self.force + other.force,
+        }
+    }
 }
 
 impl RewardTerms {

@@ -3,12 +3,22 @@
 use std::fmt;
 use std::str::FromStr;
 
+use blueprints::hash::fnv1a;
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use serde::{Deserialize, Serialize};
 
 use crate::{Action, Move, N_GRIPPERS, RewardTerms, Scene, Status, WeightsVersion};
 
 /// Name of an actor: 1 to 64 characters of `a-z`, `0-9`, `-`.
+///
+/// # Example
+/// ```
+/// use proto::ActorId;
+///
+/// assert_eq!("actor-1".parse::<ActorId>()?.as_str(), "actor-1");
+/// assert!("Actor 1".parse::<ActorId>().is_err());
+/// # Ok::<(), proto::trajectory::InvalidActorId>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct ActorId(String);
@@ -35,7 +45,7 @@ pub enum Start {
 pub struct Task {
     /// The goal.
     pub blueprint: BlueprintId,
-    /// `assignment[i]` is the block that plays the catalogue's block `i`; it permutes blocks of one type only.
+    /// `assignment[i]` is the block that plays the catalog's block `i`; it permutes blocks of one type only.
     pub assignment: [BlockIdx; N_BLOCKS],
     /// How the episode begins.
     pub start: Start,
@@ -140,9 +150,8 @@ impl Trajectory {
     pub fn fingerprint(&self) -> u64 {
         let text = self.actor.as_str().bytes();
         let bytes = text.chain(self.epoch.to_le_bytes()).chain(self.seq.to_le_bytes());
-        // FNV-1a, which is the same in every process and version, and a last mix, since sums of it alone are too regular.
-        let hash =
-            bytes.fold(0xcbf2_9ce4_8422_2325_u64, |h, byte| (h ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+        // A last mix, since sums of the hash alone are too regular.
+        let hash = fnv1a(bytes);
         (hash ^ (hash >> 32)).wrapping_mul(0x9e37_79b9_7f4a_7c15)
     }
 }

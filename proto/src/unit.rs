@@ -2,8 +2,8 @@
 
 use crate::{RewardTerms, Task, Weights};
 
-/// Most lanes of a unit, and most tasks of a lane.
-pub const MAX_UNIT_LANES: usize = 1000;
+/// Most sequences of a unit, and most tasks of a sequence.
+pub const MAX_UNIT_SEQUENCES: usize = 1000;
 
 /// Episodes to be run with frozen weights.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,12 +12,12 @@ pub struct EvalUnit {
     pub setup_hash: u64,
     /// The pass, whose weights are frozen.
     pub pass: PassId,
-    /// The weights, for an assistant that does not have them.
+    /// The weights, for a remote worker that does not have them.
     pub weights: Option<Weights>,
     /// Whether actions are sampled; otherwise the most probable ones are taken.
     pub is_sampled: bool,
-    /// 1 to [`MAX_UNIT_LANES`] sequences of as many tasks; the tasks of a lane are run one after the other in one world.
-    pub lanes: Vec<Vec<Task>>,
+    /// 1 to [`MAX_UNIT_SEQUENCES`] sequences of as many tasks; the tasks of a sequence are run one after the other in one world.
+    pub sequences: Vec<Vec<Task>>,
 }
 
 /// Names a pass over frozen weights.
@@ -29,10 +29,10 @@ pub struct PassId {
     pub number: u64,
 }
 
-/// What an assistant says to a unit.
+/// What a remote worker says to a unit.
 #[derive(Clone, Debug, PartialEq)]
 pub enum EvalAnswer {
-    /// The episodes, in the shape of the unit's lanes.
+    /// The episodes, in the shape of the unit's sequences.
     Episodes(Vec<Vec<EvalEpisode>>),
     /// It does not have the weights of the pass.
     NeedsWeights,
@@ -40,7 +40,7 @@ pub enum EvalAnswer {
     Refused(String),
 }
 
-/// An episode that an assistant has run.
+/// An episode that a remote worker has run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EvalEpisode {
     /// How it ended.

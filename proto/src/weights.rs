@@ -11,7 +11,7 @@ pub struct WeightsVersion(pub u64);
 
 /// Running statistics that are frozen with a weights version.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Normalisation {
+pub struct Normalization {
     /// Mean of each node, edge and global feature, in the order of the feature vectors; empty means none.
     pub feature_mean: [Vec<f32>; 3],
     /// Standard deviation of each, at least a small floor; same lengths.
@@ -34,12 +34,12 @@ pub struct Weights {
     /// All parameters as one flat vector, in the order of `policy`'s parameter table.
     pub parameters: Vec<f32>,
     /// Statistics of features and returns.
-    pub normalisation: Normalisation,
+    pub normalization: Normalization,
     /// Probability of each training blueprint; sums to 1.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
 }
 
-impl Default for Normalisation {
+impl Default for Normalization {
     /// No feature statistics, and values as they are.
     fn default() -> Self {
         Self { feature_mean: Default::default(), feature_std: Default::default(), value_mean: 0.0, value_std: 1.0 }

@@ -1,4 +1,4 @@
-"""What every pod must be: probed, bounded, unprivileged, and silent towards the API server."""
+"""What every pod must be: probed, bounded, unprivileged, and silent toward the API server."""
 
 from collections.abc import Iterator
 from decimal import Decimal

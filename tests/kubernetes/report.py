@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 
 class Report:
-    """Prints each judgement as it is made and counts them."""
+    """Prints each judgment as it is made and counts them."""
 
     def __init__(self) -> None:
         self.n_passed = 0

@@ -141,8 +141,8 @@ def pods_of(objects: list[Object], kubectl: str, binary: Path, scratch: Path) ->
         found = settings.variables(objects, workload, container)
         words = [here(text) for text in settings.arguments(container, found)]
         found = {name: here(value) for name, value in found.items()}
-        if "LODESTONE_EVALUATOR__WEB__TOKEN" in found:
-            found["LODESTONE_EVALUATOR__WEB__TOKEN"] = keys.files(secrets["evaluator-page"])["token"].decode()
+        if "LODESTONE_DASHBOARD__WEB__TOKEN" in found:
+            found["LODESTONE_DASHBOARD__WEB__TOKEN"] = keys.files(secrets["evaluator-page"])["token"].decode()
         made[workload.role] = Pod(binary, workload, container, folder, found, words)
     return made
 
@@ -197,7 +197,7 @@ def page_complaints(pod: Pod) -> Iterator[str]:
     if address is None:
         yield f"the evaluator does not say where its page is: {pod.log[-600:]!r}"
         return
-    token = pod.found["LODESTONE_EVALUATOR__WEB__TOKEN"]
+    token = pod.found["LODESTONE_DASHBOARD__WEB__TOKEN"]
     for path, headers, wanted in (
         ("/healthz", {}, 200),
         ("/metrics", {}, 401),

@@ -1,7 +1,7 @@
 //! The ring in one thread, without the bus: worlds, rollouts, updates, evaluation.
 
 use actor::{Lockstep, TaskFilter};
-use blueprints::Catalogue;
+use blueprints::Catalog;
 use deploy::config::{Config, PRESETS};
 use evaluator::{EvalSetup, evaluate};
 use learner::config::{RateLine, RateRule, Schedule};
@@ -27,9 +27,9 @@ impl Ring {
         LearnerSetup {
             config: config.learner.clone(),
             policy: config.policy.clone(),
-            catalogue: Catalogue::builtin().clone().into(),
-            tasks: config.actor.tasks.filter.select(Catalogue::builtin()).unwrap(),
-            generated: config.actor.tasks.draws(Catalogue::builtin()).unwrap(),
+            catalog: Catalog::builtin().clone().into(),
+            tasks: config.actor.tasks.filter.select(Catalog::builtin()).unwrap(),
+            generated: config.actor.tasks.draws(Catalog::builtin()).unwrap(),
             seed: config.seed,
             device: config.device,
         }
@@ -55,14 +55,14 @@ impl Ring {
     /// Of mode actions, as the preset's evaluator judges.
     fn success_rate(&self) -> f64 {
         let setup = EvalSetup {
-            catalogue: Catalogue::builtin(),
+            catalog: Catalog::builtin(),
             policy: self.config.policy.clone(),
             environment: self.config.environment.clone(),
             episodes: self.config.evaluator.episodes.clone(),
             reset_free: None,
             seed: self.config.seed,
         };
-        let blueprints = self.config.evaluator.selection.select(Catalogue::builtin()).unwrap();
+        let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();
         let report = evaluate(&setup, &self.learner.weights(), &blueprints, &|| true).unwrap();
         report.summary.all.mode.success.rate
     }

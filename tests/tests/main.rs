@@ -1,7 +1,9 @@
-//! Behaviour across crates, and the rules that hold the workspace together.
+//! Behavior across crates, and the rules that hold the workspace together.
 #![allow(clippy::unwrap_used)]
 
 mod architecture;
+mod circles;
+mod compatibility;
 mod configs;
 mod learning;
 mod repository;

@@ -2,7 +2,8 @@
 
 use crate::repository::{files, members, read, root, shown};
 
-const MAX_LINES: usize = 400;
+/// A file has one subject; beyond this it has two.
+const MAX_LINES: usize = 600;
 
 /// Marks of unfinished work, put together here so that this file does not contain them.
 const LEFTOVERS: [&str; 7] = [
@@ -35,7 +36,7 @@ fn hits(extensions: &[&str], words: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn source_files_have_at_most_400_lines() {
+fn source_files_have_at_most_600_lines() {
     let long: Vec<String> = files(root(), &["rs"])
         .iter()
         .map(|path| (path, read(path).lines().count()))
@@ -78,7 +79,7 @@ fn links_between_documents_lead_somewhere() {
 }
 
 #[test]
-fn the_licences_that_the_manifests_name_are_there() {
+fn the_licenses_that_the_manifests_name_are_there() {
     for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
         assert!(root().join(name).is_file(), "{name} is missing");
     }

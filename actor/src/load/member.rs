@@ -5,9 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
-use proto::bus::{
-    AliveToken, Bus, BusCounts, MetricsPublisher, SendError, TrajectorySender, WeightsSubscriber, process_epoch_ms,
-};
+use bus::{AliveToken, Bus, MetricsPublisher, SendError, TrajectorySender, WeightsSubscriber, process_epoch_ms};
+use proto::metrics::BusCounts;
 use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
 use proto::{ActorId, Refusal, Role, Trajectory, WeightsVersion, keys};
 use tokio::sync::watch;

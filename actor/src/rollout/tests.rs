@@ -10,18 +10,18 @@ use crate::toy::{self, Toy, id};
 const VALUE: f32 = 5.0;
 
 fn rollout(scripts: &[&[Status]], seed: u64) -> Rollout<'static, Toy> {
-    with_lead_in(scripts, seed, LeadInConfig::default())
+    with_burn_in(scripts, seed, BurnInConfig::default())
 }
 
-fn with_lead_in(scripts: &[&[Status]], seed: u64, lead_in: LeadInConfig) -> Rollout<'static, Toy> {
+fn with_burn_in(scripts: &[&[Status]], seed: u64, burn_in: BurnInConfig) -> Rollout<'static, Toy> {
     let tasks = TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 3 }, ..Default::default() };
     let setup = RolloutSetup {
-        catalogue: Catalogue::builtin(),
+        catalog: Catalog::builtin(),
         policy: toy::policy(),
         tasks,
         segment_len: 3,
-        lead_in,
-        teacher: None,
+        burn_in,
+        dagger: None,
         identity: toy::identity(),
         seed,
     };
@@ -61,14 +61,14 @@ fn bootstrap_values_after_a_cut_a_success_and_the_time_limit() {
 fn a_lead_in_counts_but_is_not_learned_from() {
     use Status::{Running, Success};
     let script = [Running, Running, Running, Success];
-    let lead_in = LeadInConfig { probability: 1.0, max_steps: 3 };
-    let mut rollout = with_lead_in(&[&script], 1, lead_in);
+    let burn_in = BurnInConfig { probability: 1.0, max_steps: 3 };
+    let mut rollout = with_burn_in(&[&script], 1, burn_in);
     let segments = run(&mut rollout, 400);
     let skipped: Vec<u16> = segments.iter().filter(|s| s.outcome.is_some()).map(|s| s.first_step).collect();
     assert_eq!(skipped.len(), 100);
     assert!(skipped.iter().all(|n| (1..=3).contains(n)) && (1..=3).all(|n| skipped.contains(&n)), "{skipped:?}");
     let n_learned: usize = segments.iter().map(|segment| segment.transitions.len()).sum();
-    assert_eq!(rollout.counters().n_lead_in_steps as usize + n_learned, 400);
+    assert_eq!(rollout.counters().n_burn_in_steps as usize + n_learned, 400);
     // The return is that of the whole episode.
     let returns = segments.iter().filter_map(|segment| segment.outcome).map(|outcome| outcome.episode_return.connected);
     assert!(returns.into_iter().all(|sum| sum == 10.0));

@@ -32,7 +32,7 @@ pub(super) fn step_worlds(
     let life = Life { run_seed: setup.seed, actor, epoch, version: first.version };
     setup.seed = life.thread_seed(thread_idx);
     let rollout = Rollout::new(setup, worlds.context("invalid environment configuration")?, &first)?;
-    let mut acting = Acting { rollout, current: first, previous: None };
+    let mut acting = ActionMode { rollout, current: first, previous: None };
     while !shared.stop.is_cancelled() {
         if weights.has_changed().unwrap_or(false) {
             acting.take_newest(&mut weights, shared)?;
@@ -92,14 +92,14 @@ fn wait_for_others(weights: &mut Arrivals, shared: &Shared) -> bool {
 }
 
 /// Worlds and the weights that act in them.
-struct Acting {
+struct ActionMode {
     rollout: Rollout<'static, World>,
     current: Arc<Weights>,
     /// What acted before, in case the current ones turn out to be of no use in some scene.
     previous: Option<Arc<Weights>>,
 }
 
-impl Acting {
+impl ActionMode {
     /// Acts by the newest weights if they are of use.
     fn take_newest(&mut self, weights: &mut Arrivals, shared: &Shared) -> Result<(), RolloutError> {
         let Some(newest) = weights.borrow_and_update().clone() else { return Ok(()) };

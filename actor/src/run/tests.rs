@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use blueprints::{BlockIdx, Catalogue};
+use blueprints::{BlockIdx, Catalog};
 use policy::Network;
 use proto::Status;
 use tokio::sync::mpsc;
@@ -168,12 +168,12 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     bus.close().await.unwrap();
 }
 
-/// Untrained weights that are of no use once the first gripper holds a block that is not the first goal's of the catalogue,
+/// Untrained weights that are of no use once the first gripper holds a block that is not the first goal's of the catalog,
 /// which in the scene of the trial it does not.
 fn trap(version: u64) -> Weights {
     let (mut weights, config) = (toy::weights(version, 1.0), toy::policy());
     let network = Network::init(&config.network, &config.sizes(), 1, &policy::DeviceKind::Cpu.open().unwrap());
-    let goal = Catalogue::builtin().iter().next().unwrap();
+    let goal = Catalog::builtin().iter().next().unwrap();
     let mut at = 0;
     for spec in network.table() {
         if spec.name.ends_with("input_global.w") {
@@ -185,7 +185,7 @@ fn trap(version: u64) -> Weights {
         }
         at += spec.len();
     }
-    weights.normalisation.value_std = 1e4;
+    weights.normalization.value_std = 1e4;
     weights
 }
 

@@ -7,25 +7,25 @@ use super::*;
 use crate::toy::id;
 
 fn sampler(config: &TaskConfig) -> TaskSampler {
-    TaskSampler::new(config, Catalogue::builtin()).unwrap()
+    TaskSampler::new(config, Catalog::builtin()).unwrap()
 }
 
 fn draw(sampler: &TaskSampler, n: usize) -> Vec<Task> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    (0..n).map(|_| sampler.sample(Catalogue::builtin(), &mut rng)).collect()
+    (0..n).map(|_| sampler.sample(Catalog::builtin(), &mut rng)).collect()
 }
 
 #[test]
 fn filters_select_training_blueprints() {
-    let catalogue = Catalogue::builtin();
-    let n_training = catalogue.of_split(Split::Train).len();
-    assert_eq!(TaskFilter::All.select(catalogue).unwrap().len(), n_training);
-    let two = TaskFilter::Sizes { min: 2, max: 2 }.select(catalogue).unwrap();
+    let catalog = Catalog::builtin();
+    let n_training = catalog.of_split(Split::Train).len();
+    assert_eq!(TaskFilter::All.select(catalog).unwrap().len(), n_training);
+    let two = TaskFilter::Sizes { min: 2, max: 2 }.select(catalog).unwrap();
     assert!(!two.is_empty() && two.iter().all(|id| id.as_str().starts_with("2_")));
     let named = TaskFilter::Blueprints(vec![id("3_000"), id("2_001"), id("3_000")]);
-    assert_eq!(named.select(catalogue).unwrap(), [id("2_001"), id("3_000")]);
+    assert_eq!(named.select(catalog).unwrap(), [id("2_001"), id("3_000")]);
     let generated = TaskFilter::Blueprints(vec![id("gen1-arch-7_6_000")]);
-    assert_eq!(generated.select(catalogue).unwrap(), [id("gen1-arch-7_6_000")]);
+    assert_eq!(generated.select(catalog).unwrap(), [id("gen1-arch-7_6_000")]);
 }
 
 #[test]
@@ -35,16 +35,16 @@ fn a_filter_that_selects_nothing_says_why() {
         (TaskFilter::Blueprints(vec![]), "the list of goals is empty"),
         (
             TaskFilter::Blueprints(vec![id("2_000"), id("2_999")]),
-            "blueprint 2_999 is neither in the training split of the catalogue nor a generated one",
+            "blueprint 2_999 is neither in the training split of the catalog nor a generated one",
         ),
         (
             // The generator's name of a held-out tower.
             TaskFilter::Blueprints(vec![id("gen1-tallest-16_14_162")]),
-            "blueprint gen1-tallest-16_14_162 is neither in the training split of the catalogue nor a generated one",
+            "blueprint gen1-tallest-16_14_162 is neither in the training split of the catalog nor a generated one",
         ),
     ];
     for (filter, message) in table {
-        assert_eq!(filter.select(Catalogue::builtin()).unwrap_err().to_string(), message);
+        assert_eq!(filter.select(Catalog::builtin()).unwrap_err().to_string(), message);
     }
 }
 
@@ -101,16 +101,16 @@ fn generated_goals_have_the_size_of_the_goals_they_replace() {
     let styles = vec![Style::Tower, Style::Bridge];
     let config = TaskConfig { filter, generated_probability: 0.5, generated_styles: styles, ..Default::default() };
     let tasks = draw(&sampler(&config), 400);
-    let draws = config.draws(Catalogue::builtin()).unwrap().unwrap();
+    let draws = config.draws(Catalog::builtin()).unwrap().unwrap();
     let (generated, drawn): (Vec<_>, Vec<_>) =
         tasks.iter().partition(|task| Request::from_id(&task.blueprint).is_some());
     assert!((150..=250).contains(&generated.len()), "{} of 400", generated.len());
-    assert!(drawn.iter().all(|task| Catalogue::builtin().get(&task.blueprint).is_some()));
+    assert!(drawn.iter().all(|task| Catalog::builtin().get(&task.blueprint).is_some()));
     for task in &generated {
         let request = Request::from_id(&task.blueprint).unwrap();
         assert!(draws.admit(&request), "a learner takes what is drawn");
-        let blueprint = Catalogue::builtin().find(&task.blueprint).unwrap();
-        assert!(Catalogue::builtin().is_for_training(&blueprint));
+        let blueprint = Catalog::builtin().find(&task.blueprint).unwrap();
+        assert!(Catalog::builtin().is_for_training(&blueprint));
         assert!((3..=4).contains(&blueprint.n_blocks()));
         // A bridge has four blocks at least.
         assert!(request.style == Style::Tower || blueprint.n_blocks() == 4);

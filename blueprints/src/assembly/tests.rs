@@ -1,7 +1,7 @@
-//! Orders of assembly of structures worked out by hand, and of the whole catalogue.
+//! Orders of assembly of structures worked out by hand, and of the whole catalog.
 
 use super::*;
-use crate::{Catalogue, CubeRotation};
+use crate::{Catalog, CubeRotation};
 
 /// The `k`-th block of a type with its lowest corner cell at `at`, turned so that it fills `size` cells.
 fn block(type_name: &str, k: usize, at: [i32; 3], size: [i32; 3]) -> Placement {
@@ -61,7 +61,7 @@ pub(crate) fn jack() -> Vec<Placement> {
 #[test]
 fn a_jack_with_long_arms_has_no_order() {
     // Whichever arm it stands on, the first long arm to the side tips it. On an arm of 4, with the cube and the other arm of
-    // 4 and both arms of 2, an arm of 3 moves the centre by 3 · 2 / 16 = 0.375, which leaves 0.125.
+    // 4 and both arms of 2, an arm of 3 moves the center by 3 · 2 / 16 = 0.375, which leaves 0.125.
     let NoAssembly { missing } = Assembly::of_placements(&jack()).unwrap_err();
     assert!(!missing.is_empty() && missing.len() < jack().len(), "{missing:?}");
 }
@@ -76,13 +76,13 @@ fn an_overhang_is_not_built_upright() {
     ];
     let assembly = Assembly::of_placements(&crane).unwrap();
     let upright = |a: &Assembly| (0..a.n_sides()).any(|side| a.up(side) == [0, 0, 1]);
-    // Volumes 2, 4, 4 with centres at 0.5, 2 and 1: the mean is 1.3, and the post ends at 1.
+    // Volumes 2, 4, 4 with centers at 0.5, 2 and 1: the mean is 1.3, and the post ends at 1.
     assert!(!upright(&assembly));
 }
 
 #[test]
 fn every_built_in_blueprint_has_an_order_of_all_its_blocks() {
-    for blueprint in Catalogue::builtin().iter() {
+    for blueprint in Catalog::builtin().iter() {
         let mut assembly = Assembly::new(blueprint).unwrap_or_else(|error| panic!("{}: {error}", blueprint.id()));
         let mut order = assembly.order();
         order.sort_unstable();
@@ -93,7 +93,7 @@ fn every_built_in_blueprint_has_an_order_of_all_its_blocks() {
 
 #[test]
 fn every_step_of_an_order_stands_and_has_a_way_in() {
-    for blueprint in Catalogue::builtin().iter() {
+    for blueprint in Catalog::builtin().iter() {
         let mut assembly = Assembly::new(blueprint).unwrap();
         for side in 0..assembly.n_sides() {
             let mut placed = Parts::default();
@@ -109,7 +109,7 @@ fn every_step_of_an_order_stands_and_has_a_way_in() {
 
 #[test]
 fn copies_on_other_blocks_are_built_alike() {
-    for blueprint in Catalogue::builtin().iter().step_by(11) {
+    for blueprint in Catalog::builtin().iter().step_by(11) {
         // Blocks of one type in reversed order.
         let mut swapped: [BlockIdx; crate::N_BLOCKS] = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
         for block in BlockIdx::all() {

@@ -30,7 +30,7 @@ fn features(blueprint: &Blueprint) -> Vec<f64> {
     features
 }
 
-/// `count` of the structures, chosen one by one as the one whose nearest chosen neighbour is farthest; in their order.
+/// `count` of the structures, chosen one by one as the one whose nearest chosen neighbor is farthest; in their order.
 ///
 /// Of equally far ones the first is taken, and the first of all begins.
 pub(super) fn most_different(pool: Vec<Blueprint>, count: usize) -> Vec<Blueprint> {

@@ -81,9 +81,9 @@ fn offer(bricks: &[Brick], dice: &mut Dice) -> Option<Brick> {
 fn score(brick: &Brick, bricks: &[Brick], taste: &Taste) -> i32 {
     let touching: Vec<usize> =
         bricks.iter().filter_map(|other| brick.contact(other)).map(|(_, places)| places.len()).collect();
-    let n_neighbours = touching.len() as i32;
+    let n_neighbors = touching.len() as i32;
     let n_pairs = touching.iter().sum::<usize>() as i32;
     let top = bricks.iter().map(|other| other.high(2)).max().unwrap_or(0);
     let rise = (brick.high(2) - top).max(0);
-    taste.close * (2 * n_neighbours + n_pairs) / 2 + 2 * taste.upward * rise + taste.big * brick.volume()
+    taste.close * (2 * n_neighbors + n_pairs) / 2 + 2 * taste.upward * rise + taste.big * brick.volume()
 }

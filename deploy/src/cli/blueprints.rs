@@ -10,11 +10,11 @@ use clap::{Args, Subcommand};
 /// What to do with blueprints.
 #[derive(Debug, Subcommand)]
 pub enum BlueprintsCommand {
-    /// List the catalogue, or that in a folder.
+    /// List the catalog, or that in a folder.
     List(BlueprintsArgs),
-    /// Check blueprint files or folders of them, or the catalogue.
+    /// Check blueprint files or folders of them, or the catalog.
     Check(BlueprintsArgs),
-    /// Generate blueprints that are not in the catalogue, one file each.
+    /// Generate blueprints that are not in the catalog, one file each.
     Generate(GenerateArgs),
     /// Draw blueprints as PNG files: one with four views of each, and contact sheets of all.
     Show(ShowArgs),
@@ -23,7 +23,7 @@ pub enum BlueprintsCommand {
 /// Arguments of `blueprints list` and `blueprints check`.
 #[derive(Debug, Args)]
 pub struct BlueprintsArgs {
-    /// Files or folders [default: the catalogue that comes with the program].
+    /// Files or folders [default: the catalog that comes with the program].
     #[arg(value_name = "PATH")]
     pub paths: Vec<PathBuf>,
     /// Print JSON.
@@ -58,7 +58,7 @@ pub struct ShowArgs {
     /// Which blueprints, for example 6_005 [default: all].
     #[arg(value_name = "ID", conflicts_with = "split")]
     pub ids: Vec<String>,
-    /// All of this part of the catalogue: train, test, test-literal, test-longest or test-tallest.
+    /// All of this part of the catalog: train, test, test-literal, test-longest or test-tallest.
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,
     /// Width of a blueprint's picture in pixels.
@@ -67,7 +67,7 @@ pub struct ShowArgs {
     /// Folder for the pictures; made if it is not there.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Folder of blueprint files, or one file [default: the catalogue that comes with the program].
+    /// Folder of blueprint files, or one file [default: the catalog that comes with the program].
     #[arg(long, value_name = "FILE_OR_DIR")]
     pub path: Option<PathBuf>,
     /// Write the contact sheets only.

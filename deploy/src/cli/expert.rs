@@ -15,10 +15,10 @@ pub enum ExpertCommand {
 /// Arguments of `expert eval`.
 #[derive(Debug, Args)]
 pub struct ExpertEvalArgs {
-    /// These blueprints of the catalogue only; generated ones by their id as well.
+    /// These blueprints of the catalog only; generated ones by their id as well.
     #[arg(value_name = "ID")]
     pub ids: Vec<String>,
-    /// This part of the catalogue: train, test, test-literal, test-longest or test-tallest; may be repeated [default: all].
+    /// This part of the catalog: train, test, test-literal, test-longest or test-tallest; may be repeated [default: all].
     #[arg(long, value_name = "S", conflicts_with = "ids")]
     pub split: Vec<Split>,
     /// Episodes per blueprint.

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
-use evaluator::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 use proto::ActorId;
+use render::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 
 use super::KeysArgs;
 
@@ -29,7 +29,7 @@ pub struct RenderArgs {
     /// --attention].
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(MIN_WIDTH as u64..=MAX_WIDTH as u64))]
     pub width: Option<usize>,
-    /// Folder of blueprint files, or one file, with the goals [default: the catalogue that comes with the program].
+    /// Folder of blueprint files, or one file, with the goals [default: the catalog that comes with the program].
     #[arg(long, value_name = "FILE_OR_DIR")]
     pub path: Option<PathBuf>,
     /// Show what a network attends to through the episode, every head of every layer: that of this run's newest checkpoint,

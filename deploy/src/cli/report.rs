@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use evaluator::Acting;
-use evaluator::plot::MAX_RUNS;
+use proto::ActionMode;
+use render::plot::MAX_RUNS;
 
 /// Arguments of `report`.
 #[derive(Debug, Args)]
@@ -17,7 +17,7 @@ pub struct ReportArgs {
     pub out: Option<PathBuf>,
     /// Which actions the pictures are about: mode, the most probable ones, or sampled.
     #[arg(long, value_name = "ACTING", default_value = "mode")]
-    pub acting: Acting,
+    pub acting: ActionMode,
     /// Draw how much better or worse RUN is than this run as well.
     #[arg(long, value_name = "RUN2")]
     pub minus: Option<PathBuf>,

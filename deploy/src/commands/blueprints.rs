@@ -8,9 +8,9 @@ mod table;
 use std::borrow::Cow;
 use std::path::PathBuf;
 
-use blueprints::catalogue::{BUILTIN_FILES, read_files};
+use blueprints::catalog::{BUILTIN_FILES, read_files};
 use blueprints::checks::{CheckResult, Report, check_all};
-use blueprints::{Blueprint, BlueprintId, Catalogue, Split};
+use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use serde::Serialize;
 
 use crate::cli::{BlueprintsArgs, BlueprintsCommand};
@@ -50,22 +50,22 @@ pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<()
     }
 }
 
-/// The blueprint of the catalogue or of the generator with that id.
+/// The blueprint of the catalog or of the generator with that id.
 ///
 /// # Errors
-/// When there is none; the error has the nearest id of the catalogue.
-pub(super) fn find<'c>(catalogue: &'c Catalogue, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
-    let found = id.parse::<BlueprintId>().ok().and_then(|id| catalogue.find(&id));
+/// When there is none; the error has the nearest id of the catalog.
+pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
+    let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
     found.ok_or_else(|| Failure::UnknownBlueprint {
         id: id.to_owned(),
-        nearest: nearest(id, catalogue.iter().map(|blueprint| blueprint.id().as_str())),
+        nearest: nearest(id, catalog.iter().map(|blueprint| blueprint.id().as_str())),
     })
 }
 
 fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let loaded = args.paths.iter().map(|path| Catalogue::load(path)).collect::<Result<Vec<_>, _>>()?;
-    let catalogues = if loaded.is_empty() { std::slice::from_ref(Catalogue::builtin()) } else { &loaded };
-    let rows: Vec<Row<'_>> = catalogues.iter().flat_map(Catalogue::iter).map(row).collect();
+    let loaded = args.paths.iter().map(|path| Catalog::load(path)).collect::<Result<Vec<_>, _>>()?;
+    let catalogs = if loaded.is_empty() { std::slice::from_ref(Catalog::builtin()) } else { &loaded };
+    let rows: Vec<Row<'_>> = catalogs.iter().flat_map(Catalog::iter).map(row).collect();
     if args.json {
         terminal.print(&json(&rows));
         return Ok(());

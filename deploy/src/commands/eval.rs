@@ -1,6 +1,6 @@
 //! `eval`: judges a policy on blueprints.
 
-use blueprints::Catalogue;
+use blueprints::Catalog;
 use evaluator::{Detail, EvalSetup, Selection, evaluate, render};
 
 use super::models::Source;
@@ -22,14 +22,14 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let config = source.config(&overrides)?;
     let of_split = |split| Selection { splits: vec![split], ..Selection::default() };
     let selection = args.split.map_or_else(|| config.evaluator.selection.clone(), of_split);
-    let catalogue = Catalogue::builtin();
-    let blueprints = selection.select(catalogue).map_err(|error| Failure::Usage(error.to_string()))?;
+    let catalog = Catalog::builtin();
+    let blueprints = selection.select(catalog).map_err(|error| Failure::Usage(error.to_string()))?;
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
     episodes.n_threads = args.threads.map_or_else(n_cores, usize::from);
     let setup = EvalSetup {
-        catalogue,
+        catalog,
         policy: config.policy,
         environment: config.environment,
         episodes,

@@ -7,9 +7,10 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context;
-use blueprints::{Blueprint, Catalogue, Split};
+use blueprints::Group;
+use blueprints::{Blueprint, Catalog, Split};
 use evaluator::{
-    Detail, ExpertFailure, ExpertReport, ExpertSetup, Group, ResetFreeConfig, Starts, evaluate_expert, render_expert,
+    Detail, ExpertFailure, ExpertReport, ExpertSetup, ResetFreeConfig, Starts, evaluate_expert, render_expert,
 };
 use proto::Trajectory;
 use proto::codec::encode_trajectory;
@@ -55,8 +56,8 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let mut environment = defaults(&overrides)?.environment;
     // Past the check that the policy has as many: no policy acts here.
     environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
-    let catalogue = Catalogue::builtin();
-    let selected = select(catalogue, &args.ids, &args.split)?;
+    let catalog = Catalog::builtin();
+    let selected = select(catalog, &args.ids, &args.split)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     for folder in args.explain.iter().chain(&args.record) {
         fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
@@ -64,7 +65,7 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
     let n_threads = args.threads.map_or_else(n_cores, usize::from);
     let setup = ExpertSetup {
-        catalogue,
+        catalog,
         environment,
         n_episodes: args.episodes,
         starts: match args.start {
@@ -85,7 +86,7 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         explain(folder, &report.failures)?;
     }
     if let Some(folder) = &args.record {
-        record(folder, catalogue, &report)?;
+        record(folder, catalog, &report)?;
     }
     if args.json {
         let judged = Judged { report: &report, steps_per_second, n_threads };
@@ -105,23 +106,23 @@ fn defaults(overrides: &[Override]) -> Result<Config, Failure> {
 }
 
 /// The blueprints of those ids, or of those splits, or all.
-fn select<'c>(catalogue: &'c Catalogue, ids: &[String], splits: &[Split]) -> Result<Vec<Cow<'c, Blueprint>>, Failure> {
+fn select<'c>(catalog: &'c Catalog, ids: &[String], splits: &[Split]) -> Result<Vec<Cow<'c, Blueprint>>, Failure> {
     if ids.is_empty() {
         let wanted = |blueprint: &&Blueprint| splits.is_empty() || splits.contains(&blueprint.split());
-        return Ok(catalogue.iter().filter(wanted).map(Cow::Borrowed).collect());
+        return Ok(catalog.iter().filter(wanted).map(Cow::Borrowed).collect());
     }
-    ids.iter().map(|id| find(catalogue, id)).collect()
+    ids.iter().map(|id| find(catalog, id)).collect()
 }
 
 /// Writes replays of the first success and of the first failure of each group.
-fn record(folder: &Path, catalogue: &Catalogue, report: &ExpertReport) -> anyhow::Result<()> {
+fn record(folder: &Path, catalog: &Catalog, report: &ExpertReport) -> anyhow::Result<()> {
     let successes = report.successes.iter().map(|replay| ("success", replay));
     let failures =
         report.failures.iter().filter_map(|failure| failure.replay.as_ref()).map(|replay| ("failure", replay));
     let mut known = BTreeSet::new();
     for (end, replay) in successes.chain(failures) {
         let id = &replay.task.blueprint;
-        let group = catalogue.find(id).and_then(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks()));
+        let group = catalog.find(id).and_then(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks()));
         if known.insert((end, group)) {
             write_replay(folder, &format!("{id}-{end}.trajectory"), replay)?;
         }

@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use learner::run::CHECKPOINTS;
 use learner::{Checkpoint, Model};
 
 use super::files::write_files;
@@ -10,7 +9,7 @@ use crate::cli::{ExportArgs, ModelArgs};
 use crate::config::{Config, ConfigError, Override, Preset, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::run_dir::CONFIG_FILE;
+use runlog::RunPaths;
 
 /// The policy that comes with the program; `pretrained/README.md` says how it was made and what it can do.
 const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
@@ -91,16 +90,16 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
 
 /// Where the checkpoints are of a run's folder, or of one checkpoint's.
 fn checkpoint_folder(given: &Path) -> PathBuf {
-    let inside = given.join(CHECKPOINTS);
+    let inside = RunPaths::new(given).checkpoints();
     if inside.is_dir() { inside } else { given.to_owned() }
 }
 
 /// Text and name of the configuration in the nearest folder above the checkpoint that has one.
 fn run_config(checkpoint: &Path) -> Result<(String, String), Failure> {
     let Some(path) =
-        checkpoint.ancestors().skip(1).take(2).map(|folder| folder.join(CONFIG_FILE)).find(|path| path.exists())
+        checkpoint.ancestors().skip(1).take(2).map(|folder| RunPaths::new(folder).config()).find(|path| path.exists())
     else {
-        tracing::warn!("no {CONFIG_FILE} above the checkpoint: the world has its default settings");
+        tracing::warn!("no config.toml above the checkpoint: the world has its default settings");
         return Ok((String::new(), "the defaults".to_owned()));
     };
     let text = std::fs::read_to_string(&path).map_err(|source| ConfigError::Read { path: path.clone(), source })?;

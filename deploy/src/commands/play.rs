@@ -3,10 +3,10 @@
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use blueprints::Catalogue;
+use blueprints::Catalog;
+use bus::Bus;
 use evaluator::{Policy, Stop};
 use proto::Weights;
-use proto::bus::Bus;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
@@ -30,7 +30,7 @@ pub(super) fn configure(source: &Source, args: &PlayArgs) -> Result<Config, Fail
     let mut overrides = vec![
         Override::flag("play", "bus.run", NAME),
         Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes)),
-        Override::flag("--web", "evaluator.web.listen", page.to_string()),
+        Override::flag("--web", "dashboard.web.listen", page.to_string()),
     ];
     if !args.blueprints.is_empty() {
         let ids: Vec<String> = args.blueprints.iter().map(ToString::to_string).collect();
@@ -76,7 +76,7 @@ pub(super) async fn run(
 
 /// The weights as a learner would send them, which says what to train on: here all that is judged alike.
 fn published(source: Source, config: &Config) -> Result<Weights, Failure> {
-    let selected = config.evaluator.selection.select(Catalogue::builtin());
+    let selected = config.evaluator.selection.select(Catalog::builtin());
     let goals = selected.map_err(|error| Failure::Usage(error.to_string()))?;
     let share = 1.0 / goals.len().max(1) as f32;
     let task_probabilities = goals.iter().map(|goal| (goal.id().clone(), share)).collect();

@@ -6,10 +6,10 @@ mod recordings;
 use std::borrow::Cow;
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Catalogue};
-use evaluator::picture::encode;
-use evaluator::video::{AttentionFilm, Episode, Film, Gaze, attention_strip, gif, mp4, strip};
+use blueprints::{Blueprint, BlueprintId, Catalog};
 use evaluator::{Policy, PolicyError};
+use render::picture::encode;
+use render::video::{AttentionFilm, Episode, EpisodeAttention, Film, attention_strip, gif, mp4, strip};
 
 use super::files::write_files;
 use super::models::Source;
@@ -24,7 +24,7 @@ pub(super) use live::run as run_live;
 const N_STRIP_SCENES: usize = 7;
 const N_STRIP_MOMENTS: usize = 5;
 
-/// Colours of a strip, which is to be small enough to keep in a repository.
+/// Colors of a strip, which is to be small enough to keep in a repository.
 const STRIP_COLORS: usize = 96;
 
 /// An episode and the name of its film.
@@ -42,20 +42,20 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
 }
 
 /// Where goals are looked up.
-struct Goals(Option<Catalogue>);
+struct Goals(Option<Catalog>);
 
 impl Goals {
     fn new(args: &RenderArgs) -> Result<Self, Failure> {
-        Ok(Self(args.path.as_deref().map(Catalogue::load).transpose()?))
+        Ok(Self(args.path.as_deref().map(Catalog::load).transpose()?))
     }
 
     /// The blueprint, or why it is not there.
     fn find(&self, id: &BlueprintId) -> Result<Cow<'_, Blueprint>, String> {
-        let catalogue = self.0.as_ref().unwrap_or_else(|| Catalogue::builtin());
-        catalogue.find(id).ok_or_else(|| {
-            let known = nearest(id.as_str(), catalogue.iter().map(|blueprint| blueprint.id().as_str()));
+        let catalog = self.0.as_ref().unwrap_or_else(|| Catalog::builtin());
+        catalog.find(id).ok_or_else(|| {
+            let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
             let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
-            format!("its goal `{id}` is not in the catalogue{like}; --path names another one")
+            format!("its goal `{id}` is not in the catalog{like}; --path names another one")
         })
     }
 }
@@ -81,11 +81,12 @@ fn make_all(
         let making = || format!("making a film of {name}");
         let (ending, bytes) = match policy {
             Some(policy) => {
-                let refused = |error: evaluator::video::GazeError| Failure::Recording {
+                let refused = |error: render::video::AttentionError| Failure::Recording {
                     files: name.clone(),
                     reason: error.to_string(),
                 };
-                make_of_attention(&Gaze::new(policy, episode).map_err(refused)?, args).with_context(making)?
+                make_of_attention(&EpisodeAttention::new(policy, episode).map_err(refused)?, args)
+                    .with_context(making)?
             }
             None => make(episode, args).with_context(making)?,
         };
@@ -116,12 +117,12 @@ fn make(episode: &Episode, args: &RenderArgs) -> anyhow::Result<(&'static str, V
 }
 
 /// The same for what a network attends to.
-fn make_of_attention(gaze: &Gaze<'_>, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
+fn make_of_attention(attention: &EpisodeAttention<'_>, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
     // A step is the shortest time between two numbers, so more frames would show nothing more.
     let (width, fps) = (args.width.unwrap_or(1280), args.fps.unwrap_or(10));
     Ok(match args.format {
-        FilmFormat::Mp4 => ("mp4", mp4(AttentionFilm::new(gaze, width).frames(fps), fps)?),
-        FilmFormat::Gif => ("gif", gif(AttentionFilm::new(gaze, width).frames(fps), fps)?),
-        FilmFormat::PngStrip => ("png", encode(&attention_strip(gaze, N_STRIP_MOMENTS, width), STRIP_COLORS)?),
+        FilmFormat::Mp4 => ("mp4", mp4(AttentionFilm::new(attention, width).frames(fps), fps)?),
+        FilmFormat::Gif => ("gif", gif(AttentionFilm::new(attention, width).frames(fps), fps)?),
+        FilmFormat::PngStrip => ("png", encode(&attention_strip(attention, N_STRIP_MOMENTS, width), STRIP_COLORS)?),
     })
 }

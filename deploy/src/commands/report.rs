@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use anyhow::Context;
-use evaluator::plot::series::outcome_of;
-use evaluator::plot::{self, Difference, Drawing, Grid, groups, lineage};
-use evaluator::{Acting, HISTORY, History, Pass};
+use proto::ActionMode;
+use render::plot::{self, Drawing, groups};
+use runlog::series::{Difference, Grid, lineage, outcome_of};
+use runlog::{History, Pass, RunPaths};
 
 use super::files::{File, write_files};
 use crate::cli::ReportArgs;
@@ -22,7 +23,7 @@ const REPORT: &str = "report";
 /// common, or a file cannot be written.
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let (acting, name) = (args.acting, name(&args.run));
-    let all = History::read(&args.run.join(HISTORY))?;
+    let all = History::read(&RunPaths::new(args.run.clone()).history())?;
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
     let what = format!("{name}, {} actions, {}", acting.name(), episodes(&passes, acting));
@@ -54,7 +55,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
 }
 
 fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Terminal) -> Result<Vec<File>, Failure> {
-    let all = History::read(&minus.join(HISTORY))?;
+    let all = History::read(&RunPaths::new(minus).history())?;
     let others = shown(&all, minus, terminal);
     if Grid::success(&others, args.acting).is_none() {
         return Err(nothing(minus, &others, args.acting));
@@ -77,7 +78,7 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
 }
 
 fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<Vec<File>, Failure> {
-    let histories = args.beside.iter().map(|run| History::read(&run.join(HISTORY)));
+    let histories = args.beside.iter().map(|run| History::read(&RunPaths::new(run.clone()).history()));
     let histories = histories.collect::<Result<Vec<_>, _>>()?;
     let mut runs = vec![(name(&args.run), passes.to_vec())];
     for (run, all) in args.beside.iter().zip(&histories) {
@@ -111,12 +112,12 @@ fn shown<'p>(all: &'p [Pass], run: &Path, terminal: &Terminal) -> Vec<&'p Pass> 
     passes
 }
 
-fn nothing(run: &Path, passes: &[&Pass], acting: Acting) -> Failure {
+fn nothing(run: &Path, passes: &[&Pass], acting: ActionMode) -> Failure {
     let other = match acting {
-        Acting::Mode => Acting::Sampled,
-        Acting::Sampled => Acting::Mode,
+        ActionMode::Greedy => ActionMode::Sampled,
+        ActionMode::Sampled => ActionMode::Greedy,
     };
-    let (run, acting) = (run.join(HISTORY), acting.name());
+    let (run, acting) = (RunPaths::new(run).history(), acting.name());
     let run = run.display();
     Failure::NothingToShow(if Grid::success(passes, other).is_some() {
         format!("{run} has no evaluation of {acting} actions: use --acting {}", other.name())
@@ -126,7 +127,7 @@ fn nothing(run: &Path, passes: &[&Pass], acting: Acting) -> Failure {
 }
 
 /// How many episodes a cell stands for.
-fn episodes(passes: &[&Pass], acting: Acting) -> String {
+fn episodes(passes: &[&Pass], acting: ActionMode) -> String {
     let scores = passes.iter().flat_map(|pass| &pass.blueprints);
     let counts = scores.filter_map(|score| Some(outcome_of(score, acting)?.success.n_episodes));
     match (counts.clone().min(), counts.max()) {

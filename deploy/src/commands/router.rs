@@ -1,6 +1,6 @@
 //! `router`: carries the messages of all runs whose processes connect to it.
 
-use proto::bus::{Bus, BusConfig, BusMode, SecurityConfig};
+use bus::{Bus, BusConfig, BusMode, SecurityConfig};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::RouterArgs;

@@ -5,13 +5,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use actor::Lockstep;
-use blueprints::Catalogue;
-use evaluator::{EvalReport, EvaluatorSetup, HISTORY, Page, REPLAYS, RecordPaths, Stop, VIDEOS};
-use learner::run::METRICS;
+use blueprints::Catalog;
+use bus::Bus;
+use dashboard::{Page, Source};
+use evaluator::{EvaluatorSetup, Listeners, Stop};
 use learner::{Feed, LearnerReport, LearnerSetup, RunOptions};
-use proto::bus::Bus;
-use proto::{ActorId, Role, tensorboard};
-use tokio::sync::watch;
+use proto::metrics::EvalReport;
+use proto::{ActorId, Role};
+use runlog::RunPaths;
+use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs};
@@ -48,7 +50,7 @@ pub(super) async fn run_learner(
     on_bus(config, &health, &shutdown, async |bus| learner(options, None, bus, shutdown.clone()).await.map(drop)).await
 }
 
-/// Runs `evaluator`, which prints its reports, or assists another.
+/// Runs `evaluator`, which prints its reports, or works on behalf of another.
 pub(super) async fn run_evaluator(
     config: &Config,
     args: &EvaluatorArgs,
@@ -61,10 +63,10 @@ pub(super) async fn run_evaluator(
     };
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
-    if args.assist {
+    if args.worker {
         return on_bus(config, &health, &shutdown, async |bus| {
-            let n_units = evaluator::assist(setup, &bus, shutdown.clone()).await?;
-            tracing::info!(n_units, "assisted");
+            let n_units = evaluator::run_worker(setup, &bus, shutdown.clone()).await?;
+            tracing::info!(n_units, "worked on behalf of the evaluator");
             Ok(())
         })
         .await;
@@ -126,7 +128,7 @@ pub(super) fn lockstep_feed(config: &Config) -> Feed {
     Box::new(move |weights, restart| worlds.step(weights, restart))
 }
 
-/// An evaluator's life.
+/// An evaluator's life, and the page beside it.
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
@@ -134,13 +136,22 @@ pub(super) async fn evaluator(
     bus: Bus,
     stop: Stop,
 ) -> Result<(), Failure> {
-    evaluator::run(setup, &bus, reports, page, stop).await?;
+    let mut listeners = Listeners { reports: Some(reports), ..Listeners::default() };
+    let Some(page) = page else {
+        evaluator::run(setup, &bus, listeners, stop).await?;
+        return Ok(());
+    };
+    let ((passes, its_passes), (weights, its_weights)) = (mpsc::unbounded_channel(), watch::channel(None));
+    (listeners.passes, listeners.weights) = (Some(passes), Some(weights));
+    let (policy, run) = (setup.policy.clone(), setup.records.clone());
+    let source = Source { passes: its_passes, weights: its_weights, policy, run };
+    tokio::try_join!(evaluator::run(setup, &bus, listeners, stop), page.serve(&bus, source))?;
     Ok(())
 }
 
 /// Takes the address of the page, if there is to be one, and says it.
 pub(super) async fn page(config: &Config, terminal: &Terminal) -> Result<Option<Page>, Failure> {
-    let Some(web) = &config.evaluator.web else { return Ok(None) };
+    let Some(web) = &config.dashboard.web else { return Ok(None) };
     let page = Page::bind(web).await?;
     terminal.print(&format!("page at http://{}", page.address()));
     Ok(Some(page))
@@ -154,27 +165,21 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
         environment: config.environment.clone(),
         id,
         seed: config.seed,
-        records: run_dir.map(|folder| RecordPaths {
-            metrics: folder.join(METRICS),
-            history: folder.join(HISTORY),
-            tensorboard: folder.join(tensorboard::FOLDER).join(Role::Evaluator.as_str()),
-            videos: folder.join(VIDEOS),
-            replays: folder.join(REPLAYS),
-        }),
+        records: run_dir.map(RunPaths::new),
     }
 }
 
 /// What a learner is made of; says why the device or the choice of goals cannot be used before anything is written.
 pub(super) fn learner_setup(config: &Config) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
-    let catalogue = Catalogue::builtin();
+    let catalog = Catalog::builtin();
     let unusable = |error| invalid("actor.tasks.filter", error);
-    let tasks = config.actor.tasks.filter.select(catalogue).map_err(unusable)?;
-    let generated = config.actor.tasks.draws(catalogue).map_err(unusable)?;
+    let tasks = config.actor.tasks.filter.select(catalog).map_err(unusable)?;
+    let generated = config.actor.tasks.draws(catalog).map_err(unusable)?;
     Ok(LearnerSetup {
         config: config.learner.clone(),
         policy: config.policy.clone(),
-        catalogue: catalogue.clone().into(),
+        catalog: catalog.clone().into(),
         tasks,
         generated,
         seed: config.seed,
@@ -189,7 +194,7 @@ pub(super) fn run_options(
     run_dir: &RunDir,
     resume: Option<PathBuf>,
 ) -> RunOptions {
-    RunOptions { setup, run_dir: run_dir.path().to_owned(), resume, max_env_steps: Some(config.n_env_steps) }
+    RunOptions { setup, run_dir: run_dir.paths().clone(), resume, max_env_steps: Some(config.n_env_steps) }
 }
 
 fn actor_id(id: Option<String>) -> Result<ActorId, Failure> {

@@ -1,8 +1,8 @@
 //! `train`: learner, actors and evaluator in this process, on a bus of its own.
 
+use bus::Bus;
 use evaluator::Stop;
 use proto::ActorId;
-use proto::bus::Bus;
 use proto::keys::{METRICS_LEARNER, Role};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -54,7 +54,7 @@ pub(super) async fn run(
     let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
     let training = shutdown.child_token();
     let learner = services::learner(options, feed, bus.clone(), training.clone());
-    let (interrupted, told) = (shutdown.clone(), config.evaluator.judge_last.then(|| terminal.clone()));
+    let (interrupted, told) = (shutdown.clone(), config.evaluator.evaluate_last.then(|| terminal.clone()));
     running.spawn(async move {
         let report = learner.await?;
         if let Some(terminal) = told.filter(|_| !interrupted.is_cancelled()) {
@@ -73,7 +73,7 @@ pub(super) async fn run(
         training.cancel();
         let result = service.map_err(|panic| Failure::Service(panic.into())).flatten();
         ended = ended.and(result);
-        if !(config.evaluator.judge_last && last.borrow().is_some() && ended.is_ok()) {
+        if !(config.evaluator.evaluate_last && last.borrow().is_some() && ended.is_ok()) {
             shutdown.cancel();
         }
     }

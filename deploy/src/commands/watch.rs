@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use proto::bus::{BusConfig, BusMode, SecurityConfig};
+use bus::{BusConfig, BusMode, SecurityConfig};
+use dashboard::terminal as view;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::WatchArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::watch;
 
 /// Shows the run until it is ended, or once.
 ///
@@ -20,8 +20,10 @@ pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: Cancell
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     if args.once {
-        watch::once(config, Duration::from_secs(args.timeout), terminal, shutdown).await
+        terminal.print(&view::once(config, Duration::from_secs(args.timeout), shutdown).await?);
     } else {
-        watch::live(config, terminal, shutdown).await
+        let _held = terminal.hold_log();
+        view::live(config, shutdown).await?;
     }
+    Ok(())
 }

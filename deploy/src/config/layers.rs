@@ -60,6 +60,17 @@ impl Override {
         overrides
     }
 
+    /// The same by the key's present name.
+    fn renamed(&self) -> Self {
+        let path = self.path.join(".");
+        let now = |(old, new): &(&str, &str)| {
+            let rest = path.strip_prefix(old).filter(|rest| rest.is_empty() || rest.starts_with('.'))?;
+            Some(format!("{new}{rest}"))
+        };
+        let path = RENAMED.iter().find_map(now).unwrap_or(path);
+        Self { path: path.split('.').map(str::to_owned).collect(), ..self.clone() }
+    }
+
     /// Sets the key in `table`, whose other keys stay but for those of what was chosen before.
     fn apply(&self, table: &mut toml::Table) -> Result<(), ConfigError> {
         let Some((key, sections)) = self.path.split_last() else { return Ok(()) };
@@ -91,7 +102,7 @@ pub fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config,
         // Into the whole tree, so that one key of a choice can be set; one at a time, so that an error can be laid at the
         // right door.
         let mut table = config.to_table();
-        layer.apply(&mut table)?;
+        layer.renamed().apply(&mut table)?;
         config = to_config(&table, &layer.origin)?;
     }
     Ok(config)
@@ -100,9 +111,13 @@ pub fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config,
 /// The keys of the file `text` over those of its base.
 fn with_base(text: &str, origin: &str) -> Result<toml::Table, ConfigError> {
     let refused = |error: toml::de::Error| ConfigError::from_toml(&error, Some(text), origin);
-    // Read as a configuration first, only because such an error knows its line.
-    let file: Config = toml::from_str(text).map_err(refused)?;
     let mut keys: toml::Table = toml::from_str(text).map_err(refused)?;
+    let file: Config = if rename(&mut keys, origin)? {
+        to_config(&keys, origin)?
+    } else {
+        // From the text, because such an error knows its line.
+        toml::from_str(text).map_err(refused)?
+    };
     keys.remove("base");
     match file.base {
         None => Ok(keys),
@@ -117,6 +132,39 @@ fn with_base(text: &str, origin: &str) -> Result<toml::Table, ConfigError> {
 
 /// Sections in which one of several keys is chosen.
 const CHOICES: [&str; 2] = ["every", "filter"];
+
+/// Keys of earlier versions, and what they are called now: sections or values. Files and flags may say either.
+const RENAMED: [(&str, &str); 5] = [
+    ("actor.lead_in", "actor.burn_in"),
+    ("actor.teacher", "actor.dagger"),
+    ("evaluator.judge_last", "evaluator.evaluate_last"),
+    ("evaluator.web", "dashboard.web"),
+    ("learner.normalisation", "learner.normalization"),
+];
+
+/// Gives keys of earlier versions their present names; returns whether there were any.
+fn rename(keys: &mut toml::Table, origin: &str) -> Result<bool, ConfigError> {
+    let mut any = false;
+    for (old, new) in RENAMED {
+        let Some(value) = take(keys, old) else { continue };
+        if take(keys, new).is_some() {
+            let message = format!("`{old}` is now called `{new}`, and both are given");
+            return Err(ConfigError::Value { origin: origin.to_owned(), message });
+        }
+        let path = new.split('.').map(str::to_owned).collect();
+        Override { origin: origin.to_owned(), path, value }.apply(keys)?;
+        any = true;
+    }
+    Ok(any)
+}
+
+/// Takes the value at a dotted path out of the table.
+fn take(table: &mut toml::Table, path: &str) -> Option<toml::Value> {
+    match path.split_once('.') {
+        None => table.remove(path),
+        Some((section, rest)) => take(table.get_mut(section)?.as_table_mut()?, rest),
+    }
+}
 
 /// Replaces single keys; of a choice, by `kind` or by key, what belongs to the others goes.
 fn put_over(table: &mut toml::Table, keys: toml::Table) {
@@ -182,6 +230,18 @@ mod tests {
         assert_eq!(other.evaluator.every, evaluator::Every::Versions(3));
         let unknown = merge("base = \"papr\"", "file", &[]).unwrap_err().to_string();
         assert!(unknown.starts_with("there is no preset `papr`; did you mean `paper`?"), "{unknown}");
+    }
+
+    #[test]
+    fn keys_of_earlier_versions_are_read() {
+        let listen = |config: Config| config.dashboard.web.map(|web| web.listen.to_string());
+        let old = "[evaluator]\nnice = 3\n[evaluator.web]\nlisten = \"127.0.0.1:80\"";
+        let config = merge(old, "file", &[]).unwrap();
+        assert_eq!((config.evaluator.nice, listen(config).as_deref()), (3, Some("127.0.0.1:80")));
+        let set = Override::parse("evaluator.web.listen=127.0.0.1:81").unwrap();
+        assert_eq!(listen(merge(old, "file", &[set]).unwrap()).as_deref(), Some("127.0.0.1:81"));
+        let both = merge(&format!("{old}\n[dashboard.web]\nhosts = []"), "file", &[]).unwrap_err().to_string();
+        assert_eq!(both, "file: `evaluator.web` is now called `dashboard.web`, and both are given");
     }
 
     #[test]

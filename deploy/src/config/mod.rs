@@ -7,9 +7,10 @@ mod layers;
 mod presets;
 
 use actor::{ActorConfig, EnvironmentConfig, PolicyConfig};
+use bus::BusConfig;
+use dashboard::DashboardConfig;
 use evaluator::EvaluatorConfig;
 use learner::{DeviceKind, LearnerConfig};
-use proto::bus::BusConfig;
 use serde::{Deserialize, Serialize};
 
 pub use error::ConfigError;
@@ -47,6 +48,8 @@ pub struct Config {
     pub learner: LearnerConfig,
     /// Evaluation.
     pub evaluator: EvaluatorConfig,
+    /// What a run is shown on.
+    pub dashboard: DashboardConfig,
 }
 
 impl Default for Config {
@@ -63,6 +66,7 @@ impl Default for Config {
             actor: ActorConfig::default(),
             learner: LearnerConfig::default(),
             evaluator: EvaluatorConfig::default(),
+            dashboard: DashboardConfig::default(),
         }
     }
 }
@@ -109,6 +113,7 @@ impl Config {
         section("actor", self.actor.validate())?;
         section("learner", self.learner.validate())?;
         section("evaluator", self.evaluator.validate())?;
+        section("dashboard", self.dashboard.validate())?;
         let (worlds, network) = (self.environment.n_grippers, self.policy.network.n_grippers);
         if worlds != network {
             return Err(format!("environment.n_grippers is {worlds}, but policy.network.n_grippers is {network}"));

@@ -6,8 +6,9 @@ mod terminal;
 use std::sync::Arc;
 use std::time::Duration;
 
-use evaluator::{Detail, EvalReport, render};
-use proto::bus::{AliveWatch, MetricsSubscriber};
+use bus::{AliveWatch, MetricsSubscriber};
+use evaluator::{Detail, render};
+use proto::metrics::EvalReport;
 use proto::metrics::LearnerMetrics;
 use tokio::sync::watch;
 use tokio::time::Instant;

@@ -18,7 +18,7 @@ pub(super) fn check(field: &'static str, value: f32, lowest: f32, highest: f32) 
     if (lowest..=highest).contains(&value) {
         return Ok(());
     }
-    // Through text, so that 0.045 prints as 0.045 and not as its f32 neighbour.
+    // Through text, so that 0.045 prints as 0.045 and not as its f32 neighbor.
     let exact = |x: f32| x.to_string().parse().unwrap_or(f64::from(x));
     Err(EnvironmentConfigError { field, value: value.to_string(), lowest: exact(lowest), highest: exact(highest) })
 }

@@ -18,7 +18,7 @@ pub struct ResetConfig {
     pub max_slenderness: f32,
     /// A structure stands within this distance of the origin in x and in y, m, 0 to 1. Default 0.2.
     pub structure_offset_m: f32,
-    /// Near-goal starts: a block that was taken off lies with its centre at most this much farther from its place, in
+    /// Near-goal starts: a block that was taken off lies with its center at most this much farther from its place, in
     /// x and in y, than it must to be free, m, 0.01 to 1. Default 0.15.
     pub near_goal_m: f32,
     /// Near-goal starts: it is turned by up to this much from its wanted yaw, rad, 0 to 3.2. Default 0.3.

@@ -13,7 +13,7 @@ pub struct PhysicsConfig {
     pub n_substeps: u8,
     /// Length of a substep in ms, 1 to 50. Default 10, so that a control step takes 0.1 s.
     pub substep_ms: f32,
-    /// Gravity in m/s², 0 to 30, towards −z. Default 9.81.
+    /// Gravity in m/s², 0 to 30, toward −z. Default 9.81.
     pub gravity_mps2: f32,
     /// Density of the blocks in kg/m³, 10 to 5000. Default 200: a unit cube weighs 0.2 kg.
     pub density_kgpm3: f32,

@@ -11,7 +11,7 @@ use super::{Activity, Base, Command, Expert};
 /// Within this of the way's axis a piece may come in all the way, m; further aside it stays back by so many times more.
 const MAX_ASIDE_M: f32 = 0.02;
 const ASIDE_SLOPE: f32 = 2.0;
-/// Within this of its orientation, rad; turned further it stays back by so many metres per radian more.
+/// Within this of its orientation, rad; turned further it stays back by so many meters per radian more.
 const MAX_TURN_RAD: f32 = 0.12;
 const TURN_SLOPE_M: f32 = 0.2;
 /// Further than this from the axis, m, or from its orientation, rad, it is not on its way in.
@@ -27,7 +27,7 @@ const TOUCH_SPEED_MPS: f32 = 0.4;
 const YIELD_M: f32 = 0.05;
 /// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
 const STRAY_MARGIN_M: f32 = 0.025;
-/// A stray leaves with this speed, m/s, and goes up by so many metres per metre aside.
+/// A stray leaves with this speed, m/s, and goes up by so many meters per meter aside.
 const FLING_SPEED_MPS: f32 = 2.5;
 const FLING_RISE: f32 = 0.7;
 /// Heights above the beginning of the first job's way that who waits keeps free, m.
@@ -271,6 +271,6 @@ fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
             (along - TOUCH_SPEED_MPS * limits.step_s).max(0.0)
         };
         to.translation.vector += direction * left.max(back.min(length));
-        limits.towards(from, &to)
+        limits.toward(from, &to)
     })
 }

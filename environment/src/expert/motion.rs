@@ -61,7 +61,7 @@ impl Limits {
     /// The motion that reaches `to` from `from` in one step, or as fast as the gripper can.
     ///
     /// The world clips each component in the block's frame, which would bend the path: here all shrink together.
-    pub(super) fn towards(&self, from: &Isometry3<f32>, to: &Isometry3<f32>) -> Twist {
+    pub(super) fn toward(&self, from: &Isometry3<f32>, to: &Isometry3<f32>) -> Twist {
         let linear = (to.translation.vector - from.translation.vector) / self.step_s;
         let angular = (to.rotation * from.rotation.inverse()).scaled_axis() / self.step_s;
         self.clipped(&from.rotation, Twist { linear, angular })
@@ -89,7 +89,7 @@ impl Limits {
         via.translation.z += (apart - FUNNEL_M).clamp(0.0, CRUISE_M);
         let climb = via.translation.z - from.translation.z;
         let share = (1.0 - (climb - FREE_CLIMB_M) / CLIMB_M).clamp(0.0, 1.0);
-        let mut twist = self.towards(from, &via);
+        let mut twist = self.toward(from, &via);
         twist.linear.x *= share;
         twist.linear.y *= share;
         twist.linear.z = (climb / self.step_s).clamp(-self.max_speed_mps, self.max_speed_mps);
@@ -132,14 +132,14 @@ impl Load {
         for detour in DETOURS_M {
             let mut via = *target;
             via.translation.z += detour;
-            if self.is_free(view, limits, from, |at| limits.towards(at, &via)) {
-                return limits.towards(from, &via);
+            if self.is_free(view, limits, from, |at| limits.toward(at, &via)) {
+                return limits.toward(from, &via);
             }
         }
         // Up without turning: the start may be narrow.
         let mut via = *from;
         via.translation.z = (via.translation.z + limits.max_speed_mps * limits.step_s).min(CEILING_M);
-        limits.towards(from, &via)
+        limits.toward(from, &via)
     }
 
     /// Whether a way of moving from `from` on touches nothing.
@@ -169,7 +169,7 @@ impl Load {
         true
     }
 
-    /// Whether the load at `pose` comes within `margin` metres of another block, or goes into the ground.
+    /// Whether the load at `pose` comes within `margin` meters of another block, or goes into the ground.
     pub(super) fn hits(&self, view: &View, pose: &Isometry3<f32>, margin: f32) -> bool {
         self.boxes.iter().any(|(block, relative)| {
             let at = pose * relative;
@@ -200,7 +200,7 @@ impl Load {
         self.boxes.iter().map(far).fold(0.0, f32::max)
     }
 
-    /// Whether the load at `pose` is at least `margin` metres from all of `boxes`.
+    /// Whether the load at `pose` is at least `margin` meters from all of `boxes`.
     pub(super) fn is_apart(
         &self,
         view: &View,
@@ -226,7 +226,7 @@ fn reach(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
     down.abs().dot(half)
 }
 
-/// A distance in metres that two boxes are apart at least; negative if they overlap, or only almost.
+/// A distance in meters that two boxes are apart at least; negative if they overlap, or only almost.
 ///
 /// Separating axes, the six face normals only: edges against edges are taken as closer than they are.
 pub(super) fn gap(a: (&Isometry3<f32>, &Vector3<f32>), b: (&Isometry3<f32>, &Vector3<f32>)) -> f32 {

@@ -9,7 +9,7 @@ use super::{Base, Expert};
 
 /// More room than for a structure of this radius is not looked for, m.
 const MAX_RADIUS_M: f32 = 0.25;
-/// Room for a block beside the structure, and for that part of the structure which is beyond its blocks' centres, m.
+/// Room for a block beside the structure, and for that part of the structure which is beyond its blocks' centers, m.
 const STRAY_RADIUS_M: f32 = 0.25;
 /// Weight of the push of near blocks beside the push outwards.
 const PUSH_WEIGHT: f32 = 0.7;

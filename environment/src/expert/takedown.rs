@@ -120,7 +120,7 @@ impl Expert {
         }
         // A height that no whole number of steps falls down from, so that the gripper still pushes when it arrives.
         to.translation.z += if turn.is_some() || low < GROUND_M { (SLAM_HEIGHT_M - low).max(0.0) } else { -1.0 };
-        Command { block: own, twist: self.limits.towards(from, &to) }
+        Command { block: own, twist: self.limits.toward(from, &to) }
     }
 }
 

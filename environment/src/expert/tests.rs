@@ -1,6 +1,6 @@
 //! The expert builds, takes apart and never contradicts itself.
 
-use blueprints::{BlueprintId, Catalogue};
+use blueprints::{BlueprintId, Catalog};
 use proto::{Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -16,7 +16,7 @@ fn id(text: &str) -> BlueprintId {
 fn begin(config: &EnvironmentConfig, goal: &str, start: Start, seed: u64) -> (World, Expert) {
     let mut world = World::new(config).unwrap();
     let assignment = sample_assignment(&mut ChaCha8Rng::seed_from_u64(seed));
-    world.reset(&Task { blueprint: id(goal), assignment, start, seed }, Catalogue::builtin()).unwrap();
+    world.reset(&Task { blueprint: id(goal), assignment, start, seed }, Catalog::builtin()).unwrap();
     let expert = Expert::new(config, world.blueprint()).unwrap();
     (world, expert)
 }
@@ -136,7 +136,7 @@ fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
     let at = |x: f32, z: f32| Isometry3::from_parts(Translation3::new(x, 0.0, z), UnitQuaternion::identity());
     let limits = &expert.limits;
     let is_free =
-        |from: Isometry3<f32>, to: Isometry3<f32>| load.is_free(&view, limits, &from, |at| limits.towards(at, &to));
+        |from: Isometry3<f32>, to: Isometry3<f32>| load.is_free(&view, limits, &from, |at| limits.toward(at, &to));
     assert!(!is_free(from, at(0.45, 0.05)), "through the second cube");
     assert!(is_free(from, at(0.15, 0.05)), "up to its side");
     assert!(is_free(at(0.0, 0.3), at(0.6, 0.3)), "over both");

@@ -65,7 +65,7 @@ fn is_connected(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
     reached.len() == blocks.len()
 }
 
-/// Whether the centre of mass is above the rectangle about the lowest blocks.
+/// Whether the center of mass is above the rectangle about the lowest blocks.
 ///
 /// The rectangle is a little larger than the true support; a structure that falls over is a poor start, not an error.
 fn stands(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {

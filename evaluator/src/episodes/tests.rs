@@ -1,10 +1,12 @@
 //! Evaluations of untrained weights in real worlds.
 
-use blueprints::Split;
-use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig};
-use proto::{Normalisation, WeightsVersion};
+use blueprints::{Catalog, Split};
+use environment::EnvironmentConfig;
+use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig, PolicyError};
+use proto::{ActionMode, Normalization, WeightsVersion};
 
 use super::*;
+use crate::config::{EpisodeConfig, ResetFreeConfig};
 
 /// A network small enough for tests and short episodes.
 pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
@@ -12,7 +14,7 @@ pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
     let network = NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
     EvalSetup {
-        catalogue: Catalogue::builtin(),
+        catalog: Catalog::builtin(),
         policy: PolicyConfig { network, ..Default::default() },
         environment: EnvironmentConfig { episode_steps: 8, ..Default::default() },
         episodes,
@@ -29,13 +31,13 @@ pub(crate) fn weights(setup: &EvalSetup<'_>) -> Weights {
         n_env_steps: 77,
         network_hash: setup.policy.hash(),
         parameters: policy::parameters::flatten(&network),
-        normalisation: Normalisation { value_std: 1.0, ..Normalisation::default() },
+        normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: [(blueprints(1)[0].id().clone(), 1.0)].into(),
     }
 }
 
 fn blueprints(n: usize) -> Vec<&'static Blueprint> {
-    Catalogue::builtin().of_split(Split::Train)[..n].to_vec()
+    Catalog::builtin().of_split(Split::Train)[..n].to_vec()
 }
 
 fn report(setup: &EvalSetup<'_>, n_blueprints: usize) -> EvalReport {
@@ -55,13 +57,13 @@ fn the_same_weights_get_the_same_report() {
 
 #[test]
 fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
-    let setup = small_setup(EpisodeConfig { n_episodes: 2, acting: vec![Acting::Mode], ..Default::default() });
+    let setup = small_setup(EpisodeConfig { n_episodes: 2, acting: vec![ActionMode::Greedy], ..Default::default() });
     // 62 of 2 to 4 blocks: 124 episodes in parts of 32, 64 and 124.
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
-    let desk = Desk::new(Arc::new(weights(&setup)));
-    let workshop = Workshop { setup: &setup, desk: &desk, films: None, keep_going: &|| true };
-    let whole = evaluate_in_parts(&workshop, &blueprints, &mut |part| parts.push(part)).unwrap();
+    let queue = WorkQueue::new(Arc::new(weights(&setup)));
+    let pool = EvaluationPool { setup: &setup, queue: &queue, films: None, keep_going: &|| true };
+    let whole = evaluate_in_parts(&pool, &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));
@@ -96,7 +98,8 @@ fn weights_of_another_network_are_refused() {
 
 #[test]
 fn reset_free_runs_count_every_goal() {
-    let mut setup = small_setup(EpisodeConfig { n_episodes: 1, acting: vec![Acting::Mode], ..Default::default() });
+    let mut setup =
+        small_setup(EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() });
     setup.reset_free = Some(ResetFreeConfig { n_runs: 2, n_goals: 3, min_blocks: 12 });
     let runs = report(&setup, 1).summary.reset_free.unwrap();
     assert_eq!((runs.n_runs, runs.n_goals), (2, 3));

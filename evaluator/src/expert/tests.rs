@@ -6,7 +6,7 @@ use super::*;
 
 fn setup() -> ExpertSetup<'static> {
     ExpertSetup {
-        catalogue: Catalogue::builtin(),
+        catalog: Catalog::builtin(),
         environment: EnvironmentConfig::default(),
         n_episodes: 5,
         starts: Starts::Mixed,
@@ -18,9 +18,9 @@ fn setup() -> ExpertSetup<'static> {
 }
 
 #[test]
-fn the_expert_builds_a_sample_of_the_catalogue() {
-    // Every seventh blueprint, so that all sizes and splits are there. The whole catalogue gives 99 %.
-    let sample: Vec<&Blueprint> = Catalogue::builtin().iter().step_by(7).collect();
+fn the_expert_builds_a_sample_of_the_catalog() {
+    // Every seventh blueprint, so that all sizes and splits are there. The whole catalog gives 99 %.
+    let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(7).collect();
     let report = evaluate_expert(&setup(), &sample, &|| true).unwrap();
     let all = report.groups.last().unwrap();
     assert_eq!((all.name.as_str(), all.n_blueprints), ("all", sample.len() as u64));
@@ -32,7 +32,7 @@ fn the_expert_builds_a_sample_of_the_catalogue() {
 
 #[test]
 fn a_report_does_not_depend_on_the_threads() {
-    let sample: Vec<&Blueprint> = Catalogue::builtin().iter().step_by(40).collect();
+    let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(40).collect();
     let report = |n_threads| evaluate_expert(&ExpertSetup { n_threads, ..setup() }, &sample, &|| true).unwrap();
     assert_eq!(report(1), report(3));
 }
@@ -41,7 +41,7 @@ fn a_report_does_not_depend_on_the_threads() {
 fn a_failure_has_a_cause_and_a_replay_that_can_be_sent() {
     let mut setup = ExpertSetup { n_episodes: 1, starts: Starts::Scattered, ..setup() };
     setup.environment.episode_steps = 5;
-    let goal = Catalogue::builtin().get(&"16_000".parse().unwrap()).unwrap();
+    let goal = Catalog::builtin().get(&"16_000".parse().unwrap()).unwrap();
     let report = evaluate_expert(&setup, &[goal], &|| true).unwrap();
     let [failure] = &report.failures[..] else { panic!("{:?}", report.failures) };
     assert_eq!((failure.trouble.cause, failure.trouble.n_steps), (Cause::Time, 5));
@@ -56,7 +56,7 @@ fn a_failure_has_a_cause_and_a_replay_that_can_be_sent() {
 fn an_evaluation_ends_when_it_is_told_to() {
     let n_asked = AtomicUsize::new(0);
     let keep_going = || n_asked.fetch_add(1, Ordering::Relaxed) < 3;
-    let goal = &Catalogue::builtin().of_split(Split::Train)[..1];
+    let goal = &Catalog::builtin().of_split(Split::Train)[..1];
     let setup = ExpertSetup { n_threads: 1, ..setup() };
     assert!(matches!(evaluate_expert(&setup, goal, &keep_going), Err(EvalError::Interrupted)));
 }
@@ -65,7 +65,7 @@ fn an_evaluation_ends_when_it_is_told_to() {
 fn goals_in_a_row_are_built_where_the_last_one_ended() {
     let config = ResetFreeConfig { n_runs: 2, n_goals: 3, min_blocks: 12 };
     let setup = ExpertSetup { reset_free: Some(config), ..setup() };
-    let goal = &Catalogue::builtin().of_split(Split::Train)[..1];
+    let goal = &Catalog::builtin().of_split(Split::Train)[..1];
     let found = evaluate_expert(&setup, goal, &|| true).unwrap().reset_free.unwrap();
     assert_eq!((found.n_runs, found.n_goals, found.runs.outcome.success.n_episodes), (2, 3, 6));
     assert!(found.runs.outcome.success.n_successes >= 4, "{found:?}");

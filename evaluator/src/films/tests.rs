@@ -4,34 +4,27 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use blueprints::{Blueprint, Catalogue, Split};
+use blueprints::{Blueprint, Catalog, Split};
 use proto::codec::decode_trajectory;
 use proto::metrics::FilmCounts;
 use proto::{RewardTerms, Scene, Start, Task};
 
-use super::casting::Casting;
-use super::studio::{ROOM, Tray};
-use super::{FilmsConfig, Studio};
-use crate::config::EpisodeConfig;
-use crate::desk::Desk;
+use super::VideoRecorder;
+use super::queue::{ClipQueue, ROOM};
+use super::selector::EpisodeSelector;
+use crate::config::{EpisodeConfig, FilmsConfig};
+use crate::episodes::evaluate_in_parts;
 use crate::episodes::tests::{small_setup, weights};
-use crate::episodes::{Workshop, evaluate_in_parts};
-use crate::lanes::Job;
-use crate::report::{Acting, End, Episode};
-use crate::run::RecordPaths;
-
-fn paths(folder: &Path) -> RecordPaths {
-    RecordPaths {
-        metrics: folder.join("metrics.jsonl"),
-        history: folder.join("eval.db"),
-        tensorboard: folder.join("tb"),
-        videos: folder.join("videos"),
-        replays: folder.join("replays"),
-    }
-}
+use crate::pool::EvaluationPool;
+use crate::report::Episode;
+use crate::sequences::EpisodeSpec;
+use crate::work_queue::WorkQueue;
+use proto::ActionMode;
+use proto::unit::End;
+use runlog::RunPaths;
 
 fn blueprint() -> &'static Blueprint {
-    Catalogue::builtin().of_split(Split::Train)[0]
+    Catalog::builtin().of_split(Split::Train)[0]
 }
 
 fn names(folder: &Path) -> Vec<String> {
@@ -47,18 +40,18 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let setup = small_setup(EpisodeConfig { n_episodes: 2, ..Default::default() });
     let weights = Arc::new(weights(&setup));
     let config = FilmsConfig { width: 480, fps: 10, ..Default::default() };
-    let studio = Studio::open(&config, &paths(dir.path())).unwrap().unwrap();
-    let casting = studio.casting(&weights, &setup.episodes.acting);
-    let goals = Catalogue::builtin().of_split(Split::Train)[..2].to_vec();
-    let evaluate = |films: Option<&Casting>| {
-        let desk = Desk::new(weights.clone());
-        let workshop = Workshop { setup: &setup, desk: &desk, films, keep_going: &|| true };
-        evaluate_in_parts(&workshop, &goals, &mut |_| {}).unwrap()
+    let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path())).unwrap().unwrap();
+    let selector = recorder.selector(&weights, &setup.episodes.acting);
+    let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
+    let evaluate = |films: Option<&EpisodeSelector>| {
+        let queue = WorkQueue::new(weights.clone());
+        let pool = EvaluationPool { setup: &setup, queue: &queue, films, keep_going: &|| true };
+        evaluate_in_parts(&pool, &goals, &mut |_| {}).unwrap()
     };
-    assert_eq!(evaluate(casting.as_ref()), evaluate(None));
-    let written = studio.wait_until(|counts| counts.written_total + counts.failed_total > 0);
+    assert_eq!(evaluate(selector.as_ref()), evaluate(None));
+    let written = recorder.wait_until(|counts| counts.written_total + counts.failed_total > 0);
     assert_eq!(written, FilmCounts { written_total: 1, ..FilmCounts::default() });
-    studio.close();
+    recorder.close();
 
     // Untrained weights with eight steps build nothing: the first episode of the first blueprint that ends is the film.
     let [folder] = names(&dir.path().join("videos")).try_into().unwrap();
@@ -67,16 +60,16 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let replay = dir.path().join("replays").join(&folder).join("00000002-failure.trajectory");
     let segment = decode_trajectory(&fs::read(replay).unwrap()).unwrap();
     assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights.version));
-    crate::video::Episode::new(&[segment], goal).unwrap();
+    render::video::Episode::new(&[segment], goal).unwrap();
     assert_eq!(names(&dir.path().join("tb/films")).len(), 1);
 }
 
 /// An episode of one step that ended so.
-fn play(casting: &Casting, scene: &Scene, acting: Acting, end: End) -> bool {
+fn play(selector: &EpisodeSelector, scene: &Scene, acting: ActionMode, end: End) -> bool {
     let goal = blueprint();
-    let job = Job::new(goal, Start::Scattered, 1, 0);
-    let task: &Task = job.task();
-    let Some(mut recording) = casting.begin(task, goal.split(), goal.n_blocks(), acting) else { return false };
+    let spec = EpisodeSpec::new(goal, Start::Scattered, 1, 0);
+    let task: &Task = spec.task();
+    let Some(mut recording) = selector.begin(task, goal.split(), goal.n_blocks(), acting) else { return false };
     let action = proto::Action { choices: [None, None], moves: [[0.0; 6]; blueprints::N_BLOCKS] };
     recording.note(scene.clone(), action, RewardTerms::default());
     let episode = Episode {
@@ -88,7 +81,7 @@ fn play(casting: &Casting, scene: &Scene, acting: Acting, end: End) -> bool {
         n_steps: 1,
         episode_return: RewardTerms::default(),
     };
-    casting.end(recording, task, scene, &episode);
+    selector.end(recording, task, scene, &episode);
     true
 }
 
@@ -103,47 +96,47 @@ fn scene() -> Scene {
     }
 }
 
-fn casting(config: &FilmsConfig, tray: &Arc<Tray>) -> Casting {
+fn selector(config: &FilmsConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
     let setup = small_setup(EpisodeConfig::default());
-    Casting::new(config, Arc::new(weights(&setup)), Acting::Mode, tray.clone()).unwrap()
+    EpisodeSelector::new(config, Arc::new(weights(&setup)), ActionMode::Greedy, queue.clone()).unwrap()
 }
 
 #[test]
 fn nothing_is_recorded_once_every_wanted_film_is_taken() {
-    let tray = Arc::new(Tray::default());
+    let queue = Arc::new(ClipQueue::default());
     let config = FilmsConfig { blueprints: vec![blueprint().id().clone()], n_of_each: 2, ..Default::default() };
-    let casting = casting(&config, &tray);
+    let selector = selector(&config, &queue);
     let success = End::Success { stable: true };
-    assert!(!play(&casting, &scene(), Acting::Sampled, success), "only one way of acting is filmed");
+    assert!(!play(&selector, &scene(), ActionMode::Sampled, success), "only one way of acting is filmed");
     for end in [success, success, success, End::TimeLimit] {
-        assert!(play(&casting, &scene(), Acting::Mode, end));
+        assert!(play(&selector, &scene(), ActionMode::Greedy, end));
     }
     // Two successes for group and blueprint alike; the third was recorded because a failure was still wanted.
-    assert_eq!(tray.counts().n_waiting, 3);
-    assert!(play(&casting, &scene(), Acting::Mode, End::Diverged), "a diverged episode is a failure");
-    assert_eq!(tray.counts().n_waiting, 4);
-    assert!(!play(&casting, &scene(), Acting::Mode, success));
+    assert_eq!(queue.counts().n_waiting, 3);
+    assert!(play(&selector, &scene(), ActionMode::Greedy, End::Diverged), "a diverged episode is a failure");
+    assert_eq!(queue.counts().n_waiting, 4);
+    assert!(!play(&selector, &scene(), ActionMode::Greedy, success));
 }
 
 #[test]
 fn a_full_desk_drops_and_counts_and_nobody_waits() {
-    let tray = Arc::new(Tray::default());
+    let queue = Arc::new(ClipQueue::default());
     let config = FilmsConfig { n_of_each: 10, ..Default::default() };
-    // Nobody takes anything off this tray.
+    // Nobody takes anything off this queue.
     for _ in 0..ROOM / 10 + 1 {
-        let casting = casting(&config, &tray);
-        (0..10).for_each(|_| assert!(play(&casting, &scene(), Acting::Mode, End::TimeLimit)));
+        let selector = selector(&config, &queue);
+        (0..10).for_each(|_| assert!(play(&selector, &scene(), ActionMode::Greedy, End::TimeLimit)));
     }
     let n_offered = (ROOM as u64 / 10 + 1) * 10;
     let expected =
         FilmCounts { n_waiting: ROOM as u64, dropped_total: n_offered - ROOM as u64, ..FilmCounts::default() };
-    assert_eq!(tray.counts(), expected);
+    assert_eq!(queue.counts(), expected);
 }
 
 #[test]
 fn an_empty_list_makes_no_films() {
     let dir = tempfile::tempdir().unwrap();
     let config = FilmsConfig { groups: Vec::new(), ..Default::default() };
-    assert!(Studio::open(&config, &paths(dir.path())).unwrap().is_none());
+    assert!(VideoRecorder::open(&config, &RunPaths::new(dir.path())).unwrap().is_none());
     assert!(names(dir.path()).is_empty());
 }

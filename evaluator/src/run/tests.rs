@@ -6,9 +6,9 @@ use blueprints::Split;
 use proto::metrics::{EvalBlueprint, EvalSummary};
 
 use super::*;
-use crate::config::{EpisodeConfig, Every, Selection};
+use crate::config::{EpisodeConfig, EvaluatorConfig, Every, Selection};
 use crate::episodes::tests::{small_setup, weights};
-use crate::report::Acting;
+use proto::ActionMode;
 
 /// Ends a test that waits for what does not come.
 async fn within<T>(future: impl Future<Output = T>) -> T {
@@ -22,14 +22,8 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let episodes = EpisodeConfig { n_episodes: 1, ..Default::default() };
     let small = small_setup(episodes.clone());
     let selection = Selection { sizes: [2, 2], ..Default::default() };
-    let n_selected = selection.select(Catalogue::builtin()).unwrap().len();
-    let records = RecordPaths {
-        metrics: dir.path().join("metrics.jsonl"),
-        history: dir.path().join(crate::HISTORY),
-        tensorboard: dir.path().join("tb"),
-        videos: dir.path().join("videos"),
-        replays: dir.path().join("replays"),
-    };
+    let n_selected = selection.select(Catalog::builtin()).unwrap().len();
+    let records = RunPaths::new(dir.path());
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, ..Default::default() },
         policy: small.policy.clone(),
@@ -39,10 +33,11 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         records: Some(records.clone()),
     };
     let (reports, mut seen) = watch::channel(None);
+    let listeners = Listeners { reports: Some(reports), ..Default::default() };
     let (tell, last) = watch::channel(None);
     let stop = Stop { last: Some(last), ..Stop::default() };
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_stop).await });
+    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights(&small);
@@ -75,10 +70,10 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let last = WeightsVersion(untrained.version.0 + 6);
     publisher.publish(Arc::new(Weights { version: last, ..untrained.clone() })).await.unwrap();
     tell.send_replace(Some(last));
-    assert_eq!(within(service).await.unwrap().unwrap(), 3);
+    assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 3 });
     assert_eq!(seen.borrow().as_ref().unwrap().summary.weights_version, last);
 
-    let text = std::fs::read_to_string(&records.metrics).unwrap();
+    let text = std::fs::read_to_string(records.metrics()).unwrap();
     let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), 3 * (1 + n_selected));
     assert_eq!(lines[0]["key"], "eval/summary");
@@ -87,9 +82,9 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let first: EvalBlueprint = serde_json::from_value(lines[1].clone()).unwrap();
     assert_eq!(first, report.blueprints[0]);
     assert_eq!(lines[1]["key"], format!("eval/train/{}", first.blueprint));
-    let passes = crate::History::read(&records.history).unwrap();
+    let passes = History::read(&records.history()).unwrap();
     assert_eq!(passes.len(), 3);
-    assert_eq!(passes[0], crate::Pass::new(&report, passes[0].ended_unix_ms));
+    assert_eq!(passes[0], Pass::new(&report, passes[0].ended_unix_ms));
     // Ended in order, after 2026 began.
     assert!(1_767_225_600_000 < passes[0].ended_unix_ms && passes[0].ended_unix_ms <= passes[1].ended_unix_ms);
     bus.close().await.unwrap();
@@ -99,7 +94,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
 async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
-    let episodes = EpisodeConfig { n_episodes: 1, acting: vec![Acting::Mode], ..Default::default() };
+    let episodes = EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() };
     let small = small_setup(episodes.clone());
     // 45 blueprints: parts of 32 and 45 episodes.
     let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
@@ -113,9 +108,10 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     };
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let (reports, seen) = watch::channel(None);
+    let listeners = Listeners { reports: Some(reports), ..Default::default() };
     let stop = Stop::default();
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, reports, None, its_stop).await });
+    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(weights(&small))).await.unwrap();
 

@@ -1,5 +1,6 @@
 //! The files of a checkpoint: written to the disk for good, and verified when read.
 
+use blueprints::hash::fnv1a;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{ErrorKind, Write};
@@ -127,11 +128,7 @@ fn names(dir: &Path) -> Result<Vec<(String, PathBuf)>, CheckpointError> {
     Ok(names)
 }
 
-/// FNV-1a, 64 bits: finds cuts and flipped bits; it is no protection against forgery.
+/// As 16 hexadecimal digits.
 fn hash(bytes: &[u8]) -> String {
-    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-    for &byte in bytes {
-        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-    }
-    format!("{hash:016x}")
+    format!("{:016x}", fnv1a(bytes.iter().copied()))
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{LearnerConfigError, Schedule, check, check_at_least, check_positive};
 
-/// Learning from the expert's labels, alone or together with PPO: every gradient step minimises one weighted sum.
+/// Learning from the expert's labels, alone or together with PPO: every gradient step minimizes one weighted sum.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ImitationConfig {
@@ -26,11 +26,11 @@ pub struct ImitationConfig {
     pub minibatch_size: usize,
     /// Gradient steps of an update, at least; PPO's own come on top if they are more. 1..=65536, default 32.
     pub steps_per_update: usize,
-    /// Where labelled scenes are kept.
+    /// Where labeled scenes are kept.
     pub replay: ReplayConfig,
 }
 
-/// The store of labelled scenes.
+/// The store of labeled scenes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReplayConfig {

@@ -10,7 +10,7 @@ use super::{LearnerConfigError, Schedule, check, check_at_least, check_positive}
 pub struct LossConfig {
     /// Probability ratios beyond 1 ± this are clipped; above 0, at most 1, default 0.2.
     pub clip: f32,
-    /// Clip of the value's change in units of the normalised value; above 0; `None` (default) is off, as it hurts.
+    /// Clip of the value's change in units of the normalized value; above 0; `None` (default) is off, as it hurts.
     pub value_clip: Option<f32>,
     /// Weight of the value loss; at least 0, default 0.5.
     pub value_coefficient: f32,

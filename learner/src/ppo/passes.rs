@@ -32,13 +32,13 @@ pub(super) struct Passes {
 /// What the network says about rows of a batch, without gradients.
 #[derive(Default)]
 pub(super) struct Evaluation {
-    /// Normalised values of all rows.
+    /// Normalized values of all rows.
     pub(super) values: Vec<f32>,
     /// Log-probabilities of the samples' actions.
     pub(super) log_probs: Vec<f32>,
 }
 
-/// What the network is pulled towards, one entry per sample.
+/// What the network is pulled toward, one entry per sample.
 pub(super) struct Targets<'a> {
     /// How the parts of the loss weigh.
     pub(super) loss: LossTerms,
@@ -46,11 +46,11 @@ pub(super) struct Targets<'a> {
     pub(super) reference: &'a [f32],
     /// Weights of the samples in the policy loss.
     pub(super) weights: Vec<f32>,
-    /// Normalised advantages.
+    /// Normalized advantages.
     pub(super) advantages: Vec<f32>,
-    /// Values before the update, normalised.
+    /// Values before the update, normalized.
     pub(super) old_values: Vec<f32>,
-    /// Returns, normalised.
+    /// Returns, normalized.
     pub(super) value_targets: Vec<f32>,
 }
 
@@ -66,20 +66,20 @@ pub(super) struct GradientPass {
 
 /// Scenes with the expert's labels.
 pub(super) struct Lessons {
-    /// Normalised.
+    /// Normalized.
     pub(super) features: FeatureBatch,
     /// One for each scene.
     pub(super) labels: Vec<Label>,
 }
 
-/// Result of a forward and backward pass over labelled scenes.
+/// Result of a forward and backward pass over labeled scenes.
 pub(super) struct ImitationPass {
     /// Of the loss, in the order of the flat parameters.
     pub(super) gradient: Vec<f32>,
     pub(super) sums: ImitationSums,
 }
 
-/// Sums over labelled scenes.
+/// Sums over labeled scenes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ImitationSums {
     pub(super) blocks: f64,
@@ -99,7 +99,7 @@ pub(super) struct LossSums {
 }
 
 impl LossSums {
-    /// The weighted sum that is minimised.
+    /// The weighted sum that is minimized.
     pub(super) fn total(&self, config: &LossTerms) -> f64 {
         let weighted = |coefficient: f32, sum: f64| f64::from(coefficient) * sum;
         let entropies = weighted(config.block_entropy, self.blocks) + weighted(config.move_entropy, self.moves);
@@ -161,7 +161,7 @@ impl Passes {
         Ok(())
     }
 
-    /// Gradient of `share` × the summed imitation loss of a piece of normalised scenes.
+    /// Gradient of `share` × the summed imitation loss of a piece of normalized scenes.
     pub(super) fn imitate(
         &self,
         lessons: &Lessons,
@@ -234,7 +234,7 @@ impl Passes {
         GradientPass { gradient, log_probs: to_vec(log_prob), losses }
     }
 
-    /// Runs `network` on normalised features and masks the logits as configured.
+    /// Runs `network` on normalized features and masks the logits as configured.
     fn forward(&self, network: &Network, device: &Device, features: &FeatureBatch) -> NetworkOutput {
         let mut output = network.forward(&BatchTensors::new(features, network.edge_layout(), device));
         if self.policy.mask == BlockMask::Blueprint {

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use proto::Driver;
 
-use super::learning::{bandit, feed, labelled, small_setup};
+use super::learning::{bandit, feed, labeled, small_setup};
 use crate::checkpoint::{self, Checkpoint, CheckpointError, files};
 use crate::config::{ImitationConfig, ReplayConfig, Schedule};
 use crate::model::Model;
@@ -66,8 +66,8 @@ fn a_resumed_learner_goes_on_with_the_labels_it_had() {
     let train = |learner: &mut Learner, n: u64| {
         for _ in 0..n {
             let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
-            feed(learner, labelled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Sample));
-            feed(learner, labelled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Expert));
+            feed(learner, labeled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Sample));
+            feed(learner, labeled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Expert));
             learner.update().unwrap();
         }
     };

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use blueprints::{BlockIdx, Catalogue, Inventory};
+use blueprints::{BlockIdx, Catalog, Inventory};
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
-use policy::{ActionMode, FeatureBatch, NetworkConfig, Policy, PolicyConfig};
+use policy::{FeatureBatch, NetworkConfig, Policy, PolicyConfig};
+use proto::ActionMode;
 use proto::{Driver, Label, Outcome, RewardTerms, Status, Trajectory, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -24,7 +25,7 @@ pub(super) fn small_setup(seed: u64) -> LearnerSetup {
     LearnerSetup {
         config,
         policy: PolicyConfig { network, ..PolicyConfig::default() },
-        catalogue: Arc::new(Catalogue::builtin().clone()),
+        catalog: Arc::new(Catalog::builtin().clone()),
         tasks: vec![blueprint_id()],
         generated: None,
         seed,
@@ -38,7 +39,7 @@ pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
     policy.load(weights).unwrap();
     let mut trajectories: Vec<_> = (0..n).map(|_| random_trajectory(1, weights.version.0, rng)).collect();
     let mut features = FeatureBatch::new(&setup.policy.features);
-    let blueprint = setup.catalogue.get(&blueprint_id()).unwrap();
+    let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
     trajectories.iter().for_each(|t| features.push(&t.transitions[0].scene, blueprint));
     let mut rngs = vec![ChaCha8Rng::from_rng(rng); n];
     for (i, action_rng) in rngs.iter_mut().enumerate() {
@@ -157,18 +158,18 @@ fn a_step_that_is_not_finite_is_left_out() {
     assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
 }
 
-/// The label of every scene of [`labelled`].
-fn lesson() -> Label {
+/// The label of every scene of [`labeled`].
+fn dagger() -> Label {
     let block = |index: u8| BlockIdx::try_from(index).ok();
     let moves = [[0.5, -0.5, 0.25, 0.0, 0.0, -0.25], [-0.5, 0.0, 0.0, 0.5, 0.0, 0.0]];
     Label { choices: [block(2), block(7)], moves }
 }
 
 /// The same with the expert's label, as if `driver` had acted.
-pub(super) fn labelled(mut trajectories: Vec<Trajectory>, driver: Driver) -> Vec<Trajectory> {
+pub(super) fn labeled(mut trajectories: Vec<Trajectory>, driver: Driver) -> Vec<Trajectory> {
     for trajectory in &mut trajectories {
         trajectory.driver = driver;
-        trajectory.transitions.iter_mut().for_each(|transition| transition.label = Some(lesson()));
+        trajectory.transitions.iter_mut().for_each(|transition| transition.label = Some(dagger()));
     }
     trajectories
 }
@@ -183,7 +184,7 @@ fn labels_are_learned_and_the_expert_s_success_is_nobody_s() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut losses = Vec::new();
     for _ in 0..4 {
-        feed(&learner, labelled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
+        feed(&learner, labeled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
         let update = learner.update().unwrap();
         let learned = update.imitation.unwrap();
         losses.push(learned.block_loss + learned.move_loss);
@@ -193,7 +194,7 @@ fn labels_are_learned_and_the_expert_s_success_is_nobody_s() {
     }
     // Two choices among 16 cost 2 ln 16 = 5.5 nats at first. Blocks of one type look alike, so it remains a guess among them.
     let guess = |block| (Inventory::standard().same_type(block).count() as f64).ln();
-    let guesses: f64 = lesson().choices.into_iter().flatten().map(guess).sum();
+    let guesses: f64 = dagger().choices.into_iter().flatten().map(guess).sum();
     assert!(losses[0] > guesses + 1.0 && losses[3] < guesses + 0.2, "{guesses} {losses:?}");
     assert_eq!(learner.checkpoint().replay.len(), 1024);
 }
@@ -215,8 +216,8 @@ fn ppo_learns_from_sampled_actions_alone() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let trajectories = bandit(&setup, &learner.weights(), 300, &mut rng);
     let (sampled, others) = trajectories.split_at(100);
-    feed(&learner, labelled(sampled.to_vec(), Driver::Sample));
-    feed(&learner, labelled(others.to_vec(), Driver::Mode));
+    feed(&learner, labeled(sampled.to_vec(), Driver::Sample));
+    feed(&learner, labeled(others.to_vec(), Driver::Mode));
     let update = learner.update().unwrap();
     assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));
     // One minibatch of 64 or more in each of 3 epochs; the first two have the labels' gradient in them.

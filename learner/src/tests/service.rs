@@ -1,8 +1,6 @@
 //! The learner on a bus of its own.
 
-use std::path::Path;
-
-use proto::bus::{Bus, SendError};
+use bus::{Bus, SendError};
 use proto::metrics::LearnerMetrics;
 use proto::{ActorId, Refusal, Weights};
 use rand::SeedableRng;
@@ -10,8 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
-use crate::run::{CHECKPOINTS, METRICS};
 use crate::{Checkpoint, CheckpointError, LearnerReport, LearnerSetup, RunOptions, run};
+use runlog::RunPaths;
 
 /// Sends enough for one update by each of the next `n_updates` weights.
 async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
@@ -41,10 +39,10 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
 }
 
 /// Runs a learner in `dir` until an actor has seen `n_updates` updates.
-async fn session(dir: &Path, bus: &Bus, resume: bool, n_updates: u64) -> (LearnerReport, Weights) {
+async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (LearnerReport, Weights) {
     let setup = small_setup(5);
-    let resume = resume.then(|| dir.to_owned());
-    let options = RunOptions { setup: setup.clone(), run_dir: dir.to_owned(), resume, max_env_steps: None };
+    let resume = resume.then(|| dir.folder().to_owned());
+    let options = RunOptions { setup: setup.clone(), run_dir: dir.clone(), resume, max_env_steps: None };
     let shutdown = CancellationToken::new();
     let learning = tokio::spawn({
         let (bus, shutdown) = (bus.clone(), shutdown.clone());
@@ -59,16 +57,16 @@ async fn session(dir: &Path, bus: &Bus, resume: bool, n_updates: u64) -> (Learne
 async fn a_run_learns_reports_saves_and_is_resumed() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
-    let run_dir = dir.path().join("run");
+    let run_dir = RunPaths::new(dir.path().join("run"));
     let (report, weights) = session(&run_dir, &bus, false, 2).await;
     assert_eq!((report.n_updates, report.n_env_steps, report.weights_version), (2, 512, weights.version));
     assert_eq!((report.mailbox.accepted_total, report.mailbox.invalid_total), (512, 1));
-    let found = Checkpoint::read_latest(&run_dir.join(CHECKPOINTS)).unwrap();
+    let found = Checkpoint::read_latest(&run_dir.checkpoints()).unwrap();
     assert_eq!(found.checkpoint.weights(), weights);
 
     let (report, weights) = session(&run_dir, &bus, true, 1).await;
     assert_eq!((report.n_updates, report.n_env_steps, weights.version.0), (3, 768, 3));
-    let lines = std::fs::read_to_string(run_dir.join(METRICS)).unwrap();
+    let lines = std::fs::read_to_string(run_dir.metrics()).unwrap();
     let lines: Vec<LearnerMetrics> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.iter().map(|m| m.n_updates).collect::<Vec<_>>(), [1, 2, 3]);
     assert_eq!(lines[1].episodes.success.n_episodes, 256);
@@ -79,13 +77,13 @@ async fn a_run_learns_reports_saves_and_is_resumed() {
 async fn a_run_that_cannot_save_in_the_end_says_what_is_lost_and_what_is_left() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
-    let run_dir = dir.path().join("run");
+    let run_dir = RunPaths::new(dir.path().join("run"));
     session(&run_dir, &bus, false, 1).await;
-    let checkpoints = run_dir.join(CHECKPOINTS);
+    let checkpoints = run_dir.checkpoints();
     // What a process that was killed had written so far is gone after the start of the next.
     std::fs::create_dir(checkpoints.join(".new-512")).unwrap();
     let setup = small_setup(5);
-    let resume = Some(run_dir.clone());
+    let resume = Some(run_dir.folder().to_owned());
     let options = RunOptions { setup: setup.clone(), run_dir: run_dir.clone(), resume, max_env_steps: None };
     let shutdown = CancellationToken::new();
     let learning = tokio::spawn({
@@ -109,8 +107,12 @@ async fn a_run_that_cannot_save_in_the_end_says_what_is_lost_and_what_is_left() 
 async fn a_run_ends_at_its_number_of_steps() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
-    let options =
-        RunOptions { setup: small_setup(6), run_dir: dir.path().join("run"), resume: None, max_env_steps: Some(0) };
+    let options = RunOptions {
+        setup: small_setup(6),
+        run_dir: RunPaths::new(dir.path().join("run")),
+        resume: None,
+        max_env_steps: Some(0),
+    };
     let report = run(options, None, &bus, CancellationToken::new()).await.unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
     assert!(report.checkpoint.ends_with("checkpoints/step-0"));

@@ -19,7 +19,7 @@ use super::BatchTensors;
 use super::layers::{Builder, LayerNorm, Linear, Projection};
 use crate::config::GatConfig;
 use crate::features::FeatureSizes;
-use crate::parameters::Initialiser;
+use crate::parameters::Initializer;
 
 /// Number of nodes of the graph.
 const N: usize = blueprints::N_BLOCKS;
@@ -76,7 +76,7 @@ pub struct FoldedGat {
 
 impl GatEncoder {
     pub(crate) fn build(builder: &mut Builder<'_>, config: &GatConfig, width: usize, sizes: &FeatureSizes) -> Self {
-        let init = Initialiser::HaikuLinear;
+        let init = Initializer::HaikuLinear;
         let inner = config.n_heads * config.head_dim;
         let embed_node = builder.linear("embed_node", [sizes.node, width], init);
         let embed_edge = builder.linear("embed_edge", [sizes.edge, width], init);

@@ -6,7 +6,7 @@ use burn::tensor::{Tensor, activation};
 use super::layers::{Builder, Linear, Projection};
 use crate::config::{NetworkConfig, ScaleConfig};
 use crate::features::FeatureSizes;
-use crate::parameters::Initialiser;
+use crate::parameters::Initializer;
 
 /// Number of blocks.
 const N: usize = blueprints::N_BLOCKS;
@@ -37,7 +37,7 @@ pub struct ValueHead {
 impl PolicyHead {
     pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
         let (width, grippers) = (config.width, usize::from(config.n_grippers));
-        let (init, small) = (Initialiser::HaikuLinear, Initialiser::FanIn(1e-4));
+        let (init, small) = (Initializer::HaikuLinear, Initializer::FanIn(1e-4));
         Self {
             input_global: builder.projection("head.input_global", [sizes.global, width], init),
             act_loc: builder.linear("head.act_loc", [width, MOVE], small),
@@ -78,7 +78,7 @@ impl PolicyHead {
 impl ValueHead {
     pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
         let (width, grippers) = (config.width, usize::from(config.n_grippers));
-        let init = Initialiser::HaikuLinear;
+        let init = Initializer::HaikuLinear;
         let mut widths = vec![2 * width + grippers * N];
         widths.extend(&config.value_hidden);
         widths.push(1);

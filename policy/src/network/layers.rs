@@ -3,7 +3,7 @@
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, module};
 
-use crate::parameters::{Initialiser, ParameterSpec};
+use crate::parameters::{Initializer, ParameterSpec};
 
 /// Added to the variance in a LayerNorm (Haiku's default).
 const LAYER_NORM_EPSILON: f64 = 1e-5;
@@ -24,7 +24,7 @@ pub struct Projection {
     pub w: Param<Tensor<2>>,
 }
 
-/// Normalises the last axis to mean 0 and variance 1, then scales and shifts it.
+/// Normalizes the last axis to mean 0 and variance 1, then scales and shifts it.
 #[derive(Module, Debug)]
 pub struct LayerNorm {
     /// Factor `[width]`.
@@ -49,7 +49,7 @@ impl LayerNorm {
     }
 }
 
-/// Makes layers of zeros and notes the name, shape and initialiser of each parameter in the order of creation.
+/// Makes layers of zeros and notes the name, shape and initializer of each parameter in the order of creation.
 pub(crate) struct Builder<'a> {
     device: &'a Device,
     pub(crate) specs: Vec<ParameterSpec>,
@@ -60,24 +60,24 @@ impl<'a> Builder<'a> {
         Self { device, specs: Vec::new() }
     }
 
-    fn note(&mut self, name: String, shape: Vec<usize>, initialiser: Initialiser) {
-        self.specs.push(ParameterSpec { name, shape, initialiser });
+    fn note(&mut self, name: String, shape: Vec<usize>, initializer: Initializer) {
+        self.specs.push(ParameterSpec { name, shape, initializer });
     }
 
-    pub(crate) fn projection(&mut self, name: &str, [n_in, n_out]: [usize; 2], init: Initialiser) -> Projection {
+    pub(crate) fn projection(&mut self, name: &str, [n_in, n_out]: [usize; 2], init: Initializer) -> Projection {
         self.note(format!("{name}.w"), vec![n_in, n_out], init);
         Projection { w: Param::from_tensor(Tensor::zeros([n_in, n_out], self.device)) }
     }
 
-    pub(crate) fn linear(&mut self, name: &str, shape: [usize; 2], init: Initialiser) -> Linear {
+    pub(crate) fn linear(&mut self, name: &str, shape: [usize; 2], init: Initializer) -> Linear {
         let Projection { w } = self.projection(name, shape, init);
-        self.note(format!("{name}.b"), vec![shape[1]], Initialiser::Constant(0.0));
+        self.note(format!("{name}.b"), vec![shape[1]], Initializer::Constant(0.0));
         Linear { w, b: Param::from_tensor(Tensor::zeros([shape[1]], self.device)) }
     }
 
     pub(crate) fn layer_norm(&mut self, name: &str, width: usize) -> LayerNorm {
-        self.note(format!("{name}.scale"), vec![width], Initialiser::Constant(1.0));
-        self.note(format!("{name}.offset"), vec![width], Initialiser::Constant(0.0));
+        self.note(format!("{name}.scale"), vec![width], Initializer::Constant(1.0));
+        self.note(format!("{name}.offset"), vec![width], Initializer::Constant(0.0));
         LayerNorm {
             scale: Param::from_tensor(Tensor::zeros([width], self.device)),
             offset: Param::from_tensor(Tensor::zeros([width], self.device)),
@@ -87,6 +87,6 @@ impl<'a> Builder<'a> {
     /// Layers `name.0`, `name.1`, … between the given widths.
     pub(crate) fn mlp(&mut self, name: &str, widths: &[usize]) -> Vec<Linear> {
         let pairs = widths.windows(2).enumerate();
-        pairs.map(|(j, w)| self.linear(&format!("{name}.{j}"), [w[0], w[1]], Initialiser::HaikuLinear)).collect()
+        pairs.map(|(j, w)| self.linear(&format!("{name}.{j}"), [w[0], w[1]], Initializer::HaikuLinear)).collect()
     }
 }

@@ -50,7 +50,7 @@ pub struct NetworkOutput {
     pub scales: Tensor<3>,
     /// Logits of each gripper's choice `[B, G, 16]`, not masked.
     pub logits: Tensor<3>,
-    /// Values `[B]`, in the unit of the value targets that trained it (normalised, see `Normalisation`).
+    /// Values `[B]`, in the unit of the value targets that trained it (normalized, see `Normalization`).
     pub values: Tensor<1>,
 }
 
@@ -81,7 +81,7 @@ impl Network {
         Self { encoder, head, value, table: builder.specs, layout: EdgeLayout::of(config) }
     }
 
-    /// Name, shape and initialiser of every parameter, in the order of the flat vector.
+    /// Name, shape and initializer of every parameter, in the order of the flat vector.
     pub fn table(&self) -> &[ParameterSpec] {
         &self.table
     }

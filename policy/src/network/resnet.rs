@@ -7,7 +7,7 @@ use super::BatchTensors;
 use super::layers::{Builder, LayerNorm, Linear};
 use crate::config::ResnetConfig;
 use crate::features::FeatureSizes;
-use crate::parameters::Initialiser;
+use crate::parameters::Initializer;
 
 /// Number of blocks.
 const N: usize = blueprints::N_BLOCKS;
@@ -38,11 +38,11 @@ impl ResnetEncoder {
         sizes: &FeatureSizes,
         n_edges: usize,
     ) -> Self {
-        let init = Initialiser::HaikuLinear;
+        let init = Initializer::HaikuLinear;
         let hidden = config.hidden;
         let n_in = N * sizes.node + n_edges * sizes.edge + sizes.global;
         let input = builder.linear("resnet.in", [n_in, hidden], init);
-        let residual = Initialiser::UniformFanOut(0.333);
+        let residual = Initializer::UniformFanOut(0.333);
         let blocks = (0..config.n_blocks)
             .map(|k| ResidualBlock {
                 fc0: builder.linear(&format!("resnet.block{k}.fc0"), [hidden, hidden], residual),

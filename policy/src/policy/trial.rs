@@ -1,16 +1,16 @@
 //! The scene on which new weights are tried before they act.
 
-use blueprints::{Blueprint, Catalogue, N_BLOCKS};
+use blueprints::{Blueprint, Catalog, N_BLOCKS};
 use proto::{Gripper, Pose, Scene};
 
 use crate::FeatureBatch;
 use crate::config::FeatureConfig;
 
-/// Blocks in a spiral on the ground, two of them held, with the first goal of the catalogue: no entry of the features that
+/// Blocks in a spiral on the ground, two of them held, with the first goal of the catalog: no entry of the features that
 /// can be other than 0 is 0 throughout but for those of connections.
 pub(super) fn batch(config: &FeatureConfig) -> FeatureBatch {
     let mut batch = FeatureBatch::new(config);
-    if let Some(goal) = Catalogue::builtin().iter().next() {
+    if let Some(goal) = Catalog::builtin().iter().next() {
         batch.push(&scene(goal), goal);
     }
     batch

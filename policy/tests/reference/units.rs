@@ -32,7 +32,7 @@ fn layer_norm_matches_at_every_variance() {
         let x = matrix("x").require_grad();
         let y = layer.forward(x.clone());
         let gradients = (y.clone() * matrix("dy")).sum().backward();
-        // Centring x ≈ 0.7 in f32 loses 0.7 · 2⁻²⁴ / sd of each normalised entry, below the common tolerance only for
+        // Centering x ≈ 0.7 in f32 loses 0.7 · 2⁻²⁴ / sd of each normalized entry, below the common tolerance only for
         // larger standard deviations; equal rows (sd 0) may keep one rounding of the mean, divided by √ε.
         let sd = case["sd"].as_f64().unwrap();
         let tolerance = TOLERANCE.max(1e-7 / sd.max(1e-5_f64.sqrt()));

@@ -16,8 +16,7 @@ use prost::Message;
 pub use error::DecodeError;
 pub use reply::{Ack, Refusal, Refused, decode_ack, decode_refused, encode_ack, encode_refused};
 pub use trajectory::{MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, decode_trajectory, encode_trajectory};
-pub(crate) use unit::MAX_UNIT_BYTES;
-pub use unit::{decode_answer, decode_unit, encode_answer, encode_unit};
+pub use unit::{MAX_UNIT_BYTES, decode_answer, decode_unit, encode_answer, encode_unit};
 pub use weights::{
     MAX_PARAMETERS, MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice,
     encode_weights,

@@ -98,10 +98,10 @@ fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
                 "a choice for exactly the grippers of the world",
             ));
         }
-        let labelled = transition.label.map(|label| label.choices.map(|c| c.is_some()));
-        if labelled.is_some_and(|labelled| labelled != expected) {
-            let labelled = format!("{labelled:?}");
-            return Err(invalid("label.choice", labelled, "a choice for exactly the grippers of the world"));
+        let labeled = transition.label.map(|label| label.choices.map(|c| c.is_some()));
+        if labeled.is_some_and(|labeled| labeled != expected) {
+            let labeled = format!("{labeled:?}");
+            return Err(invalid("label.choice", labeled, "a choice for exactly the grippers of the world"));
         }
     }
     Ok(())

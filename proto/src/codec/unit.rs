@@ -8,11 +8,11 @@ use super::scene::{reward_from_wire, reward_to_wire};
 use super::trajectory::{task_from_wire, task_to_wire};
 use super::weights::{MAX_WEIGHTS_BYTES, weights_from_wire, weights_to_wire};
 use super::{PROTOCOL_VERSION, check_version, parse};
-use crate::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, MAX_UNIT_LANES, PassId};
+use crate::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, MAX_UNIT_SEQUENCES, PassId};
 use crate::wire;
 
 /// Largest encoded unit, in bytes: the weights, and tasks of 100 bytes.
-pub(crate) const MAX_UNIT_BYTES: usize = MAX_WEIGHTS_BYTES + MAX_ANSWER_BYTES;
+pub const MAX_UNIT_BYTES: usize = MAX_WEIGHTS_BYTES + MAX_ANSWER_BYTES;
 
 /// Largest encoded answer, in bytes; the 10 000 episodes of a large unit are below 1 MiB.
 const MAX_ANSWER_BYTES: usize = 8 << 20;
@@ -22,7 +22,7 @@ const MAX_REFUSAL_CHARS: usize = 500;
 
 /// The bytes of a unit.
 pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
-    let lane = |tasks: &Vec<_>| wire::EvalLane { tasks: tasks.iter().map(task_to_wire).collect() };
+    let sequence = |tasks: &Vec<_>| wire::EvalLane { tasks: tasks.iter().map(task_to_wire).collect() };
     wire::EvalUnit {
         protocol_version: PROTOCOL_VERSION,
         setup_hash: unit.setup_hash,
@@ -30,7 +30,7 @@ pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
         pass: unit.pass.number,
         weights: unit.weights.as_ref().map(|weights| weights_to_wire(weights, unit.pass.epoch)),
         sampled: unit.is_sampled,
-        lanes: unit.lanes.iter().map(lane).collect(),
+        sequences: unit.sequences.iter().map(sequence).collect(),
     }
     .encode_to_vec()
 }
@@ -42,28 +42,30 @@ pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
 pub fn decode_unit(bytes: &[u8]) -> Result<EvalUnit, DecodeError> {
     let message: wire::EvalUnit = parse("EvalUnit", bytes, MAX_UNIT_BYTES)?;
     check_version(message.protocol_version)?;
-    check_count("lanes", message.lanes.len())?;
-    let lane = |lane: wire::EvalLane| {
-        check_count("lanes.tasks", lane.tasks.len())?;
-        lane.tasks.into_iter().map(task_from_wire).collect()
+    check_count("sequences", message.sequences.len())?;
+    let sequence = |sequence: wire::EvalLane| {
+        check_count("sequences.tasks", sequence.tasks.len())?;
+        sequence.tasks.into_iter().map(task_from_wire).collect()
     };
     Ok(EvalUnit {
         setup_hash: message.setup_hash,
         pass: PassId { epoch: message.epoch, number: message.pass },
         weights: message.weights.map(weights_from_wire).transpose()?.map(|published| published.weights),
         is_sampled: message.sampled,
-        lanes: message.lanes.into_iter().map(lane).collect::<Result<_, _>>()?,
+        sequences: message.sequences.into_iter().map(sequence).collect::<Result<_, _>>()?,
     })
 }
 
 /// The bytes of an answer.
 pub fn encode_answer(answer: &EvalAnswer) -> Vec<u8> {
     use wire::eval_answer::Answer;
-    let lane = |episodes: &Vec<EvalEpisode>| wire::EvalLaneEpisodes {
+    let sequence = |episodes: &Vec<EvalEpisode>| wire::EvalLaneEpisodes {
         episodes: episodes.iter().map(episode_to_wire).collect(),
     };
     let answer = match answer {
-        EvalAnswer::Episodes(lanes) => Answer::Episodes(wire::EvalEpisodes { lanes: lanes.iter().map(lane).collect() }),
+        EvalAnswer::Episodes(sequences) => {
+            Answer::Episodes(wire::EvalEpisodes { sequences: sequences.iter().map(sequence).collect() })
+        }
         EvalAnswer::NeedsWeights => Answer::NeedsWeights(wire::NeedsWeights {}),
         EvalAnswer::Refused(why) => Answer::Refusal(why.chars().take(MAX_REFUSAL_CHARS).collect()),
     };
@@ -79,9 +81,10 @@ pub fn decode_answer(bytes: &[u8]) -> Result<EvalAnswer, DecodeError> {
     let message: wire::EvalAnswer = parse("EvalAnswer", bytes, MAX_ANSWER_BYTES)?;
     check_version(message.protocol_version)?;
     Ok(match present("answer", message.answer)? {
-        Answer::Episodes(wire::EvalEpisodes { lanes }) => {
-            let lane = |lane: wire::EvalLaneEpisodes| lane.episodes.into_iter().map(episode_from_wire).collect();
-            EvalAnswer::Episodes(lanes.into_iter().map(lane).collect::<Result<_, _>>()?)
+        Answer::Episodes(wire::EvalEpisodes { sequences }) => {
+            let sequence =
+                |sequence: wire::EvalLaneEpisodes| sequence.episodes.into_iter().map(episode_from_wire).collect();
+            EvalAnswer::Episodes(sequences.into_iter().map(sequence).collect::<Result<_, _>>()?)
         }
         Answer::NeedsWeights(wire::NeedsWeights {}) => EvalAnswer::NeedsWeights,
         Answer::Refusal(why) => EvalAnswer::Refused(why.chars().take(MAX_REFUSAL_CHARS).collect()),
@@ -89,7 +92,7 @@ pub fn decode_answer(bytes: &[u8]) -> Result<EvalAnswer, DecodeError> {
 }
 
 fn check_count(field: &'static str, n: usize) -> Result<(), DecodeError> {
-    if (1..=MAX_UNIT_LANES).contains(&n) { Ok(()) } else { Err(invalid(field, n, "1 to 1000")) }
+    if (1..=MAX_UNIT_SEQUENCES).contains(&n) { Ok(()) } else { Err(invalid(field, n, "1 to 1000")) }
 }
 
 fn episode_to_wire(episode: &EvalEpisode) -> wire::EvalEpisode {

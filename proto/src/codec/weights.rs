@@ -6,7 +6,7 @@ use prost::Message;
 
 use super::check::{blueprint_id, invalid, number, positive, present, probability};
 use super::{DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
-use crate::{Normalisation, Weights, WeightsVersion, wire};
+use crate::{Normalization, Weights, WeightsVersion, wire};
 
 /// Most parameters that a network may have.
 pub const MAX_PARAMETERS: usize = 1 << 24;
@@ -45,8 +45,8 @@ pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
 pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
     let statistics = |i: usize| {
         Some(wire::FeatureStatistics {
-            mean: weights.normalisation.feature_mean[i].clone(),
-            std: weights.normalisation.feature_std[i].clone(),
+            mean: weights.normalization.feature_mean[i].clone(),
+            std: weights.normalization.feature_std[i].clone(),
         })
     };
     wire::Weights {
@@ -56,12 +56,12 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
         n_env_steps: weights.n_env_steps,
         network_hash: weights.network_hash,
         parameters: weights.parameters.clone(),
-        normalisation: Some(wire::Normalisation {
+        normalization: Some(wire::Normalization {
             nodes: statistics(0),
             edges: statistics(1),
             globals: statistics(2),
-            value_mean: weights.normalisation.value_mean,
-            value_std: weights.normalisation.value_std,
+            value_mean: weights.normalization.value_mean,
+            value_std: weights.normalization.value_std,
         }),
         task_probabilities: weights
             .task_probabilities
@@ -92,7 +92,7 @@ pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeigh
         n_env_steps: message.n_env_steps,
         network_hash: message.network_hash,
         parameters: message.parameters,
-        normalisation: normalisation_from_wire(present("normalisation", message.normalisation)?)?,
+        normalization: normalization_from_wire(present("normalization", message.normalization)?)?,
         task_probabilities: probabilities_from_wire(message.task_probabilities)?,
     };
     Ok(PublishedWeights { epoch: message.epoch, weights })
@@ -108,31 +108,42 @@ pub fn encode_notice(notice: WeightsNotice) -> Vec<u8> {
 ///
 /// # Errors
 /// If the bytes are not one of this protocol version.
+///
+/// # Example
+/// ```
+/// use proto::WeightsVersion;
+/// use proto::codec::{WeightsNotice, decode_notice, encode_notice};
+///
+/// let notice = WeightsNotice { epoch: 77, version: WeightsVersion(300) };
+/// assert_eq!(decode_notice(&encode_notice(notice)).expect("it was just written"), notice);
+/// // Bytes from outside are an error, never a panic.
+/// assert!(decode_notice(b"not a message").is_err());
+/// ```
 pub fn decode_notice(bytes: &[u8]) -> Result<WeightsNotice, DecodeError> {
     let notice: wire::WeightsNotice = parse("WeightsNotice", bytes, MAX_SMALL_BYTES)?;
     check_version(notice.protocol_version)?;
     Ok(WeightsNotice { epoch: notice.epoch, version: WeightsVersion(notice.version) })
 }
 
-fn normalisation_from_wire(message: wire::Normalisation) -> Result<Normalisation, DecodeError> {
-    let (node_mean, node_std) = statistics_from_wire(present("normalisation.nodes", message.nodes)?)?;
-    let (edge_mean, edge_std) = statistics_from_wire(present("normalisation.edges", message.edges)?)?;
-    let (global_mean, global_std) = statistics_from_wire(present("normalisation.globals", message.globals)?)?;
-    Ok(Normalisation {
+fn normalization_from_wire(message: wire::Normalization) -> Result<Normalization, DecodeError> {
+    let (node_mean, node_std) = statistics_from_wire(present("normalization.nodes", message.nodes)?)?;
+    let (edge_mean, edge_std) = statistics_from_wire(present("normalization.edges", message.edges)?)?;
+    let (global_mean, global_std) = statistics_from_wire(present("normalization.globals", message.globals)?)?;
+    Ok(Normalization {
         feature_mean: [node_mean, edge_mean, global_mean],
         feature_std: [node_std, edge_std, global_std],
-        value_mean: number("normalisation.value_mean", message.value_mean)?,
-        value_std: positive("normalisation.value_std", message.value_std)?,
+        value_mean: number("normalization.value_mean", message.value_mean)?,
+        value_std: positive("normalization.value_std", message.value_std)?,
     })
 }
 
 fn statistics_from_wire(message: wire::FeatureStatistics) -> Result<(Vec<f32>, Vec<f32>), DecodeError> {
     let wire::FeatureStatistics { mean, std } = message;
     if mean.len() != std.len() {
-        return Err(invalid("normalisation.std", format!("{} values", std.len()), "as many as the means"));
+        return Err(invalid("normalization.std", format!("{} values", std.len()), "as many as the means"));
     }
-    mean.iter().try_for_each(|&m| number("normalisation.mean", m).map(drop))?;
-    std.iter().try_for_each(|&s| positive("normalisation.std", s).map(drop))?;
+    mean.iter().try_for_each(|&m| number("normalization.mean", m).map(drop))?;
+    std.iter().try_for_each(|&s| positive("normalization.std", s).map(drop))?;
     Ok((mean, std))
 }
 

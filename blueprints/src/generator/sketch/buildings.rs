@@ -3,7 +3,7 @@
 use super::Sketch;
 use crate::generator::dice::Dice;
 
-/// Plans of a tower from the ground up, each centred on the one below.
+/// Plans of a tower from the ground up, each centered on the one below.
 const TIERS: [&[[i32; 2]]; 14] = [
     &[[1, 1]],
     &[[2, 1]],

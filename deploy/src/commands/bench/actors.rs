@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use actor::load::{LoadPlan, LoadReport};
 use anyhow::Context;
+use bus::{BusConfig, BusMode};
 use learner::sink::SinkPlan;
-use proto::bus::{BusConfig, BusMode};
 use tempfile::TempDir;
 
 use super::children::Part;

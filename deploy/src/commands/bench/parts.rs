@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 use actor::load::{Load, LoadPlan, LoadReport};
 use anyhow::Context;
+use bus::{Bus, BusConfig};
 use learner::Learner;
 use learner::sink::{Sink, SinkPlan, SinkReport};
 use proto::Trajectory;
-use proto::bus::{Bus, BusConfig};
 use proto::codec::decode_trajectory;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use blueprints::generator::{Request, generate_many};
-use blueprints::{Blueprint, Catalogue};
+use blueprints::{Blueprint, Catalog};
 
 use crate::cli::GenerateArgs;
 use crate::exit::Failure;
@@ -17,7 +17,7 @@ use crate::live::Terminal;
 /// # Errors
 /// When there are not enough structures of that style and size, a file exists, or one cannot be written.
 pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let known: BTreeSet<u64> = Catalogue::builtin().iter().map(Blueprint::canonical_hash).collect();
+    let known: BTreeSet<u64> = Catalog::builtin().iter().map(Blueprint::canonical_hash).collect();
     let made = generate_many(args.style, args.seed, usize::from(args.size), usize::from(args.count), &known)?;
     let path = |blueprint: &Blueprint| args.out.join(format!("{}.toml", blueprint.id()));
     // All are looked at before the first is written, so that a refusal leaves the folder as it was.

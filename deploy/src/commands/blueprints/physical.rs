@@ -30,7 +30,7 @@ pub(super) fn check(report: &mut Report) -> Result<(), Failure> {
             let expert = outcome(n_built > 0, || {
                 format!(
                     "the expert built it in none of {n_tries} episodes of {} steps; `expert eval {}` says more of a \
-                     blueprint of the catalogue",
+                     blueprint of the catalog",
                     environment.episode_steps,
                     blueprint.id(),
                 )

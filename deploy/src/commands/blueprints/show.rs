@@ -4,8 +4,8 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use anyhow::Context;
-use blueprints::{Blueprint, Catalogue};
-use evaluator::picture::{MAX_TILES, Painter, card, encode, sheet};
+use blueprints::{Blueprint, Catalog};
+use render::picture::{MAX_TILES, Painter, card, encode, sheet};
 
 use super::find;
 use crate::cli::ShowArgs;
@@ -16,17 +16,17 @@ use crate::live::Terminal;
 /// Cards between two lines of progress.
 const LINE_EVERY: usize = 20;
 
-/// Colours in a card, and in a contact sheet, which is to be small enough to keep in a repository.
+/// Colors in a card, and in a contact sheet, which is to be small enough to keep in a repository.
 const CARD_COLORS: usize = 256;
 const SHEET_COLORS: usize = 96;
 
 /// Runs the subcommand. Everything is drawn before the first file is written.
 ///
 /// # Errors
-/// When the catalogue cannot be read, an id is not in it, or a file cannot be written.
+/// When the catalog cannot be read, an id is not in it, or a file cannot be written.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let loaded = args.path.as_deref().map(Catalogue::load).transpose()?;
-    let selected = select(loaded.as_ref().unwrap_or_else(|| Catalogue::builtin()), args)?;
+    let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
+    let selected = select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?;
     let shown: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let mut painter = Painter::default();
     let mut files = Vec::new();
@@ -50,11 +50,11 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
 }
 
 /// The blueprints that were asked for: by id in the order given, of a split, or all.
-fn select<'a>(catalogue: &'a Catalogue, args: &ShowArgs) -> Result<Vec<Cow<'a, Blueprint>>, Failure> {
+fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<Cow<'a, Blueprint>>, Failure> {
     if args.ids.is_empty() {
         let shown: Vec<_> = match args.split {
-            Some(split) => catalogue.of_split(split).into_iter().map(Cow::Borrowed).collect(),
-            None => catalogue.iter().map(Cow::Borrowed).collect(),
+            Some(split) => catalog.of_split(split).into_iter().map(Cow::Borrowed).collect(),
+            None => catalog.iter().map(Cow::Borrowed).collect(),
         };
         return match (shown.is_empty(), args.split) {
             (true, Some(split)) => Err(Failure::EmptySplit(split)),
@@ -63,7 +63,7 @@ fn select<'a>(catalogue: &'a Catalogue, args: &ShowArgs) -> Result<Vec<Cow<'a, B
     }
     let mut shown: Vec<Cow<'a, Blueprint>> = Vec::new();
     for id in &args.ids {
-        let blueprint = find(catalogue, id)?;
+        let blueprint = find(catalog, id)?;
         if shown.iter().all(|other| other.id() != blueprint.id()) {
             shown.push(blueprint);
         }
@@ -117,7 +117,7 @@ mod tests {
 
     /// A trained blueprint of so many blocks.
     fn of_size(n_blocks: usize) -> &'static Blueprint {
-        let mut all = Catalogue::builtin().iter();
+        let mut all = Catalog::builtin().iter();
         all.find(|blueprint| blueprint.split() == Split::Train && blueprint.n_blocks() == n_blocks).unwrap()
     }
 

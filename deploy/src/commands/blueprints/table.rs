@@ -50,7 +50,7 @@ fn failures(report: &Report) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::catalogue::BUILTIN_FILES;
+    use blueprints::catalog::BUILTIN_FILES;
     use blueprints::checks::check_all;
 
     use super::*;

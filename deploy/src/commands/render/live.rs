@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use anyhow::anyhow;
-use evaluator::video::{Collector, Episode};
+use bus::{Bus, BusConfig, BusMode, SecurityConfig, TrajectoryViewer};
 use proto::Trajectory;
-use proto::bus::{Bus, BusConfig, BusMode, SecurityConfig};
+use render::video::{Collector, Episode};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
@@ -50,6 +50,15 @@ pub(in crate::commands) async fn run(
     ended
 }
 
+/// The next episode that is seen from its first step to its end; `None` after the bus is closed.
+async fn next_episode(collector: &mut Collector, viewer: &mut TrajectoryViewer) -> Option<Vec<Trajectory>> {
+    loop {
+        if let Some(episode) = collector.add(viewer.recv().await?) {
+            return Some(episode);
+        }
+    }
+}
+
 /// The episodes that came, and why there are not more.
 async fn record(
     bus: &Bus,
@@ -66,7 +75,7 @@ async fn record(
         tracing::info!(run = args.run, "waiting for an episode");
         let next = tokio::select! {
             () = shutdown.cancelled() => return (recorded, Ok(())),
-            next = timeout(patience, collector.next_episode(&mut viewer)) => next,
+            next = timeout(patience, next_episode(&mut collector, &mut viewer)) => next,
         };
         match next {
             Ok(Some(segments)) => recorded.push(segments),

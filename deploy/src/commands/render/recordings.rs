@@ -4,10 +4,10 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use evaluator::REPLAYS;
-use evaluator::video::{Episode, is_same_episode};
 use proto::codec::{MAX_TRAJECTORY_BYTES, decode_trajectory};
 use proto::{DecodeError, Trajectory};
+use render::video::{Episode, is_same_episode};
+use runlog::RunPaths;
 
 use super::{Goals, Named};
 use crate::exit::Failure;
@@ -60,7 +60,7 @@ pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, F
 
 /// Names for films, and the files, of all recordings of a run, by blueprint and version.
 fn of_run(run: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
-    let replays = run.join(REPLAYS);
+    let replays = RunPaths::new(run).replays();
     let nothing = |reason: &str| {
         Failure::NothingToShow(format!("{}: {reason}; an evaluator with a run directory records some", run.display()))
     };

@@ -3,5 +3,4 @@
 mod golden;
 mod properties;
 mod rules;
-#[path = "../../../tests/suite/samples.rs"]
 mod samples;

@@ -12,7 +12,7 @@ fn array<const N: usize>(range: std::ops::Range<f32>) -> impl Strategy<Value = [
 }
 
 fn orientation() -> impl Strategy<Value = [f32; 4]> {
-    array::<4>(-1.0..1.0).prop_filter_map("long enough to be normalised", |q| {
+    array::<4>(-1.0..1.0).prop_filter_map("long enough to be normalized", |q| {
         let norm = q.iter().map(|x| x * x).sum::<f32>().sqrt();
         (norm > 0.1).then(|| q.map(|x| x / norm))
     })
@@ -71,7 +71,7 @@ fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
     let moves = prop::collection::vec(array::<6>(-4.0..4.0), N_BLOCKS).prop_map(|m| m.try_into().unwrap());
     let label = (any::<bool>(), array::<6>(-1.0..1.0));
     (scene(two_grippers), 0..16u8, 0..16u8, moves, array::<2>(-90.0..90.0), reward(), label).prop_map(
-        move |(scene, first, second, moves, [behavior_log_prob, value], reward, (labelled, moves_of_label))| {
+        move |(scene, first, second, moves, [behavior_log_prob, value], reward, (labeled, moves_of_label))| {
             Transition {
                 scene,
                 action: Action {
@@ -81,7 +81,7 @@ fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
                 behavior_log_prob,
                 value,
                 reward,
-                label: labelled.then(|| Label {
+                label: labeled.then(|| Label {
                     choices: [Some(samples::block(second)), two_grippers.then(|| samples::block(first))],
                     moves: [moves_of_label, if two_grippers { moves_of_label } else { [0.0; 6] }],
                 }),
@@ -162,9 +162,9 @@ proptest! {
         let mut weights = Weights {
             version: WeightsVersion(version), n_env_steps, network_hash, parameters, ..samples::weights(0)
         };
-        weights.normalisation.value_mean = mean;
-        weights.normalisation.feature_std[2] = vec![std];
-        weights.normalisation.feature_mean[2] = vec![-mean];
+        weights.normalization.value_mean = mean;
+        weights.normalization.feature_std[2] = vec![std];
+        weights.normalization.feature_mean[2] = vec![-mean];
         let decoded = decode_weights(&encode_weights(&weights, epoch)).unwrap();
         prop_assert_eq!(decoded, PublishedWeights { epoch, weights });
     }

@@ -152,9 +152,9 @@ fn the_weights_must_be_usable() {
     check(|w| w.parameters.clear(), "parameters is 0 values, expected 1 to 16777216 values");
     check(|w| w.parameters[2] = f32::NEG_INFINITY, "parameters is -inf, expected a number in −1e6..=1e6");
     check(|w| w.parameters[2] = 2e6, "parameters is 2000000, expected a number in −1e6..=1e6");
-    check(|w| w.normalisation.feature_std[0].push(1.0), "normalisation.std is 3 values, expected as many as the means");
-    check(|w| w.normalisation.feature_std[0][1] = 0.0, "normalisation.std is 0, expected a finite number above 0");
-    check(|w| w.normalisation.value_std = f32::NAN, "normalisation.value_std is NaN, expected a finite number above 0");
+    check(|w| w.normalization.feature_std[0].push(1.0), "normalization.std is 3 values, expected as many as the means");
+    check(|w| w.normalization.feature_std[0][1] = 0.0, "normalization.std is 0, expected a finite number above 0");
+    check(|w| w.normalization.value_std = f32::NAN, "normalization.value_std is NaN, expected a finite number above 0");
     check(|w| w.task_probabilities.clear(), "task_probabilities is a sum of 0, expected a sum of 1");
     check(
         |w| *w.task_probabilities.values_mut().next().unwrap() = -0.5,
@@ -169,13 +169,13 @@ fn units_and_their_answers_have_rules_too() {
         change(&mut unit);
         assert_eq!(decode_unit(&unit.encode_to_vec()).unwrap_err().to_string(), message);
     };
-    check(|unit| unit.lanes.clear(), "lanes is 0, expected 1 to 1000");
-    check(|unit| unit.lanes[1].tasks.clear(), "lanes.tasks is 0, expected 1 to 1000");
-    check(|unit| unit.lanes = vec![unit.lanes[0].clone(); 1001], "lanes is 1001, expected 1 to 1000");
+    check(|unit| unit.sequences.clear(), "sequences is 0, expected 1 to 1000");
+    check(|unit| unit.sequences[1].tasks.clear(), "sequences.tasks is 0, expected 1 to 1000");
+    check(|unit| unit.sequences = vec![unit.sequences[0].clone(); 1001], "sequences is 1001, expected 1 to 1000");
     let check = |change: fn(&mut wire::EvalEpisode), message: &str| {
         let mut answer = wire::EvalAnswer::decode(encode_answer(&samples::episodes()).as_slice()).unwrap();
         let Some(wire::eval_answer::Answer::Episodes(episodes)) = &mut answer.answer else { panic!("{answer:?}") };
-        change(&mut episodes.lanes[0].episodes[1]);
+        change(&mut episodes.sequences[0].episodes[1]);
         assert_eq!(decode_answer(&answer.encode_to_vec()).unwrap_err().to_string(), message);
     };
     check(|episode| episode.n_steps = 0, "episode.n_steps is 0, expected a number in 1..=65535");
@@ -186,7 +186,7 @@ fn units_and_their_answers_have_rules_too() {
 #[test]
 fn labels_have_rules_too() {
     let check = |change: fn(&mut wire::Label), message: &str| {
-        let bytes = encode_trajectory(&samples::labelled("actor-1", 1));
+        let bytes = encode_trajectory(&samples::labeled("actor-1", 1));
         let mut trajectory = wire::Trajectory::decode(bytes.as_slice()).unwrap();
         change(trajectory.transitions[0].label.as_mut().unwrap());
         assert_eq!(decode_trajectory(&trajectory.encode_to_vec()).unwrap_err().to_string(), message);
@@ -197,7 +197,7 @@ fn labels_have_rules_too() {
     let alone = "label.choice is Some([true, false]), expected a choice for exactly the grippers of the world";
     check(|label| (label.choice_1, label.moves) = (None, vec![0.0; 6]), alone);
     let check = |driver: i32, message: &str| {
-        let bytes = encode_trajectory(&samples::labelled("actor-1", 1));
+        let bytes = encode_trajectory(&samples::labeled("actor-1", 1));
         let mut trajectory = wire::Trajectory::decode(bytes.as_slice()).unwrap();
         trajectory.driver = driver;
         assert_eq!(decode_trajectory(&trajectory.encode_to_vec()).unwrap_err().to_string(), message);

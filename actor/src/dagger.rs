@@ -1,0 +1,243 @@
+//! The expert beside the policy: who acts in an episode, with how much noise, and what the expert would have done.
+//!
+//! This is DAgger (Ross, Gordon & Bagnell, "A reduction of imitation learning and structured prediction to no-regret online
+//! learning"): scenes come from a mixture of both, labels from the expert alone.
+
+use blueprints::{BlockIdx, Blueprint, N_BLOCKS};
+use environment::EnvironmentConfig;
+use environment::expert::Expert;
+use proto::{Action, Driver, Label, Scene, WeightsVersion};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+use serde::{Deserialize, Serialize};
+
+use crate::config::{ActorConfigError, check};
+
+/// Who acts in the episodes of an actor with a teacher. Whoever it is, every scene gets the expert's label.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DaggerConfig {
+    /// Share of the episodes in which the expert acts: with weights version 0, and from version `mixing_versions` on; in
+    /// between on a straight line. 0 to 1 each, default 1 and 0.1.
+    pub expert_share: [f64; 2],
+    /// Versions until the second share, at least 1. Default 100.
+    pub mixing_versions: u64,
+    /// Share of the other episodes in which actions are sampled from the policy, so that PPO can learn from them; in the
+    /// rest the most probable ones are taken. 0 to 1, default 0.
+    pub sampled_share: f64,
+    /// Noise on the expert's actions.
+    pub expert_noise: NoiseConfig,
+    /// Noise on the policy's most probable actions.
+    pub policy_noise: NoiseConfig,
+}
+
+/// Noise that leads an episode off the beaten track.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NoiseConfig {
+    /// Standard deviations of the noise on each entry of a move, of which an episode draws one; 0 to 1 each, at least one.
+    /// Default 0.
+    pub sigmas: Vec<f32>,
+    /// Probability that a gripper chooses any of the 16 blocks in a step; 0 to 1, default 0.
+    pub random_block: f64,
+}
+
+/// The settings and what the expert needs to know of the world.
+#[derive(Clone, Debug)]
+pub struct DaggerMixture {
+    config: DaggerConfig,
+    environment: EnvironmentConfig,
+}
+
+/// The teacher in one episode.
+#[derive(Debug)]
+pub struct DaggerEpisode {
+    /// None if there is no order in which the blueprint can be built.
+    expert: Option<Expert>,
+    driver: Driver,
+    sigma: f32,
+    random_block: f64,
+    n_grippers: usize,
+}
+
+impl Default for DaggerConfig {
+    fn default() -> Self {
+        Self {
+            expert_share: [1.0, 0.1],
+            mixing_versions: 100,
+            sampled_share: 0.0,
+            expert_noise: NoiseConfig::default(),
+            policy_noise: NoiseConfig::default(),
+        }
+    }
+}
+
+impl Default for NoiseConfig {
+    fn default() -> Self {
+        Self { sigmas: vec![0.0], random_block: 0.0 }
+    }
+}
+
+impl DaggerConfig {
+    pub(crate) fn validate(&self) -> Result<(), ActorConfigError> {
+        let is_share = |share: f64| (0.0..=1.0).contains(&share);
+        check("dagger.expert_share", self.expert_share, self.expert_share.iter().all(|&s| is_share(s)), "0 to 1")?;
+        check("dagger.mixing_versions", self.mixing_versions, self.mixing_versions >= 1, "at least 1")?;
+        check("dagger.sampled_share", self.sampled_share, is_share(self.sampled_share), "0 to 1")?;
+        for (noise, sigmas, random_block) in [
+            (&self.expert_noise, "dagger.expert_noise.sigmas", "dagger.expert_noise.random_block"),
+            (&self.policy_noise, "dagger.policy_noise.sigmas", "dagger.policy_noise.random_block"),
+        ] {
+            let ok = !noise.sigmas.is_empty() && noise.sigmas.iter().all(|sigma| (0.0..=1.0).contains(sigma));
+            check(sigmas, &noise.sigmas, ok, "at least one number from 0 to 1")?;
+            check(random_block, noise.random_block, is_share(noise.random_block), "0 to 1")?;
+        }
+        Ok(())
+    }
+
+    /// Probability that the expert acts in an episode begun with weights `version`.
+    fn expert_share_at(&self, version: WeightsVersion) -> f64 {
+        let [first, last] = self.expert_share;
+        let part = version.0.min(self.mixing_versions) as f64 / self.mixing_versions as f64;
+        first + (last - first) * part
+    }
+}
+
+impl DaggerMixture {
+    /// A teacher in worlds of this configuration.
+    pub fn new(config: DaggerConfig, environment: EnvironmentConfig) -> Self {
+        Self { config, environment }
+    }
+
+    /// Decides who acts in an episode that begins.
+    pub(crate) fn begin(&self, blueprint: &Blueprint, version: WeightsVersion, rng: &mut ChaCha8Rng) -> DaggerEpisode {
+        let expert = Expert::new(&self.environment, blueprint).ok();
+        let config = &self.config;
+        let by_expert = rng.random_bool(config.expert_share_at(version)) && expert.is_some();
+        let driver = if by_expert {
+            Driver::Expert
+        } else if rng.random_bool(config.sampled_share) {
+            Driver::Sample
+        } else {
+            Driver::Mode
+        };
+        let noise = if by_expert { &config.expert_noise } else { &config.policy_noise };
+        let sigma = noise.sigmas[rng.random_range(0..noise.sigmas.len())];
+        let n_grippers = usize::from(self.environment.n_grippers);
+        DaggerEpisode { expert, driver, sigma, random_block: noise.random_block, n_grippers }
+    }
+}
+
+impl DaggerEpisode {
+    /// Who acts.
+    pub(crate) fn driver(&self) -> Driver {
+        self.driver
+    }
+
+    /// The action of a step, which is the policy's own unless the dagger has it otherwise, and the expert's label.
+    pub(crate) fn step(&mut self, scene: &Scene, own: Action, rng: &mut ChaCha8Rng) -> (Action, Option<Label>) {
+        let right = self.expert.as_mut().map(|expert| expert.act(scene));
+        let label = right.as_ref().and_then(|action| Label::new(action, self.n_grippers));
+        let action = match (self.driver, right) {
+            (Driver::Sample, _) => return (own, label),
+            (Driver::Expert, Some(right)) => right,
+            (Driver::Expert | Driver::Mode, _) => own,
+        };
+        (self.blurred(action, rng), label)
+    }
+
+    fn blurred(&self, mut action: Action, rng: &mut ChaCha8Rng) -> Action {
+        for choice in action.choices.iter_mut().flatten() {
+            if self.random_block > 0.0 && rng.random_bool(self.random_block) {
+                *choice = BlockIdx::all().nth(rng.random_range(0..N_BLOCKS)).unwrap_or(*choice);
+            }
+        }
+        if self.sigma > 0.0 {
+            for block in BlockIdx::all().filter(|&block| action.choices.contains(&Some(block))) {
+                for entry in &mut action.moves[block.get()] {
+                    let noise: f32 = StandardNormal.sample(rng);
+                    *entry += self.sigma * noise;
+                }
+            }
+        }
+        action
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::{Catalog, Split};
+    use environment::{Env, World};
+    use proto::{Start, Task};
+    use rand::SeedableRng;
+
+    use super::*;
+
+    fn world() -> (World, Blueprint) {
+        let goal = Catalog::builtin().of_split(Split::Train)[0];
+        let mut world = World::new(&EnvironmentConfig::default()).unwrap();
+        let assignment = environment::sample_assignment(&mut ChaCha8Rng::seed_from_u64(3));
+        let task = Task { blueprint: goal.id().clone(), assignment, start: Start::Scattered, seed: 5 };
+        world.reset(&task, Catalog::builtin()).unwrap();
+        let blueprint = world.blueprint().clone();
+        (world, blueprint)
+    }
+
+    fn nothing() -> Action {
+        let block = BlockIdx::all().last();
+        Action { choices: [block; 2], moves: [[0.0; 6]; N_BLOCKS] }
+    }
+
+    #[test]
+    fn the_share_of_the_expert_falls_on_a_line() {
+        let config = DaggerConfig { expert_share: [1.0, 0.2], mixing_versions: 10, ..Default::default() };
+        let shares = [0, 5, 10, 99].map(|version| config.expert_share_at(WeightsVersion(version)));
+        for (share, expected) in shares.iter().zip([1.0, 0.6, 0.2, 0.2]) {
+            assert!((share - expected).abs() < 1e-12, "{shares:?}");
+        }
+    }
+
+    #[test]
+    fn whoever_acts_the_label_is_the_expert_s() {
+        let (world, blueprint) = world();
+        let environment = EnvironmentConfig::default();
+        let right = Expert::new(&environment, &blueprint).unwrap().act(world.scene());
+        let label = Label::new(&right, 2);
+        for (expert_share, sampled_share, driver, action) in [
+            (1.0, 0.0, Driver::Expert, &right),
+            (0.0, 1.0, Driver::Sample, &nothing()),
+            (0.0, 0.0, Driver::Mode, &nothing()),
+        ] {
+            let config = DaggerConfig { expert_share: [expert_share; 2], sampled_share, ..Default::default() };
+            let mut rng = ChaCha8Rng::seed_from_u64(1);
+            let teacher = DaggerMixture::new(config, environment.clone());
+            let mut dagger = teacher.begin(&blueprint, WeightsVersion(0), &mut rng);
+            assert_eq!(dagger.driver(), driver);
+            assert_eq!(dagger.step(world.scene(), nothing(), &mut rng), (action.clone(), label));
+        }
+    }
+
+    #[test]
+    fn noise_changes_chosen_moves_and_never_the_label() {
+        let (world, blueprint) = world();
+        let expert_noise = NoiseConfig { sigmas: vec![0.5], random_block: 1.0 };
+        let config = DaggerConfig { expert_noise, ..Default::default() };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let teacher = DaggerMixture::new(config, EnvironmentConfig::default());
+        let mut dagger = teacher.begin(&blueprint, WeightsVersion(0), &mut rng);
+        let clean = Expert::new(&EnvironmentConfig::default(), &blueprint).unwrap().act(world.scene());
+        let mut chosen = std::collections::BTreeSet::new();
+        for _ in 0..100 {
+            let (action, label) = dagger.step(world.scene(), nothing(), &mut rng);
+            assert_eq!(label, Label::new(&clean, 2));
+            for block in BlockIdx::all() {
+                let is_chosen = action.choices.contains(&Some(block));
+                assert_eq!(action.moves[block.get()] != clean.moves[block.get()], is_chosen);
+                chosen.extend(is_chosen.then(|| block.get()));
+            }
+        }
+        // 200 draws of 16 blocks leave one out with a probability below 1e-4.
+        assert_eq!(chosen.len(), N_BLOCKS);
+    }
+}

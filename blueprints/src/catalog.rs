@@ -1,0 +1,230 @@
+//! All blueprints that a run knows, from the program or from a folder.
+
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+use std::{fs, io};
+
+use crate::checks::check_text;
+use crate::error::BlueprintFileError;
+use crate::{Blueprint, BlueprintId, Split, generator};
+
+/// The `(file name, text)` of every blueprint file that is part of the program.
+pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/catalog.rs"));
+
+/// Blueprints of distinct ids and structures.
+///
+/// # Example
+/// ```
+/// use blueprints::{Catalog, Split};
+///
+/// let catalog = Catalog::builtin();
+/// let blueprint = catalog.get(&"4_000".parse()?).expect("the catalog has it");
+/// assert_eq!(blueprint.n_blocks(), 4);
+/// assert!(catalog.of_split(Split::Test).iter().all(|test| !catalog.is_for_training(test)));
+/// # Ok::<(), blueprints::blueprint::InvalidBlueprintId>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Catalog {
+    blueprints: Vec<Blueprint>,
+    positions: BTreeMap<BlueprintId, usize>,
+    /// Canonical hashes of what is not for training.
+    held_out: BTreeSet<u64>,
+}
+
+/// Why a catalog is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum CatalogError {
+    /// A folder or file cannot be read.
+    #[error("cannot read {path}: {error}")]
+    Io {
+        /// What was to be read.
+        path: PathBuf,
+        /// Why it could not be.
+        #[source]
+        error: io::Error,
+    },
+    /// A file is no valid blueprint.
+    #[error(transparent)]
+    Blueprint(#[from] BlueprintFileError),
+    /// There is nothing to build.
+    #[error("{0} holds no blueprint (*.toml)")]
+    Empty(PathBuf),
+    /// A file is not called after its blueprint.
+    #[error("{file}: the file of blueprint {id} must be called {id}.toml")]
+    FileName {
+        /// Name of the file.
+        file: String,
+        /// Id inside.
+        id: BlueprintId,
+    },
+    /// Two files with one id.
+    #[error("{file}: the id {id} is taken by another file")]
+    DuplicateId {
+        /// Name of the later file.
+        file: String,
+        /// The id.
+        id: BlueprintId,
+    },
+    /// Two files with the same structure, up to rotation and the choice among identical blocks.
+    #[error("{file}: {id} is the same structure as {other}")]
+    DuplicateStructure {
+        /// Name of the later file.
+        file: String,
+        /// Id of the later blueprint.
+        id: BlueprintId,
+        /// Id of the earlier one.
+        other: BlueprintId,
+    },
+    /// A held-out structure that is also trained on.
+    #[error("{file}: {id} ({split}) is the same structure as {other} ({other_split}); training would see a test")]
+    SplitOverlap {
+        /// Name of the later file.
+        file: String,
+        /// Id of the later blueprint.
+        id: BlueprintId,
+        /// Its split.
+        split: Split,
+        /// Id of the earlier one.
+        other: BlueprintId,
+        /// The earlier one's split.
+        other_split: Split,
+    },
+}
+
+impl Catalog {
+    /// The blueprints that are part of the program.
+    ///
+    /// # Panics
+    /// Never in a build that passes the tests: the files are part of the program.
+    pub fn builtin() -> &'static Self {
+        static BUILTIN: LazyLock<Catalog> = LazyLock::new(|| {
+            Catalog::from_files(BUILTIN_FILES.iter().copied()).expect("the embedded blueprints are valid")
+        });
+        &BUILTIN
+    }
+
+    /// Reads every `*.toml` of a folder, or one file.
+    ///
+    /// # Errors
+    /// The first thing wrong, in the order of the file names; see [`CatalogError`].
+    pub fn load(path: &Path) -> Result<Self, CatalogError> {
+        let files = read_files(path)?;
+        if files.is_empty() {
+            return Err(CatalogError::Empty(path.to_owned()));
+        }
+        Self::from_files(files.iter().map(|(file, text)| (file.as_str(), text.as_str())))
+    }
+
+    /// Builds a catalog from `(file name, text)` pairs.
+    ///
+    /// # Errors
+    /// The first thing wrong, in the order given.
+    pub fn from_files<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, CatalogError> {
+        let checked = files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?)));
+        Self::from_checked(checked.collect::<Result<Vec<_>, CatalogError>>()?)
+    }
+
+    /// A catalog of one blueprint, under its own id.
+    pub fn of_one(blueprint: Blueprint) -> Self {
+        Self::of_sorted(vec![blueprint])
+    }
+
+    fn from_checked(files: Vec<(&str, Blueprint)>) -> Result<Self, CatalogError> {
+        let mut blueprints: Vec<Blueprint> = Vec::new();
+        let mut by_hash: BTreeMap<u64, (BlueprintId, Split)> = BTreeMap::new();
+        for (file, blueprint) in files {
+            let (file, id, split) = (file.to_owned(), blueprint.id().clone(), blueprint.split());
+            if Path::new(&file).file_name().and_then(|name| name.to_str()) != Some(&format!("{id}.toml")) {
+                return Err(CatalogError::FileName { file, id });
+            }
+            if blueprints.iter().any(|other| *other.id() == id) {
+                return Err(CatalogError::DuplicateId { file, id });
+            }
+            if let Some((other, other_split)) = by_hash.insert(blueprint.canonical_hash(), (id.clone(), split)) {
+                return Err(if (split == Split::Train) == (other_split == Split::Train) {
+                    CatalogError::DuplicateStructure { file, id, other }
+                } else {
+                    CatalogError::SplitOverlap { file, id, split, other, other_split }
+                });
+            }
+            blueprints.push(blueprint);
+        }
+        // By size first: as text, 12_000 comes before 2_000.
+        blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
+        Ok(Self::of_sorted(blueprints))
+    }
+
+    fn of_sorted(blueprints: Vec<Blueprint>) -> Self {
+        let positions = blueprints.iter().enumerate().map(|(i, b)| (b.id().clone(), i)).collect();
+        let held_out = blueprints.iter().filter(|b| b.split() != Split::Train).map(Blueprint::canonical_hash).collect();
+        Self { blueprints, positions, held_out }
+    }
+
+    /// The blueprint of that id.
+    pub fn get(&self, id: &BlueprintId) -> Option<&Blueprint> {
+        self.positions.get(id).map(|&i| &self.blueprints[i])
+    }
+
+    /// The blueprint of that id, from the catalog or from the [`generator`] if the id is one of its.
+    ///
+    /// Making one takes 0.1 to 30 ms, by size and style; those made lately are kept.
+    pub fn find(&self, id: &BlueprintId) -> Option<Cow<'_, Blueprint>> {
+        let generated = || generator::made(id).map(Cow::Owned);
+        self.get(id).map(Cow::Borrowed).or_else(generated)
+    }
+
+    /// Whether a structure may be trained on: it is none of the held-out ones, however it is turned or named.
+    pub fn is_for_training(&self, blueprint: &Blueprint) -> bool {
+        !self.held_out.contains(&blueprint.canonical_hash())
+    }
+
+    /// All blueprints by split, then size, then id.
+    pub fn iter(&self) -> std::slice::Iter<'_, Blueprint> {
+        self.blueprints.iter()
+    }
+
+    /// The blueprints of one split by size, then id.
+    pub fn of_split(&self, split: Split) -> Vec<&Blueprint> {
+        self.iter().filter(|blueprint| blueprint.split() == split).collect()
+    }
+
+    /// Number of blueprints.
+    pub fn len(&self) -> usize {
+        self.blueprints.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.blueprints.is_empty()
+    }
+}
+
+/// The `(path, text)` of every `*.toml` of a folder by name, or of one file whatever its name.
+///
+/// # Errors
+/// [`CatalogError::Io`] with the path that cannot be read.
+pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        |error| CatalogError::Io { path, error }
+    };
+    let mut paths = Vec::new();
+    if path.is_dir() {
+        for entry in fs::read_dir(path).map_err(failed(path))? {
+            let entry = entry.map_err(failed(path))?.path();
+            if entry.extension().is_some_and(|extension| extension == "toml") {
+                paths.push(entry);
+            }
+        }
+        paths.sort();
+    } else {
+        paths.push(path.to_owned());
+    }
+    let read = |path: PathBuf| {
+        let text = fs::read_to_string(&path).map_err(failed(&path))?;
+        Ok((path.display().to_string(), text))
+    };
+    paths.into_iter().map(read).collect()
+}

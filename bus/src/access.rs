@@ -1,0 +1,151 @@
+//! What each role may do on a router with keys.
+
+use serde_json::{Value, json};
+
+use super::security::ROLES;
+use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_UNIT_BYTES, MAX_WEIGHTS_BYTES};
+
+/// Largest metrics and history, in bytes; a history of 400 evaluations of all blueprints has 2 MB.
+const MAX_METRICS_BYTES: usize = 8 << 20;
+
+/// Largest notice, in bytes.
+const MAX_NOTICE_BYTES: usize = 4096;
+
+/// A role's grants: what may come from it (`sends`), and what it is given (`gets`). Each is a kind of message with the keys
+/// after `lodestone/<run>/`.
+struct Grants {
+    role: &'static str,
+    sends: &'static [(&'static str, &'static [&'static str])],
+    gets: &'static [(&'static str, &'static [&'static str])],
+}
+
+/// The table. A publisher or querier learns who is at the other end by declarations that it is given, so these are granted
+/// wherever somebody waits for a learner or makes copies only while somebody watches.
+const GRANTS: [Grants; 4] = [
+    Grants {
+        role: "learner",
+        sends: &[
+            ("declare_queryable", &["ingest/*", "weights/latest", "metrics/learner"]),
+            ("reply", &["ingest/*", "weights/latest", "metrics/learner"]),
+            ("put", &["weights/version/*", "metrics/learner"]),
+            ("liveliness_token", &["live/learner/*"]),
+            ("declare_liveliness_subscriber", &["live/actor/*"]),
+            ("liveliness_query", &["live/actor/*", "live/learner/*"]),
+        ],
+        gets: &[
+            ("query", &["ingest/*", "weights/latest", "metrics/**"]),
+            ("declare_subscriber", &["weights/version/*", "metrics/**"]),
+            ("liveliness_token", &["live/actor/*", "live/learner/*"]),
+        ],
+    },
+    Grants {
+        role: "actor",
+        sends: &[
+            ("query", &["ingest/*", "weights/latest"]),
+            ("declare_subscriber", &["weights/version/*"]),
+            ("put", &["trajectories/*", "metrics/actor/*"]),
+            ("declare_queryable", &["metrics/actor/*"]),
+            ("reply", &["metrics/actor/*"]),
+            ("liveliness_token", &["live/actor/*"]),
+            ("liveliness_query", &["live/actor/*"]),
+        ],
+        gets: &[
+            ("reply", &["ingest/*", "weights/latest"]),
+            ("put", &["weights/version/*"]),
+            ("query", &["metrics/**"]),
+            ("declare_queryable", &["ingest/*", "weights/latest"]),
+            ("declare_subscriber", &["trajectories/*", "metrics/**"]),
+            ("liveliness_token", &["live/actor/*"]),
+        ],
+    },
+    Grants {
+        role: "evaluator",
+        sends: &[
+            ("query", &["weights/latest", "worker/*", "metrics/**"]),
+            ("declare_subscriber", &["weights/version/*", "metrics/**", "trajectories/*"]),
+            ("put", &["metrics/eval/**"]),
+            ("declare_queryable", &["metrics/eval/**", "history/eval", "worker/*"]),
+            ("reply", &["metrics/eval/**", "history/eval", "worker/*"]),
+            ("liveliness_token", &["live/evaluator/*", "live/worker/*"]),
+            ("declare_liveliness_subscriber", &["live/**"]),
+            ("liveliness_query", &["live/**"]),
+        ],
+        gets: &[
+            ("reply", &["weights/latest", "worker/*", "metrics/**"]),
+            ("put", &["weights/version/*", "metrics/**", "trajectories/*"]),
+            ("query", &["metrics/**", "history/eval", "worker/*"]),
+            ("declare_queryable", &["weights/latest", "worker/*"]),
+            ("declare_subscriber", &["metrics/**"]),
+            ("liveliness_token", &["live/**"]),
+        ],
+    },
+    Grants {
+        role: "viewer",
+        sends: &[
+            ("query", &["metrics/**", "history/eval"]),
+            ("declare_subscriber", &["metrics/**"]),
+            ("declare_liveliness_subscriber", &["live/**"]),
+            ("liveliness_query", &["live/**"]),
+        ],
+        gets: &[
+            ("reply", &["metrics/**", "history/eval"]),
+            ("put", &["metrics/**"]),
+            ("liveliness_token", &["live/**"]),
+        ],
+    },
+];
+
+/// Zenoh's `access_control`: default-deny, by certificate and user name together.
+pub(super) fn rules() -> Value {
+    let mut rules = Vec::new();
+    let mut policies = Vec::new();
+    for grants in &GRANTS {
+        let mut ids = Vec::new();
+        for (flow, granted) in [("ingress", grants.sends), ("egress", grants.gets)] {
+            for (message, keys) in granted {
+                let id = format!("{}-{flow}-{message}", grants.role);
+                // A star for the run: a router serves all runs that share its keys.
+                let keys: Vec<String> = keys.iter().map(|key| format!("lodestone/*/{key}")).collect();
+                let rule = json!({ "id": id, "messages": [message], "flows": [flow], "permission": "allow", "key_exprs": keys });
+                rules.push(rule);
+                ids.push(id);
+            }
+        }
+        policies.push(json!({ "rules": ids, "subjects": [grants.role] }));
+    }
+    // Routers pass on what others were allowed; what they are sent was checked where it came in.
+    let everything = [
+        "put",
+        "delete",
+        "declare_subscriber",
+        "query",
+        "declare_queryable",
+        "reply",
+        "liveliness_token",
+        "declare_liveliness_subscriber",
+        "liveliness_query",
+    ];
+    rules.push(json!({
+        "id": "router-all", "messages": everything, "flows": ["ingress", "egress"], "permission": "allow", "key_exprs": ["lodestone/**"],
+    }));
+    policies.push(json!({ "rules": ["router-all"], "subjects": ["router"] }));
+    let subjects: Vec<Value> =
+        ROLES.iter().map(|role| json!({ "id": role, "usernames": [role], "cert_common_names": [role] })).collect();
+    json!({ "enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies })
+}
+
+/// Zenoh's `low_pass_filter`: nothing larger than what its receivers accept goes through a router.
+pub(super) fn size_limits() -> Value {
+    let limit = |id: &str, messages: &[&str], keys: &[&str], bytes: usize| {
+        let keys: Vec<String> = keys.iter().map(|key| format!("lodestone/*/{key}")).collect();
+        json!({ "id": id, "messages": messages, "flows": ["ingress"], "key_exprs": keys, "size_limit": bytes })
+    };
+    json!([
+        limit("trajectories", &["query", "put"], &["ingest/*", "trajectories/*"], MAX_TRAJECTORY_BYTES),
+        limit("weights", &["reply"], &["weights/latest"], MAX_WEIGHTS_BYTES),
+        limit("notices", &["put"], &["weights/version/*"], MAX_NOTICE_BYTES),
+        limit("questions", &["query"], &["weights/latest", "metrics/**", "history/eval"], MAX_NOTICE_BYTES),
+        limit("metrics", &["put", "reply"], &["metrics/**", "history/eval"], MAX_METRICS_BYTES),
+        limit("units", &["query", "reply"], &["worker/*"], MAX_UNIT_BYTES),
+    ])
+}

@@ -1,0 +1,277 @@
+//! How a process joins the bus.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::access;
+use super::security::{Keys, KeysError, SecurityConfig, is_endpoint, is_quic, is_reachable};
+use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
+use proto::keys;
+
+/// How a process joins the bus.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BusConfig {
+    /// Name of the run, 1 to 64 characters of `a-z`, `0-9`, `-`; runs on one router do not see each other.
+    /// Default `default`.
+    pub run: String,
+    /// Default [`BusMode::Router`]: everything in one process, no other process needed.
+    pub mode: BusMode,
+    /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with keys,
+    /// `quic/0.0.0.0:7447`. Default none: nobody can join from outside the process.
+    pub listen: Vec<String>,
+    /// Endpoints to connect to: of the router for a client, of other routers for a router. Default none.
+    pub connect: Vec<String>,
+    /// Time that the learner has to answer a trajectory, in milliseconds, 100 to 600 000. Default 10 000.
+    pub ack_timeout_ms: u64,
+    /// Time that a pull of the weights may take, in milliseconds, 100 to 600 000. Default 15 000.
+    pub pull_timeout_ms: u64,
+    /// Trajectories that may wait to be decoded at the learner, 1 to 65 536; more are refused as `Full`. Default 256.
+    pub ingest_queue: usize,
+    /// Largest message that this process receives, in bytes; at least the largest trajectory and weights that the
+    /// codec allows. Default 72 MiB.
+    pub max_message_bytes: usize,
+    /// Who this process is to others. Listening where other machines can connect needs keys.
+    pub security: SecurityConfig,
+}
+
+/// What a process is in the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BusMode {
+    /// Carries the messages of others besides its own.
+    Router,
+    /// Talks to one router.
+    Client,
+}
+
+/// The error of a bus configuration.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BusConfigError {
+    /// A value out of its range.
+    #[error("bus.{field} is {value}, expected {expected}")]
+    Invalid {
+        /// Name of the field.
+        field: &'static str,
+        /// The offending value.
+        value: String,
+        /// The valid range.
+        expected: &'static str,
+    },
+    /// Text that names no place.
+    #[error(
+        "bus.{field}: `{endpoint}` is no endpoint, expected `tcp/HOST:PORT`, `quic/HOST:PORT` with keys, or \
+         `unixsock-stream/PATH`"
+    )]
+    Endpoint {
+        /// `listen` or `connect`.
+        field: &'static str,
+        /// As given.
+        endpoint: String,
+    },
+    /// Others could reach the listener, and nothing would keep them out.
+    #[error(
+        "bus.listen: anybody who reaches {0} could replace the weights; run `lodestone keys new DIR --host NAME` once, then \
+         listen on `quic/ADDRESS:PORT` with `--keys DIR`, or listen on 127.0.0.1"
+    )]
+    OpenListener(String),
+    /// Keys protect encrypted connections only.
+    #[error("bus.{field}: with keys every endpoint is `quic/ADDRESS:PORT`, and {endpoint} is not")]
+    NotEncrypted {
+        /// `listen` or `connect`.
+        field: &'static str,
+        /// The endpoint.
+        endpoint: String,
+    },
+    /// An encrypted endpoint without keys.
+    #[error("bus.{field}: {endpoint} needs keys; name their folder with `--keys DIR`")]
+    NoKeys {
+        /// `listen` or `connect`.
+        field: &'static str,
+        /// The endpoint.
+        endpoint: String,
+    },
+}
+
+impl Default for BusConfig {
+    fn default() -> Self {
+        Self {
+            run: "default".to_owned(),
+            mode: BusMode::Router,
+            listen: Vec::new(),
+            connect: Vec::new(),
+            ack_timeout_ms: 10_000,
+            pull_timeout_ms: 15_000,
+            ingest_queue: 256,
+            max_message_bytes: 72 << 20,
+            security: SecurityConfig::default(),
+        }
+    }
+}
+
+impl BusConfig {
+    /// A router that only processes with access to the folder `dir` can join, through a unix socket in it.
+    pub fn isolated_router(dir: &Path) -> Self {
+        Self { listen: vec![isolated_endpoint(dir)], ..Self::default() }
+    }
+
+    /// A client of [`Self::isolated_router`].
+    pub fn isolated_client(dir: &Path) -> Self {
+        Self { mode: BusMode::Client, connect: vec![isolated_endpoint(dir)], ..Self::default() }
+    }
+
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// Names the first field out of its range, its value and the range.
+    pub fn validate(&self) -> Result<(), BusConfigError> {
+        let check = |field, ok: bool, value: String, expected| {
+            if ok { Ok(()) } else { Err(BusConfigError::Invalid { field, value, expected }) }
+        };
+        let name = "1 to 64 characters of a-z, 0-9 and -";
+        check("run", keys::is_valid_run(&self.run), format!("{:?}", self.run), name)?;
+        let is_router = self.mode == BusMode::Router;
+        check("listen", is_router || self.listen.is_empty(), format!("{:?}", self.listen), "none for a client")?;
+        check(
+            "connect",
+            is_router || !self.connect.is_empty(),
+            "empty".to_owned(),
+            "a router's endpoint for a client",
+        )?;
+        for (field, ms) in [("ack_timeout_ms", self.ack_timeout_ms), ("pull_timeout_ms", self.pull_timeout_ms)] {
+            check(field, (100..=600_000).contains(&ms), ms.to_string(), "100 to 600000")?;
+        }
+        let queue = self.ingest_queue;
+        check("ingest_queue", (1..=65_536).contains(&queue), queue.to_string(), "1 to 65536")?;
+        let bytes = self.max_message_bytes;
+        let least = MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES);
+        check("max_message_bytes", (least..=1 << 30).contains(&bytes), bytes.to_string(), "68157440 to 1073741824")?;
+        self.check_endpoints()
+    }
+
+    fn check_endpoints(&self) -> Result<(), BusConfigError> {
+        let has_keys = self.security.keys.is_some();
+        for (field, endpoints) in [("listen", &self.listen), ("connect", &self.connect)] {
+            if let Some(endpoint) = endpoints.iter().find(|endpoint| !is_endpoint(endpoint)) {
+                return Err(BusConfigError::Endpoint { field, endpoint: endpoint.clone() });
+            }
+        }
+        if let Some(open) = self.listen.iter().find(|endpoint| !has_keys && is_reachable(endpoint)) {
+            return Err(BusConfigError::OpenListener(open.clone()));
+        }
+        for (field, endpoints) in [("listen", &self.listen), ("connect", &self.connect)] {
+            for endpoint in endpoints {
+                let endpoint = || endpoint.clone();
+                match (has_keys, is_quic(&endpoint())) {
+                    (true, false) => return Err(BusConfigError::NotEncrypted { field, endpoint: endpoint() }),
+                    (false, true) => return Err(BusConfigError::NoKeys { field, endpoint: endpoint() }),
+                    _ => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether other processes connect to this one.
+    fn is_listening(&self) -> bool {
+        !self.listen.is_empty()
+    }
+
+    /// The keys of this process, read and checked.
+    ///
+    /// # Errors
+    /// Names the file that is missing, is not what it should be, or is out of date.
+    pub(super) fn read_keys(&self) -> Result<Option<Keys>, KeysError> {
+        self.security.keys.as_deref().map(|folder| Keys::read(folder, self.is_listening())).transpose()
+    }
+
+    /// The same as zenoh's configuration.
+    pub(super) fn to_zenoh(&self, keys: Option<&Keys>) -> Result<zenoh::Config, zenoh::Error> {
+        let retry = json!({ "period_init_ms": 500, "period_max_ms": 8000, "period_increase_factor": 2 });
+        let mut config = json!({
+            "mode": match self.mode { BusMode::Router => "router", BusMode::Client => "client" },
+            "namespace": keys::namespace(&self.run),
+            // Without a time limit a process may start before the router that it needs.
+            "connect": { "endpoints": self.connect, "timeout_ms": -1, "exit_on_failure": false, "retry": retry },
+            // A port that is taken is a mistake to be told at once.
+            "listen": { "endpoints": self.listen, "timeout_ms": 0, "exit_on_failure": true },
+            // Who takes part is configured, never found: any process in the network could overwrite any key.
+            "scouting": { "delay": 0, "multicast": { "enabled": false }, "gossip": { "enabled": false } },
+            "transport": {
+                "unicast": { "max_sessions": 8192, "accept_pending": 1024 },
+                "link": {
+                    "tx": {
+                        "lease": 6000,
+                        // The default closes the whole transport when a peer is slow for 5 s; −1 makes zenoh panic. A connection
+                        // that is lost under a sender who waits is not given up before this time is over, and until then
+                        // nothing leaves the process: so little more than the lease, after which a peer counts as gone.
+                        "queue": { "congestion_control": { "block": { "wait_before_close": 8_000_000 } } },
+                    },
+                    "rx": { "buffer_size": 1 << 20, "max_message_size": self.max_message_bytes },
+                },
+            },
+        });
+        if let Some(keys) = keys {
+            config["transport"]["link"]["tls"] = keys.tls();
+            config["transport"]["auth"] = json!({ "usrpwd": keys.passwords(self.is_listening()) });
+            if self.is_listening() {
+                config["access_control"] = access::rules();
+                config["low_pass_filter"] = access::size_limits();
+            }
+        }
+        zenoh::Config::from_json5(&config.to_string())
+    }
+}
+
+fn isolated_endpoint(dir: &Path) -> String {
+    format!("unixsock-stream/{}", dir.join("bus.sock").display())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_valid_and_understood_by_zenoh() {
+        let config = BusConfig::default();
+        assert_eq!(config.validate(), Ok(()));
+        assert!(config.to_zenoh(None).is_ok());
+    }
+
+    #[test]
+    fn a_listener_that_others_reach_needs_keys() {
+        let router = |endpoint: &str| BusConfig { listen: vec![endpoint.to_owned()], ..BusConfig::default() };
+        let message = router("tcp/0.0.0.0:7447").validate().unwrap_err().to_string();
+        assert!(message.contains("tcp/0.0.0.0:7447") && message.contains("lodestone keys new"), "{message}");
+        assert_eq!(router("tcp/127.0.0.1:7447").validate(), Ok(()));
+        let message = router("tls/127.0.0.1:7447").validate().unwrap_err().to_string();
+        assert!(message.starts_with("bus.listen: `tls/127.0.0.1:7447` is no endpoint"), "{message}");
+        let message = router("quic/127.0.0.1:7447").validate().unwrap_err().to_string();
+        assert_eq!(message, "bus.listen: quic/127.0.0.1:7447 needs keys; name their folder with `--keys DIR`");
+        let mut config = router("quic/0.0.0.0:7447");
+        config.security.keys = Some("keys/router".into());
+        assert_eq!(config.validate(), Ok(()));
+        config.connect = vec!["tcp/10.0.0.1:7447".to_owned()];
+        let message = config.validate().unwrap_err().to_string();
+        assert_eq!(
+            message,
+            "bus.connect: with keys every endpoint is `quic/ADDRESS:PORT`, and tcp/10.0.0.1:7447 is not"
+        );
+    }
+
+    #[test]
+    fn errors_name_the_field_and_the_value() {
+        let check = |change: fn(&mut BusConfig), message: &str| {
+            let mut config = BusConfig::default();
+            change(&mut config);
+            assert_eq!(config.validate().unwrap_err().to_string(), message);
+        };
+        check(|c| c.run = "My Run".into(), r#"bus.run is "My Run", expected 1 to 64 characters of a-z, 0-9 and -"#);
+        check(|c| c.mode = BusMode::Client, "bus.connect is empty, expected a router's endpoint for a client");
+        check(|c| c.ack_timeout_ms = 5, "bus.ack_timeout_ms is 5, expected 100 to 600000");
+        check(|c| c.ingest_queue = 0, "bus.ingest_queue is 0, expected 1 to 65536");
+        check(|c| c.max_message_bytes = 1, "bus.max_message_bytes is 1, expected 68157440 to 1073741824");
+    }
+}

@@ -1,0 +1,116 @@
+//! Tells a retry from a first attempt.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use proto::ActorId;
+
+/// One process of an actor: its name and start time.
+pub(super) type Sender = (ActorId, u64);
+
+/// Numbers remembered of each sender. An actor has a few messages under way, so a retry is never this far behind.
+const WINDOW: u64 = 1024;
+
+/// Senders remembered; far more than a router's sessions, so that only long-gone processes are forgotten.
+const MAX_SENDERS: usize = 16_384;
+
+/// What is known of a number.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Seen {
+    /// It was not taken before.
+    New,
+    /// It was taken.
+    Taken,
+    /// It is so far behind the sender's newest that it is forgotten.
+    TooOldToTell,
+}
+
+/// The numbers taken lately from each sender, in bounded memory.
+#[derive(Debug, Default)]
+pub(super) struct Repeats {
+    senders: BTreeMap<Sender, Taken>,
+    /// Counts `remember`; orders the senders by their latest use.
+    clock: u64,
+}
+
+#[derive(Debug, Default)]
+struct Taken {
+    numbers: BTreeSet<u64>,
+    last_use: u64,
+}
+
+impl Repeats {
+    pub(super) fn look_up(&self, sender: &Sender, seq: u64) -> Seen {
+        let Some(taken) = self.senders.get(sender) else { return Seen::New };
+        if taken.numbers.contains(&seq) {
+            return Seen::Taken;
+        }
+        let newest = taken.numbers.last().copied().unwrap_or_default();
+        if newest.saturating_sub(seq) >= WINDOW { Seen::TooOldToTell } else { Seen::New }
+    }
+
+    pub(super) fn remember(&mut self, sender: Sender, seq: u64) {
+        self.clock += 1;
+        if self.senders.len() >= MAX_SENDERS && !self.senders.contains_key(&sender) {
+            let oldest = self.senders.iter().min_by_key(|(_, taken)| taken.last_use).map(|(sender, _)| sender.clone());
+            if let Some(oldest) = oldest {
+                self.senders.remove(&oldest);
+            }
+        }
+        let taken = self.senders.entry(sender).or_default();
+        taken.last_use = self.clock;
+        taken.numbers.insert(seq);
+        let newest = taken.numbers.last().copied().unwrap_or(seq);
+        // Keeps the numbers newest − WINDOW + 1 ..= newest.
+        taken.numbers = taken.numbers.split_off(&newest.saturating_sub(WINDOW - 1));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sender(name: &str, epoch: u64) -> Sender {
+        (name.parse().unwrap(), epoch)
+    }
+
+    #[test]
+    fn a_number_is_taken_once_for_each_process_of_each_actor() {
+        let mut repeats = Repeats::default();
+        repeats.remember(sender("a", 1), 7);
+        assert_eq!(repeats.look_up(&sender("a", 1), 7), Seen::Taken);
+        assert_eq!(repeats.look_up(&sender("a", 1), 8), Seen::New);
+        assert_eq!(repeats.look_up(&sender("a", 2), 7), Seen::New);
+        assert_eq!(repeats.look_up(&sender("b", 1), 7), Seen::New);
+    }
+
+    #[test]
+    fn numbers_out_of_order_are_taken_within_the_window() {
+        let mut repeats = Repeats::default();
+        repeats.remember(sender("a", 1), 2000);
+        // The window holds 2000 − 1023 = 977 and everything after it.
+        assert_eq!(repeats.look_up(&sender("a", 1), 977), Seen::New);
+        assert_eq!(repeats.look_up(&sender("a", 1), 976), Seen::TooOldToTell);
+        repeats.remember(sender("a", 1), 977);
+        assert_eq!(repeats.look_up(&sender("a", 1), 977), Seen::Taken);
+        repeats.remember(sender("a", 1), 2001);
+        assert_eq!(repeats.look_up(&sender("a", 1), 977), Seen::TooOldToTell);
+    }
+
+    #[test]
+    fn the_sender_unused_for_longest_is_forgotten() {
+        let mut repeats = Repeats::default();
+        for epoch in 0..=MAX_SENDERS as u64 {
+            repeats.remember(sender("a", epoch), 0);
+        }
+        assert_eq!(repeats.senders.len(), MAX_SENDERS);
+        assert_eq!(repeats.look_up(&sender("a", 0), 0), Seen::New);
+        assert_eq!(repeats.look_up(&sender("a", 1), 0), Seen::Taken);
+    }
+
+    #[test]
+    fn the_largest_number_is_no_trap() {
+        let mut repeats = Repeats::default();
+        repeats.remember(sender("a", 1), u64::MAX);
+        assert_eq!(repeats.look_up(&sender("a", 1), u64::MAX), Seen::Taken);
+    }
+}

@@ -1,0 +1,83 @@
+//! A key whose newest value anybody can ask for.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio::sync::mpsc;
+use zenoh::Wait;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::query::{Query, Queryable};
+
+use super::sender::REFUSAL_SCHEMA;
+use super::task::OwnedTask;
+use super::{Bus, BusError};
+use proto::WeightsVersion;
+use proto::codec::{Refusal, Refused, encode_refused};
+
+/// Queries that may wait for their answer.
+const QUEUE: usize = 1024;
+
+/// Answers queries on one key with the newest value; says nothing before there is one.
+#[derive(Debug)]
+pub(super) struct Latest {
+    value: Arc<Mutex<Option<ZBytes>>>,
+    _queryable: Queryable<()>,
+    _worker: OwnedTask,
+    _open: Bus,
+}
+
+impl Latest {
+    pub(super) async fn declare(bus: &Bus, key: String, encoding: Encoding) -> Result<Self, BusError> {
+        let (queue, mut queries) = mpsc::channel::<Query>(QUEUE);
+        let counters = bus.counters.clone();
+        let queryable = bus
+            .session
+            .declare_queryable(key.clone())
+            .complete(true)
+            .callback(move |query| {
+                // A query that is dropped ends without a reply for the one who asks.
+                if queue.try_send(query).is_err() {
+                    counters.queries_dropped.add_one();
+                }
+            })
+            .await
+            .map_err(BusError::during(format!("declaring {key}")))?;
+        let value: Arc<Mutex<Option<ZBytes>>> = Arc::default();
+        let (shared, counters) = (value.clone(), bus.counters.clone());
+        let worker = OwnedTask::spawn(async move {
+            while let Some(query) = queries.recv().await {
+                if query.payload().is_some_and(|payload| !payload.is_empty()) {
+                    counters.queries_invalid.add_one();
+                    refuse(&query);
+                    continue;
+                }
+                let Some(value) = lock(&shared).clone() else { continue };
+                let (key, encoding) = (key.clone(), encoding.clone());
+                // Megabytes to a slow reader can block, which must not hold up the answers to others.
+                tokio::task::spawn_blocking(move || {
+                    if let Err(error) = query.reply(&key, value).encoding(encoding).wait() {
+                        tracing::debug!(key, %error, "an answer was not sent");
+                    }
+                });
+            }
+        });
+        Ok(Self { value, _queryable: queryable, _worker: worker, _open: bus.clone() })
+    }
+
+    pub(super) fn set(&self, value: ZBytes) {
+        *lock(&self.value) = Some(value);
+    }
+}
+
+fn refuse(query: &Query) {
+    let refusal = Refusal::Invalid(format!("a query for {} has no payload", query.key_expr()));
+    let refused = Refused { refusal, weights_version: WeightsVersion::default() };
+    let encoding = Encoding::APPLICATION_PROTOBUF.with_schema(REFUSAL_SCHEMA);
+    if let Err(error) = query.reply_err(encode_refused(&refused)).encoding(encoding).wait() {
+        tracing::debug!(key = %query.key_expr(), %error, "a refusal was not sent");
+    }
+}
+
+fn lock(value: &Mutex<Option<ZBytes>>) -> std::sync::MutexGuard<'_, Option<ZBytes>> {
+    // The lock is held only to copy or to replace the value, so a poisoned one is still whole.
+    value.lock().unwrap_or_else(PoisonError::into_inner)
+}

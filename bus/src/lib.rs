@@ -1,0 +1,45 @@
+//! The bus: zenoh sessions that carry [`proto`]'s messages between actors, learner, evaluator and viewers.
+//!
+//! Reading order: `config` and [`security`] (who may join) → `session` → `sender` and `ingest` (trajectories) → `weights` →
+//! `metrics`, `history` and `viewer` → `units` (shared evaluations) → `alive` and `pulse`.
+//!
+//! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
+//! liveliness tokens say who is there. The services see the types of this module only, never zenoh's.
+//!
+//! Nothing here blocks in a zenoh callback: a slow callback would stall every peer of the session. Work goes to
+//! tokio tasks through bounded channels, and what does not fit is counted.
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod access;
+mod alive;
+mod config;
+mod counters;
+mod error;
+mod history;
+mod ingest;
+mod latest;
+mod matching;
+mod metrics;
+mod pulse;
+pub mod security;
+mod sender;
+mod session;
+mod task;
+mod units;
+mod viewer;
+mod weights;
+
+pub use alive::{AliveToken, AliveWatch};
+pub use config::{BusConfig, BusConfigError, BusMode};
+pub use error::{BusError, SendError};
+pub use history::HistoryAnswer;
+pub use ingest::TrajectoryServer;
+pub use metrics::{MetricsPublisher, MetricsSample, MetricsSubscriber};
+pub use pulse::{Pulse, Waiting};
+pub use security::{KeysError, SecurityConfig};
+pub use sender::TrajectorySender;
+pub use session::{Bus, process_epoch_ms};
+pub use units::{CallError, UnitCall, UnitServer, WorkerCaller};
+pub use viewer::TrajectoryViewer;
+pub use weights::{WeightsPublisher, WeightsSubscriber};

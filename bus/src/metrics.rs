@@ -1,0 +1,141 @@
+//! Metrics as JSON, so that any zenoh client can read them without our schema.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+use tokio::sync::mpsc;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::QueryTarget;
+use zenoh::sample::Sample;
+
+use super::counters::BusCounters;
+use super::latest::Latest;
+use super::{Bus, BusError};
+use proto::keys;
+
+/// Samples that a reader may leave waiting.
+const QUEUE: usize = 4096;
+
+/// Puts the metrics of one key and answers queries for the latest.
+#[derive(Debug)]
+pub struct MetricsPublisher {
+    latest: Latest,
+    publisher: Publisher<'static>,
+}
+
+/// Metrics of some keys as they come.
+#[derive(Debug)]
+pub struct MetricsSubscriber {
+    samples: mpsc::Receiver<MetricsSample>,
+    _subscriber: Subscriber<()>,
+    _open: Bus,
+}
+
+/// One value of metrics.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MetricsSample {
+    /// Key after `metrics/`, for example `learner`.
+    pub suffix: String,
+    /// What was put.
+    pub value: serde_json::Value,
+}
+
+impl Bus {
+    /// Publishes metrics under `metrics/<suffix>`; see [`keys`] for the suffixes.
+    ///
+    /// # Errors
+    /// If the suffix is no key or the session is closed.
+    pub async fn metrics_publisher(&self, suffix: &str) -> Result<MetricsPublisher, BusError> {
+        let key = keys::metrics(suffix);
+        let latest = Latest::declare(self, key.clone(), Encoding::APPLICATION_JSON).await?;
+        let publisher = self
+            .session
+            .declare_publisher(key.clone())
+            .congestion_control(CongestionControl::Drop)
+            .priority(Priority::Data)
+            .encoding(Encoding::APPLICATION_JSON)
+            .await
+            .map_err(BusError::during(format!("declaring {key}")))?;
+        Ok(MetricsPublisher { latest, publisher })
+    }
+
+    /// Reads metrics from now on, and the latest of each key that is there already. `suffix` may have wildcards:
+    /// `**` for all, `actor/*` for all actors.
+    ///
+    /// # Errors
+    /// If the suffix is no key expression or the session is closed.
+    pub async fn metrics_subscriber(&self, suffix: &str) -> Result<MetricsSubscriber, BusError> {
+        let key = keys::metrics(suffix);
+        let failed = || BusError::during(format!("subscribing to {key}"));
+        let (sender, samples) = mpsc::channel(QUEUE);
+        let inbox = Arc::new(Inbox { sender, counters: self.counters.clone() });
+        let live = inbox.clone();
+        let subscriber = self
+            .session
+            .declare_subscriber(key.clone())
+            .callback(move |sample| live.push(&sample))
+            .await
+            .map_err(failed())?;
+        // Asked after the subscription, so that nothing falls between the two; a value may then come twice.
+        self.session
+            .get(key.clone())
+            .target(QueryTarget::All)
+            .callback(move |reply| {
+                if let Ok(sample) = reply.result() {
+                    inbox.push(sample);
+                }
+            })
+            .await
+            .map_err(failed())?;
+        Ok(MetricsSubscriber { samples, _subscriber: subscriber, _open: self.clone() })
+    }
+}
+
+impl MetricsPublisher {
+    /// Puts `metrics`; when nobody listens they are kept as the latest all the same.
+    ///
+    /// # Errors
+    /// If they cannot be JSON or the session is closed.
+    pub async fn put(&self, metrics: &impl Serialize) -> Result<(), BusError> {
+        let key = || self.publisher.key_expr().to_string();
+        let json = serde_json::to_vec(metrics).map_err(|source| BusError::Json { key: key(), source })?;
+        let payload = ZBytes::from(json);
+        self.latest.set(payload.clone());
+        self.publisher.put(payload).await.map_err(BusError::during(format!("putting {}", key())))
+    }
+}
+
+impl MetricsSubscriber {
+    /// The next value; `None` after the session is closed.
+    pub async fn recv(&mut self) -> Option<MetricsSample> {
+        self.samples.recv().await
+    }
+
+    /// Appends what has come to `samples`, at least one and at most `limit`, and says how many; 0 after the session is
+    /// closed.
+    pub async fn recv_many(&mut self, samples: &mut Vec<MetricsSample>, limit: usize) -> usize {
+        self.samples.recv_many(samples, limit).await
+    }
+}
+
+struct Inbox {
+    sender: mpsc::Sender<MetricsSample>,
+    counters: Arc<BusCounters>,
+}
+
+impl Inbox {
+    fn push(&self, sample: &Sample) {
+        let Ok(value) = serde_json::from_slice(&sample.payload().to_bytes()) else {
+            self.counters.metrics_invalid.add_one();
+            tracing::debug!(key = %sample.key_expr(), "metrics that are not JSON");
+            return;
+        };
+        let key = sample.key_expr().as_str();
+        let suffix = key.strip_prefix(&keys::metrics("")).unwrap_or(key).to_owned();
+        if self.sender.try_send(MetricsSample { suffix, value }).is_err() {
+            self.counters.metrics_dropped.add_one();
+        }
+    }
+}

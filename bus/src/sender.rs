@@ -1,0 +1,144 @@
+//! The actor's end: trajectories to the learner, and copies for viewers.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::pubsub::Publisher;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, Querier};
+
+use super::matching::Matching;
+use super::{Bus, BusError, SendError};
+use proto::codec::{Ack, MAX_TRAJECTORY_BYTES, decode_ack, decode_refused, encode_trajectory};
+use proto::{ActorId, Trajectory, keys};
+
+/// Schema of a trajectory's encoding.
+pub(super) const TRAJECTORY_SCHEMA: &str = "lodestone.v1.Trajectory";
+/// Schema of an accepting reply's encoding.
+pub(super) const ACK_SCHEMA: &str = "lodestone.v1.Ack";
+/// Schema of a refusing reply's encoding: tells the learner's refusals from zenoh's own error replies.
+pub(super) const REFUSAL_SCHEMA: &str = "lodestone.v1.Refusal";
+
+/// Sends the trajectories of one actor; clones share it.
+///
+/// How many are under way at a time is the caller's affair (2 are a good number).
+#[derive(Clone, Debug)]
+pub struct TrajectorySender(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    learner: Arc<Querier<'static>>,
+    learner_there: Matching,
+    viewers: Arc<Publisher<'static>>,
+    viewers_there: Matching,
+    bus: Bus,
+}
+
+impl Bus {
+    /// The sender of the actor's trajectories.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn trajectory_sender(&self, actor: &ActorId) -> Result<TrajectorySender, BusError> {
+        let failed = || BusError::during(format!("declaring the trajectories of {actor}"));
+        let learner = self
+            .session
+            .declare_querier(keys::ingest(actor))
+            .congestion_control(CongestionControl::Block)
+            .priority(Priority::DataLow)
+            .consolidation(ConsolidationMode::None)
+            .timeout(Duration::from_millis(self.config.ack_timeout_ms))
+            .await
+            .map_err(failed())?;
+        let viewers = self
+            .session
+            .declare_publisher(keys::trajectories(actor))
+            .congestion_control(CongestionControl::Drop)
+            .priority(Priority::Background)
+            .encoding(Encoding::APPLICATION_PROTOBUF.with_schema(TRAJECTORY_SCHEMA))
+            .await
+            .map_err(failed())?;
+        let (learner, viewers) = (Arc::new(learner), Arc::new(viewers));
+        Ok(TrajectorySender(Arc::new(Inner {
+            learner_there: Matching::of_querier(learner.clone()).await?,
+            viewers_there: Matching::of_publisher(viewers.clone()).await?,
+            learner,
+            viewers,
+            bus: self.clone(),
+        })))
+    }
+}
+
+impl TrajectorySender {
+    /// Sends a trajectory and waits for the learner's answer, at most for the configured time.
+    ///
+    /// While somebody watches, a copy goes to the viewers too, also at a second attempt.
+    ///
+    /// # Errors
+    /// If the learner has not, or may not have, the trajectory. After [`SendError::NoReply`] the same trajectory may
+    /// be sent again: the learner takes it once.
+    pub async fn send(&self, trajectory: &Trajectory) -> Result<Ack, SendError> {
+        let bytes = encode_trajectory(trajectory);
+        if bytes.len() > MAX_TRAJECTORY_BYTES {
+            return Err(SendError::TooLarge { bytes: bytes.len(), limit: MAX_TRAJECTORY_BYTES });
+        }
+        let payload = ZBytes::from(bytes);
+        if self.0.viewers_there.is_matching() && self.0.viewers.put(payload.clone()).await.is_err() {
+            self.0.bus.counters.views_failed.add_one();
+        }
+        if !self.0.learner_there.is_matching() {
+            return Err(SendError::NoLearner);
+        }
+        let replies = self
+            .0
+            .learner
+            .get()
+            .payload(payload)
+            .encoding(Encoding::APPLICATION_PROTOBUF.with_schema(TRAJECTORY_SCHEMA))
+            .await
+            .map_err(SendError::Zenoh)?;
+        let Ok(reply) = replies.recv_async().await else { return Err(SendError::NoReply) };
+        match reply.result() {
+            Ok(sample) => Ok(decode_ack(&sample.payload().to_bytes())?),
+            Err(error) if *error.encoding() == Encoding::APPLICATION_PROTOBUF.with_schema(REFUSAL_SCHEMA) => {
+                Err(SendError::Refused(decode_refused(&error.payload().to_bytes())?.refusal))
+            }
+            // Zenoh's own error replies: the time is over or the way to the learner is lost.
+            Err(_) => Err(SendError::NoReply),
+        }
+    }
+
+    /// Whether a learner is there.
+    pub fn learner_is_there(&self) -> bool {
+        self.0.learner_there.is_matching()
+    }
+
+    /// Follows whether a learner is there.
+    pub fn watch_learner(&self) -> watch::Receiver<bool> {
+        self.0.learner_there.watch()
+    }
+
+    /// Waits until a learner is there; returns at once when one is. Never returns after the session is closed: give
+    /// up by dropping the future.
+    pub async fn wait_for_learner(&self) {
+        wait_for(self.0.learner_there.watch()).await;
+    }
+
+    /// Whether somebody watches the actor's trajectories.
+    pub fn viewers_are_there(&self) -> bool {
+        self.0.viewers_there.is_matching()
+    }
+
+    /// Waits until somebody watches, like [`Self::wait_for_learner`].
+    pub async fn wait_for_viewer(&self) {
+        wait_for(self.0.viewers_there.watch()).await;
+    }
+}
+
+async fn wait_for(mut there: watch::Receiver<bool>) {
+    if there.wait_for(|&there| there).await.is_err() {
+        std::future::pending::<()>().await;
+    }
+}

@@ -1,0 +1,153 @@
+//! Evaluators share a pass: a unit of episodes is a query to a remote worker, which answers with what came of them.
+
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use zenoh::Wait;
+use zenoh::bytes::Encoding;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, Querier, Query, Queryable};
+
+use super::{Bus, BusError};
+use proto::codec::{MAX_UNIT_BYTES, decode_answer, decode_unit, encode_answer, encode_unit};
+use proto::keys;
+use proto::unit::{EvalAnswer, EvalUnit};
+
+/// How long an evaluator waits for a unit; a process that is gone is noticed at once, so this is for one that hangs.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// Sends units to one remote worker.
+#[derive(Debug)]
+pub struct WorkerCaller {
+    querier: Querier<'static>,
+    _open: Bus,
+}
+
+/// Units that come to a remote worker, one at a time.
+#[derive(Debug)]
+pub struct UnitServer {
+    calls: mpsc::Receiver<Query>,
+    _queryable: Queryable<()>,
+    open: Bus,
+}
+
+/// A unit that waits for its answer; without one, the evaluator gives it to somebody else.
+#[derive(Debug)]
+pub struct UnitCall {
+    /// What is to be run.
+    pub unit: EvalUnit,
+    query: Query,
+}
+
+/// Why a unit was not run.
+#[derive(Debug, thiserror::Error)]
+pub enum CallError {
+    /// The remote worker is gone or did not answer in time.
+    #[error("no answer")]
+    NoAnswer,
+    /// The answer breaks a rule.
+    #[error("invalid answer: {0}")]
+    Invalid(#[from] proto::DecodeError),
+    /// The unit is larger than a remote worker accepts.
+    #[error("a unit of {0} bytes is too large")]
+    TooLarge(usize),
+}
+
+impl Bus {
+    /// The way to the remote worker of this name.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn worker_caller(&self, worker: &str) -> Result<WorkerCaller, BusError> {
+        let key = keys::worker(worker);
+        let querier = self
+            .session
+            .declare_querier(key.clone())
+            .congestion_control(CongestionControl::Block)
+            .priority(Priority::DataLow)
+            .consolidation(ConsolidationMode::None)
+            .timeout(PATIENCE)
+            .await
+            .map_err(BusError::during(format!("declaring {key}")))?;
+        Ok(WorkerCaller { querier, _open: self.clone() })
+    }
+
+    /// Takes units under this name from now on.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn serve_units(&self, worker: &str) -> Result<UnitServer, BusError> {
+        let key = keys::worker(worker);
+        // One may wait while one is run, so that two evaluators take turns.
+        let (queue, calls) = mpsc::channel::<Query>(1);
+        let counters = self.counters.clone();
+        let queryable = self
+            .session
+            .declare_queryable(key.clone())
+            .complete(true)
+            .callback(move |query| {
+                // A query that is dropped ends without a reply for the one who asks.
+                if queue.try_send(query).is_err() {
+                    counters.queries_dropped.add_one();
+                }
+            })
+            .await
+            .map_err(BusError::during(format!("declaring {key}")))?;
+        Ok(UnitServer { calls, _queryable: queryable, open: self.clone() })
+    }
+}
+
+impl WorkerCaller {
+    /// Has a unit run.
+    ///
+    /// # Errors
+    /// If there is no answer, or none that can be read.
+    pub async fn run(&self, unit: &EvalUnit) -> Result<EvalAnswer, CallError> {
+        let bytes = encode_unit(unit);
+        if bytes.len() > MAX_UNIT_BYTES {
+            return Err(CallError::TooLarge(bytes.len()));
+        }
+        let encoding = Encoding::APPLICATION_PROTOBUF.with_schema("lodestone.v1.EvalUnit");
+        let sent = self.querier.get().payload(bytes).encoding(encoding).await;
+        let replies = sent.map_err(|_| CallError::NoAnswer)?;
+        let reply = replies.recv_async().await.map_err(|_| CallError::NoAnswer)?;
+        let sample = reply.result().map_err(|_| CallError::NoAnswer)?;
+        Ok(decode_answer(&sample.payload().to_bytes())?)
+    }
+}
+
+impl UnitServer {
+    /// The next unit; `None` after the session is closed. What cannot be read is refused and counted.
+    pub async fn recv(&mut self) -> Option<UnitCall> {
+        loop {
+            let query = self.calls.recv().await?;
+            let payload = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
+            match decode_unit(&payload) {
+                Ok(unit) => return Some(UnitCall { unit, query }),
+                Err(error) => {
+                    self.open.counters.queries_invalid.add_one();
+                    let refusal = EvalAnswer::Refused(error.to_string());
+                    tokio::task::spawn_blocking(move || answer(&query, &refusal));
+                }
+            }
+        }
+    }
+}
+
+impl UnitCall {
+    /// Answers; an evaluator that is gone meanwhile needs none.
+    pub async fn answer(self, reply: EvalAnswer) {
+        let query = self.query;
+        let sent = tokio::task::spawn_blocking(move || answer(&query, &reply)).await;
+        if let Err(panic) = sent {
+            tracing::warn!(%panic, "answering a unit failed");
+        }
+    }
+}
+
+fn answer(query: &Query, reply: &EvalAnswer) {
+    let encoding = Encoding::APPLICATION_PROTOBUF.with_schema("lodestone.v1.EvalAnswer");
+    if let Err(error) = query.reply(query.key_expr().clone(), encode_answer(reply)).encoding(encoding).wait() {
+        tracing::debug!(key = %query.key_expr(), %error, "the answer to a unit was not sent");
+    }
+}

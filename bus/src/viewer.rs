@@ -1,0 +1,52 @@
+//! Watching trajectories without taking part.
+
+use tokio::sync::mpsc;
+use zenoh::pubsub::Subscriber;
+
+use super::{Bus, BusError};
+use proto::codec::decode_trajectory;
+use proto::{ActorId, Trajectory, keys};
+
+/// Trajectories that a viewer may leave waiting; a slow viewer misses the rest.
+const QUEUE: usize = 64;
+
+/// Copies of trajectories as they are sent.
+#[derive(Debug)]
+pub struct TrajectoryViewer {
+    trajectories: mpsc::Receiver<Trajectory>,
+    _subscriber: Subscriber<()>,
+    _open: Bus,
+}
+
+impl Bus {
+    /// Watches the trajectories of one actor, or of all. Actors make copies only while somebody watches.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn trajectory_viewer(&self, actor: Option<&ActorId>) -> Result<TrajectoryViewer, BusError> {
+        let key = actor.map_or_else(|| keys::TRAJECTORIES_ALL.to_owned(), keys::trajectories);
+        let (sender, trajectories) = mpsc::channel(QUEUE);
+        let counters = self.counters.clone();
+        let subscriber = self
+            .session
+            .declare_subscriber(key.clone())
+            .callback(move |sample| {
+                // A slot is taken first: what nobody will read need not be decoded.
+                let Ok(slot) = sender.try_reserve() else { return counters.viewed_dropped.add_one() };
+                match decode_trajectory(&sample.payload().to_bytes()) {
+                    Ok(trajectory) => slot.send(trajectory),
+                    Err(_) => counters.viewed_invalid.add_one(),
+                }
+            })
+            .await
+            .map_err(BusError::during(format!("watching {key}")))?;
+        Ok(TrajectoryViewer { trajectories, _subscriber: subscriber, _open: self.clone() })
+    }
+}
+
+impl TrajectoryViewer {
+    /// The next trajectory; `None` after the session is closed.
+    pub async fn recv(&mut self) -> Option<Trajectory> {
+        self.trajectories.recv().await
+    }
+}

@@ -1,0 +1,203 @@
+//! Weights: the learner says that there are newer ones, the others pull them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::handlers::{RingChannel, RingChannelHandler};
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, Querier};
+use zenoh::sample::Sample;
+
+use super::counters::BusCounters;
+use super::latest::Latest;
+use super::matching::Matching;
+use super::task::OwnedTask;
+use super::{Bus, BusError, process_epoch_ms};
+use proto::codec::{
+    MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice, encode_weights,
+};
+use proto::{Weights, keys};
+
+const WEIGHTS_SCHEMA: &str = "lodestone.v1.Weights";
+const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
+
+/// Pause before a failed pull is tried again.
+const RETRY_PAUSE: Duration = Duration::from_millis(500);
+
+/// The learner's end: keeps the newest weights for whoever asks.
+#[derive(Debug)]
+pub struct WeightsPublisher {
+    epoch: u64,
+    latest: Latest,
+    notices: Publisher<'static>,
+}
+
+/// The end of actors and the evaluator: holds the newest weights that it could get, or what is kept of them.
+#[derive(Debug)]
+pub struct WeightsSubscriber<T = Weights> {
+    weights: watch::Receiver<Option<Arc<T>>>,
+    _worker: OwnedTask,
+    _open: Bus,
+}
+
+impl Bus {
+    /// Publishes weights under this process's own epoch; there should be one publisher in a run.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn weights_publisher(&self) -> Result<WeightsPublisher, BusError> {
+        let encoding = Encoding::APPLICATION_PROTOBUF.with_schema(WEIGHTS_SCHEMA);
+        let latest = Latest::declare(self, keys::WEIGHTS_LATEST.to_owned(), encoding).await?;
+        let notices = self
+            .session
+            .declare_publisher(keys::WEIGHTS_VERSION_ALL)
+            .congestion_control(CongestionControl::Drop)
+            .priority(Priority::InteractiveHigh)
+            .express(true)
+            .encoding(Encoding::APPLICATION_PROTOBUF.with_schema(NOTICE_SCHEMA))
+            .await
+            .map_err(BusError::during("declaring the notices of weights"))?;
+        Ok(WeightsPublisher { epoch: process_epoch_ms(), latest, notices })
+    }
+
+    /// Follows the newest weights from now on; a late joiner gets those that are there.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn weights_subscriber(&self) -> Result<WeightsSubscriber, BusError> {
+        self.weights_subscriber_keeping(|weights| weights).await
+    }
+
+    /// As [`Self::weights_subscriber`], but holds only what `keep` makes of the weights: thousands of sessions in one
+    /// process, for measurements, have no room for all of them.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn weights_subscriber_keeping<T: Send + Sync + 'static>(
+        &self,
+        keep: fn(Weights) -> T,
+    ) -> Result<WeightsSubscriber<T>, BusError> {
+        let failed = || BusError::during("subscribing to weights");
+        // Only the newest notice matters.
+        let key = keys::weights_version(&self.session.zid().to_string());
+        let notices = self.session.declare_subscriber(key).with(RingChannel::new(1)).await.map_err(failed())?;
+        let querier = self
+            .session
+            .declare_querier(keys::WEIGHTS_LATEST)
+            .congestion_control(CongestionControl::Block)
+            .priority(Priority::DataHigh)
+            .consolidation(ConsolidationMode::None)
+            .timeout(Duration::from_millis(self.config.pull_timeout_ms))
+            .await
+            .map_err(failed())?;
+        let learner = Arc::new(querier);
+        let learner_there = Matching::of_querier(learner.clone()).await?;
+        let (sender, weights) = watch::channel(None);
+        let counters = self.counters.clone();
+        let puller = Puller { learner, learner_there, notices, counters, held: None, keep, sender };
+        Ok(WeightsSubscriber { weights, _worker: OwnedTask::spawn(puller.run()), _open: self.clone() })
+    }
+}
+
+impl WeightsPublisher {
+    /// Makes these the newest weights and tells everybody.
+    ///
+    /// # Errors
+    /// If they are larger than receivers accept, or the session is closed.
+    pub async fn publish(&self, weights: Arc<Weights>) -> Result<(), BusError> {
+        let bytes = encode_weights(&weights, self.epoch);
+        if bytes.len() > MAX_WEIGHTS_BYTES {
+            return Err(BusError::TooLarge { bytes: bytes.len(), limit: MAX_WEIGHTS_BYTES });
+        }
+        // Before the notice, so that nobody pulls the old ones after it.
+        self.latest.set(ZBytes::from(bytes));
+        let notice = WeightsNotice { epoch: self.epoch, version: weights.version };
+        self.notices.put(encode_notice(notice)).await.map_err(BusError::during("giving notice of weights"))
+    }
+}
+
+impl<T> WeightsSubscriber<T> {
+    /// The newest weights that could be got, `None` before the first.
+    pub fn watch(&self) -> watch::Receiver<Option<Arc<T>>> {
+        self.weights.clone()
+    }
+}
+
+/// Pulls in the background.
+struct Puller<T> {
+    learner: Arc<Querier<'static>>,
+    learner_there: Matching,
+    notices: Subscriber<RingChannelHandler<Sample>>,
+    counters: Arc<BusCounters>,
+    /// What the held weights are called in a notice.
+    held: Option<WeightsNotice>,
+    keep: fn(Weights) -> T,
+    sender: watch::Sender<Option<Arc<T>>>,
+}
+
+impl<T: Send + Sync + 'static> Puller<T> {
+    async fn run(mut self) {
+        let mut learner_there = self.learner_there.watch();
+        let mut wanted = *learner_there.borrow_and_update();
+        loop {
+            if wanted && self.pull().await.is_ok() {
+                wanted = false;
+            }
+            tokio::select! {
+                notice = self.notices.recv_async() => {
+                    let Ok(notice) = notice else { return };
+                    wanted |= self.is_newer(&notice);
+                }
+                changed = learner_there.changed() => {
+                    // A learner that is back may have given notice while it could not be heard.
+                    if changed.is_err() { return }
+                    wanted = *learner_there.borrow_and_update();
+                }
+                () = tokio::time::sleep(RETRY_PAUSE), if wanted => {}
+            }
+        }
+    }
+
+    /// Within an epoch the version must have grown; another epoch is another learner process, whose word counts.
+    fn is_newer(&self, notice: &Sample) -> bool {
+        match decode_notice(&notice.payload().to_bytes()) {
+            Ok(notice) => self.held.is_none_or(|held| held.epoch != notice.epoch || held.version < notice.version),
+            Err(error) => {
+                self.counters.notices_invalid.add_one();
+                tracing::debug!(%error, "invalid notice of weights");
+                false
+            }
+        }
+    }
+
+    /// Gets the newest weights; `Err` if it is worth trying again. A learner without weights gives no reply and will
+    /// give notice.
+    async fn pull(&mut self) -> Result<(), ()> {
+        let failed = |counters: &BusCounters| {
+            counters.pulls_failed.add_one();
+            Err(())
+        };
+        let Ok(replies) = self.learner.get().await else { return failed(&self.counters) };
+        let Ok(reply) = replies.recv_async().await else { return Ok(()) };
+        let Ok(sample) = reply.result() else { return failed(&self.counters) };
+        let payload = sample.payload().clone();
+        match decode_weights(&payload.to_bytes()) {
+            Ok(PublishedWeights { epoch, weights }) => {
+                let pulled = Some(WeightsNotice { epoch, version: weights.version });
+                if self.held != pulled {
+                    self.held = pulled;
+                    self.sender.send_replace(Some(Arc::new((self.keep)(weights))));
+                }
+            }
+            Err(error) => {
+                // The same bytes would come again: wait for the next notice.
+                self.counters.weights_invalid.add_one();
+                tracing::warn!(%error, "invalid weights");
+            }
+        }
+        Ok(())
+    }
+}

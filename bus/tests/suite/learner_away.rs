@@ -1,0 +1,63 @@
+//! A learner or a router that goes away and comes back.
+
+use bus::{Bus, BusConfig, SendError};
+
+use crate::cluster::{Cluster, Learner, until, within};
+use crate::samples;
+use crate::trajectories::sender;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_waits_for_a_learner() {
+    let cluster = Cluster::start().await;
+    let actor = cluster.client().await;
+    let sender = actor.trajectory_sender(&"a".parse().unwrap()).await.unwrap();
+    let mut there = sender.watch_learner();
+    let answer = sender.send(&samples::running("a", 0)).await;
+    assert!(matches!(answer, Err(SendError::NoLearner)), "{answer:?}");
+
+    let learner_bus = cluster.client().await;
+    let learner = Learner::start(&learner_bus, |_| Ok(())).await;
+    within("a learner", sender.wait_for_learner()).await;
+    within("an ack", sender.send(&samples::running("a", 1))).await.unwrap();
+    assert_eq!(learner.seqs(), [1]);
+
+    learner.server.close().await.unwrap();
+    until("the learner's absence", &mut there, |there| !there).await;
+    let answer = sender.send(&samples::running("a", 2)).await;
+    assert!(matches!(answer, Err(SendError::NoLearner)), "{answer:?}");
+
+    let learner = Learner::start(&cluster.client().await, |_| Ok(())).await;
+    within("a learner", sender.wait_for_learner()).await;
+    within("an ack", sender.send(&samples::running("a", 2))).await.unwrap();
+    assert_eq!(learner.seqs(), [2]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn everybody_comes_back_after_a_router_restart() {
+    let cluster = Cluster::start().await;
+    let (learner_bus, actor_bus) = (cluster.client().await, cluster.client().await);
+    let learner = Learner::start(&learner_bus, |_| Ok(())).await;
+    let sender = sender(&actor_bus, "a").await;
+    within("an ack", sender.send(&samples::running("a", 0))).await.unwrap();
+
+    let mut there = sender.watch_learner();
+    cluster.router.close().await.unwrap();
+    until("the learner's absence", &mut there, |there| !there).await;
+
+    let router = within("router", Bus::open(&BusConfig::isolated_router(cluster.dir.path()))).await.unwrap();
+    within("a learner", sender.wait_for_learner()).await;
+    within("an ack", sender.send(&samples::running("a", 1))).await.unwrap();
+    assert_eq!(learner.seqs(), [0, 1]);
+    router.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_may_start_before_its_router() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = BusConfig::isolated_client(dir.path());
+    let client = tokio::spawn(async move { Bus::open(&config).await });
+    let router = Bus::isolated(dir.path()).await.unwrap();
+    let client = within("the client", client).await.unwrap().unwrap();
+    client.close().await.unwrap();
+    router.close().await.unwrap();
+}

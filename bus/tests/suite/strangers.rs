@@ -1,0 +1,107 @@
+//! Nonsense from anybody is counted and answered, and changes nothing for the others.
+
+use std::sync::Arc;
+
+use bus::SendError;
+use proto::{Refusal, WeightsVersion, codec};
+use zenoh::Wait;
+
+use crate::cluster::{Cluster, Learner, within};
+use crate::samples;
+use crate::trajectories::sender;
+use crate::weights::until_version;
+
+/// Asks with a payload and returns the payload of the error reply.
+async fn refused(session: &zenoh::Session, key: &str, payload: &[u8]) -> Refusal {
+    let replies = session.get(format!("lodestone/default/{key}")).payload(payload).await.unwrap();
+    let reply = within("a reply", replies.recv_async()).await.unwrap();
+    let error = reply.into_result().unwrap_err();
+    codec::decode_refused(&error.payload().to_bytes()).unwrap().refusal
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn garbage_to_the_learner_is_refused() {
+    let cluster = Cluster::start().await;
+    let learner = Learner::start(&cluster.router, |_| Ok(())).await;
+    let stranger = cluster.stranger().await;
+    let truncated = &codec::encode_trajectory(&samples::running("x", 0))[..500];
+    for payload in [b"".as_slice(), b"\xff\xff\xff", b"{}", truncated] {
+        let refusal = refused(&stranger, "ingest/x", payload).await;
+        assert!(matches!(refusal, Refusal::Invalid(_)), "{refusal:?}");
+    }
+    assert_eq!(learner.server.counts().invalid_total, 4);
+    let sender = sender(&cluster.client().await, "a").await;
+    within("an ack", sender.send(&samples::labeled("a", 0))).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn garbage_to_the_weights_is_refused() {
+    let cluster = Cluster::start().await;
+    let publisher = cluster.router.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(samples::weights(0))).await.unwrap();
+    let refusal = refused(&cluster.stranger().await, "weights/latest", b"garbage").await;
+    assert_eq!(refusal, Refusal::Invalid("a query for weights/latest has no payload".into()));
+    assert_eq!(cluster.router.counts().queries_invalid_total, 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn false_notices_and_weights_are_ignored() {
+    let cluster = Cluster::start().await;
+    let stranger = cluster.stranger().await;
+    let (answered, mut answers) = tokio::sync::mpsc::unbounded_channel();
+    let impostor = stranger
+        .declare_queryable("lodestone/default/weights/latest")
+        .callback(move |query| {
+            answered.send(()).unwrap();
+            drop(query.reply("lodestone/default/weights/latest", "no weights").wait());
+        })
+        .await
+        .unwrap();
+    let actor = cluster.client().await;
+    let subscriber = actor.weights_subscriber().await.unwrap();
+    let mut weights = subscriber.watch();
+    within("a pull", answers.recv()).await.unwrap();
+
+    let notices = stranger.declare_publisher("lodestone/default/weights/version/*").await.unwrap();
+    let matching = notices.matching_listener().await.unwrap();
+    while !notices.matching_status().await.unwrap().matching() {
+        within("a subscriber", matching.recv_async()).await.unwrap();
+    }
+    notices.put("no notice").await.unwrap();
+    let promise = codec::WeightsNotice { epoch: 1, version: WeightsVersion(u64::MAX) };
+    notices.put(codec::encode_notice(promise)).await.unwrap();
+    // The second pull comes after the first answer was judged.
+    within("another pull", answers.recv()).await.unwrap();
+    assert!(actor.counts().weights_invalid_total >= 1, "{:?}", actor.counts());
+    assert!(weights.borrow().is_none());
+    impostor.undeclare().await.unwrap();
+
+    let publisher = cluster.client().await.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(samples::weights(3))).await.unwrap();
+    until_version(&mut weights, 3).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_false_learner_cannot_fool_an_actor() {
+    let cluster = Cluster::start().await;
+    let stranger = cluster.stranger().await;
+    // Answers the first with nonsense, the second as an error of its own making, the third not at all.
+    let n = std::sync::atomic::AtomicU8::new(0);
+    let impostor = stranger.declare_queryable("lodestone/default/ingest/*").complete(true).callback(move |query| {
+        let key = query.key_expr().clone();
+        match n.fetch_add(1, std::sync::atomic::Ordering::Relaxed) {
+            0 => drop(query.reply(key, "yes").wait()),
+            1 => drop(query.reply_err("no").wait()),
+            _ => {}
+        }
+    });
+    let impostor = impostor.await.unwrap();
+    let sender = sender(&cluster.client().await, "a").await;
+    let answer = within("an answer", sender.send(&samples::running("a", 0))).await;
+    assert!(matches!(answer, Err(SendError::BadReply(_))), "{answer:?}");
+    for _ in 0..2 {
+        let answer = within("an answer", sender.send(&samples::running("a", 0))).await;
+        assert!(matches!(answer, Err(SendError::NoReply)), "{answer:?}");
+    }
+    impostor.undeclare().await.unwrap();
+}

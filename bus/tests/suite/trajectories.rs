@@ -1,0 +1,182 @@
+//! Every trajectory is answered, and taken once.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use bus::{Bus, BusConfig, SendError, TrajectorySender};
+use proto::{Ack, ActorId, Refusal, Role, WeightsVersion};
+
+use crate::cluster::{Cluster, Learner, until, within};
+use crate::samples;
+
+pub(crate) async fn sender(bus: &Bus, actor: &str) -> TrajectorySender {
+    let sender = bus.trajectory_sender(&actor.parse::<ActorId>().unwrap()).await.unwrap();
+    within("a learner", sender.wait_for_learner()).await;
+    sender
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_trajectory_arrives_whole_and_is_acknowledged() {
+    let cluster = Cluster::start().await;
+    let learner = Learner::start(&cluster.client().await, |_| Ok(())).await;
+    let sender = sender(&cluster.client().await, "a").await;
+    for sent in [samples::running("a", 0), samples::successful("a", 1), samples::one_gripper("a", 2)] {
+        let ack = within("an ack", sender.send(&sent)).await.unwrap();
+        assert_eq!(ack, Ack { weights_version: WeightsVersion(12) });
+        assert_eq!(learner.taken.lock().unwrap().last(), Some(&sent));
+    }
+    assert_eq!(learner.server.counts().accepted_total, 3);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_process_needs_no_network() {
+    let bus = Bus::open(&BusConfig::default()).await.unwrap();
+    let learner = Learner::start(&bus, |_| Ok(())).await;
+    let sender = sender(&bus, "a").await;
+    within("an ack", sender.send(&samples::running("a", 0))).await.unwrap();
+    assert_eq!(learner.seqs(), [0]);
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_refusal_says_why() {
+    let cluster = Cluster::start().await;
+    let learner = Learner::start(&cluster.router, |t| match t.seq {
+        0 => Err(Refusal::Stale),
+        1 => Err(Refusal::Full),
+        2 => Err(Refusal::Invalid("unknown blueprint".into())),
+        _ => Ok(()),
+    })
+    .await;
+    let sender = sender(&cluster.client().await, "a").await;
+    for (seq, expected) in
+        [(0, Refusal::Stale), (1, Refusal::Full), (2, Refusal::Invalid("unknown blueprint".to_owned()))]
+    {
+        let answer = within("a refusal", sender.send(&samples::running("a", seq))).await;
+        assert!(matches!(&answer, Err(SendError::Refused(refusal)) if *refusal == expected), "{answer:?}");
+    }
+    within("an ack", sender.send(&samples::running("a", 3))).await.unwrap();
+    let counts = learner.server.counts();
+    assert_eq!((counts.received_total, counts.accepted_total), (4, 1));
+    assert_eq!((counts.stale_total, counts.full_total, counts.invalid_total), (1, 1, 1));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_invalid_trajectory_is_refused_before_the_handler() {
+    let cluster = Cluster::start().await;
+    let learner = Learner::start(&cluster.router, |_| Ok(())).await;
+    let sender = sender(&cluster.client().await, "a").await;
+    let mut nan = samples::running("a", 0);
+    nan.bootstrap_value = f32::NAN;
+    let of_another = samples::running("b", 0);
+    for (trajectory, expected) in [
+        (nan, "bootstrap_value is NaN, expected a number in −1e6..=1e6"),
+        (of_another, "actor b may not send to ingest/a"),
+    ] {
+        let answer = within("a refusal", sender.send(&trajectory)).await;
+        assert!(
+            matches!(&answer, Err(SendError::Refused(Refusal::Invalid(reason))) if reason == expected),
+            "{answer:?}"
+        );
+    }
+    assert!(learner.seqs().is_empty());
+    assert_eq!(learner.server.counts().invalid_total, 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_retry_is_taken_once() {
+    let cluster = Cluster::start().await;
+    let full = AtomicBool::new(true);
+    // The mailbox is full at the first attempt only.
+    let learner = Learner::start(&cluster.router, move |_| match full.swap(false, Ordering::Relaxed) {
+        true => Err(Refusal::Full),
+        false => Ok(()),
+    })
+    .await;
+    let sender = sender(&cluster.client().await, "a").await;
+    let trajectory = samples::running("a", 7);
+    within("a refusal", sender.send(&trajectory)).await.unwrap_err();
+    for _ in 0..3 {
+        within("an ack", sender.send(&trajectory)).await.unwrap();
+    }
+    assert_eq!(learner.seqs(), [7]);
+    // The same number from the actor's next process is another trajectory.
+    within("an ack", sender.send(&proto::Trajectory { epoch: trajectory.epoch + 1, ..trajectory })).await.unwrap();
+    assert_eq!(learner.seqs(), [7, 7]);
+    let counts = learner.server.counts();
+    assert_eq!((counts.accepted_total, counts.duplicates_total, counts.full_total), (2, 2, 1));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_live_ones_of_a_name_the_first_is_taken() {
+    let cluster = Cluster::start().await;
+    let bus = cluster.client().await;
+    let watch = bus.alive(Role::Actor).await.unwrap();
+    let learner = Learner::start(&bus, |_| Ok(())).await;
+    let (first, second) = (cluster.client().await, cluster.client().await);
+    let token = first.declare_alive(Role::Actor, "a").await.unwrap();
+    until("the first", &mut watch.watch(), |alive| alive.contains("a")).await;
+    let senders = [sender(&first, "a").await, sender(&second, "a").await];
+    let of = |seq, epoch| proto::Trajectory { epoch, ..samples::running("a", seq) };
+    within("an ack", senders[0].send(&of(0, 1))).await.unwrap();
+    let answer = within("a refusal", senders[1].send(&of(0, 2))).await;
+    assert!(matches!(answer, Err(SendError::Refused(Refusal::NameTaken))), "{answer:?}");
+    within("an ack", senders[0].send(&of(1, 1))).await.unwrap();
+    // A process that was started anew under the name, after the token has gone.
+    drop(token);
+    until("nobody", &mut watch.watch(), |alive| alive.is_empty()).await;
+    let _token = second.declare_alive(Role::Actor, "a").await.unwrap();
+    until("the second", &mut watch.watch(), |alive| alive.contains("a")).await;
+    within("an ack", senders[1].send(&of(0, 2))).await.unwrap();
+    let answer = within("a refusal", senders[0].send(&of(2, 1))).await;
+    assert!(matches!(answer, Err(SendError::Refused(Refusal::NameTaken))), "{answer:?}");
+    let counts = learner.server.counts();
+    assert_eq!((counts.received_total, counts.accepted_total, counts.name_taken_total), (5, 3, 2));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn many_actors_at_once_lose_nothing() {
+    const N_ACTORS: u64 = 6;
+    const N_EACH: u64 = 20;
+    let cluster = Cluster::start().await;
+    // A third is refused, so that both kinds of answer are under way together.
+    let learner = Learner::start(&cluster.client().await, |t| match t.seq % 3 {
+        0 => Err(Refusal::Full),
+        _ => Ok(()),
+    })
+    .await;
+    let mut actors = tokio::task::JoinSet::new();
+    for actor in 0..N_ACTORS {
+        let bus = cluster.client().await;
+        actors.spawn(async move {
+            let name = format!("actor-{actor}");
+            let sender = sender(&bus, &name).await;
+            let (mut n_acked, mut n_refused) = (0, 0);
+            for seq in 0..N_EACH {
+                match within("an answer", sender.send(&samples::running(&name, seq))).await {
+                    Ok(_) => n_acked += 1,
+                    Err(SendError::Refused(Refusal::Full)) => n_refused += 1,
+                    Err(other) => panic!("{other}"),
+                }
+            }
+            (n_acked, n_refused)
+        });
+    }
+    // Of 0..20 the multiples of 3 are 0, 3, …, 18: 7 refused, 13 taken.
+    assert_eq!(actors.join_all().await, vec![(13, 7); N_ACTORS as usize]);
+    let counts = learner.server.counts();
+    assert_eq!((counts.received_total, counts.accepted_total, counts.full_total), (120, 78, 42));
+    assert_eq!(learner.seqs().len(), 78);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_no_learner_would_accept_is_not_sent() {
+    let cluster = Cluster::start().await;
+    let learner = Learner::start(&cluster.router, |_| Ok(())).await;
+    let sender = sender(&cluster.client().await, "a").await;
+    let mut huge = samples::running("a", 0);
+    // About 1.1 kB a step.
+    huge.transitions = vec![huge.transitions[0].clone(); 9000];
+    let answer = sender.send(&huge).await;
+    assert!(matches!(answer, Err(SendError::TooLarge { limit: 8_388_608, .. })), "{answer:?}");
+    assert_eq!(learner.server.counts().received_total, 0);
+}

@@ -1,0 +1,90 @@
+//! Weights reach everybody: those who were there, those who come late, those of a restarted learner.
+
+use std::sync::Arc;
+
+use bus::Bus;
+use proto::{Weights, WeightsVersion};
+use tokio::sync::watch;
+
+use crate::cluster::{Cluster, until};
+use crate::samples;
+
+pub(crate) async fn until_version(
+    weights: &mut watch::Receiver<Option<Arc<Weights>>>,
+    version: u64,
+) -> Option<Arc<Weights>> {
+    let is_there = |w: &Option<Arc<Weights>>| w.as_ref().is_some_and(|w| w.version == WeightsVersion(version));
+    until("weights", weights, is_there).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_newest_weights_arrive_after_several_publications() {
+    let cluster = Cluster::start().await;
+    let learner = cluster.client().await;
+    let subscribers = [cluster.client().await, cluster.client().await, cluster.router.clone(), learner.clone()];
+    let mut watches = Vec::new();
+    for bus in &subscribers {
+        let subscriber = bus.weights_subscriber().await.unwrap();
+        assert!(subscriber.watch().borrow().is_none());
+        watches.push((subscriber.watch(), subscriber));
+    }
+    let publisher = learner.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(samples::weights(0))).await.unwrap();
+    for (weights, _) in &mut watches {
+        until_version(weights, 0).await;
+    }
+    for version in 1..=10 {
+        publisher.publish(Arc::new(samples::weights(version))).await.unwrap();
+    }
+    for (weights, _) in &mut watches {
+        let newest = until_version(weights, 10).await;
+        assert_eq!(newest.as_deref(), Some(&samples::weights(10)));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_joiner_gets_the_newest_at_once() {
+    let cluster = Cluster::start().await;
+    let publisher = cluster.client().await.weights_publisher().await.unwrap();
+    for version in 0..3 {
+        // As many parameters as the real network has, which is many fragments on the wire.
+        let weights = Weights { parameters: vec![version as f32; 1_000_000], ..samples::weights(version) };
+        publisher.publish(Arc::new(weights)).await.unwrap();
+    }
+    let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
+    let first = until("weights", &mut subscriber.watch(), Option::is_some).await.unwrap();
+    assert_eq!((first.version, first.parameters.len(), first.parameters[999_999]), (WeightsVersion(2), 1_000_000, 2.0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_that_resumed_an_older_version_is_followed() {
+    let cluster = Cluster::start().await;
+    let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
+    let mut weights = subscriber.watch();
+    let first_learner = cluster.client().await;
+    let publisher = first_learner.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(samples::weights(9))).await.unwrap();
+    until_version(&mut weights, 9).await;
+    drop(publisher);
+    first_learner.close().await.unwrap();
+
+    let publisher = cluster.client().await.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(samples::weights(4))).await.unwrap();
+    until_version(&mut weights, 4).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn weights_come_again_after_a_router_restart() {
+    let cluster = Cluster::start().await;
+    let publisher = cluster.client().await.weights_publisher().await.unwrap();
+    let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
+    let mut weights = subscriber.watch();
+    publisher.publish(Arc::new(samples::weights(1))).await.unwrap();
+    until_version(&mut weights, 1).await;
+    cluster.router.close().await.unwrap();
+    // Nobody hears this notice.
+    publisher.publish(Arc::new(samples::weights(2))).await.unwrap();
+    let router = Bus::isolated(cluster.dir.path()).await.unwrap();
+    until_version(&mut weights, 2).await;
+    router.close().await.unwrap();
+}

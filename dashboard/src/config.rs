@@ -1,0 +1,179 @@
+//! Settings of the dashboard: where the page is served, and who may see it.
+
+use std::fmt;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use serde::{Deserialize, Serialize};
+
+/// Fewest and most characters of a token. Sixteen letters and digits are 95 bits.
+const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=128;
+
+/// What a run is shown on.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DashboardConfig {
+    /// A page about the training, served beside the evaluator; absent means none. Default: absent.
+    pub web: Option<WebConfig>,
+}
+
+/// Where the page is served, and who may see it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WebConfig {
+    /// Address and port; port 0 lets the system choose one. Any other than a loopback address needs a token or `hosts`.
+    /// There is no encryption: beyond one's own network, put it behind a proxy that has it. Default `127.0.0.1:0`.
+    pub listen: SocketAddr,
+    /// What a browser must know: 16 to 128 characters of `A-Z`, `a-z`, `0-9`, `-` and `_`. Like every setting it is
+    /// written into the run's `config.toml`. Default: absent, which only loopback addresses allow.
+    pub token: Option<Token>,
+    /// Without a token the page answers requests to these names only, besides those of its own machine. For a container, whose
+    /// port is published on loopback addresses alone: whoever else reaches it can say any name. Default none.
+    pub hosts: Vec<String>,
+}
+
+/// A shared secret. Its `Debug` shows nothing of it.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Token(String);
+
+/// A setting of the page that cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum WebConfigError {
+    /// Others could reach the page, and nothing keeps them out.
+    #[error(
+        "web.listen is {0}, which others can reach: set web.token, listen on 127.0.0.1, or, in a network of its own, name in \
+         web.hosts how it is reached"
+    )]
+    NoToken(SocketAddr),
+    /// A token that is too short, too long or has other characters. The token itself is not named.
+    #[error("web.token has {n_characters} characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _")]
+    Token {
+        /// Its length.
+        n_characters: usize,
+    },
+}
+
+impl DashboardConfig {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// When others could reach the page and nothing keeps them out, or its token is unusable.
+    pub fn validate(&self) -> Result<(), WebConfigError> {
+        self.web.as_ref().map_or(Ok(()), WebConfig::validate)
+    }
+}
+
+impl Default for WebConfig {
+    fn default() -> Self {
+        Self { listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0), token: None, hosts: Vec::new() }
+    }
+}
+
+impl WebConfig {
+    /// Checks that whoever can reach the page must know a token.
+    ///
+    /// # Errors
+    /// When a token is missing or unusable.
+    pub fn validate(&self) -> Result<(), WebConfigError> {
+        match &self.token {
+            None if !self.listen.ip().is_loopback() && self.hosts.is_empty() => {
+                Err(WebConfigError::NoToken(self.listen))
+            }
+            Some(token) if !token.is_usable() => Err(WebConfigError::Token { n_characters: token.0.chars().count() }),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Token {
+    /// Whether it goes into an address, a cookie and a header as it is, and is long enough not to be guessed.
+    fn is_usable(&self) -> bool {
+        let allowed = |c: u8| c.is_ascii_alphanumeric() || c == b'-' || c == b'_';
+        TOKEN_LENGTHS.contains(&self.0.len()) && self.0.bytes().all(allowed)
+    }
+
+    /// Whether `guess` is the token, in a time that does not tell how much of it is right.
+    pub(crate) fn is(&self, guess: &str) -> bool {
+        let same_length = self.0.len() == guess.len();
+        same_length && self.0.bytes().zip(guess.bytes()).fold(0, |diff, (a, b)| diff | (a ^ b)) == 0
+    }
+
+    /// The token itself, for the cookie.
+    pub(crate) fn reveal(&self) -> &str {
+        &self.0
+    }
+}
+
+impl From<String> for Token {
+    fn from(token: String) -> Self {
+        Self(token)
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(hidden)")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whoever_can_be_reached_needs_a_token() {
+        let good = "0123456789abcdef";
+        let table = [
+            ("127.0.0.1:0", None, None),
+            ("[::1]:8080", None, None),
+            ("0.0.0.0:8080", Some(good), None),
+            (
+                "0.0.0.0:8080",
+                None,
+                Some(
+                    "web.listen is 0.0.0.0:8080, which others can reach: set web.token, listen on 127.0.0.1, or, in a network \
+                     of its own, name in web.hosts how it is reached",
+                ),
+            ),
+            (
+                "127.0.0.1:0",
+                Some("short"),
+                Some("web.token has 5 characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _"),
+            ),
+            (
+                "127.0.0.1:0",
+                Some("0123456789abcde;"),
+                Some("web.token has 16 characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _"),
+            ),
+        ];
+        let default = WebConfig::default();
+        assert!(default.listen.ip().is_loopback() && default.token.is_none() && default.validate().is_ok());
+        for (listen, token, error) in table {
+            let token = token.map(|token| Token(token.to_owned()));
+            let config = WebConfig { listen: listen.parse().unwrap(), token, hosts: Vec::new() };
+            assert_eq!(config.validate().err().map(|error| error.to_string()).as_deref(), error, "{listen}");
+        }
+    }
+
+    #[test]
+    fn a_page_in_a_container_names_its_hosts() {
+        let hosts = vec!["evaluator".to_owned()];
+        let config = WebConfig { listen: "0.0.0.0:8080".parse().unwrap(), token: None, hosts };
+        assert_eq!(config.validate(), Ok(()));
+    }
+
+    #[test]
+    fn a_token_stays_out_of_logs() {
+        let config = WebConfig { token: Some(Token("0123456789abcdef".to_owned())), ..Default::default() };
+        assert!(!format!("{config:?}").contains("0123"));
+    }
+
+    #[test]
+    fn only_the_token_is_the_token() {
+        let token = Token("0123456789abcdef".to_owned());
+        assert!(token.is("0123456789abcdef"));
+        for guess in ["", "0123456789abcde", "0123456789abcdeg", "0123456789abcdef0"] {
+            assert!(!token.is(guess), "{guess}");
+        }
+    }
+}

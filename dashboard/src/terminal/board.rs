@@ -1,0 +1,286 @@
+//! What is known of a run that is watched: the newest metrics of each part, and who is alive.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use blueprints::BlueprintId;
+use bus::MetricsSample;
+use proto::metrics::BusCounts;
+use proto::metrics::{ActorMetrics, EvalBlueprint, EvalOutcome, EvalSummary, LearnerMetrics, METRICS_SCHEMA_VERSION};
+use proto::wilson::SuccessRate;
+use proto::{ActorId, WeightsVersion, keys};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+/// Actors that are remembered, the lost ones included; whoever invents names must not fill the memory.
+pub const MAX_ACTORS: usize = 10_000;
+
+/// Blueprints that are remembered.
+pub const MAX_BLUEPRINTS: usize = 10_000;
+
+/// All that a view shows. It reads no clock: times are given by the caller, as the time since the watch began.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Board {
+    link: Link,
+    link_since: Duration,
+    learner: Option<Newest<LearnerMetrics>>,
+    evaluation: Option<Newest<EvalSummary>>,
+    blueprints: BTreeMap<BlueprintId, EvalBlueprint>,
+    actors: BTreeMap<ActorId, Actor>,
+    n_learners: usize,
+    n_evaluators: usize,
+    unread: Unread,
+    bus: BusCounts,
+}
+
+/// How the watch stands to the router.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Link {
+    /// None was reached so far.
+    #[default]
+    Joining,
+    /// It is reached.
+    Connected,
+    /// It was reached once, and is not now.
+    Lost,
+}
+
+/// A value and when it came.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Newest<T> {
+    /// What was said.
+    pub value: T,
+    /// When it came, time since the watch began.
+    pub at: Duration,
+}
+
+/// One actor of the roster.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Actor {
+    /// Whether its liveliness token is there; once known and not alive is lost.
+    pub is_alive: bool,
+    /// Its newest metrics.
+    pub metrics: Option<Newest<ActorMetrics>>,
+}
+
+/// Metrics that came and are not shown, by reason. What was not even JSON is counted by the bus.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Unread {
+    /// Of another schema version, or without any.
+    pub schema_unknown_total: u64,
+    /// Not what their key promises.
+    pub metrics_unreadable_total: u64,
+    /// Under a key that this version does not know.
+    pub keys_unknown_total: u64,
+    /// Of one more actor or blueprint than are remembered.
+    pub over_limit_total: u64,
+}
+
+/// Who is alive, by the names of the liveliness tokens.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Roster {
+    /// Names of the actors.
+    pub actors: BTreeSet<String>,
+    /// How many learners.
+    pub n_learners: usize,
+    /// How many evaluators.
+    pub n_evaluators: usize,
+}
+
+/// Why a sample is not shown.
+enum Refusal {
+    Schema,
+    Unreadable,
+    Key,
+    Limit,
+}
+
+impl Board {
+    /// Takes one sample of metrics; what cannot be shown is counted and changes nothing else.
+    pub fn take(&mut self, sample: &MetricsSample, now: Duration) {
+        let Err(refusal) = self.read(&sample.suffix, &sample.value, now) else { return };
+        let unread = &mut self.unread;
+        let count = match refusal {
+            Refusal::Schema => &mut unread.schema_unknown_total,
+            Refusal::Unreadable => &mut unread.metrics_unreadable_total,
+            Refusal::Key => &mut unread.keys_unknown_total,
+            Refusal::Limit => &mut unread.over_limit_total,
+        };
+        *count = count.saturating_add(1);
+    }
+
+    /// Takes who is alive now. Returns whether that changed anything.
+    pub fn set_roster(&mut self, roster: &Roster) -> bool {
+        let mut has_changed = (self.n_learners, self.n_evaluators) != (roster.n_learners, roster.n_evaluators);
+        (self.n_learners, self.n_evaluators) = (roster.n_learners, roster.n_evaluators);
+        for (id, actor) in &mut self.actors {
+            let is_alive = roster.actors.contains(id.as_str());
+            has_changed |= actor.is_alive != is_alive;
+            actor.is_alive = is_alive;
+        }
+        for id in roster.actors.iter().filter_map(|name| ActorId::try_from(name.clone()).ok()) {
+            if !self.actors.contains_key(&id) && self.make_room_for_actor() {
+                self.actors.insert(id, Actor { is_alive: true, metrics: None });
+                has_changed = true;
+            }
+        }
+        has_changed
+    }
+
+    /// Takes whether a router is reached now. Returns whether that changed anything.
+    pub fn set_connected(&mut self, is_connected: bool, now: Duration) -> bool {
+        let link = match (is_connected, self.link) {
+            (true, _) => Link::Connected,
+            (false, Link::Joining) => Link::Joining,
+            (false, Link::Connected | Link::Lost) => Link::Lost,
+        };
+        let has_changed = link != self.link;
+        if has_changed {
+            (self.link, self.link_since) = (link, now);
+        }
+        has_changed
+    }
+
+    /// Takes what the watch's own session dropped so far. Returns whether that changed anything.
+    pub fn set_bus(&mut self, bus: BusCounts) -> bool {
+        let has_changed = bus != self.bus;
+        self.bus = bus;
+        has_changed
+    }
+
+    /// How the watch stands to the router, and the time that it has been so.
+    pub fn link(&self) -> (Link, Duration) {
+        (self.link, self.link_since)
+    }
+
+    /// The learner's newest metrics.
+    pub fn learner(&self) -> Option<&Newest<LearnerMetrics>> {
+        self.learner.as_ref()
+    }
+
+    /// The newest evaluation.
+    pub fn evaluation(&self) -> Option<&Newest<EvalSummary>> {
+        self.evaluation.as_ref()
+    }
+
+    /// The newest result of each blueprint with the weights of the newest evaluation; without an evaluation, with the
+    /// newest weights that any blueprint was judged with.
+    pub fn judged_blueprints(&self) -> Vec<&EvalBlueprint> {
+        let newest = || self.blueprints.values().map(|blueprint| blueprint.weights_version).max();
+        let version: Option<WeightsVersion> =
+            self.evaluation.as_ref().map(|summary| summary.value.weights_version).or_else(newest);
+        self.blueprints.values().filter(|blueprint| Some(blueprint.weights_version) == version).collect()
+    }
+
+    /// All actors that were seen, by name.
+    pub fn actors(&self) -> &BTreeMap<ActorId, Actor> {
+        &self.actors
+    }
+
+    /// How many learners and how many evaluators are alive.
+    pub fn n_services(&self) -> (usize, usize) {
+        (self.n_learners, self.n_evaluators)
+    }
+
+    /// What came and is not shown.
+    pub fn unread(&self) -> Unread {
+        self.unread
+    }
+
+    /// What the watch's own session dropped.
+    pub fn bus(&self) -> BusCounts {
+        self.bus
+    }
+
+    /// Whether the learner or the evaluator has said anything.
+    pub fn has_summary(&self) -> bool {
+        self.learner.is_some() || self.evaluation.is_some()
+    }
+
+    fn read(&mut self, suffix: &str, value: &Value, at: Duration) -> Result<(), Refusal> {
+        match suffix {
+            keys::METRICS_LEARNER => {
+                let value: LearnerMetrics = parse(value)?;
+                let episodes = &value.episodes;
+                believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
+                update(&mut self.learner, value, at);
+            }
+            keys::METRICS_EVAL_SUMMARY => {
+                let value: EvalSummary = parse(value)?;
+                for group in value.groups.iter().chain([&value.all]) {
+                    believe(rates(&group.sampled).into_iter().chain(rates(&group.mode)))?;
+                }
+                update(&mut self.evaluation, value, at);
+            }
+            _ if suffix.starts_with("actor/") => {
+                let value: ActorMetrics = parse(value)?;
+                is_key(suffix, &keys::metrics_actor(&value.actor))?;
+                if !self.actors.contains_key(&value.actor) && !self.make_room_for_actor() {
+                    return Err(Refusal::Limit);
+                }
+                // Alive or not is for the tokens to say; metrics may overtake theirs, and the next roster corrects it.
+                let actor = self.actors.entry(value.actor.clone()).or_insert(Actor { is_alive: true, metrics: None });
+                update(&mut actor.metrics, value, at);
+            }
+            _ if suffix.starts_with("eval/") => {
+                let value: EvalBlueprint = parse(value)?;
+                is_key(suffix, &keys::metrics_eval(value.split, &value.blueprint))?;
+                believe(rates(&value.sampled).into_iter().chain(rates(&value.mode)))?;
+                if !self.blueprints.contains_key(&value.blueprint) && self.blueprints.len() >= MAX_BLUEPRINTS {
+                    return Err(Refusal::Limit);
+                }
+                self.blueprints.insert(value.blueprint.clone(), value);
+            }
+            _ => return Err(Refusal::Key),
+        }
+        Ok(())
+    }
+
+    /// Forgets the lost actor that was heard longest ago if there are as many as are remembered. Returns whether there
+    /// is room.
+    fn make_room_for_actor(&mut self) -> bool {
+        if self.actors.len() < MAX_ACTORS {
+            return true;
+        }
+        let lost = self.actors.iter().filter(|(_, actor)| !actor.is_alive);
+        let oldest =
+            lost.min_by_key(|(_, actor)| actor.metrics.as_ref().map(|heard| heard.at)).map(|(id, _)| id.clone());
+        oldest.is_some_and(|id| self.actors.remove(&id).is_some())
+    }
+}
+
+/// Keeps `value`; one that comes a second time stays as old as it is.
+fn update<T: PartialEq>(slot: &mut Option<Newest<T>>, value: T, at: Duration) {
+    if slot.as_ref().is_none_or(|heard| heard.value != value) {
+        *slot = Some(Newest { value, at });
+    }
+}
+
+fn parse<T: DeserializeOwned>(value: &Value) -> Result<T, Refusal> {
+    if value.get("schema_version").and_then(Value::as_u64) != Some(METRICS_SCHEMA_VERSION.into()) {
+        return Err(Refusal::Schema);
+    }
+    T::deserialize(value).map_err(|_| Refusal::Unreadable)
+}
+
+fn is_key(suffix: &str, expected: &str) -> Result<(), Refusal> {
+    if suffix == expected { Ok(()) } else { Err(Refusal::Unreadable) }
+}
+
+fn rates(outcome: &EvalOutcome) -> [&SuccessRate; 2] {
+    [&outcome.success, &outcome.stable_success]
+}
+
+/// Refuses rates that no counts can have.
+fn believe<'a>(rates: impl IntoIterator<Item = &'a SuccessRate>) -> Result<(), Refusal> {
+    let is_share = |share: f64| (0.0..=1.0).contains(&share);
+    let are_fine = rates.into_iter().all(|success| {
+        success.n_successes <= success.n_episodes
+            && [success.rate, success.wilson_low, success.wilson_high].into_iter().all(is_share)
+    });
+    if are_fine { Ok(()) } else { Err(Refusal::Unreadable) }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,50 @@
+//! What is watched, and how old what is shown is.
+
+use std::time::Duration;
+
+use ratatui::text::Line;
+
+use super::format::{age, span};
+use super::{Source, alarm, heading, plain};
+use crate::terminal::board::{Board, Link};
+
+/// Two lines.
+pub(super) fn lines(board: &Board, source: &Source, now: Duration) -> Vec<Line<'static>> {
+    let title = heading(format!("Run {} at {}", source.run, source.endpoints.join(", ")));
+    vec![title, state(board, now)]
+}
+
+fn state(board: &Board, now: Duration) -> Line<'static> {
+    let (link, since) = board.link();
+    let since = span(now.saturating_sub(since));
+    let (learner, evaluation) = (board.learner().map(|heard| heard.at), board.evaluation().map(|heard| heard.at));
+    let (n_learners, n_evaluators) = board.n_services();
+    let members = [member("learner", n_learners, learner, now), member("evaluator", n_evaluators, evaluation, now)];
+    let is_empty = !board.has_summary() && (n_learners, n_evaluators) == (0, 0) && board.actors().is_empty();
+    match link {
+        Link::Joining => alarm(format!("No router was reached in {since}; still trying")),
+        Link::Lost => {
+            let newest = learner
+                .max(evaluation)
+                .map_or("nothing came before".to_owned(), |at| format!("the newest came {}", age(now, at)));
+            alarm(format!("The router is gone since {since}; {newest}"))
+        }
+        Link::Connected if is_empty => {
+            alarm(format!("Nothing has arrived in {since}: no learner, evaluator or actor has joined this run"))
+        }
+        Link::Connected if n_learners == 0 => alarm(members.join(", ")),
+        Link::Connected => plain(members.join(", ")),
+    }
+}
+
+/// Whether a service is there and how long ago it was heard.
+fn member(role: &str, n_alive: usize, heard_at: Option<Duration>, now: Duration) -> String {
+    match (n_alive, heard_at) {
+        (0, None) => format!("no {role}"),
+        (0, Some(at)) => format!("{role} gone, heard {}", age(now, at)),
+        (1, None) => format!("{role} silent so far"),
+        (1, Some(at)) => format!("{role} heard {}", age(now, at)),
+        (n, None) => format!("{n} {role}s silent so far"),
+        (n, Some(at)) => format!("{n} {role}s heard {}", age(now, at)),
+    }
+}

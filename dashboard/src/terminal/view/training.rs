@@ -1,0 +1,57 @@
+//! The learner's newest update: throughput, policy lag, losses and episodes.
+
+use ratatui::text::Line;
+
+use super::format::{count, number, rate, seconds, success};
+use super::{heading, plain};
+use crate::terminal::board::Board;
+
+/// The learner's newest metrics.
+pub(super) fn lines(board: &Board) -> Vec<Line<'static>> {
+    let Some(heard) = board.learner() else {
+        return vec![heading("Learning: no update so far".to_owned())];
+    };
+    let learner = &heard.value;
+    let (ppo, episodes) = (&learner.ppo, &learner.episodes);
+    let ended = if episodes.success.n_episodes == 0 {
+        "none ended since the last update".to_owned()
+    } else {
+        format!(
+            "success {} of {}, return {}, {:.1} steps",
+            success(&episodes.success).trim_start(),
+            episodes.success.n_episodes,
+            number(episodes.mean_return.total().into()),
+            episodes.mean_steps,
+        )
+    };
+    vec![
+        heading(format!(
+            "Learning: weights {}, {} environment steps in {}",
+            learner.weights_version.0,
+            count(learner.n_env_steps),
+            seconds(learner.elapsed_s),
+        )),
+        plain(format!(
+            "  throughput  {} steps/s, {} waiting; policy lag {:.2}, at most {}",
+            rate(learner.env_steps_per_s),
+            count(learner.n_mailbox),
+            learner.policy_lag_mean,
+            learner.policy_lag_max,
+        )),
+        plain(format!(
+            "  loss        total {}, policy {}, value {}, gradient norm {}",
+            number(ppo.total_loss),
+            number(ppo.policy_loss),
+            number(ppo.value_loss),
+            number(ppo.grad_norm),
+        )),
+        plain(format!(
+            "  policy      KL {}, entropy {}, clipped {}, explained variance {}",
+            number(ppo.approx_kl),
+            number(ppo.entropy),
+            number(ppo.clip_fraction),
+            number(ppo.explained_variance),
+        )),
+        plain(format!("  episodes    {ended}")),
+    ]
+}

@@ -1,0 +1,115 @@
+//! One web page about a running training: success over training, who is there, how learning goes.
+//!
+//! Reading order: `board` (what is shown) → `events` (browsers that listen) → `replay`, `attention` and
+//! `films` → `prometheus` → `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up
+//! an evaluator: whoever writes to the board takes a lock for a moment, and what a browser does not take in time is
+//! dropped and counted.
+
+mod attention;
+mod board;
+mod events;
+mod feed;
+mod films;
+mod prometheus;
+mod replay;
+mod routes;
+mod server;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use anyhow::Context;
+use bus::Bus;
+use policy::PolicyConfig;
+use proto::Weights;
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+use crate::config::WebConfig;
+use attention::Onlooker;
+use board::Board;
+use films::Films;
+use replay::Replays;
+use runlog::{Pass, RunPaths};
+
+/// Why the page cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum WebError {
+    /// The address is taken, or not one of this machine.
+    #[error("the page cannot be served at {address}: {source}")]
+    Bind {
+        /// The address of the configuration.
+        address: SocketAddr,
+        /// What the system says.
+        source: std::io::Error,
+    },
+}
+
+/// A page that has its address and waits to be opened.
+#[derive(Debug)]
+pub struct Page {
+    listener: TcpListener,
+    address: SocketAddr,
+    config: WebConfig,
+}
+
+/// What a page shows besides what the bus tells.
+#[derive(Debug)]
+pub struct Source {
+    /// Every evaluation, those of the history first. The page ends with it.
+    pub passes: mpsc::UnboundedReceiver<Pass>,
+    /// The newest weights, whose attention is shown, and the policy that they are for.
+    pub weights: watch::Receiver<Option<Arc<Weights>>>,
+    /// The policy.
+    pub policy: PolicyConfig,
+    /// The run whose video clips are shown; none shows none.
+    pub run: Option<RunPaths>,
+}
+
+impl Page {
+    /// Takes the address; browsers that come before the evaluator runs wait.
+    ///
+    /// # Errors
+    /// When the address is taken or not one of this machine.
+    pub async fn bind(config: &WebConfig) -> Result<Self, WebError> {
+        let failed = |source| WebError::Bind { address: config.listen, source };
+        let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        Ok(Self { listener, address, config: config.clone() })
+    }
+
+    /// The address with the port that the system has chosen for port 0.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Serves until no more evaluations can come; then all connections are closed.
+    ///
+    /// # Errors
+    /// When the session fails, or a task of the page panicked.
+    pub async fn serve(self, bus: &Bus, mut source: Source) -> anyhow::Result<()> {
+        let board = Arc::new(Board::default());
+        let feed = feed::Feed::open(bus).await?;
+        let shutdown = CancellationToken::new();
+        let _ended_with_this = shutdown.clone().drop_guard();
+        let replays = Arc::new(Replays::new(Onlooker::new(source.policy, source.weights)));
+        let routes = routes::routes(board.clone(), replays.clone(), Films::new(source.run), self.config);
+        let mut tasks = JoinSet::new();
+        tasks.spawn(feed.run(board.clone(), shutdown.clone()));
+        tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
+        tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
+        while let Some(pass) = source.passes.recv().await {
+            board.judged(&pass);
+        }
+        shutdown.cancel();
+        while let Some(task) = tasks.join_next().await {
+            task.context("a task of the page panicked")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

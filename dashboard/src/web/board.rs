@@ -1,0 +1,221 @@
+//! What the page knows: passes, the newest metrics, who is alive, and the browsers that listen.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use bus::MetricsSample;
+use proto::Role;
+use proto::keys::METRICS_LEARNER;
+use proto::metrics::{ActorMetrics, LearnerMetrics};
+use serde::Serialize;
+use serde_json::json;
+use tokio_util::sync::CancellationToken;
+
+use super::events::{Events, Viewers, event};
+use runlog::Pass;
+use runlog::overview::{Passes, PassesView, SCHEMA_VERSION};
+
+/// Most keys of metrics that are remembered; the whole catalog and hundreds of actors fit.
+const MAX_KEYS: usize = 1024;
+
+/// Largest value of metrics that is passed on, bytes. A learner's is below 20 KB.
+const MAX_SAMPLE_BYTES: usize = 256 << 10;
+
+/// Most points of learning that are kept; beyond, every second one goes.
+const MAX_POINTS: usize = 600;
+
+/// Shared by the evaluator, the bus and all connections. Every method returns at once.
+#[derive(Debug, Default)]
+pub(super) struct Board(Mutex<State>);
+
+/// What a board knows.
+#[derive(Debug, Default)]
+pub(super) struct State {
+    pub(super) passes: Passes,
+    points: Points,
+    /// The newest event of each key.
+    latest: BTreeMap<String, axum::body::Bytes>,
+    pub(super) learner: Option<LearnerMetrics>,
+    pub(super) actors: BTreeMap<String, ActorMetrics>,
+    pub(super) roster: BTreeMap<Role, BTreeSet<String>>,
+    pub(super) viewers: Viewers,
+    pub(super) counts: PageCounts,
+}
+
+/// What the page dropped or refused so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct PageCounts {
+    /// Metrics that were too large, or one key too many.
+    pub(super) samples_dropped_total: u64,
+    /// Browsers that did not take events in time.
+    pub(super) viewers_dropped_total: u64,
+    /// Connections closed at once because there were too many, or that failed to be accepted.
+    pub(super) connections_refused_total: u64,
+    /// Connections that were not done in time.
+    pub(super) connections_expired_total: u64,
+    /// Requests without the token, or to a name that is not this machine's.
+    pub(super) requests_refused_total: u64,
+}
+
+/// Learning over time, thinned out.
+#[derive(Debug, Default)]
+struct Points {
+    kept: Vec<Point>,
+    /// One of how many is kept, less one.
+    n_skipped: usize,
+    n_seen: usize,
+}
+
+/// One update of the learner, as far as it is drawn.
+#[derive(Clone, Debug, Serialize)]
+struct Point {
+    elapsed_s: f64,
+    n_env_steps: u64,
+    weights_version: u64,
+    env_steps_per_s: f64,
+    policy_lag_mean: f64,
+    policy_loss: f64,
+    value_loss: f64,
+    entropy: f64,
+    approx_kl: f64,
+    explained_variance: f64,
+}
+
+/// The answer to `/api/history`.
+#[derive(Debug, Serialize)]
+struct HistoryView<'b> {
+    schema_version: u32,
+    #[serde(flatten)]
+    passes: PassesView<'b>,
+    learner: &'b [Point],
+}
+
+impl Board {
+    /// What is known, for a short look.
+    pub(super) fn state(&self) -> MutexGuard<'_, State> {
+        // Whoever panicked with the lock left numbers that are old at worst.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Remembers a pass and tells browsers to ask for it.
+    pub(super) fn judged(&self, pass: &Pass) {
+        let mut state = self.state();
+        state.passes.push(pass);
+        let news = json!({ "weights_version": pass.weights_version, "n_env_steps": pass.n_env_steps });
+        state.publish(&event("pass", &news));
+    }
+
+    /// Remembers metrics and passes them on.
+    pub(super) fn measured(&self, sample: MetricsSample) {
+        let text = event("metrics", &json!({ "key": sample.suffix, "payload": sample.value }));
+        let mut state = self.state();
+        let is_new = !state.latest.contains_key(&sample.suffix);
+        if text.len() > MAX_SAMPLE_BYTES || (is_new && state.latest.len() >= MAX_KEYS) {
+            state.counts.samples_dropped_total += 1;
+            return;
+        }
+        // What is of another version is still passed on; it only does not get into the page's own numbers.
+        if sample.suffix == METRICS_LEARNER {
+            if let Ok(learner) = serde_json::from_value::<LearnerMetrics>(sample.value) {
+                state.points.push(&learner);
+                state.learner = Some(learner);
+            }
+        } else if sample.suffix.starts_with("actor/")
+            && let Ok(actor) = serde_json::from_value::<ActorMetrics>(sample.value)
+        {
+            state.actors.insert(actor.actor.to_string(), actor);
+        }
+        state.publish(&text);
+        state.latest.insert(sample.suffix, text);
+    }
+
+    /// Remembers who is alive in a role and tells it; the metrics of actors that have gone are forgotten.
+    pub(super) fn appeared(&self, role: Role, names: BTreeSet<String>) {
+        let mut state = self.state();
+        if role == Role::Actor {
+            let before = state.roster.get(&role).cloned().unwrap_or_default();
+            for gone in before.difference(&names) {
+                state.actors.remove(gone);
+                state.latest.remove(&format!("actor/{gone}"));
+            }
+        }
+        state.roster.insert(role, names);
+        let news = state.roster_event();
+        state.publish(&news);
+    }
+
+    /// Sends what keeps proxies from closing a quiet connection, and finds those that have gone.
+    pub(super) fn beat(&self) {
+        self.state().publish(&axum::body::Bytes::from_static(b": still here\n\n"));
+    }
+
+    /// A new listener, who gets what is known first; `None` if there are too many. `close` ends its connection.
+    pub(super) fn listen(&self, close: CancellationToken) -> Option<Events> {
+        let mut state = self.state();
+        let mut first = b"retry: 2000\n\n".to_vec();
+        first.extend_from_slice(&state.roster_event());
+        // Blueprints are in the history that the page asks for.
+        let latest = state.latest.iter().filter(|(key, _)| !key.starts_with("eval/"));
+        latest.for_each(|(_, text)| first.extend_from_slice(text));
+        state.viewers.add(first.into(), close)
+    }
+
+    /// Whether there is anything to see.
+    pub(super) fn is_ready(&self) -> bool {
+        let state = self.state();
+        state.passes.last().is_some() || !state.latest.is_empty()
+    }
+
+    /// The answer to `/api/history`.
+    pub(super) fn history(&self) -> serde_json::Result<Vec<u8>> {
+        let state = self.state();
+        serde_json::to_vec(&HistoryView {
+            schema_version: SCHEMA_VERSION,
+            passes: state.passes.view(),
+            learner: &state.points.kept,
+        })
+    }
+}
+
+impl State {
+    fn publish(&mut self, text: &axum::body::Bytes) {
+        self.counts.viewers_dropped_total += self.viewers.send(text);
+    }
+
+    fn roster_event(&self) -> axum::body::Bytes {
+        let names = |role| self.roster.get(&role).cloned().unwrap_or_default();
+        let (actors, learners, evaluators) = (names(Role::Actor), names(Role::Learner), names(Role::Evaluator));
+        event("roster", &json!({ "actors": actors, "learners": learners, "evaluators": evaluators }))
+    }
+}
+
+impl Points {
+    fn push(&mut self, learner: &LearnerMetrics) {
+        // A learner that began anew, from an older checkpoint or nothing: what came of the other is left out.
+        self.kept.retain(|point| point.n_env_steps < learner.n_env_steps);
+        self.n_seen += 1;
+        if !self.n_seen.is_multiple_of(self.n_skipped + 1) {
+            return;
+        }
+        self.kept.push(Point {
+            elapsed_s: learner.elapsed_s,
+            n_env_steps: learner.n_env_steps,
+            weights_version: learner.weights_version.0,
+            env_steps_per_s: learner.env_steps_per_s,
+            policy_lag_mean: learner.policy_lag_mean,
+            policy_loss: learner.ppo.policy_loss,
+            value_loss: learner.ppo.value_loss,
+            entropy: learner.ppo.entropy,
+            approx_kl: learner.ppo.approx_kl,
+            explained_variance: learner.ppo.explained_variance,
+        });
+        if self.kept.len() > MAX_POINTS {
+            let mut place = 0;
+            self.kept.retain(|_| {
+                place += 1;
+                place % 2 == 0
+            });
+            self.n_skipped = 2 * self.n_skipped + 1;
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! Browsers that listen: server-sent events through bounded queues.
+
+use std::convert::Infallible;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use axum::body::Bytes;
+use futures_core::Stream;
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+/// Events that a browser may leave waiting; a pass over the whole catalog is a burst of 167.
+const QUEUE: usize = 1024;
+
+/// Browsers that may listen at a time.
+pub(super) const MAX_VIEWERS: usize = 32;
+
+/// All who listen.
+#[derive(Debug, Default)]
+pub(super) struct Viewers(Vec<Viewer>);
+
+#[derive(Debug)]
+struct Viewer {
+    queue: mpsc::Sender<Bytes>,
+    close: CancellationToken,
+}
+
+/// What one browser is sent.
+#[derive(Debug)]
+pub(super) struct Events {
+    first: Option<Bytes>,
+    queue: mpsc::Receiver<Bytes>,
+}
+
+/// An event as it is sent. JSON holds no line break, so `data` is one line.
+pub(super) fn event(name: &'static str, data: &serde_json::Value) -> Bytes {
+    format!("event: {name}\ndata: {data}\n\n").into()
+}
+
+impl Viewers {
+    /// Adds one that gets `first` before all else; `None` if there are too many.
+    pub(super) fn add(&mut self, first: Bytes, close: CancellationToken) -> Option<Events> {
+        self.0.retain(|viewer| !viewer.queue.is_closed());
+        if self.0.len() >= MAX_VIEWERS {
+            return None;
+        }
+        let (sender, queue) = mpsc::channel(QUEUE);
+        self.0.push(Viewer { queue: sender, close });
+        Some(Events { first: Some(first), queue })
+    }
+
+    /// Sends to all; ends the connections of those with a full queue and returns how many.
+    pub(super) fn send(&mut self, text: &Bytes) -> u64 {
+        let mut n_dropped = 0;
+        self.0.retain(|viewer| match viewer.queue.try_send(text.clone()) {
+            Ok(()) => true,
+            Err(mpsc::error::TrySendError::Closed(_)) => false,
+            Err(mpsc::error::TrySendError::Full(_)) => {
+                // Ending the queue is not enough: a connection that cannot write would never look at it.
+                viewer.close.cancel();
+                n_dropped += 1;
+                false
+            }
+        });
+        n_dropped
+    }
+
+    /// How many listen.
+    pub(super) fn len(&self) -> usize {
+        self.0.len()
+    }
+}
+
+impl Stream for Events {
+    type Item = Result<Bytes, Infallible>;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        match self.first.take() {
+            Some(first) => Poll::Ready(Some(Ok(first))),
+            None => self.queue.poll_recv(context).map(|text| text.map(Ok)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_does_not_listen_is_dropped_and_the_others_are_not() {
+        let mut viewers = Viewers::default();
+        let (closed, other_closed) = (CancellationToken::new(), CancellationToken::new());
+        let _slow = viewers.add(Bytes::new(), closed.clone()).unwrap();
+        let text = event("metrics", &serde_json::json!({ "key": "a\nb" }));
+        assert_eq!(text, "event: metrics\ndata: {\"key\":\"a\\nb\"}\n\n");
+        for _ in 0..QUEUE {
+            assert_eq!(viewers.send(&text), 0);
+        }
+        let _quick = viewers.add(Bytes::new(), other_closed.clone()).unwrap();
+        assert_eq!((viewers.send(&text), viewers.len()), (1, 1));
+        assert!(closed.is_cancelled() && !other_closed.is_cancelled());
+    }
+
+    #[test]
+    fn the_number_of_listeners_is_limited() {
+        let mut viewers = Viewers::default();
+        let all: Vec<_> = (0..=MAX_VIEWERS).map(|_| viewers.add(Bytes::new(), CancellationToken::new())).collect();
+        assert_eq!(all.iter().filter(|viewer| viewer.is_none()).count(), 1);
+        drop(all);
+        assert!(viewers.add(Bytes::new(), CancellationToken::new()).is_some());
+    }
+}

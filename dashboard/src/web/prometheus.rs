@@ -1,0 +1,282 @@
+//! The board as text that Prometheus scrapes.
+//!
+//! A registry is filled anew for each scrape, so that blueprints and actors that have gone are gone here too.
+
+use std::sync::atomic::AtomicU64;
+
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::Registry;
+use proto::Role;
+use proto::metrics::BusCounts;
+use proto::wilson::SuccessRate;
+use serde_json::Value;
+
+use super::board::State;
+use proto::ActionMode;
+
+/// The format of [`text`].
+pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+type Labels = Vec<(&'static str, String)>;
+
+/// All numbers of the board.
+///
+/// # Errors
+/// Never for the names and labels used here; the encoder's own type.
+pub(super) fn text(state: &State) -> Result<String, std::fmt::Error> {
+    let mut page = Scrape(Registry::with_prefix("lodestone"));
+    success(&mut page, state);
+    learner(&mut page, state);
+    roster(&mut page, state);
+    dropped(&mut page, state);
+    let mut text = String::new();
+    encode(&mut text, &page.0)?;
+    Ok(text)
+}
+
+struct Scrape(Registry);
+
+impl Scrape {
+    fn gauges(&mut self, name: &str, help: &str, values: impl IntoIterator<Item = (Labels, f64)>) {
+        let family = Family::<Labels, Gauge<f64, AtomicU64>>::default();
+        for (labels, value) in values {
+            family.get_or_create(&labels).set(value);
+        }
+        self.0.register(name, help, family);
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: Option<f64>) {
+        if let Some(value) = value {
+            let gauge = Gauge::<f64, AtomicU64>::default();
+            gauge.set(value);
+            self.0.register(name, help, gauge);
+        }
+    }
+
+    /// The encoder puts `_total` after `name`, here and in `counters`.
+    fn counter(&mut self, name: &str, help: &str, value: Option<u64>) {
+        if let Some(value) = value {
+            let counter: Counter = Counter::default();
+            counter.inc_by(value);
+            self.0.register(name, help, counter);
+        }
+    }
+
+    fn counters(&mut self, name: &str, help: &str, values: impl IntoIterator<Item = (Labels, u64)>) {
+        let family = Family::<Labels, Counter>::default();
+        for (labels, value) in values {
+            family.get_or_create(&labels).inc_by(value);
+        }
+        self.0.register(name, help, family);
+    }
+}
+
+fn label(name: &'static str, value: &str) -> (&'static str, String) {
+    (name, value.to_owned())
+}
+
+/// The counts of a session under the names of their fields, so that one that is added later is shown too.
+fn by_reason(counts: &BusCounts) -> Vec<(Labels, u64)> {
+    let Ok(Value::Object(fields)) = serde_json::to_value(counts) else { return Vec::new() };
+    let named = fields.into_iter().filter_map(|(name, n)| {
+        Some((vec![label("reason", name.strip_suffix("_total").unwrap_or(&name))], n.as_u64()?))
+    });
+    named.collect()
+}
+
+fn success(page: &mut Scrape, state: &State) {
+    let last = state.passes.last();
+    let groups = last.into_iter().flat_map(|pass| pass.groups.iter().chain([&pass.all]));
+    let rates: Vec<(Labels, SuccessRate)> = groups
+        .flat_map(|group| {
+            let both = [(ActionMode::Greedy, group.mode), (ActionMode::Sampled, group.sampled)];
+            both.into_iter().filter_map(|(acting, rate)| {
+                Some((vec![label("group", group.name), label("acting", acting.name())], rate?))
+            })
+        })
+        .collect();
+    let of = |number: fn(&SuccessRate) -> f64| rates.iter().map(move |(labels, rate)| (labels.clone(), number(rate)));
+    page.gauges("eval_group_success_ratio", "Success rate of the newest pass by group, 0 to 1", of(|r| r.rate));
+    let help = "Lower end of the 95 % Wilson interval of the success rate, 0 to 1";
+    page.gauges("eval_group_success_wilson_low_ratio", help, of(|r| r.wilson_low));
+    let help = "Upper end of the 95 % Wilson interval of the success rate, 0 to 1";
+    page.gauges("eval_group_success_wilson_high_ratio", help, of(|r| r.wilson_high));
+    page.gauges("eval_group_episodes", "Episodes of the newest pass by group", of(|r| r.n_episodes as f64));
+    let blueprint = |(row, acting, [hits, n]): (&runlog::series::Row, ActionMode, [u64; 2])| {
+        let names =
+            [label("blueprint", row.id.as_str()), label("split", row.split.as_str()), label("acting", acting.name())];
+        (names.to_vec(), SuccessRate::new(hits, n).rate)
+    };
+    let help = "Success rate of the newest pass by blueprint, 0 to 1";
+    page.gauges("eval_blueprint_success_ratio", help, state.passes.newest().map(blueprint));
+    let version = last.map(|pass| pass.weights_version as f64);
+    page.gauge("eval_weights_version", "Version of the weights judged last", version);
+    let steps = last.map(|pass| pass.n_env_steps as f64);
+    page.gauge("eval_env_steps", "Environment steps that the weights judged last had learned from", steps);
+}
+
+fn learner(page: &mut Scrape, state: &State) {
+    let learner = state.learner.as_ref();
+    let steps = learner.map(|learner| learner.n_env_steps);
+    page.counter("learner_env_steps", "Environment steps consumed by the learner", steps);
+    let updates = learner.map(|learner| learner.n_updates);
+    page.counter("learner_updates", "PPO updates", updates);
+    let episodes = learner.map(|learner| learner.n_episodes);
+    page.counter("learner_episodes", "Training episodes whose end was seen", episodes);
+    let mut gauge = |name, help, value: fn(&proto::metrics::LearnerMetrics) -> f64| {
+        page.gauge(name, help, learner.map(value));
+    };
+    gauge("learner_weights_version", "Version of the newest weights", |l| l.weights_version.0 as f64);
+    gauge("learner_env_steps_per_second", "Environment steps consumed per second", |l| l.env_steps_per_s);
+    gauge("learner_update_seconds", "Duration of the newest update", |l| l.update_s);
+    gauge("learner_policy_lag_versions", "Mean age of the weights that acted, in versions", |l| l.policy_lag_mean);
+    gauge("learner_mailbox_env_steps", "Environment steps that wait at the learner", |l| l.n_mailbox as f64);
+    gauge("learner_policy_loss", "Clipped surrogate loss", |l| l.ppo.policy_loss);
+    gauge("learner_value_loss", "Value loss on normalized values", |l| l.ppo.value_loss);
+    gauge("learner_entropy_nats", "Entropy of the action distribution", |l| l.ppo.entropy);
+    gauge("learner_approx_kl_nats", "KL divergence of an update, estimated", |l| l.ppo.approx_kl);
+    gauge("learner_explained_variance_ratio", "Explained variance of the values, at most 1", |l| {
+        l.ppo.explained_variance
+    });
+}
+
+fn roster(page: &mut Scrape, state: &State) {
+    let alive = [Role::Actor, Role::Learner, Role::Evaluator].map(|role| {
+        let n_alive = state.roster.get(&role).map_or(0, |names| names.len());
+        (vec![label("role", role.as_str())], n_alive as f64)
+    });
+    page.gauges("alive_processes", "Members of the run that are alive, by role", alive);
+    let actors = || state.actors.iter().map(|(id, actor)| (vec![label("actor", id)], actor));
+    let speed = actors().map(|(labels, actor)| (labels, actor.env_steps_per_s));
+    page.gauges("actor_env_steps_per_second", "Environment steps per second of an actor", speed);
+    let lag = actors().map(|(labels, actor)| (labels, actor.policy_lag as f64));
+    page.gauges("actor_policy_lag_versions", "Age of the weights that act, in versions", lag);
+    let steps = actors().map(|(labels, actor)| (labels, actor.n_env_steps));
+    page.counters("actor_env_steps", "Environment steps made by an actor", steps);
+    let drops = actors().flat_map(|(labels, actor)| {
+        let d = &actor.dropped;
+        let reasons = [
+            ("stale", d.stale_total),
+            ("full", d.full_total),
+            ("invalid", d.invalid_total),
+            ("name_taken", d.name_taken_total),
+            ("no_learner", d.no_learner_total),
+            ("no_reply", d.no_reply_total),
+            ("too_large", d.too_large_total),
+            ("diverged", d.diverged_total),
+            ("failed", d.failed_total),
+        ];
+        reasons.map(|(reason, n)| ([&labels[..], &[label("reason", reason)]].concat(), n))
+    });
+    page.counters("actor_trajectories_dropped", "Trajectories that an actor dropped, by reason", drops);
+    let of_bus = actors().flat_map(|(labels, actor)| {
+        // Thousands of actors with a dozen reasons each are too many for a scrape; most are 0 for ever.
+        let some = by_reason(&actor.bus).into_iter().filter(|(_, n)| *n > 0);
+        some.map(move |(reason, n)| ([&labels[..], &reason[..]].concat(), n))
+    });
+    page.counters(
+        "actor_bus_dropped",
+        "What an actor's session dropped or refused, by reason, once there is any",
+        of_bus,
+    );
+}
+
+fn dropped(page: &mut Scrape, state: &State) {
+    let of_bus = state.learner.iter().flat_map(|learner| by_reason(&learner.bus));
+    page.counters("learner_bus_dropped", "What the learner's session dropped or refused, by reason", of_bus);
+    let reasons = state.learner.iter().flat_map(|learner| {
+        let ingest = &learner.ingest;
+        [
+            ("stale", ingest.stale_total),
+            ("full", ingest.full_total),
+            ("invalid", ingest.invalid_total),
+            ("name_taken", ingest.name_taken_total),
+            ("duplicate", ingest.duplicates_total),
+            ("expired", learner.expired_total),
+            ("unmade", learner.unmade_total),
+        ]
+    });
+    let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
+    page.counters(
+        "learner_trajectories_dropped",
+        "Trajectories that the learner did not learn from, by reason",
+        reasons,
+    );
+    let counts = &state.counts;
+    let reasons = [
+        ("sample_too_large_or_many", counts.samples_dropped_total),
+        ("browser_too_slow", counts.viewers_dropped_total),
+        ("connection_refused", counts.connections_refused_total),
+        ("connection_expired", counts.connections_expired_total),
+        ("request_refused", counts.requests_refused_total),
+    ];
+    let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
+    page.counters("page_dropped", "What the page itself dropped or refused, by reason", reasons);
+    page.gauge("page_viewers", "Browsers that listen", Some(state.viewers.len() as f64));
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
+    use blueprints::Split;
+
+    use super::*;
+    use crate::web::board::Board;
+    use crate::web::tests::samples::pass;
+
+    /// Samples by name and labels; every one must have a type and a help text before it.
+    fn parse(text: &str) -> BTreeMap<String, f64> {
+        let (mut helped, mut typed, mut samples) = (BTreeSet::new(), BTreeSet::new(), BTreeMap::new());
+        assert!(text.ends_with("# EOF\n"));
+        for line in text.lines() {
+            if let Some(rest) = line.strip_prefix("# HELP ") {
+                let (name, help) = rest.split_once(' ').unwrap();
+                assert!(!help.is_empty());
+                helped.insert(name.to_owned());
+            } else if let Some(rest) = line.strip_prefix("# TYPE ") {
+                typed.insert(rest.split_once(' ').unwrap().0.to_owned());
+            } else if !line.starts_with('#') {
+                let (sample, value) = line.rsplit_once(' ').unwrap();
+                let name = sample.split('{').next().unwrap();
+                let family = name.strip_suffix("_total").unwrap_or(name);
+                assert!(helped.contains(family) && typed.contains(family), "{line}");
+                assert!(samples.insert(sample.to_owned(), value.parse().unwrap()).is_none(), "{line} twice");
+            }
+        }
+        samples
+    }
+
+    #[test]
+    fn every_count_of_a_session_has_its_reason() {
+        let counts = BusCounts { weights_refused_total: 2, ..BusCounts::default() };
+        let reasons = by_reason(&counts);
+        assert!(reasons.contains(&(vec![label("reason", "weights_refused")], 2)), "{reasons:?}");
+        assert!(reasons.contains(&(vec![label("reason", "tokens_invalid")], 0)), "{reasons:?}");
+    }
+
+    #[test]
+    fn a_hand_worked_scrape() {
+        let board = Board::default();
+        let scores = [("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5)];
+        board.judged(&pass(200, &scores));
+        board.appeared(Role::Actor, ["a".to_owned(), "b".to_owned()].into());
+        let samples = parse(&text(&board.state()).unwrap());
+        for (sample, value) in [
+            ("lodestone_eval_group_success_ratio{group=\"train 2-6\",acting=\"mode\"}", 0.45),
+            ("lodestone_eval_group_episodes{group=\"all\",acting=\"mode\"}", 20.0),
+            ("lodestone_eval_blueprint_success_ratio{blueprint=\"2_003\",split=\"train\",acting=\"mode\"}", 0.4),
+            ("lodestone_eval_weights_version", 20.0),
+            ("lodestone_eval_env_steps", 200.0),
+            ("lodestone_alive_processes{role=\"actor\"}", 2.0),
+            ("lodestone_page_dropped_total{reason=\"browser_too_slow\"}", 0.0),
+        ] {
+            assert_eq!(samples.get(sample), Some(&value), "{sample} in {samples:#?}");
+        }
+        // Nothing was measured yet, which is not the same as 0.
+        assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_learner_")), "{samples:#?}");
+    }
+}

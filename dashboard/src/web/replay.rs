@@ -1,0 +1,272 @@
+//! An episode to look at: recorded from the actors when a browser asks for one, and only then.
+//!
+//! Actors make copies of their trajectories only while somebody watches, so nobody watches longer than it takes.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use axum::body::Bytes;
+use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, UNIT_M};
+use bus::Bus;
+use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
+use proto::{RewardTerms, Scene, Status, Trajectory};
+use serde::Serialize;
+use tokio::sync::Notify;
+use tokio_util::sync::CancellationToken;
+
+use super::attention::{AttentionView, Onlooker};
+use render::picture::TYPE_COLORS;
+use render::video::{Collector, Episode, STEP_S};
+
+/// Version of `/api/replay`.
+const SCHEMA_VERSION: u32 = 1;
+
+/// Longest time that the actors are watched for one episode.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The newest episode, and whether another is wanted.
+#[derive(Debug)]
+pub(super) struct Replays {
+    onlooker: Onlooker,
+    wanted: Notify,
+    newest: Mutex<Option<Bytes>>,
+}
+
+/// An episode as it is sent.
+#[derive(Debug, Serialize)]
+struct ReplayView {
+    schema_version: u32,
+    actor: String,
+    weights_version: u64,
+    blueprint: String,
+    /// `success` or `time limit`.
+    end: &'static str,
+    /// Time between two scenes in seconds.
+    step_s: f32,
+    /// Edge of a unit cell, meters. In the middle of each on a block's sides is a magnet, positive on the sides +x, +y, +z.
+    unit_m: f32,
+    /// Half the length of each block along its axes, meters.
+    half_extents_m: Vec<[f32; 3]>,
+    /// Color of each block's type.
+    colors: Vec<[u8; 3]>,
+    /// The goal's blocks: index, position in meters in the goal's frame, quaternion x, y, z, w.
+    goal: Vec<(usize, [f32; 7])>,
+    scenes: Vec<SceneView>,
+    attention: Option<AttentionView>,
+}
+
+#[derive(Debug, Serialize)]
+struct SceneView {
+    /// Position in meters and quaternion x, y, z, w of each block, world frame, z up.
+    blocks: Vec<[f32; 7]>,
+    /// What each gripper holds.
+    held: Vec<Option<usize>>,
+    /// Where the goal's frame is in the largest piece of it that stands, as a block's pose.
+    goal_frame: [f32; 7],
+    /// The goal's connections that are there.
+    n_connected: usize,
+    /// Undiscounted reward so far.
+    reward: f32,
+    /// The same by term.
+    reward_terms: RewardTerms,
+}
+
+impl Replays {
+    /// None so far.
+    pub(super) fn new(onlooker: Onlooker) -> Self {
+        Self { onlooker, wanted: Notify::default(), newest: Mutex::default() }
+    }
+
+    /// The JSON of a recorded episode; `None` if it cannot be shown. It takes some ten milliseconds.
+    pub(super) fn to_json(&self, segments: &[Trajectory]) -> Option<Bytes> {
+        let view = view(segments, |episode| self.onlooker.look(episode))?;
+        match serde_json::to_vec(&view) {
+            Ok(json) => Some(json.into()),
+            Err(error) => {
+                tracing::debug!(%error, "an episode could not be shown");
+                None
+            }
+        }
+    }
+
+    /// The newest episode, if any; a newer one will be recorded.
+    pub(super) fn ask(&self) -> Option<Bytes> {
+        self.wanted.notify_one();
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Records whenever it was asked for, one episode at a time, until `shutdown`.
+    pub(super) async fn run(self: Arc<Self>, bus: Bus, shutdown: CancellationToken) {
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => return,
+                () = self.wanted.notified() => {}
+            }
+            let watched = async {
+                let (mut viewer, mut collector) = (bus.trajectory_viewer(None).await.ok()?, Collector::default());
+                let episode = async {
+                    loop {
+                        if let Some(episode) = collector.add(viewer.recv().await?) {
+                            return Some(episode);
+                        }
+                    }
+                };
+                tokio::time::timeout(PATIENCE, episode).await.ok()?
+            };
+            let segments = tokio::select! {
+                () = shutdown.cancelled() => return,
+                segments = watched => segments,
+            };
+            let replays = self.clone();
+            let json = tokio::task::spawn_blocking(move || replays.to_json(&segments?)).await;
+            match json.ok().flatten() {
+                Some(json) => *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(json),
+                None => tracing::debug!("no episode was recorded"),
+            }
+        }
+    }
+}
+
+/// `None` for a goal that this program's catalog lacks.
+fn view(segments: &[Trajectory], look: impl FnOnce(&Episode) -> Option<AttentionView>) -> Option<ReplayView> {
+    let first = segments.first()?;
+    let episode = Episode::new(segments, Catalog::builtin().find(&first.task.blueprint)?.as_ref()).ok()?;
+    let inventory = Inventory::standard();
+    let goal = episode.goal().placements().iter().map(|placement| {
+        let turn = placement.rotation.quaternion();
+        (placement.block.get(), pose(placement.position_m().into(), turn.coords.into()))
+    });
+    let scenes = episode.scenes().iter().enumerate();
+    Some(ReplayView {
+        schema_version: SCHEMA_VERSION,
+        actor: first.actor.to_string(),
+        weights_version: first.weights_version.0,
+        blueprint: first.task.blueprint.to_string(),
+        end: if episode.status() == Status::Success { "success" } else { "time limit" },
+        step_s: STEP_S,
+        unit_m: UNIT_M,
+        half_extents_m: BlockIdx::all().map(|block| inventory.half_extents_m(block)).collect(),
+        colors: BlockIdx::all().map(|block| TYPE_COLORS[inventory.type_idx(block)]).collect(),
+        goal: goal.collect(),
+        scenes: scenes.map(|(n_done, scene)| SceneView::new(&episode, n_done, scene)).collect(),
+        attention: look(&episode),
+    })
+}
+
+/// The goal's frame as the block has it that the plan places first, of those in the largest piece that is right.
+fn goal_frame(goal: &Blueprint, scene: &Scene) -> [f32; 7] {
+    let pieces = scene.pieces(goal);
+    let size = |block: BlockIdx| pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
+    let rank = |block: BlockIdx| goal.plan().and_then(|plan| goal.plan_step(plan, block)).map(|step| step.rank);
+    let first = goal.placements().iter().min_by_key(|p| (std::cmp::Reverse(size(p.block)), rank(p.block), p.block));
+    let Some(placement) = first else { return pose([0.0; 3], [0.0, 0.0, 0.0, 1.0]) };
+    let at = &scene.blocks[placement.block.get()];
+    let turn = UnitQuaternion::new_normalize(Quaternion::from(at.orientation));
+    let frame = Isometry3::from_parts(Vector3::from(at.position).into(), turn)
+        * Isometry3::from_parts(placement.position_m().into(), placement.rotation.quaternion()).inverse();
+    pose(frame.translation.vector.into(), frame.rotation.coords.into())
+}
+
+/// Rounded to a tenth of a millimeter, for a third of the length.
+fn pose(position: [f32; 3], orientation: [f32; 4]) -> [f32; 7] {
+    let round = |x: f32| (x * 1e4).round() / 1e4;
+    let ([x, y, z], [qx, qy, qz, qw]) = (position, orientation);
+    [x, y, z, qx, qy, qz, qw].map(round)
+}
+
+impl SceneView {
+    fn new(episode: &Episode, n_done: usize, scene: &Scene) -> Self {
+        let reward_terms = episode.return_after(n_done);
+        Self {
+            blocks: scene.blocks.iter().map(|block| pose(block.position, block.orientation)).collect(),
+            goal_frame: goal_frame(episode.goal(), scene),
+            held: scene.grippers.iter().flatten().map(|gripper| gripper.held.map(BlockIdx::get)).collect(),
+            n_connected: episode.n_connected(n_done),
+            reward: reward_terms.total(),
+            reward_terms,
+        }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use proto::{Action, Gripper, Outcome, Pose, RewardTerms, Start, Task, Transition, WeightsVersion};
+
+    use super::*;
+
+    /// `n_steps` steps of an episode; the last segment of it if `ends`.
+    pub(crate) fn segment(seed: u64, first_step: u16, n_steps: usize, ends: bool) -> Trajectory {
+        let gripper = |held| Gripper {
+            held,
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            linear_velocity: [0.0; 3],
+            angular_velocity: [0.0; 3],
+        };
+        let scene = |height: f32| Scene {
+            blocks: std::array::from_fn(|_| Pose {
+                position: [0.0, 0.123_456, height],
+                orientation: [0.0, 0.0, 0.0, 1.0],
+            }),
+            speeds_mps: [0.0; 16],
+            joints: Vec::new(),
+            grippers: [Some(gripper(BlockIdx::all().nth(3))), Some(gripper(None))],
+            n_heavy_contacts: 0,
+        };
+        let reward = RewardTerms { connected: 0.5, ..RewardTerms::default() };
+        let transition = |i: usize| Transition {
+            scene: scene(i as f32),
+            action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; 16] },
+            behavior_log_prob: 0.0,
+            value: 0.0,
+            reward,
+            label: None,
+        };
+        Trajectory {
+            actor: "a".parse().unwrap(),
+            epoch: 1,
+            seq: 0,
+            weights_version: WeightsVersion(7),
+            task: Task {
+                blueprint: "2_000".parse().unwrap(),
+                assignment: BlockIdx::all().collect::<Vec<_>>().try_into().unwrap(),
+                start: Start::Scattered,
+                seed,
+            },
+            driver: proto::Driver::Sample,
+            first_step,
+            transitions: (0..n_steps).map(transition).collect(),
+            last_scene: scene(9.0),
+            status: if ends { Status::Success } else { Status::Running },
+            bootstrap_value: 0.0,
+            outcome: ends.then_some(Outcome { success: true, n_steps: 3, episode_return: reward }),
+        }
+    }
+
+    #[test]
+    fn a_hand_worked_replay() {
+        let segments = [segment(2, 0, 2, false), segment(2, 2, 1, true)];
+        let json = serde_json::to_value(view(&segments, |_| None).unwrap()).unwrap();
+        assert_eq!(
+            (&json["blueprint"], &json["end"], &json["weights_version"]),
+            (&"2_000".into(), &"success".into(), &7.into())
+        );
+        assert_eq!(json["goal"].as_array().unwrap().len(), 2);
+        // Three steps are four scenes, each step worth 0.5.
+        let scenes = json["scenes"].as_array().unwrap();
+        let rewards: Vec<f64> = scenes.iter().map(|scene| scene["reward"].as_f64().unwrap()).collect();
+        assert_eq!(rewards, [0.0, 0.5, 1.0, 1.5]);
+        assert_eq!(scenes[3]["reward_terms"]["connected"], 1.5);
+        assert_eq!(scenes[3]["reward_terms"]["wrong"], 0.0);
+        // Nothing is connected, so the first block of the plan says where the goal is: here it stands as in the goal.
+        let goal = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
+        let frame = goal_frame(goal, &segments[0].transitions[0].scene);
+        let first = goal.placements().iter().find(|p| goal.plan_step(goal.plan().unwrap(), p.block).unwrap().rank == 0);
+        let placement = first.unwrap();
+        let turn = UnitQuaternion::new_normalize(Quaternion::from([frame[3], frame[4], frame[5], frame[6]]));
+        let at = turn * placement.position_m() + Vector3::new(frame[0], frame[1], frame[2]);
+        assert!((at - Vector3::new(0.0, 0.1235, 0.0)).norm() < 1e-3, "{at}");
+        assert_eq!(scenes[0]["held"], serde_json::json!([3, null]));
+        let y = scenes[0]["blocks"][0][1].as_f64().unwrap();
+        assert!((y - 0.1235).abs() < 1e-6, "{y}");
+    }
+}

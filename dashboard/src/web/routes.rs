@@ -1,0 +1,261 @@
+//! What can be asked, and by whom. Every route is fixed: no part of a request is ever a path of a file.
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{Extension, RawQuery, Request, State};
+use axum::http::header::{
+    AUTHORIZATION, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, COOKIE, HOST, LOCATION,
+    REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+
+use serde::Serialize;
+
+use super::board::Board;
+use super::films::{FilmView, Films};
+use super::prometheus;
+use super::replay::Replays;
+use super::server::Connection;
+use crate::config::{Token, WebConfig};
+
+/// Name of the cookie that holds the token.
+const COOKIE_NAME: &str = "lodestone_token";
+
+/// Headers of every answer. Nothing but the page's own files is loaded or run, and nobody else may frame it or see where
+/// a reader came from, which could hold a token.
+const HEADERS: [(HeaderName, &str); 5] = [
+    (CONTENT_SECURITY_POLICY, "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"),
+    (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (X_FRAME_OPTIONS, "DENY"),
+    (REFERRER_POLICY, "no-referrer"),
+    (CACHE_CONTROL, "no-store"),
+];
+
+/// A file of the page: path, type and text.
+type Asset = (&'static str, &'static str, &'static str);
+
+/// The page's files, which are part of the program.
+pub(super) const ASSETS: [Asset; 4] = [
+    ("/", "text/html; charset=utf-8", include_str!("assets/page.html")),
+    ("/style.css", "text/css; charset=utf-8", include_str!("assets/style.css")),
+    ("/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
+    (
+        "/app.js",
+        "text/javascript; charset=utf-8",
+        concat!(
+            include_str!("assets/format.js"),
+            include_str!("assets/heat.js"),
+            include_str!("assets/curves.js"),
+            include_str!("assets/health.js"),
+            include_str!("assets/solid.js"),
+            include_str!("assets/terms.js"),
+            include_str!("assets/attention.js"),
+            include_str!("assets/replay.js"),
+            include_str!("assets/films.js"),
+            include_str!("assets/app.js"),
+        ),
+    ),
+];
+
+/// The routes; all but the two for probes ask for the token of `config`, or, if there is none, for a name of this machine or one
+/// of its hosts.
+pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, films: Films, config: WebConfig) -> Router {
+    let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
+    let mut guarded = Router::new()
+        .route("/api/history", get(history))
+        .route("/api/events", get(events))
+        .route("/api/replay", get(replay))
+        .route("/api/recording", get(recording))
+        .route("/api/films", get(list_films))
+        .route("/api/film", get(film))
+        .route("/metrics", get(metrics));
+    for (path, content_type, text) in ASSETS {
+        guarded = guarded.route(path, get(move || async move { ([(CONTENT_TYPE, content_type)], text) }));
+    }
+    guarded
+        .fallback(StatusCode::NOT_FOUND)
+        .layer(Extension(films))
+        .layer(Extension(replays))
+        .layer(from_fn_with_state(guard, authorize))
+        .merge(Router::new().route("/healthz", get(|| async { "serving\n" })).route("/readyz", get(ready)))
+        .layer(from_fn(set_headers))
+        .with_state(board)
+}
+
+async fn ready(State(board): State<Arc<Board>>) -> (StatusCode, &'static str) {
+    if board.is_ready() {
+        (StatusCode::OK, "ready\n")
+    } else {
+        (StatusCode::SERVICE_UNAVAILABLE, "nothing was judged or measured yet\n")
+    }
+}
+
+async fn history(State(board): State<Arc<Board>>) -> Response {
+    match board.history() {
+        Ok(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Err(error) => failed(&error),
+    }
+}
+
+/// The newest films.
+#[derive(Serialize)]
+struct FilmsView {
+    schema_version: u32,
+    films: Vec<FilmView>,
+}
+
+async fn list_films(Extension(films): Extension<Films>) -> Response {
+    // Off the runtime, because it waits for the disk; so below.
+    let answer =
+        tokio::task::spawn_blocking(move || serde_json::to_vec(&FilmsView { schema_version: 1, films: films.list() }));
+    match answer.await {
+        Ok(Ok(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Ok(Err(error)) => failed(&error),
+        Err(error) => failed(&error),
+    }
+}
+
+/// The film that the query names.
+async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> Response {
+    let asked = id_of(query);
+    match tokio::task::spawn_blocking(move || films.bytes(&asked)).await {
+        Ok(Some(bytes)) => ([(CONTENT_TYPE, "video/mp4")], bytes).into_response(),
+        Ok(None) => StatusCode::NOT_FOUND.into_response(),
+        Err(error) => failed(&error),
+    }
+}
+
+/// The episode that a film shows, in the form of [`replay`]; the query names the film.
+async fn recording(
+    Extension(films): Extension<Films>,
+    Extension(replays): Extension<Arc<Replays>>,
+    RawQuery(query): RawQuery,
+) -> Response {
+    let asked = id_of(query);
+    let answer = tokio::task::spawn_blocking(move || replays.to_json(&[films.recording(&asked)?])).await;
+    match answer {
+        Ok(Some(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Ok(None) => StatusCode::NOT_FOUND.into_response(),
+        Err(error) => failed(&error),
+    }
+}
+
+/// What follows `id=`, if the query has nothing else.
+fn id_of(query: Option<String>) -> String {
+    query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned()
+}
+
+async fn metrics(State(board): State<Arc<Board>>) -> Response {
+    let text = prometheus::text(&board.state());
+    match text {
+        Ok(text) => ([(CONTENT_TYPE, prometheus::CONTENT_TYPE)], text).into_response(),
+        Err(error) => failed(&error),
+    }
+}
+
+async fn events(State(board): State<Arc<Board>>, Extension(connection): Extension<Connection>) -> Response {
+    match board.listen(connection.close.clone()) {
+        Some(events) => {
+            connection.lasts();
+            ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
+        }
+        None => (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "10")], "too many browsers listen\n").into_response(),
+    }
+}
+
+/// The newest episode; 202 while there is none yet. Each question lets a newer one be recorded.
+async fn replay(Extension(replays): Extension<Arc<Replays>>) -> Response {
+    match replays.ask() {
+        Some(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        None => (StatusCode::ACCEPTED, [(RETRY_AFTER, "2")], "an episode is being recorded\n").into_response(),
+    }
+}
+
+fn failed(error: &dyn std::error::Error) -> Response {
+    tracing::warn!(%error, "the page could not be answered");
+    StatusCode::INTERNAL_SERVER_ERROR.into_response()
+}
+
+/// Puts on the headers of every answer; refuses requests with a body, which no route reads.
+async fn set_headers(request: Request, next: Next) -> Response {
+    let headers = request.headers();
+    let has_body = headers.contains_key(TRANSFER_ENCODING)
+        || headers.get(CONTENT_LENGTH).is_some_and(|length| length.as_bytes() != b"0");
+    let mut response = if has_body { StatusCode::PAYLOAD_TOO_LARGE.into_response() } else { next.run(request).await };
+    for (name, value) in HEADERS {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+struct Guard {
+    board: Arc<Board>,
+    token: Option<Token>,
+    hosts: Vec<String>,
+}
+
+async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
+    let Some(token) = &guard.token else {
+        // A page of somebody else can make a browser resolve its own name to 127.0.0.1; the name then gives it away.
+        if is_for_us(request.headers(), &guard.hosts) {
+            return next.run(request).await;
+        }
+        guard.board.state().counts.requests_refused_total += 1;
+        return (
+            StatusCode::FORBIDDEN,
+            "without a token the page answers to 127.0.0.1, localhost and web.hosts only\n",
+        )
+            .into_response();
+    };
+    let in_query = request.uri().query().into_iter().flat_map(|query| query.split('&'));
+    let in_query = in_query.filter_map(|pair| pair.strip_prefix("token=")).any(|guess| token.is(guess));
+    if in_query {
+        return keep_in_cookie(token, request.uri().path());
+    }
+    if in_headers(token, request.headers()) {
+        return next.run(request).await;
+    }
+    guard.board.state().counts.requests_refused_total += 1;
+    (StatusCode::UNAUTHORIZED, "open the page with ?token=…, or send Authorization: Bearer …\n").into_response()
+}
+
+/// Sends the browser to the same path without the token, which would stay in its history.
+fn keep_in_cookie(token: &Token, path: &str) -> Response {
+    // `Lax`, because with `Strict` the first visit by a link from elsewhere would be refused.
+    let cookie = format!("{COOKIE_NAME}={}; Path=/; HttpOnly; SameSite=Lax", token.reveal());
+    // One slash only: with two, the path would be the name of another machine.
+    let path = format!("/{}", path.trim_start_matches('/'));
+    match (HeaderValue::from_str(&path), HeaderValue::from_str(&cookie)) {
+        (Ok(path), Ok(cookie)) => (StatusCode::SEE_OTHER, [(LOCATION, path), (SET_COOKIE, cookie)]).into_response(),
+        _ => StatusCode::BAD_REQUEST.into_response(),
+    }
+}
+
+fn in_headers(token: &Token, headers: &HeaderMap) -> bool {
+    let text = |value: &HeaderValue| value.to_str().map(str::to_owned).unwrap_or_default();
+    let mut bearer = headers.get_all(AUTHORIZATION).iter().map(text);
+    let bearer = bearer.any(|value| value.strip_prefix("Bearer ").is_some_and(|guess| token.is(guess)));
+    let in_cookie = |cookies: String| {
+        let mut pairs = cookies.split(';').filter_map(|pair| pair.trim().split_once('='));
+        pairs.any(|(name, guess)| name == COOKIE_NAME && token.is(guess))
+    };
+    bearer || headers.get_all(COOKIE).iter().map(text).any(in_cookie)
+}
+
+/// Whether the request is to `localhost`, a loopback address or one of `hosts`, with any port.
+fn is_for_us(headers: &HeaderMap, hosts: &[String]) -> bool {
+    let Some(host) = headers.get(HOST).and_then(|host| host.to_str().ok()) else { return false };
+    let name = match host.rsplit_once(':') {
+        Some((name, port)) if port.bytes().all(|c| c.is_ascii_digit()) => name,
+        _ => host,
+    };
+    let address = name.trim_start_matches('[').trim_end_matches(']');
+    name.eq_ignore_ascii_case("localhost")
+        || hosts.iter().any(|known| name.eq_ignore_ascii_case(known))
+        || address.parse().is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
+}

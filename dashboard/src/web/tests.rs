@@ -1,0 +1,338 @@
+//! The page as browsers and probes see it: a real bus, and requests written by hand.
+
+use std::path::Path;
+use std::time::Duration;
+
+use blueprints::BlueprintId;
+use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig};
+use proto::codec::encode_trajectory;
+use proto::{Normalization, Role, WeightsVersion};
+use serde_json::{Value, json};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::TcpStream;
+
+use super::events::MAX_VIEWERS;
+use super::replay::tests::segment;
+use super::server::MAX_CONNECTIONS;
+use super::*;
+use crate::config::Token;
+use samples::pass;
+
+#[path = "../../../runlog/src/history/samples.rs"]
+pub(super) mod samples;
+
+const TOKEN: &str = "0123456789abcdef";
+
+/// Ends a test that waits for what does not come.
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(60), future).await.expect("it takes a moment only")
+}
+
+struct Served {
+    bus: Bus,
+    address: SocketAddr,
+    passes: mpsc::UnboundedSender<Pass>,
+    task: tokio::task::JoinHandle<anyhow::Result<()>>,
+}
+
+/// A page beside a bus; films and recordings are those in `dir`, attention is that of an untrained network.
+async fn serve(dir: &Path, token: Option<&str>) -> Served {
+    let bus = Bus::isolated(dir).await.unwrap();
+    let token = token.map(|token| Token::from(token.to_owned()));
+    let page = Page::bind(&WebConfig { token, ..Default::default() }).await.unwrap();
+    let address = page.address();
+    let (policy, newest) = untrained();
+    let (passes, its_passes) = mpsc::unbounded_channel();
+    let (_, weights) = watch::channel(Some(Arc::new(newest)));
+    let source = Source { passes: its_passes, weights, policy, run: Some(RunPaths::new(dir)) };
+    let its_bus = bus.clone();
+    let task = tokio::spawn(async move { page.serve(&its_bus, source).await });
+    Served { bus, address, passes, task }
+}
+
+/// A network small enough for tests, and weights for it.
+fn untrained() -> (PolicyConfig, Weights) {
+    let gat = GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() };
+    let network =
+        NetworkConfig { encoder: EncoderConfig::Gat(gat), width: 8, value_hidden: vec![8], ..Default::default() };
+    let policy = PolicyConfig { network, ..Default::default() };
+    let network = Network::init(&policy.network, &policy.sizes(), 1, &DeviceKind::Cpu.open().unwrap());
+    let weights = Weights {
+        version: WeightsVersion(2),
+        n_env_steps: 77,
+        network_hash: policy.hash(),
+        parameters: policy::parameters::flatten(&network),
+        normalization: Normalization { value_std: 1.0, ..Normalization::default() },
+        task_probabilities: [(BlueprintId::try_from("2_000".to_owned()).unwrap(), 1.0)].into(),
+    };
+    (policy, weights)
+}
+
+impl Served {
+    /// The whole answer to some bytes.
+    async fn send(&self, bytes: &[u8]) -> String {
+        let mut stream = TcpStream::connect(self.address).await.unwrap();
+        // The server may close before it has read all of a request that is too large.
+        let _ = stream.write_all(bytes).await;
+        let mut answer = Vec::new();
+        let _ = within(stream.read_to_end(&mut answer)).await;
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    async fn get_with(&self, path: &str, headers: &str) -> String {
+        self.send(format!("GET {path} HTTP/1.1\r\nHost: {}\r\n{headers}\r\n", self.address).as_bytes()).await
+    }
+
+    async fn get(&self, path: &str) -> String {
+        self.get_with(path, "").await
+    }
+
+    async fn status(&self, path: &str, headers: &str) -> u16 {
+        status(&self.get_with(path, headers).await)
+    }
+
+    async fn end(self) {
+        drop(self.passes);
+        within(self.task).await.unwrap().unwrap();
+        self.bus.close().await.unwrap();
+    }
+}
+
+fn status(answer: &str) -> u16 {
+    answer.split(' ').nth(1).unwrap_or_else(|| panic!("no status: {answer:?}")).parse().unwrap()
+}
+
+/// Reads events until one is as wanted; returns its data.
+async fn event_with(lines: &mut BufReader<TcpStream>, name: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+    let (mut line, mut found) = (String::new(), String::new());
+    loop {
+        line.clear();
+        assert!(lines.read_line(&mut line).await.unwrap() > 0, "the stream ended before {name}");
+        if let Some(name) = line.strip_prefix("event: ") {
+            found = name.trim().to_owned();
+        } else if let Some(data) = line.strip_prefix("data: ").filter(|_| found == name) {
+            let data: Value = serde_json::from_str(data).unwrap();
+            if wanted(&data) {
+                return data;
+            }
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn only_what_is_meant_to_be_seen_is_served() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let host = format!("Host: {}\r\n", served.address);
+    let table = [
+        ("GET / HTTP/1.1", &host[..], 200),
+        ("HEAD / HTTP/1.1", &host, 200),
+        ("GET /app.js HTTP/1.1", &host, 200),
+        ("GET /style.css HTTP/1.1", &host, 200),
+        ("GET /icon.svg HTTP/1.1", &host, 200),
+        ("GET /api/history HTTP/1.1", &host, 200),
+        ("GET /api/replay HTTP/1.1", &host, 202),
+        ("GET /metrics HTTP/1.1", &host, 200),
+        ("GET /healthz HTTP/1.1", &host, 200),
+        ("GET /readyz HTTP/1.1", &host, 503),
+        ("POST / HTTP/1.1", &host, 405),
+        ("GET /../Cargo.toml HTTP/1.1", &host, 404),
+        ("GET /%2e%2e/%2e%2e/etc/passwd HTTP/1.1", &host, 404),
+        ("GET //etc/passwd HTTP/1.1", &host, 404),
+        ("GET /assets/app.js HTTP/1.1", &host, 404),
+        ("GET /app.js/../../src/web.rs HTTP/1.1", &host, 404),
+        ("GET /app.js%00 HTTP/1.1", &host, 404),
+        ("GET / HTTP/1.1", "Host: localhost:1\r\n", 200),
+        ("GET / HTTP/1.1", "Host: [::1]:80\r\n", 200),
+        ("GET / HTTP/1.1", "Host: evil.example\r\n", 403),
+        ("GET / HTTP/1.1", "Host: 127.0.0.1.evil.example\r\n", 403),
+        ("GET / HTTP/1.1", "", 403),
+        ("GET / HTTP/1.1", "Host: localhost\r\nContent-Length: 4\r\n", 413),
+        ("GET / HTTP/1.1", "Host: localhost\r\nTransfer-Encoding: chunked\r\n", 413),
+        ("GET\0/ HTTP/1.1", &host, 400),
+    ];
+    for (line, headers, expected) in table {
+        let answer = served.send(format!("{line}\r\n{headers}\r\n").as_bytes()).await;
+        assert_eq!(status(&answer), expected, "{line} {headers}");
+    }
+    let large = format!("X-Large: {}\r\n", "x".repeat(20 << 10));
+    assert_eq!(served.status("/", &large).await, 431);
+    let many: String = (0..80).map(|i| format!("X-{i}: x\r\n")).collect();
+    assert_eq!(served.status("/", &many).await, 431);
+    let answer = served.get("/").await.to_lowercase();
+    for header in [
+        "content-security-policy: default-src 'self'",
+        "x-content-type-options: nosniff",
+        "referrer-policy: no-referrer",
+        "cache-control: no-store",
+    ] {
+        assert!(answer.contains(header), "{header}");
+    }
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_token_keeps_others_out_but_not_probes() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), Some(TOKEN)).await;
+    let table = [
+        ("/", String::new(), 401),
+        ("/api/history", String::new(), 401),
+        ("/metrics", String::new(), 401),
+        ("/nothing", String::new(), 401),
+        ("/?token=wrong", String::new(), 401),
+        ("/?token=", String::new(), 401),
+        ("/", "Authorization: Bearer wrong\r\n".to_owned(), 401),
+        ("/", "Cookie: lodestone_token=wrong\r\n".to_owned(), 401),
+        ("/", format!("Cookie: other={TOKEN}\r\n"), 401),
+        ("/healthz", String::new(), 200),
+        ("/readyz", String::new(), 503),
+        ("/metrics", format!("Authorization: Bearer {TOKEN}\r\n"), 200),
+        ("/api/history", format!("Cookie: a=b; lodestone_token={TOKEN}\r\n"), 200),
+        ("/nothing", format!("Authorization: Bearer {TOKEN}\r\n"), 404),
+    ];
+    for (path, headers, expected) in table {
+        assert_eq!(served.status(path, &headers).await, expected, "{path} {headers}");
+    }
+    let answer = served.get(&format!("/?token={TOKEN}")).await;
+    assert_eq!(status(&answer), 303);
+    let header = |name: &str| {
+        let of = |line: &str| {
+            line.split_once(": ").filter(|(key, _)| key.eq_ignore_ascii_case(name)).map(|(_, v)| v.to_owned())
+        };
+        answer.lines().find_map(of).unwrap()
+    };
+    assert_eq!(header("location"), "/");
+    let cookie = header("set-cookie");
+    assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Lax"), "{cookie}");
+    let cookie = cookie.split(';').next().unwrap();
+    assert_eq!(served.status("/", &format!("Cookie: {cookie}\r\n")).await, 200);
+    // Two slashes would lead to a machine of that name.
+    assert!(served.get(&format!("//evil.example?token={TOKEN}")).await.contains("location: /evil.example\r\n"));
+    let metrics = served.get_with("/metrics", &format!("Authorization: Bearer {TOKEN}\r\n")).await;
+    assert!(metrics.contains("lodestone_page_dropped_total{reason=\"request_refused\"} 9\n"), "{metrics}");
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn too_many_browsers_leave_room_for_probes() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let mut listeners = Vec::new();
+    for _ in 0..MAX_VIEWERS {
+        let mut stream = TcpStream::connect(served.address).await.unwrap();
+        let request = format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address);
+        stream.write_all(request.as_bytes()).await.unwrap();
+        let mut lines = BufReader::new(stream);
+        // Only one that is answered holds a place.
+        within(event_with(&mut lines, "roster", |_| true)).await;
+        listeners.push(lines);
+    }
+    assert_eq!(served.status("/api/events", "").await, 503);
+    assert_eq!(served.status("/healthz", "").await, 200);
+    let metrics = served.get("/metrics").await;
+    assert!(metrics.contains(&format!("lodestone_page_viewers {MAX_VIEWERS}.0\n")), "{metrics}");
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn connections_that_say_nothing_are_few_and_short() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let mut silent = Vec::new();
+    for _ in 0..MAX_CONNECTIONS {
+        let mut stream = TcpStream::connect(served.address).await.unwrap();
+        stream.write_all(b"GET / HTTP/1.1\r\n").await.unwrap();
+        silent.push(stream);
+    }
+    // Accepted in order, so this one is too many: it is closed without a word.
+    assert_eq!(served.get("/healthz").await, "");
+    // Nobody waits for the rest of a head for ever.
+    for mut stream in silent {
+        within(stream.read_to_end(&mut Vec::new())).await.unwrap();
+    }
+    // The last one may still be counted when its end is seen here.
+    let answer = within(async {
+        loop {
+            match served.get("/metrics").await {
+                answer if answer.is_empty() => {}
+                answer => return answer,
+            }
+        }
+    });
+    let refused = answer.await.lines().find_map(|line| {
+        line.strip_prefix("lodestone_page_dropped_total{reason=\"connection_refused\"} ")?.parse::<u64>().ok()
+    });
+    assert!(refused >= Some(1), "{refused:?}");
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_put_on_the_bus_reaches_the_browser() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let before = served.bus.metrics_publisher("custom/first").await.unwrap();
+    before.put(&json!({ "x": 1 })).await.unwrap();
+    let mut stream = TcpStream::connect(served.address).await.unwrap();
+    stream.write_all(format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address).as_bytes()).await.unwrap();
+    let mut lines = BufReader::new(stream);
+    // Whoever comes late sees the newest value first; a sample still under way comes as an event.
+    let first = within(event_with(&mut lines, "metrics", |data| data["key"] == "custom/first")).await;
+    assert_eq!(first["payload"], json!({ "x": 1 }));
+    let alive = served.bus.declare_alive(Role::Actor, "a-1").await.unwrap();
+    within(event_with(&mut lines, "roster", |data| data["actors"] == json!(["a-1"]))).await;
+    drop(alive);
+    within(event_with(&mut lines, "roster", |data| data["actors"] == json!([]))).await;
+    served.passes.send(pass(1000, &[])).unwrap();
+    let news = within(event_with(&mut lines, "pass", |_| true)).await;
+    assert_eq!(news["n_env_steps"], 1000);
+    assert_eq!(served.status("/readyz", "").await, 200);
+    let metrics = served.get("/metrics").await;
+    assert!(metrics.contains("lodestone_page_viewers 1.0\n"), "{metrics}");
+    // The end of the evaluator is the end of the stream.
+    drop(served.passes);
+    within(served.task).await.unwrap().unwrap();
+    let mut rest = String::new();
+    let _ = within(lines.read_to_string(&mut rest)).await;
+    served.bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn films_are_told_and_sent_and_nothing_else_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("videos").join("2_000");
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("00000007-success.mp4"), "the film").unwrap();
+    std::fs::write(folder.join("secret.mp4"), "not a film of ours").unwrap();
+    std::fs::write(dir.path().join("eval.db"), "not a film").unwrap();
+    let served = serve(dir.path(), None).await;
+    let body = |answer: String| answer.split_once("\r\n\r\n").map(|(_, body)| body.to_owned()).unwrap();
+    let answer: Value = serde_json::from_str(&body(served.get("/api/films").await)).unwrap();
+    let film = json!({ "id": "2_000.7.success.1", "blueprint": "2_000", "weights_version": 7, "ending": "success" });
+    assert_eq!(answer, json!({ "schema_version": 1, "films": [film] }));
+    let answer = served.get("/api/film?id=2_000.7.success.1").await;
+    assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the film"), "{answer}");
+    // The recording beside it: three steps, and what attends in each scene.
+    let recordings = dir.path().join("replays").join("2_000");
+    std::fs::create_dir_all(&recordings).unwrap();
+    assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
+    let recording = encode_trajectory(&segment(2, 0, 3, true));
+    std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
+    let answer: Value = serde_json::from_str(&body(served.get("/api/recording?id=2_000.7.success.1").await)).unwrap();
+    assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
+    let attention = &answer["attention"];
+    assert_eq!((&attention["weights_version"], &attention["sources"][0]), (&json!(2), &json!("gripper 1")));
+    let percent: Vec<Vec<Vec<f64>>> = serde_json::from_value(attention["percent"].clone()).unwrap();
+    assert_eq!(percent.len(), attention["sources"].as_array().unwrap().len());
+    for shares in percent.iter().flatten() {
+        // Each of 16 was rounded by at most a half.
+        assert!(shares.len() == 16 && (shares.iter().sum::<f64>() - 100.0).abs() <= 8.0, "{shares:?}");
+    }
+    for id in
+        ["", "?id=", "?id=2_000.8.success.1", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]
+    {
+        assert_eq!(served.status(&format!("/api/film{id}"), "").await, 404, "{id}");
+        assert_eq!(served.status(&format!("/api/recording{id}"), "").await, 404, "{id}");
+    }
+    served.end().await;
+}

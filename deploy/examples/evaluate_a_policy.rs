@@ -1,0 +1,42 @@
+//! Evaluates the policy that comes with the program on goals of two and three blocks.
+//!
+//! ```sh
+//! cargo run --release --example evaluate_a_policy
+//! cargo run --release --example evaluate_a_policy -- policy.safetensors   # from `lodestone export`
+//! ```
+
+use std::path::PathBuf;
+
+use blueprints::{Blueprint, Catalog, Split};
+use deploy::config::{Config, Preset};
+use evaluator::{Detail, EpisodeConfig, EvalSetup, evaluate, render};
+use learner::Model;
+
+fn main() -> anyhow::Result<()> {
+    let pretrained = concat!(env!("CARGO_MANIFEST_DIR"), "/pretrained/model.safetensors");
+    let path = std::env::args().nth(1).map_or_else(|| PathBuf::from(pretrained), PathBuf::from);
+    // A model holds its weights and the configuration of its network, so it cannot be loaded into another one.
+    let model = Model::from_bytes(&std::fs::read(&path)?, &path)?;
+
+    // The world should be the one that the policy was trained in.
+    let preset = Preset::find("laptop")?;
+    let config = Config::parse(preset.text, preset.name)?;
+
+    let catalog = Catalog::builtin();
+    let goals: Vec<&Blueprint> =
+        catalog.of_split(Split::Train).into_iter().filter(|blueprint| blueprint.n_blocks() <= 3).collect();
+
+    let setup = EvalSetup {
+        catalog,
+        policy: model.policy,
+        environment: config.environment,
+        episodes: EpisodeConfig { n_episodes: 5, ..config.evaluator.episodes },
+        reset_free: None,
+        // The same seed gives the same start states, so two policies can be compared episode by episode.
+        seed: 1,
+    };
+    // The closure is asked now and then; when it returns false, the evaluation stops.
+    let report = evaluate(&setup, &model.weights, &goals, &|| true)?;
+    println!("{}", render(&report, Detail::Blueprints));
+    Ok(())
+}

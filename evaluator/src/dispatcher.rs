@@ -1,0 +1,195 @@
+//! Gives the sequences of a pass to remote workers: a task for each, which lives as long as the remote worker.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use bus::{AliveWatch, Bus, CallError, WorkerCaller, process_epoch_ms};
+use proto::Role;
+use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
+use tokio::sync::watch;
+use tokio_util::task::AbortOnDropHandle;
+
+use crate::sequences::EpisodeResult;
+use crate::work_queue::{Lease, WorkQueue, WorkerGuard};
+use proto::ActionMode;
+
+/// Most remote workers that are made use of.
+const MAX_WORKERS: usize = 256;
+
+/// Pause after a remote worker gave no answer.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// The work queue of the pass under way.
+#[derive(Clone, Debug)]
+struct Open {
+    pass: PassId,
+    queue: Arc<WorkQueue>,
+}
+
+/// Keeps remote workers busy.
+#[derive(Debug)]
+pub(crate) struct Dispatcher {
+    open: watch::Sender<Option<Open>>,
+    pass: PassId,
+    _manager: AbortOnDropHandle<()>,
+}
+
+impl Dispatcher {
+    /// Looks for remote workers from now on; `setup_hash` must be theirs.
+    pub(crate) async fn start(bus: &Bus, setup_hash: u64) -> anyhow::Result<Self> {
+        let (open, passes) = watch::channel(None);
+        let workers = bus.alive(Role::Worker).await.context("looking for assistants")?;
+        let manager = Manager { bus: bus.clone(), setup_hash, passes };
+        Ok(Self {
+            open,
+            pass: PassId { epoch: process_epoch_ms(), number: 0 },
+            _manager: AbortOnDropHandle::new(tokio::spawn(manager.run(workers))),
+        })
+    }
+
+    /// Lets remote workers work at this work queue.
+    pub(crate) fn open(&mut self, queue: Arc<WorkQueue>) {
+        self.open.send_replace(Some(Open { pass: self.pass, queue }));
+        self.pass.number += 1;
+    }
+
+    /// Sends them away.
+    pub(crate) fn close(&self) {
+        self.open.send_replace(None);
+    }
+}
+
+struct Manager {
+    bus: Bus,
+    setup_hash: u64,
+    passes: watch::Receiver<Option<Open>>,
+}
+
+impl Manager {
+    async fn run(self, workers: AliveWatch) {
+        let mut names = workers.watch();
+        let mut workers: BTreeMap<String, AbortOnDropHandle<()>> = BTreeMap::new();
+        loop {
+            let alive = names.borrow_and_update().clone();
+            // Whoever is gone and comes back is somebody new.
+            workers.retain(|name, worker| alive.contains(name) && !worker.is_finished());
+            for name in alive {
+                if workers.len() >= MAX_WORKERS || workers.contains_key(&name) {
+                    continue;
+                }
+                let (bus, hash, passes) = (self.bus.clone(), self.setup_hash, self.passes.clone());
+                let worker = tokio::spawn({
+                    let name = name.clone();
+                    async move {
+                        match bus.worker_caller(&name).await {
+                            Ok(caller) => Clerk { name, hash, caller, passes }.run().await,
+                            Err(error) => tracing::warn!(worker = name, %error, "an assistant cannot be reached"),
+                        }
+                    }
+                });
+                workers.insert(name, AbortOnDropHandle::new(worker));
+            }
+            if names.changed().await.is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// Works with one remote worker.
+struct Clerk {
+    name: String,
+    hash: u64,
+    caller: WorkerCaller,
+    passes: watch::Receiver<Option<Open>>,
+}
+
+impl Clerk {
+    /// Until the evaluator ends or the remote worker refuses.
+    async fn run(mut self) {
+        loop {
+            let Ok(open) = self.passes.wait_for(Option::is_some).await.map(|open| open.clone()) else { return };
+            let Some(open) = open else { continue };
+            let mut passes = self.passes.clone();
+            passes.mark_unchanged();
+            tokio::select! {
+                // Lanes that were leased go back to the work queue with the future that holds them.
+                changed = passes.changed() => if changed.is_err() { return },
+                refusal = self.serve(&open) => {
+                    tracing::warn!(worker = self.name, refusal, "an assistant is of no use");
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Serves one pass; returns why the remote worker will not work.
+    async fn serve(&self, open: &Open) -> String {
+        let assisting = WorkerGuard::new(open.queue.clone());
+        let mut posted = open.queue.watch();
+        loop {
+            posted.mark_unchanged();
+            let Some(lease) = assisting.take() else {
+                // Lanes that come back at the end of a round are for the evaluator's own threads.
+                if posted.changed().await.is_err() {
+                    std::future::pending::<()>().await;
+                }
+                continue;
+            };
+            match self.call(open, &lease).await {
+                Ok(EvalAnswer::Episodes(episodes)) => match fit(&lease, &episodes) {
+                    Some(results) => lease.bring(results),
+                    None => return "its answer has another shape than its unit".to_owned(),
+                },
+                Ok(EvalAnswer::Refused(why)) => return why,
+                Ok(EvalAnswer::NeedsWeights) => return "it has no use for the weights that it asked for".to_owned(),
+                Err(CallError::NoAnswer) => {
+                    drop(lease);
+                    tokio::time::sleep(PAUSE).await;
+                }
+                Err(error) => return error.to_string(),
+            }
+        }
+    }
+
+    async fn call(&self, open: &Open, lease: &Lease) -> Result<EvalAnswer, CallError> {
+        let mut unit = EvalUnit {
+            setup_hash: self.hash,
+            pass: open.pass,
+            weights: None,
+            is_sampled: lease.acting == ActionMode::Sampled,
+            sequences: lease.specs().map(|specs| specs.iter().map(|spec| spec.task().clone()).collect()).collect(),
+        };
+        let answer = self.caller.run(&unit).await?;
+        if answer != EvalAnswer::NeedsWeights {
+            return Ok(answer);
+        }
+        unit.weights = Some(open.queue.weights().as_ref().clone());
+        self.caller.run(&unit).await
+    }
+}
+
+/// The episodes as those of the sequences, if there is one for each.
+fn fit(lease: &Lease, sequences: &[Vec<EvalEpisode>]) -> Option<Vec<Vec<EpisodeResult>>> {
+    if sequences.len() != lease.specs().count()
+        || lease.specs().zip(sequences).any(|(specs, episodes)| specs.len() != episodes.len())
+    {
+        return None;
+    }
+    let results = |(spec, episode): (&crate::sequences::EpisodeSpec, &EvalEpisode)| {
+        let EvalEpisode { end, n_steps, episode_return, forced_reset } = *episode;
+        spec.result(lease.acting, end, n_steps.into(), episode_return, forced_reset)
+    };
+    Some(
+        lease
+            .specs()
+            .zip(sequences)
+            .map(|(specs, episodes)| specs.iter().zip(episodes).map(results).collect())
+            .collect(),
+    )
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,90 @@
+//! Assistants on an isolated bus do the work of a pass in which the evaluator itself does nothing.
+
+use blueprints::{Blueprint, Catalog, Split};
+use bus::UnitServer;
+use proto::Start;
+use tokio_util::sync::CancellationToken;
+
+use super::*;
+use crate::config::{EpisodeConfig, EvaluatorConfig};
+use crate::episodes::tests::{small_setup, weights};
+use crate::pool::EvaluationPool;
+use crate::sequences::EpisodeSpec;
+use crate::setup::EvaluatorSetup;
+use crate::setup::setup_hash;
+use crate::worker::run_worker;
+
+fn setup(id: &str, episode_steps: u16) -> EvaluatorSetup {
+    let small = small_setup(EpisodeConfig::default());
+    EvaluatorSetup {
+        config: EvaluatorConfig::default(),
+        policy: small.policy,
+        environment: environment::EnvironmentConfig { episode_steps, ..small.environment },
+        id: id.to_owned(),
+        seed: 3,
+        records: None,
+    }
+}
+
+fn sequences() -> Vec<Vec<EpisodeSpec>> {
+    let goals: Vec<&Blueprint> = Catalog::builtin().of_split(Split::Train);
+    let sequence = |(goal, idx): (&&Blueprint, u64)| {
+        vec![EpisodeSpec::new(goal, Start::Scattered, 3, idx), EpisodeSpec::new(goal, Start::AsItIs, 3, idx + 1)]
+    };
+    goals[..12].iter().zip(0..).map(sequence).collect()
+}
+
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(120), future).await.expect("it takes a moment only")
+}
+
+/// Waits until remote workers have brought all sequences.
+async fn brought(queue: &Arc<WorkQueue>) -> Vec<Vec<EpisodeResult>> {
+    let queue = queue.clone();
+    let waiting = tokio::task::spawn_blocking(move || {
+        let start = std::time::Instant::now();
+        while !queue.is_done() && start.elapsed() < Duration::from_secs(100) {
+            queue.wait_until_done(Duration::from_secs(1));
+        }
+        queue.clear()
+    });
+    within(waiting).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn assistants_find_what_the_evaluator_would() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let shutdown = CancellationToken::new();
+    // One of another world refuses, one takes sequences and never brings them, two work.
+    let mut services = Vec::new();
+    for (id, episode_steps) in [("other", 9), ("a", 8), ("b", 8)] {
+        let (bus, shutdown) = (bus.clone(), shutdown.clone());
+        services.push(tokio::spawn(async move { run_worker(setup(id, episode_steps), &bus, shutdown).await }));
+    }
+    let mut idle: UnitServer = bus.serve_units("idle").await.unwrap();
+    let token = bus.declare_alive(Role::Worker, "idle").await.unwrap();
+
+    let small = small_setup(EpisodeConfig::default());
+    let queue = Arc::new(WorkQueue::new(Arc::new(weights(&small))));
+    queue.post(&sequences(), ActionMode::Sampled);
+    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8))).await.unwrap();
+    workers.open(queue.clone());
+    let taken = within(idle.recv()).await.unwrap();
+    assert!(taken.unit.is_sampled && taken.unit.weights.is_none());
+    drop(token);
+    drop(taken);
+    let shared = brought(&queue).await;
+
+    let alone = WorkQueue::new(queue.weights().clone());
+    let pool = EvaluationPool { setup: &small, queue: &alone, films: None, keep_going: &|| true };
+    assert_eq!(shared, pool.run(&sequences(), ActionMode::Sampled).unwrap());
+    assert_eq!((queue.n_assisted(), alone.n_assisted()), (12, 0));
+    shutdown.cancel();
+    let mut n_units = Vec::new();
+    for service in services {
+        n_units.push(within(service).await.unwrap().unwrap());
+    }
+    assert!(n_units[0] == 0 && n_units[1] + n_units[2] >= 2, "{n_units:?}");
+    bus.close().await.unwrap();
+}

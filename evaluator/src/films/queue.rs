@@ -1,0 +1,112 @@
+//! Where recorded episodes wait to be made into video clips. What finds no room is counted and dropped.
+
+use std::collections::VecDeque;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+use proto::Trajectory;
+use proto::metrics::FilmCounts;
+use runlog::clips::Ending;
+
+/// Episodes that may wait: three passes of the default films, each up to about a megabyte.
+pub(super) const ROOM: usize = 32;
+
+/// An episode that becomes a film.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Clip {
+    pub(super) trajectory: Trajectory,
+    pub(super) n_env_steps: u64,
+    pub(super) ending: Ending,
+    /// From 1 among those of the same blueprint and ending in the pass.
+    pub(super) number: u32,
+    /// What it is shown as.
+    pub(super) tags: Vec<String>,
+}
+
+/// Where episodes wait to be made into films.
+#[derive(Debug, Default)]
+pub(super) struct ClipQueue {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    clips: VecDeque<Clip>,
+    is_closed: bool,
+    /// But for what waits.
+    counts: FilmCounts,
+}
+
+/// What became of a clip.
+pub(super) enum Made {
+    Film { is_oversized: bool },
+    RecordingOnly,
+}
+
+impl ClipQueue {
+    /// Leaves a clip for the thread, unless the queue is full.
+    pub(super) fn offer(&self, clip: Clip) {
+        let mut state = self.state();
+        if state.is_closed || state.clips.len() >= ROOM {
+            state.counts.dropped_total += 1;
+            tracing::debug!(blueprint = %clip.trajectory.task.blueprint, "no room for a film");
+            return;
+        }
+        state.clips.push_back(clip);
+        self.changed.notify_all();
+    }
+
+    pub(super) fn count_unrecorded(&self) {
+        self.state().counts.unrecorded_total += 1;
+    }
+
+    pub(super) fn counts(&self) -> FilmCounts {
+        self.state().all_counts()
+    }
+
+    /// Waits for the next clip, and says whether the queue is closed; `None` once it is closed and empty.
+    pub(super) fn next(&self) -> Option<(Clip, bool)> {
+        let is_idle = |state: &mut State| state.clips.is_empty() && !state.is_closed;
+        let mut state = self.changed.wait_while(self.state(), is_idle).unwrap_or_else(PoisonError::into_inner);
+        let is_closed = state.is_closed;
+        state.clips.pop_front().map(|clip| (clip, is_closed))
+    }
+
+    pub(super) fn note(&self, made: anyhow::Result<Made>, clip: &Clip) {
+        let mut state = self.state();
+        let counts = &mut state.counts;
+        match made {
+            Ok(Made::Film { is_oversized }) => {
+                counts.written_total += 1;
+                counts.oversized_total += u64::from(is_oversized);
+            }
+            Ok(Made::RecordingOnly) => counts.dropped_total += 1,
+            Err(error) => {
+                counts.failed_total += 1;
+                tracing::warn!(blueprint = %clip.trajectory.task.blueprint, "a film failed: {error:#}");
+            }
+        }
+        self.changed.notify_all();
+    }
+
+    pub(super) fn close(&self) {
+        self.state().is_closed = true;
+        self.changed.notify_all();
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    #[cfg(test)]
+    pub(super) fn wait_until(&self, is_reached: impl Fn(FilmCounts) -> bool) -> FilmCounts {
+        let waits = |state: &mut State| !is_reached(state.all_counts());
+        self.changed.wait_while(self.state(), waits).unwrap().all_counts()
+    }
+}
+
+impl State {
+    fn all_counts(&self) -> FilmCounts {
+        FilmCounts { n_waiting: self.clips.len() as u64, ..self.counts }
+    }
+}

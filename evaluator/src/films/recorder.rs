@@ -1,0 +1,157 @@
+//! The thread that makes films, and the queue on which episodes wait for it.
+//!
+//! A pass never waits for films: what finds no room on the queue is counted and dropped.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use anyhow::Context;
+use blueprints::Catalog;
+use proto::codec::encode_trajectory;
+use proto::metrics::FilmCounts;
+use proto::{Role, Weights};
+use runlog::tensorboard::{EventWriter, Picture};
+
+use super::queue::{Clip, ClipQueue, Made};
+use super::selector::EpisodeSelector;
+use crate::config::FilmsConfig;
+use proto::ActionMode;
+use render::video::{Episode, Film, Miniature, miniature, mp4};
+use runlog::RunPaths;
+use runlog::clips::{ClipName, ClipStore, RECORDING};
+
+/// A thread that makes films of what passes leave on its queue.
+#[derive(Debug)]
+pub(crate) struct VideoRecorder {
+    config: FilmsConfig,
+    queue: Arc<ClipQueue>,
+    /// Until it is closed.
+    thread: Option<JoinHandle<()>>,
+}
+
+/// The files that the thread writes.
+struct Files {
+    videos: ClipStore,
+    replays: ClipStore,
+    reel: Option<Reel>,
+}
+
+/// Small films for TensorBoard, in two files of which the older one goes when the newer one is full.
+struct Reel {
+    folder: PathBuf,
+    writer: EventWriter,
+    older: Option<PathBuf>,
+    n_bytes: u64,
+    /// Of one file.
+    max_bytes: u64,
+}
+
+impl VideoRecorder {
+    /// Starts the thread. `None` if no films are asked for.
+    ///
+    /// # Errors
+    /// When the event file or the thread cannot be made.
+    pub(crate) fn open(config: &FilmsConfig, paths: &RunPaths) -> anyhow::Result<Option<Self>> {
+        if !config.any() {
+            return Ok(None);
+        }
+        let store = |folder, kind| ClipStore { folder, kind, keep: config.keep };
+        let tensorboard = paths.tensorboard(Role::Evaluator);
+        let reel = (config.tensorboard_mb > 0)
+            .then(|| Reel::create(&tensorboard, config.tensorboard_mb))
+            .transpose()
+            .with_context(|| format!("writing to {}", tensorboard.display()))?;
+        let mut files =
+            Files { videos: store(paths.videos(), "mp4"), replays: store(paths.replays(), RECORDING), reel };
+        let queue = Arc::new(ClipQueue::default());
+        let (its_queue, its_config) = (queue.clone(), config.clone());
+        let work = move || {
+            while let Some((clip, is_late)) = its_queue.next() {
+                its_queue.note(files.keep(&clip, &its_config, is_late), &clip);
+            }
+        };
+        let thread = std::thread::Builder::new().name("films".to_owned()).spawn(work)?;
+        Ok(Some(Self { config: config.clone(), queue, thread: Some(thread) }))
+    }
+
+    /// The films of a pass that judges `weights`.
+    pub(crate) fn selector(&self, weights: &Arc<Weights>, acting: &[ActionMode]) -> Option<EpisodeSelector> {
+        EpisodeSelector::new(&self.config, weights.clone(), *acting.first()?, self.queue.clone())
+    }
+
+    /// What became of the films so far.
+    pub(crate) fn counts(&self) -> FilmCounts {
+        self.queue.counts()
+    }
+
+    /// Waits for counts that a test expects.
+    #[cfg(test)]
+    pub(super) fn wait_until(&self, is_reached: impl Fn(FilmCounts) -> bool) -> FilmCounts {
+        self.queue.wait_until(is_reached)
+    }
+
+    /// Ends the thread after the film in hand; of what waits only the recordings are kept.
+    pub(crate) fn close(mut self) {
+        self.queue.close();
+        if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the thread of films panicked");
+        }
+        let FilmCounts { written_total, dropped_total, failed_total, .. } = self.queue.counts();
+        tracing::info!(written_total, dropped_total, failed_total, "films of evaluations");
+    }
+}
+
+impl Drop for VideoRecorder {
+    /// Also where an evaluator fails before it could be closed, the thread ends.
+    fn drop(&mut self) {
+        self.queue.close();
+    }
+}
+
+impl Files {
+    fn keep(&mut self, clip: &Clip, config: &FilmsConfig, is_late: bool) -> anyhow::Result<Made> {
+        let (segment, id) = (&clip.trajectory, &clip.trajectory.task.blueprint);
+        let label = ClipName { version: segment.weights_version, ending: clip.ending, number: clip.number };
+        self.replays.put(id, label, &encode_trajectory(segment)).context("keeping the recording")?;
+        if is_late {
+            return Ok(Made::RecordingOnly);
+        }
+        let goal = Catalog::builtin().get(id).context("its goal is not in the catalog")?;
+        let episode = Episode::new(std::slice::from_ref(segment), goal)?;
+        let film = mp4(Film::new(&episode, config.width).frames(config.fps), config.fps)?;
+        let path = self.videos.put(id, label, &film).context("keeping the film")?;
+        tracing::debug!(path = %path.display(), "a film of an evaluation");
+        let Some(reel) = &mut self.reel else { return Ok(Made::Film { is_oversized: false }) };
+        let small = miniature(&episode)?;
+        if let Some(small) = &small {
+            reel.add(clip, small).context("writing for TensorBoard")?;
+        }
+        Ok(Made::Film { is_oversized: small.is_none() })
+    }
+}
+
+impl Reel {
+    /// Beside the files with numbers, and not in one of them: readers clip what is in one folder for one row of files.
+    fn create(tensorboard: &Path, room_mb: u64) -> io::Result<Self> {
+        let folder = tensorboard.join("films");
+        let writer = EventWriter::create(&folder)?;
+        Ok(Self { folder, writer, older: None, n_bytes: 0, max_bytes: room_mb * 1_000_000 / 2 })
+    }
+
+    fn add(&mut self, clip: &Clip, small: &Miniature) -> io::Result<()> {
+        let [width, height] = small.size_px.map(|side| i32::try_from(side).unwrap_or(i32::MAX));
+        let n_bytes = (small.gif.len() * clip.tags.len()) as u64;
+        if self.n_bytes > 0 && self.n_bytes + n_bytes > self.max_bytes {
+            let newer = EventWriter::create(&self.folder)?;
+            let full = std::mem::replace(&mut self.writer, newer);
+            let oldest = self.older.replace(full.path().to_owned());
+            self.n_bytes = 0;
+            oldest.map_or(Ok(()), std::fs::remove_file)?;
+        }
+        self.n_bytes += n_bytes;
+        let picture = Picture { height, width, colorspace: 3, encoded: small.gif.clone() };
+        self.writer.picture(clip.n_env_steps, &clip.tags, &picture)
+    }
+}

@@ -1,0 +1,137 @@
+//! Which episodes of a pass are recorded: those that could be the success or the failure that a film is wanted of.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use blueprints::{BlueprintId, Split};
+use proto::{ActorId, Driver, Scene, Task, Weights};
+
+use super::queue::{Clip, ClipQueue};
+use crate::config::FilmsConfig;
+use crate::recording::Recording;
+use crate::report::Episode;
+use blueprints::Group;
+use proto::ActionMode;
+use proto::unit::End;
+use runlog::clips::Ending;
+
+/// Episodes that are recorded at a time; at a kilobyte for a step, some tens of megabytes.
+const MAX_RECORDING: usize = 256;
+
+/// The films that are wanted of one pass.
+///
+/// Until one has ended nobody knows which episode will succeed, so all are recorded that may be wanted, and most of them
+/// are forgotten.
+#[derive(Debug)]
+pub struct EpisodeSelector {
+    actor: ActorId,
+    weights: Arc<Weights>,
+    acting: ActionMode,
+    open: Mutex<Open>,
+    queue: Arc<ClipQueue>,
+}
+
+/// What films are wanted of.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Subject {
+    Group(Group),
+    Blueprint(BlueprintId),
+}
+
+#[derive(Debug)]
+struct Open {
+    missing: BTreeMap<(Subject, Ending), u32>,
+    n_taken: BTreeMap<(BlueprintId, Ending), u32>,
+    n_recording: usize,
+}
+
+impl EpisodeSelector {
+    /// The films of a pass that judges `weights`; what is acted otherwise than `acting` is not filmed.
+    pub(super) fn new(
+        config: &FilmsConfig,
+        weights: Arc<Weights>,
+        acting: ActionMode,
+        queue: Arc<ClipQueue>,
+    ) -> Option<Self> {
+        let groups = config.groups.iter().copied().map(Subject::Group);
+        let subjects = groups.chain(config.blueprints.iter().cloned().map(Subject::Blueprint));
+        let missing = subjects
+            .flat_map(|subject| Ending::ALL.map(|ending| ((subject.clone(), ending), config.n_of_each)))
+            .collect();
+        let actor = ActorId::try_from("evaluator".to_owned()).ok()?;
+        let open = Mutex::new(Open { missing, n_taken: BTreeMap::new(), n_recording: 0 });
+        Some(Self { actor, weights, acting, open, queue })
+    }
+
+    /// A recording to fill, if an episode of this goal may be wanted.
+    pub(crate) fn begin(&self, task: &Task, split: Split, n_blocks: usize, acting: ActionMode) -> Option<Recording> {
+        if acting != self.acting {
+            return None;
+        }
+        let mut open = self.open();
+        let is_wanted = |subject: &Subject| Ending::ALL.iter().any(|ending| open.lacks(subject, *ending));
+        if !subjects(&task.blueprint, split, n_blocks).any(|subject| is_wanted(&subject)) {
+            return None;
+        }
+        if open.n_recording >= MAX_RECORDING {
+            self.queue.count_unrecorded();
+            return None;
+        }
+        open.n_recording += 1;
+        Some(Recording::default())
+    }
+
+    /// Takes back a recording that [`begin`](Self::begin) gave, of an episode that has ended.
+    pub(crate) fn end(&self, recording: Recording, task: &Task, last: &Scene, episode: &Episode) {
+        let ending = match episode.end {
+            End::Success { .. } => Ending::Success,
+            End::TimeLimit | End::Diverged => Ending::Failure,
+        };
+        let mut open = self.open();
+        open.n_recording = open.n_recording.saturating_sub(1);
+        let wanted: Vec<Subject> = subjects(&task.blueprint, episode.split, episode.n_blocks)
+            .filter(|subject| open.lacks(subject, ending))
+            .collect();
+        if wanted.is_empty() {
+            return;
+        }
+        let (actor, version) = (self.actor.clone(), self.weights.version);
+        let driver = match episode.acting {
+            ActionMode::Greedy => Driver::Mode,
+            ActionMode::Sampled => Driver::Sample,
+        };
+        let Some(trajectory) = recording.into_trajectory(actor, driver, version, task, last, episode) else { return };
+        let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();
+        for subject in wanted {
+            open.missing.entry((subject, ending)).and_modify(|n| *n -= 1);
+        }
+        let number = open.n_taken.entry((task.blueprint.clone(), ending)).or_insert(0);
+        *number += 1;
+        self.queue.offer(Clip { trajectory, n_env_steps: self.weights.n_env_steps, ending, number: *number, tags });
+    }
+
+    fn open(&self) -> MutexGuard<'_, Open> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Open {
+    fn lacks(&self, subject: &Subject, ending: Ending) -> bool {
+        self.missing.get(&(subject.clone(), ending)).is_some_and(|n| *n > 0)
+    }
+}
+
+impl Subject {
+    /// The name by which films can be followed from pass to pass.
+    fn tag(&self) -> String {
+        match self {
+            Self::Group(group) => group.name().replace(' ', "-"),
+            Self::Blueprint(id) => id.to_string(),
+        }
+    }
+}
+
+fn subjects(blueprint: &BlueprintId, split: Split, n_blocks: usize) -> impl Iterator<Item = Subject> {
+    let group = Group::of(split, n_blocks).map(Subject::Group);
+    group.into_iter().chain([Subject::Blueprint(blueprint.clone())])
+}

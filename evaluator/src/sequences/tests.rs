@@ -1,0 +1,141 @@
+//! Lanes of toy worlds whose endings are scripted.
+
+use environment::StepResult;
+use policy::PolicyConfig;
+use proto::{Gripper, Pose, Scene};
+
+use super::*;
+
+/// A world in which nothing moves and a script says how each step ends.
+struct Toy {
+    ends: Vec<Status>,
+    n_steps: usize,
+    diverged: bool,
+    scene: Scene,
+    blueprint: Blueprint,
+}
+
+impl Env for Toy {
+    fn reset(&mut self, task: &Task, _: &Catalog) -> Result<(), ResetError> {
+        if task.start == Start::AsItIs && self.diverged {
+            return Err(ResetError::NothingToKeep);
+        }
+        self.diverged = false;
+        Ok(())
+    }
+
+    fn step(&mut self, action: &Action) -> StepResult {
+        // The steps in which a success may settle do not count as steps of an episode.
+        if action.moves == [[0.0; 6]; blueprints::N_BLOCKS] {
+            return StepResult { reward: RewardTerms::default(), status: Status::Running };
+        }
+        let status = self.ends[self.n_steps % self.ends.len()];
+        self.n_steps += 1;
+        self.diverged = status == Status::Diverged;
+        StepResult { reward: RewardTerms { wrong: -1.0, ..RewardTerms::default() }, status }
+    }
+
+    fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    fn blueprint(&self) -> &Blueprint {
+        &self.blueprint
+    }
+}
+
+fn goal() -> &'static Blueprint {
+    Catalog::builtin().of_split(Split::Train)[0]
+}
+
+fn toy(ends: &[Status]) -> Toy {
+    let orientation = [0.0, 0.0, 0.0, 1.0];
+    let gripper = Gripper { held: None, orientation, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
+    let scene = Scene {
+        blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation }),
+        speeds_mps: [0.0; blueprints::N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(gripper), Some(gripper)],
+        n_heavy_contacts: 0,
+    };
+    Toy { ends: ends.to_vec(), n_steps: 0, diverged: false, scene, blueprint: goal().clone() }
+}
+
+fn run(
+    worlds: Vec<Toy>,
+    sequences: &[Vec<EpisodeSpec>],
+    keep_going: bool,
+) -> Result<Vec<Vec<EpisodeResult>>, EvalError> {
+    let policy = Policy::new(&PolicyConfig::default()).unwrap();
+    let rules = Rules {
+        catalog: Catalog::builtin(),
+        acting: ActionMode::Sampled,
+        success: &SuccessConfig::default(),
+        keep_going: &|| keep_going,
+        films: None,
+    };
+    let mut waiting = sequences.iter().map(|sequence| Arc::from(sequence.as_slice())).enumerate();
+    let mut all = vec![Vec::new(); sequences.len()];
+    run_sequences(&rules, &policy, worlds, || waiting.next(), |sequence_idx, results| all[sequence_idx] = results)?;
+    Ok(all)
+}
+
+fn sequence(starts: &[Start]) -> Vec<EpisodeSpec> {
+    starts.iter().zip(0..).map(|(start, idx)| EpisodeSpec::new(goal(), start.clone(), 1, idx)).collect()
+}
+
+#[test]
+fn worlds_share_more_lanes_than_there_are_worlds() {
+    use Status::{Running, Success, TimeLimit};
+    let worlds = vec![toy(&[Success]), toy(&[Running, Running, TimeLimit])];
+    let sequences = vec![sequence(&[Start::Scattered]); 5];
+    let results = run(worlds, &sequences, true).unwrap();
+    let steps: Vec<u32> = results.iter().map(|sequence| sequence[0].episode.n_steps).collect();
+    // The first world ends an episode at every step, the second at the third, when the last sequence is taken already.
+    assert_eq!(steps, [1, 3, 1, 1, 1]);
+    // Nothing is connected in the toy's scene, so its success proves unstable.
+    assert_eq!(results[0][0].episode.end, End::Success { stable: false });
+    assert_eq!((results[1][0].episode.end, results[1][0].episode.episode_return.wrong), (End::TimeLimit, -3.0));
+}
+
+#[test]
+fn a_lane_keeps_its_world_until_that_diverges() {
+    use Status::{Diverged, Success, TimeLimit};
+    let sequences = [sequence(&[Start::Scattered, Start::AsItIs, Start::AsItIs, Start::AsItIs])];
+    let results = run(vec![toy(&[Success, TimeLimit, Diverged, Success])], &sequences, true).unwrap();
+    let ends: Vec<(End, bool)> = results[0].iter().map(|results| (results.episode.end, results.forced_reset)).collect();
+    let success = End::Success { stable: false };
+    assert_eq!(ends, [(success, false), (End::TimeLimit, false), (End::Diverged, false), (success, true)]);
+}
+
+#[test]
+fn an_interruption_has_no_result() {
+    let result = run(vec![toy(&[Status::Running])], &[sequence(&[Start::Scattered])], false);
+    assert!(matches!(result, Err(EvalError::Interrupted)));
+}
+
+#[test]
+fn start_states_depend_on_seed_goal_and_number_only() {
+    let spec = |seed, idx| EpisodeSpec::new(goal(), Start::Scattered, seed, idx).task;
+    assert_eq!(spec(1, 2), spec(1, 2));
+    assert_ne!(spec(1, 2).seed, spec(1, 3).seed);
+    assert_ne!(spec(1, 2).seed, spec(2, 2).seed);
+    let other = EpisodeSpec::new(Catalog::builtin().of_split(Split::Train)[1], Start::Scattered, 1, 2).task;
+    assert_ne!(spec(1, 2).seed, other.seed);
+}
+
+#[test]
+fn the_kind_of_start_leaves_the_rest_of_a_task_alone() {
+    let catalog = Catalog::builtin();
+    let specs =
+        |starts| (0..40).map(|idx| EpisodeSpec::one_of(catalog, goal(), starts, 1, idx).task).collect::<Vec<_>>();
+    let scattered = specs(Starts::Scattered);
+    assert!(scattered.iter().all(|task| task.start == Start::Scattered));
+    for (starts, n_prebuilt) in [(Starts::Prebuilt, 40), (Starts::Mixed, 8)] {
+        let tasks = specs(starts);
+        let others = tasks.iter().filter(|task| matches!(&task.start, Start::Prebuilt(other) if other != goal().id()));
+        assert_eq!(others.count(), n_prebuilt);
+        assert!(tasks.iter().zip(&scattered).all(|(task, plain)| task.seed == plain.seed));
+    }
+    assert!(specs(Starts::NearGoal).iter().all(|task| task.start == Start::NearGoal { undone: 1 }));
+}

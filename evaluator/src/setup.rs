@@ -1,0 +1,78 @@
+//! What an evaluation is made of besides weights, and why it may have no result.
+
+use blueprints::{BlueprintId, Catalog};
+use environment::{EnvironmentConfig, EnvironmentConfigError, ResetError};
+use policy::{PolicyConfig, PolicyError};
+use proto::config_hash;
+use runlog::RunPaths;
+
+use crate::config::{EpisodeConfig, EvaluatorConfig, ResetFreeConfig};
+
+/// All that an evaluation needs besides weights and blueprints.
+#[derive(Clone, Debug)]
+pub struct EvalSetup<'c> {
+    /// Where blueprints come from.
+    pub catalog: &'c Catalog,
+    /// The policy; it must be the learner's.
+    pub policy: PolicyConfig,
+    /// The world.
+    pub environment: EnvironmentConfig,
+    /// How episodes are run.
+    pub episodes: EpisodeConfig,
+    /// Reset-free runs as well, when given.
+    pub reset_free: Option<ResetFreeConfig>,
+    /// Seed of start states and sampled actions: passes with the same seed can be compared episode by episode.
+    pub seed: u64,
+}
+
+/// Why an evaluation has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum EvalError {
+    /// The policy cannot be made or refuses the weights.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// The world cannot be made.
+    #[error(transparent)]
+    Environment(#[from] EnvironmentConfigError),
+    /// A start state cannot be made.
+    #[error("an episode of blueprint {blueprint} cannot be started")]
+    Reset {
+        /// The goal.
+        blueprint: BlueprintId,
+        /// Why.
+        source: ResetError,
+    },
+    /// No training blueprint is large enough for the reset-free runs.
+    #[error("no training blueprint has {min_blocks} blocks or more for the reset-free runs")]
+    NoGoals {
+        /// As configured.
+        min_blocks: usize,
+    },
+    /// The caller asked for the end.
+    #[error("the evaluation was interrupted")]
+    Interrupted,
+}
+
+/// What an evaluator process needs besides the bus.
+#[derive(Clone, Debug)]
+pub struct EvaluatorSetup {
+    /// When, on what and how.
+    pub config: EvaluatorConfig,
+    /// The policy; it must be the learner's.
+    pub policy: PolicyConfig,
+    /// The world.
+    pub environment: EnvironmentConfig,
+    /// Name among the living: 1 to 64 characters of `a-z`, `0-9`, `-`.
+    pub id: String,
+    /// Seed of start states and sampled actions.
+    pub seed: u64,
+    /// The folder in which reports are kept; none keeps nothing.
+    pub records: Option<RunPaths>,
+}
+
+/// Hash of everything besides weights and tasks that decides what comes of an episode.
+pub(crate) fn setup_hash(setup: &EvaluatorSetup) -> u64 {
+    let catalog = Catalog::builtin().iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
+    let catalog: Vec<_> = catalog.collect();
+    config_hash(&(env!("CARGO_PKG_VERSION"), &setup.environment, setup.policy.hash(), catalog))
+}

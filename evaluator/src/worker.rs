@@ -1,0 +1,118 @@
+//! An remote worker: runs episodes for whoever evaluates in the same run.
+
+use std::sync::Arc;
+
+use anyhow::Context;
+use blueprints::Catalog;
+use bus::{Bus, Pulse};
+use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
+use proto::{Role, Weights};
+use tokio_util::sync::CancellationToken;
+
+use crate::config::EpisodeConfig;
+use crate::nice::on_thread;
+use crate::pool::EvaluationPool;
+use crate::sequences::{EpisodeResult, EpisodeSpec};
+use crate::setup::{EvalError, EvalSetup};
+use crate::setup::{EvaluatorSetup, setup_hash};
+use crate::work_queue::WorkQueue;
+use proto::ActionMode;
+
+/// Runs units of evaluators under the name `setup.id` until `shutdown`; returns how many. Of the setup, its threads, its
+/// worlds side by side and its niceness are used, and its policy and environment must be those of the evaluator, whose
+/// units are refused otherwise. It keeps no records.
+///
+/// # Errors
+/// When the configuration is invalid or the session fails. An episode that cannot be run is told to the evaluator.
+pub async fn run_worker(setup: EvaluatorSetup, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<u64> {
+    setup.config.validate().context("invalid evaluator configuration")?;
+    let mut units = bus.serve_units(&setup.id).await?;
+    // After that, because an evaluator sends units to all who are alive.
+    let _alive = bus.declare_alive(Role::Worker, &setup.id).await?;
+    let pulse = bus.pulse().clone();
+    let mut worker = RemoteWorker { hash: setup_hash(&setup), setup, held: None, pulse };
+    let mut n_units = 0;
+    loop {
+        let waiting = bus.pulse().waiting();
+        let call = tokio::select! {
+            () = shutdown.cancelled() => return Ok(n_units),
+            call = units.recv() => call.context("the bus closed")?,
+        };
+        drop(waiting);
+        let answer = worker.answer(&call.unit, &shutdown).await?;
+        n_units += u64::from(matches!(answer, Some(EvalAnswer::Episodes(_))));
+        match answer {
+            Some(answer) => call.answer(answer).await,
+            None => return Ok(n_units),
+        }
+    }
+}
+
+struct RemoteWorker {
+    setup: EvaluatorSetup,
+    hash: u64,
+    held: Option<(PassId, Arc<Weights>)>,
+    pulse: Pulse,
+}
+
+impl RemoteWorker {
+    /// `None` if `shutdown` came before the unit was done.
+    async fn answer(&mut self, unit: &EvalUnit, shutdown: &CancellationToken) -> anyhow::Result<Option<EvalAnswer>> {
+        if unit.setup_hash != self.hash {
+            let refusal = "the assistant has another version, network or world: start it with the evaluator's settings";
+            tracing::warn!("refused a unit of an evaluator with another version, network or world");
+            return Ok(Some(EvalAnswer::Refused(refusal.to_owned())));
+        }
+        if let Some(weights) = &unit.weights {
+            self.held = Some((unit.pass, Arc::new(weights.clone())));
+        }
+        let weights = match &self.held {
+            Some((pass, weights)) if *pass == unit.pass => weights.clone(),
+            _ => return Ok(Some(EvalAnswer::NeedsWeights)),
+        };
+        let Some(sequences) = sequences(unit) else {
+            return Ok(Some(EvalAnswer::Refused("a goal is not in the assistant's catalog".to_owned())));
+        };
+        let acting = if unit.is_sampled { ActionMode::Sampled } else { ActionMode::Greedy };
+        let (setup, shutdown, pulse) = (self.setup.clone(), shutdown.clone(), self.pulse.clone());
+        let ran = on_thread(self.setup.config.nice, move || {
+            let EpisodeConfig { n_threads, n_worlds, .. } = setup.config.episodes;
+            let setup = EvalSetup {
+                catalog: Catalog::builtin(),
+                policy: setup.policy,
+                environment: setup.environment,
+                episodes: EpisodeConfig { n_threads, n_worlds, ..EpisodeConfig::default() },
+                reset_free: None,
+                seed: setup.seed,
+            };
+            let keep_going = || {
+                pulse.beat();
+                !shutdown.is_cancelled()
+            };
+            EvaluationPool { setup: &setup, queue: &WorkQueue::new(weights), films: None, keep_going: &keep_going }
+                .run(&sequences, acting)
+        });
+        Ok(match ran.await? {
+            Ok(results) => Some(to_answer(&results)),
+            Err(EvalError::Interrupted) => None,
+            Err(error) => Some(EvalAnswer::Refused(error.to_string())),
+        })
+    }
+}
+
+/// The unit's sequences, if the catalog has all of their goals.
+fn sequences(unit: &EvalUnit) -> Option<Vec<Vec<EpisodeSpec>>> {
+    let spec = |task: &proto::Task| EpisodeSpec::of_task(Catalog::builtin(), task.clone());
+    unit.sequences.iter().map(|tasks| tasks.iter().map(spec).collect()).collect()
+}
+
+fn to_answer(sequences: &[Vec<EpisodeResult>]) -> EvalAnswer {
+    let to_wire = |results: &EpisodeResult| EvalEpisode {
+        end: results.episode.end,
+        // Episodes are far shorter; the limit of the message is that of trajectories.
+        n_steps: u16::try_from(results.episode.n_steps).unwrap_or(u16::MAX),
+        episode_return: results.episode.episode_return,
+        forced_reset: results.forced_reset,
+    };
+    EvalAnswer::Episodes(sequences.iter().map(|sequence| sequence.iter().map(to_wire).collect()).collect())
+}

@@ -1,0 +1,78 @@
+//! Running statistics of the value targets; those of the features are [`policy::normalization`]'s.
+//!
+//! Feature statistics move only *after* an update, so a batch is learned from with the statistics that were in force
+//! when its newest steps were acted; they freeze after a set number of scenes. Value statistics move *before* the
+//! gradient steps, and the value head is rescaled so that its output in reward units stays what it was (PopArt: van
+//! Hasselt et al., "Learning values across many orders of magnitude", proposition 1).
+
+use serde::{Deserialize, Serialize};
+
+/// Running mean and deviation of value targets, in reward units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ValueStatistics {
+    /// Mean.
+    pub mean: f64,
+    /// Deviation.
+    pub std: f64,
+    mean_square: f64,
+    n_batches: u64,
+}
+
+impl Default for ValueStatistics {
+    fn default() -> Self {
+        Self { mean: 0.0, std: 1.0, mean_square: 1.0, n_batches: 0 }
+    }
+}
+
+impl ValueStatistics {
+    /// The statistics after a batch of targets, which weighs `rate`, or more while few batches were seen.
+    pub fn after(&self, targets: &[f32], rate: f64, floor: f32) -> Self {
+        if targets.is_empty() {
+            return *self;
+        }
+        let n = targets.len() as f64;
+        let batch_mean = targets.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
+        let batch_square = targets.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / n;
+        let rate = rate.max(1.0 / (self.n_batches + 1) as f64);
+        let mean = self.mean + rate * (batch_mean - self.mean);
+        let mean_square = self.mean_square + rate * (batch_square - self.mean_square);
+        let std = (mean_square - mean * mean).max(0.0).sqrt().max(f64::from(floor));
+        Self { mean, std, mean_square, n_batches: self.n_batches + 1 }
+    }
+
+    /// Rescales the last layer of the value head so that `std · output + mean` is the same under `next` as it was.
+    pub fn rescale_head(&self, next: &Self, weights: &mut [f32], bias: &mut f32) {
+        let scale = self.std / next.std;
+        for w in weights {
+            *w = (f64::from(*w) * scale) as f32;
+        }
+        *bias = ((self.std * f64::from(*bias) + self.mean - next.mean) / next.std) as f32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rescaled_head_says_the_same_in_reward_units() {
+        let before = ValueStatistics::default();
+        // The first batch is adopted whole: mean 3, deviation 1.
+        let after = before.after(&[2.0, 4.0], 0.1, 0.01);
+        assert!((after.mean - 3.0).abs() < 1e-12 && (after.std - 1.0).abs() < 1e-12);
+        let later = after.after(&[20.0, 40.0], 0.9, 0.01);
+        let (mut weights, mut bias) = ([0.5, -2.0], 0.25);
+        let value = |s: &ValueStatistics, w: &[f32; 2], b: f32| s.std * f64::from(w[0] * 3.0 + w[1] * 7.0 + b) + s.mean;
+        let old = value(&after, &weights, bias);
+        after.rescale_head(&later, &mut weights, &mut bias);
+        assert!((value(&later, &weights, bias) - old).abs() < 1e-4);
+        assert!(later.std > 10.0);
+    }
+
+    #[test]
+    fn constant_targets_keep_the_floor() {
+        let statistics = ValueStatistics::default().after(&[5.0; 4], 0.1, 0.25);
+        assert_eq!((statistics.mean, statistics.std), (5.0, 0.25));
+    }
+}

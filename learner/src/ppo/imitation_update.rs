@@ -1,0 +1,83 @@
+//! The part of an update that learns from the expert's labels.
+
+use policy::normalization::normalize;
+use policy::{FeatureBatch, FeatureConfig};
+use proto::Normalization;
+use proto::metrics::ImitationMetrics;
+use rand_chacha::ChaCha8Rng;
+
+use super::passes::{ImitationSums, Lessons};
+use super::workers::Workers;
+use crate::config::ImitationConfig;
+use crate::replay::Replay;
+
+/// Where labels come from.
+#[derive(Clone, Copy)]
+pub(crate) struct ImitationSource<'a> {
+    /// Its settings.
+    pub(crate) config: &'a ImitationConfig,
+    /// Labeled scenes.
+    pub(crate) replay: &'a Replay,
+    /// What the network sees of a scene.
+    pub(crate) features: &'a FeatureConfig,
+    /// Of the features.
+    pub(crate) normalization: &'a Normalization,
+}
+
+/// ImitationSource in one update.
+pub(super) struct ImitationUpdate<'a> {
+    imitation_source: ImitationSource<'a>,
+    weight: f32,
+    n_left: usize,
+    n_steps: u64,
+    sums: ImitationSums,
+}
+
+impl<'a> ImitationUpdate<'a> {
+    /// None if there is nothing to learn, or it has no weight.
+    pub(super) fn new(imitation_source: ImitationSource<'a>, n_env_steps: u64) -> Option<Self> {
+        let weight = imitation_source.config.weight.at(n_env_steps);
+        let n_left = imitation_source.config.steps_per_update;
+        let of_use = weight > 0.0 && imitation_source.replay.n_steps() > 0;
+        of_use.then(|| Self { imitation_source, weight, n_left, n_steps: 0, sums: ImitationSums::default() })
+    }
+
+    /// Gradient steps that are to follow those of PPO.
+    pub(super) fn n_left(&self) -> usize {
+        self.n_left
+    }
+
+    /// Adds the weighted gradient of the imitation loss of a minibatch.
+    pub(super) fn add_gradient(
+        &mut self,
+        workers: &mut Workers,
+        forward_size: usize,
+        rng: &mut ChaCha8Rng,
+        gradient: &mut [f32],
+    ) {
+        let ImitationSource { config, replay, features, normalization } = self.imitation_source;
+        let mut features = FeatureBatch::new(features);
+        let labels = replay.draw(config.minibatch_size, rng, &mut features);
+        normalize(&mut features, normalization);
+        for pass in workers.imitate(&Lessons { features, labels }, forward_size, config) {
+            gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += self.weight * g);
+            self.sums += pass.sums;
+        }
+        self.n_left = self.n_left.saturating_sub(1);
+        self.n_steps += 1;
+    }
+
+    /// Means over the scenes.
+    pub(super) fn metrics(&self) -> ImitationMetrics {
+        let ImitationSums { blocks, moves, n_right, n_scenes } = self.sums;
+        let n = n_scenes.max(1) as f64;
+        ImitationMetrics {
+            weight: f64::from(self.weight),
+            block_loss: blocks / n,
+            move_loss: moves / n,
+            block_accuracy: n_right as f64 / n,
+            n_gradient_steps: self.n_steps,
+            n_replay: self.imitation_source.replay.n_steps() as u64,
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! Running statistics of features, and their use; one function for actors, evaluator and learner.
+
+use proto::Normalization;
+use serde::{Deserialize, Serialize};
+
+use crate::FeatureBatch;
+
+/// Smallest standard deviation that is divided by.
+///
+/// Most edges carry zeros (pairs outside the blueprint), so standard deviations are small by sparsity, not by unit; without
+/// the floor the few entries that matter would be blown up.
+pub const MIN_FEATURE_STD: f32 = 0.1;
+
+/// Normalized features are clipped to ± this.
+pub const MAX_NORMALIZED: f32 = 10.0;
+
+/// Count, mean and sum of squared deviations of each feature (Welford), in `f64`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FeatureMoments {
+    groups: [Moments; 3],
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Moments {
+    count: f64,
+    mean: Vec<f64>,
+    squares: Vec<f64>,
+    /// Features seen with nothing but 0 and 1: bits and one-hots, which are left as they are.
+    is_bit: Vec<bool>,
+}
+
+impl FeatureMoments {
+    /// Takes in a batch of features that are not normalized.
+    pub fn push(&mut self, batch: &FeatureBatch) {
+        let values =
+            [(&batch.nodes, batch.sizes.node), (&batch.edges, batch.sizes.edge), (&batch.globals, batch.sizes.global)];
+        for (group, (values, width)) in self.groups.iter_mut().zip(values) {
+            values.chunks_exact(width).for_each(|row| group.push(row));
+        }
+    }
+
+    /// Writes the mean and standard deviation so far into `to`; the fields of the values stay as they are.
+    pub fn freeze_into(&self, to: &mut Normalization) {
+        for (k, group) in self.groups.iter().enumerate() {
+            (to.feature_mean[k], to.feature_std[k]) = group.freeze();
+        }
+    }
+}
+
+impl Moments {
+    fn push(&mut self, row: &[f32]) {
+        if self.mean.is_empty() {
+            self.mean = vec![0.0; row.len()];
+            self.squares = vec![0.0; row.len()];
+            self.is_bit = vec![true; row.len()];
+        }
+        self.count += 1.0;
+        for (k, x) in row.iter().enumerate() {
+            let x = f64::from(*x);
+            let delta = x - self.mean[k];
+            self.mean[k] += delta / self.count;
+            self.squares[k] += delta * (x - self.mean[k]);
+            self.is_bit[k] &= x == 0.0 || x == 1.0;
+        }
+    }
+
+    fn freeze(&self) -> (Vec<f32>, Vec<f32>) {
+        let std = |k: usize| ((self.squares[k] / self.count.max(1.0)).sqrt() as f32).max(MIN_FEATURE_STD);
+        let features = 0..self.mean.len();
+        features.map(|k| if self.is_bit[k] { (0.0, 1.0) } else { (self.mean[k] as f32, std(k)) }).unzip()
+    }
+}
+
+/// `(x − mean) / std`, clipped to ±[`MAX_NORMALIZED`], for each group that has statistics; the others stay as they are.
+///
+/// # Panics
+/// When statistics are given in another number than there are features; [`crate::Policy::load`] checks that.
+pub fn normalize(batch: &mut FeatureBatch, normalization: &Normalization) {
+    let groups = [&mut batch.nodes, &mut batch.edges, &mut batch.globals];
+    for (k, values) in groups.into_iter().enumerate() {
+        let (mean, std) = (&normalization.feature_mean[k], &normalization.feature_std[k]);
+        if mean.is_empty() {
+            continue;
+        }
+        for row in values.chunks_exact_mut(mean.len()) {
+            for ((x, mean), std) in row.iter_mut().zip(mean).zip(std) {
+                *x = ((*x - mean) / std).clamp(-MAX_NORMALIZED, MAX_NORMALIZED);
+            }
+        }
+    }
+}

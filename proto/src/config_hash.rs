@@ -1,0 +1,64 @@
+//! One number for a configuration, by which two processes find out whether theirs are alike.
+
+use blueprints::hash::fnv1a;
+use serde::Serialize;
+use serde_json::Value;
+
+/// Hash of the configuration's canonical form: its JSON without spaces, keys in alphabetical order, keys that are `null` left
+/// out.
+///
+/// What counts are the keys and values of the configuration file. The names of types, variants and fields in the program do
+/// not, nor does their order, and a new key that may be absent changes nothing while it is. A key that is renamed gives
+/// another hash; tests pin those of the presets, so that nobody does that unawares.
+///
+/// # Panics
+/// For what is no JSON, such as a map whose keys are no strings; no configuration has that.
+pub fn config_hash(config: &impl Serialize) -> u64 {
+    let value = serde_json::to_value(config).expect("a configuration is JSON");
+    let mut text = String::new();
+    write(&value, &mut text);
+    fnv1a(text.into_bytes())
+}
+
+fn write(value: &Value, text: &mut String) {
+    match value {
+        Value::Object(map) => {
+            let mut entries: Vec<_> = map.iter().filter(|(_, value)| !value.is_null()).collect();
+            entries.sort_by_key(|(key, _)| *key);
+            text.push('{');
+            for (i, (key, value)) in entries.into_iter().enumerate() {
+                text.push_str(if i == 0 { "" } else { "," });
+                write(&Value::String(key.clone()), text);
+                text.push(':');
+                write(value, text);
+            }
+            text.push('}');
+        }
+        Value::Array(values) => {
+            text.push('[');
+            for (i, value) in values.iter().enumerate() {
+                text.push_str(if i == 0 { "" } else { "," });
+                write(value, text);
+            }
+            text.push(']');
+        }
+        // Numbers are written with the fewest digits that are exact.
+        leaf => text.push_str(&leaf.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_canonical_form_is_sorted_and_has_no_nulls() {
+        let mut text = String::new();
+        write(&json!({ "b": [1, 0.5, null, "x\"y"], "a": { "d": true, "c": null } }), &mut text);
+        assert_eq!(text, r#"{"a":{"d":true},"b":[1,0.5,null,"x\"y"]}"#);
+        assert_eq!(config_hash(&json!({ "b": 1, "a": 2 })), config_hash(&json!({ "a": 2, "b": 1, "c": null })));
+        assert_ne!(config_hash(&json!({ "a": 1 })), config_hash(&json!({ "a": "1" })));
+    }
+}

@@ -1,0 +1,10 @@
+//! Pictures: functions from scenes, recordings and histories to SVG, PNG, GIF and MP4. No I/O, no clock.
+//!
+//! Reading order: [`picture`] (blocks in a world) → [`video`] (episodes, and what a policy attends to in them) → [`plot`]
+//! (trainings).
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod picture;
+pub mod plot;
+pub mod video;

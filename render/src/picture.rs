@@ -1,0 +1,32 @@
+//! Pictures of blocks, by a small software rasteriser: pixels as a function of poses, with no I/O and no clock.
+//!
+//! Reading order: `model` (what is drawn) → `camera` (from where) → `raster` (surfaces → samples, the nearest wins) →
+//! `texture` (what a side looks like) → `ground` → `painter` (all of it) → `text` and `sheet` (pictures with words) →
+//! `palette` and `png` (bytes).
+
+mod camera;
+mod ground;
+pub(crate) mod image;
+mod model;
+mod painter;
+pub(crate) mod palette;
+mod png;
+mod raster;
+mod sheet;
+#[cfg(test)]
+mod tests;
+pub(crate) mod text;
+mod texture;
+
+pub use ::png::EncodingError;
+pub use camera::{Camera, View};
+pub use ground::Ground;
+pub use image::{Image, Rgb, WHITE};
+pub use model::{Block, Finish, GRIPPER_COLORS, TYPE_COLORS, corners, of_blueprint, of_scene};
+pub use painter::Painter;
+pub use png::encode;
+pub use sheet::{MAX_TILES, card, sheet};
+pub use texture::{NEGATIVE_COLOR, POSITIVE_COLOR};
+
+pub(crate) use image::mix;
+pub(crate) use text::{Type, write};

@@ -1,0 +1,251 @@
+//! Where a picture is taken from, and how points land on it.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+
+/// A side that a structure is seen from. The front is the side of −y, so that +x is on the right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// From the front, right and above, in mild perspective.
+    FrontQuarter,
+    /// From the back, left and above, in mild perspective.
+    BackQuarter,
+    /// Along +y, without perspective.
+    Front,
+    /// Along −x, without perspective.
+    Side,
+    /// Along −z, +y pointing up, without perspective.
+    Top,
+}
+
+/// A view of a part of the world on a picture of fixed size.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    size_px: [usize; 2],
+    target: Point3<f32>,
+    /// Unit vectors of the picture: to the right, upwards, and toward the viewer.
+    axes: [Vector3<f32>; 3],
+    /// One over the distance from the viewer to the target in 1/m; 0 without perspective.
+    closeness: f32,
+    /// Pixels per meter at the target.
+    scale: f32,
+    /// Where the target lands, in pixels from the upper left corner.
+    center_px: [f32; 2],
+    light: Vector3<f32>,
+}
+
+/// A point on the picture. Each field is linear in the plane of the picture along any flat surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Projected {
+    /// Pixels from the left.
+    pub(super) x: f32,
+    /// Pixels from the top.
+    pub(super) y: f32,
+    /// Larger is nearer.
+    pub(super) nearness: f32,
+    /// How much larger than at the target things are; attributes of surfaces are linear after multiplication with it.
+    pub(super) zoom: f32,
+}
+
+/// AttentionSource distance over the size of what is framed, in perspective views: far enough that parallels stay nearly so.
+const EYE_DISTANCES: f32 = 3.5;
+
+/// Views steeper than this see the ground as a map: lit from the map's upper left, and steeply, for short shadows. Sine of
+/// the elevation.
+const MAP_SINE: f32 = 0.9;
+
+/// Nearest to the eye that anything is drawn, as a share of the eye's distance from the target.
+const NEAREST: f32 = 0.05;
+
+impl View {
+    /// The name in captions.
+    pub fn caption(self) -> &'static str {
+        match self {
+            Self::FrontQuarter => "front right",
+            Self::BackQuarter => "back left",
+            Self::Front => "front",
+            Self::Side => "side",
+            Self::Top => "top",
+        }
+    }
+
+    /// Angle around z from the front toward +x, and angle above the ground, in degrees.
+    fn angles_deg(self) -> [f32; 2] {
+        match self {
+            Self::FrontQuarter => [32.0, 28.0],
+            Self::BackQuarter => [212.0, 28.0],
+            Self::Front => [0.0, 0.0],
+            Self::Side => [90.0, 0.0],
+            Self::Top => [0.0, 90.0],
+        }
+    }
+
+    fn has_perspective(self) -> bool {
+        matches!(self, Self::FrontQuarter | Self::BackQuarter)
+    }
+}
+
+impl Camera {
+    /// A camera for a picture of `width` times `height` pixels that shows all `points` (m, world) as large as `margin_px`
+    /// pixels of free space on each side allow, but no larger than `max_px_per_m` pixels for a meter.
+    pub fn framing(
+        view: View,
+        points: &[Point3<f32>],
+        [width, height]: [usize; 2],
+        margin_px: f32,
+        max_px_per_m: f32,
+    ) -> Self {
+        let [around, above] = view.angles_deg().map(f32::to_radians);
+        let right = Vector3::new(around.cos(), around.sin(), 0.0);
+        let outwards = Vector3::new(around.sin(), -around.cos(), 0.0);
+        let back = outwards * above.cos() + Vector3::z() * above.sin();
+        let light = if above.sin() > MAP_SINE {
+            Vector3::z() - right * 0.2 - outwards * 0.16
+        } else {
+            Vector3::z() - right * 0.42 + outwards * 0.34
+        };
+        let (target, radius) = ball_around(points);
+        let mut camera = Self {
+            size_px: [width, height],
+            target,
+            axes: [right, back.cross(&right), back],
+            closeness: if view.has_perspective() { 1.0 / (EYE_DISTANCES * 2.0 * radius) } else { 0.0 },
+            scale: 1.0,
+            center_px: [0.0; 2],
+            light: light.normalize(),
+        };
+        let mut low = [f32::INFINITY; 2];
+        let mut high = [f32::NEG_INFINITY; 2];
+        for at in points.iter().filter_map(|point| camera.project(point)) {
+            for (axis, value) in [at.x, at.y].into_iter().enumerate() {
+                low[axis] = low[axis].min(value);
+                high[axis] = high[axis].max(value);
+            }
+        }
+        let sides = [width, height].map(|side| side as f32);
+        let room = |axis: usize| (sides[axis] - 2.0 * margin_px).max(1.0) / (high[axis] - low[axis]).max(1e-6);
+        camera.scale = room(0).min(room(1)).min(max_px_per_m);
+        let middle = |axis: usize| 0.5 * (sides[axis] - camera.scale * (low[axis] + high[axis]));
+        // Moving the picture rather than the camera keeps verticals alike in all pictures of a view.
+        camera.center_px = if points.is_empty() { sides.map(|side| 0.5 * side) } else { [middle(0), middle(1)] };
+        camera
+    }
+
+    /// Width and height of the picture in pixels.
+    pub fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+
+    /// Pixels per meter at the middle of what is framed.
+    pub(super) fn px_per_m(&self) -> f32 {
+        self.scale
+    }
+
+    /// Unit vector toward the light: above, left of the viewer and a little behind him.
+    pub(super) fn light(&self) -> &Vector3<f32> {
+        &self.light
+    }
+
+    /// Sine of the angle between the line of sight at the target and the ground.
+    pub(super) fn elevation_sine(&self) -> f32 {
+        self.axes[2].z
+    }
+
+    /// Cosine of the angle between a unit vector and the way to the viewer, 0 if it points away.
+    pub(super) fn facing(&self, normal: &Vector3<f32>) -> f32 {
+        normal.dot(&self.axes[2]).max(0.0)
+    }
+
+    /// How far in front of the target a block is, in meters.
+    pub(super) fn nearness(&self, pose: &Isometry3<f32>) -> f32 {
+        self.axes[2].dot(&(Point3::from(pose.translation.vector) - self.target))
+    }
+
+    /// Whether a surface through `point` with the outward `normal` shows its outer side.
+    pub(super) fn faces(&self, point: &Point3<f32>, normal: &Vector3<f32>) -> bool {
+        // The direction from the point to the eye, divided by the eye's distance so that it may be infinite.
+        let to_eye = self.axes[2] - (point - self.target) * self.closeness;
+        normal.dot(&to_eye) > 1e-6
+    }
+
+    /// Where a point (m, world) lands, in pixels from the upper left corner; `None` beside or behind the viewer.
+    pub(crate) fn place(&self, point: &Point3<f32>) -> Option<[f32; 2]> {
+        self.project(point).map(|at| [at.x, at.y])
+    }
+
+    /// Where a point (m, world) lands, or `None` behind the viewer.
+    pub(super) fn project(&self, point: &Point3<f32>) -> Option<Projected> {
+        let [x, y, depth] = self.project_undivided(point);
+        if depth.is_nan() || depth < NEAREST {
+            return None;
+        }
+        let zoom = 1.0 / depth;
+        let nearness = self.axes[2].dot(&(point - self.target)) * zoom;
+        Some(Projected { x: x * zoom, y: y * zoom, nearness, zoom })
+    }
+
+    /// The place on the picture in pixels times the depth, and the depth, 1 at the target: linear in the point.
+    pub(super) fn project_undivided(&self, point: &Point3<f32>) -> [f32; 3] {
+        let from_target = point - self.target;
+        let [right, up, back] = self.axes.map(|axis| axis.dot(&from_target));
+        let depth = 1.0 - back * self.closeness;
+        [self.center_px[0] * depth + self.scale * right, self.center_px[1] * depth - self.scale * up, depth]
+    }
+}
+
+/// Center and radius (at least a millimeter) of a ball around all points: that around their bounding box.
+fn ball_around(points: &[Point3<f32>]) -> (Point3<f32>, f32) {
+    let Some(first) = points.first() else { return (Point3::origin(), 1.0) };
+    let (low, high) = points.iter().fold((*first, *first), |(low, high), point| (low.inf(point), high.sup(point)));
+    (nalgebra::center(&low, &high), (0.5 * (high - low).norm()).max(1e-3))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cube_corners() -> Vec<Point3<f32>> {
+        (0..8).map(|k| Point3::new((k & 1) as f32, (k >> 1 & 1) as f32, (k >> 2) as f32)).collect()
+    }
+
+    #[test]
+    fn axes_land_where_the_view_says() {
+        let check = |view: View, point: [f32; 3], expected: [f32; 2], nearness: f32| {
+            // 10 pixels are left for the unit cube, so a meter is 10 pixels; its center is that of the picture.
+            let camera = Camera::framing(view, &cube_corners(), [14, 16], 2.0, 1000.0);
+            let at = camera.project(&Point3::from(point)).unwrap();
+            let off = (at.x - expected[0]).abs() + (at.y - expected[1]).abs() + (at.nearness - nearness).abs();
+            assert!(off < 1e-4, "{view:?}: {point:?} lands at {at:?}");
+        };
+        check(View::Front, [0.0, 0.0, 0.0], [2.0, 13.0], 0.5);
+        check(View::Front, [1.0, 0.5, 1.0], [12.0, 3.0], 0.0);
+        check(View::Side, [1.0, 0.0, 0.0], [2.0, 13.0], 0.5);
+        check(View::Side, [0.0, 1.0, 1.0], [12.0, 3.0], -0.5);
+        check(View::Top, [0.0, 0.0, 1.0], [2.0, 13.0], 0.5);
+        check(View::Top, [1.0, 1.0, 0.0], [12.0, 3.0], -0.5);
+    }
+
+    #[test]
+    fn framing_leaves_the_margin_and_no_more() {
+        for view in [View::FrontQuarter, View::BackQuarter, View::Front, View::Side, View::Top] {
+            let camera = Camera::framing(view, &cube_corners(), [100, 100], 10.0, 1000.0);
+            let landed: Vec<_> = cube_corners().iter().map(|point| camera.project(point).unwrap()).collect();
+            let span = |of: fn(&Projected) -> f32| {
+                let values = landed.iter().map(of);
+                [values.clone().fold(f32::INFINITY, f32::min), values.fold(f32::NEG_INFINITY, f32::max)]
+            };
+            let ([left, right], [top, bottom]) = (span(|at| at.x), span(|at| at.y));
+            assert!(((right - left).max(bottom - top) - 80.0).abs() < 1e-3, "{view:?}");
+            assert!((left + right - 100.0).abs() < 1e-3 && (top + bottom - 100.0).abs() < 1e-3, "{view:?}");
+        }
+    }
+
+    #[test]
+    fn nearer_things_are_larger_in_perspective_and_what_is_behind_the_eye_is_gone() {
+        let camera = Camera::framing(View::FrontQuarter, &cube_corners(), [100, 100], 10.0, 1000.0);
+        let near = camera.project(&Point3::new(1.0, 0.0, 1.0)).unwrap();
+        let far = camera.project(&Point3::new(0.0, 1.0, 0.0)).unwrap();
+        assert!(near.zoom > 1.0 && far.zoom < 1.0 && near.nearness > far.nearness, "{near:?} {far:?}");
+        assert_eq!(camera.project(&Point3::new(20.0, -40.0, 30.0)), None);
+        assert_eq!(camera.project(&Point3::new(f32::NAN, 0.0, 0.0)), None);
+    }
+}

@@ -1,0 +1,230 @@
+//! The ground at z = 0: a grid of unit cells that fades out, and soft shadows.
+
+use blueprints::UNIT_M;
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
+
+use super::camera::{Camera, Projected};
+use super::image::{Image, Rgb, mix};
+use super::model::{Block, Finish, corners};
+use super::raster::scan;
+
+/// Color of the lines on the ground; the rest of it is bare paper, as a tint would double the size of a contact sheet.
+const LINE: Rgb = [214, 218, 226];
+
+/// Color and greatest opacity of shadows.
+const SHADOW: Rgb = [44, 52, 78];
+const SHADOW_OPACITY: f32 = 0.30;
+
+/// How far shadows are blurred, in meters, and at most in pixels.
+const BLUR_M: f32 = 0.012;
+const MAX_BLUR_PX: f32 = 24.0;
+
+/// Below this sine of the camera's elevation the ground is a line.
+const FLAT_SINE: f32 = 0.05;
+
+/// The part of the ground that is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ground {
+    /// Middle in meters, world frame.
+    pub center: Point2<f32>,
+    /// Distance from the middle at which it has faded out, in meters.
+    pub radius_m: f32,
+}
+
+/// Shadows on a picture, kept between pictures for its memory.
+#[derive(Debug, Default)]
+pub(super) struct Shadow {
+    width: usize,
+    /// 0 for light to 255 for shadow, by pixel.
+    mask: Vec<u8>,
+    sums: Vec<u32>,
+    line: Vec<u8>,
+}
+
+/// A rectangle of pixels: columns and rows from, and to but not including.
+#[derive(Clone, Copy)]
+struct Area {
+    x: [usize; 2],
+    y: [usize; 2],
+}
+
+impl Ground {
+    /// The ground around and under these blocks.
+    pub fn under(blocks: &[Block]) -> Self {
+        let all = corners(blocks);
+        let Some(first) = all.first() else { return Self { center: Point2::origin(), radius_m: 4.0 * UNIT_M } };
+        let (low, high) = all.iter().fold((*first, *first), |(low, high), corner| (low.inf(corner), high.sup(corner)));
+        let spread = (high - low).xy().norm();
+        Self { center: nalgebra::center(&low, &high).xy(), radius_m: 0.6 * spread + 2.0 * UNIT_M }
+    }
+
+    /// Draws the ground over an image of the camera's size.
+    pub(super) fn draw(&self, camera: &Camera, image: &mut Image) {
+        if camera.elevation_sine() < FLAT_SINE {
+            self.draw_line(camera, image);
+        } else {
+            self.draw_grid(camera, image);
+        }
+    }
+
+    fn draw_line(&self, camera: &Camera, image: &mut Image) {
+        let Some(at) = camera.project(&Point3::new(self.center.x, self.center.y, 0.0)) else { return };
+        let radius_px = self.radius_m * camera.px_per_m();
+        for x in 0..image.width() {
+            let share = 1.0 - ((x as f32 + 0.5 - at.x) / radius_px).abs();
+            let opacity = (share * 2.0).clamp(0.0, 1.0) * 255.0;
+            for below in 0..2 {
+                image.blend(x, at.y.round().max(0.0) as usize + below, LINE, opacity as u8);
+            }
+        }
+    }
+
+    fn draw_grid(&self, camera: &Camera, image: &mut Image) {
+        let Some(to_ground) = to_ground(camera) else { return };
+        let Some(at) = camera.project(&Point3::new(self.center.x, self.center.y, 0.0)) else { return };
+        let on_ground = |x: f32, y: f32| {
+            let at = to_ground * Vector3::new(x, y, 1.0);
+            Point2::new(at.x / at.z, at.y / at.z)
+        };
+        // Cells per pixel; one value for the whole picture is near enough in mild perspective.
+        let here = on_ground(at.x, at.y);
+        let (right, down) = (on_ground(at.x + 1.0, at.y) - here, on_ground(at.x, at.y + 1.0) - here);
+        let px_per_m = [right.x.hypot(down.x), right.y.hypot(down.y)].map(|m_per_px| 1.0 / m_per_px);
+        let (per_radius_squared, per_unit) = (1.0 / (self.radius_m * self.radius_m), 1.0 / UNIT_M);
+        for y in 0..image.height() {
+            let start = to_ground * Vector3::new(0.5, y as f32 + 0.5, 1.0);
+            let step = to_ground.column(0).into_owned();
+            for (x, pixel) in image.row_mut(y).iter_mut().enumerate() {
+                let at = start + step * x as f32;
+                if at.z <= 0.0 {
+                    continue;
+                }
+                let place = [at.x / at.z, at.y / at.z];
+                let (from_x, from_y) = (place[0] - self.center.x, place[1] - self.center.y);
+                let fade = 1.0 - (from_x * from_x + from_y * from_y) * per_radius_squared;
+                if fade <= 0.0 {
+                    continue;
+                }
+                let line_px = |axis: usize| {
+                    let cells = place[axis] * per_unit;
+                    (cells - nearest_whole(cells)).abs() * UNIT_M * px_per_m[axis]
+                };
+                let line = (1.1 - line_px(0).min(line_px(1))).clamp(0.0, 1.0);
+                if line > 0.0 {
+                    *pixel = mix(*pixel, LINE, line * fade);
+                }
+            }
+        }
+    }
+}
+
+/// `f32::round`, which is a slow call on processors without an instruction for it, for numbers below four million.
+fn nearest_whole(x: f32) -> f32 {
+    // Adding 1.5 · 2²³ leaves no bits for decimals.
+    const SHIFT: f32 = 12_582_912.0;
+    (x + SHIFT) - SHIFT
+}
+
+/// The map from pixels to the ground in homogeneous coordinates; the third is positive in front of the viewer.
+fn to_ground(camera: &Camera) -> Option<Matrix3<f32>> {
+    // A projection is fixed by what it does to the origin and the two directions, all before the division by depth.
+    let column = |x: f32, y: f32| Vector3::from(camera.project_undivided(&Point3::new(x, y, 0.0)));
+    let origin = column(0.0, 0.0);
+    Matrix3::from_columns(&[column(1.0, 0.0) - origin, column(0.0, 1.0) - origin, origin]).try_inverse()
+}
+
+impl Shadow {
+    /// Darkens the ground of an image where the blocks keep the light away.
+    pub(super) fn draw(&mut self, camera: &Camera, blocks: &[Block], image: &mut Image) {
+        if camera.elevation_sine() < FLAT_SINE {
+            return;
+        }
+        let size = [image.width(), image.height()];
+        self.width = size[0];
+        self.mask.resize(size[0] * size[1], 0);
+        let Some(area) = self.cast(camera, blocks, size) else { return };
+        let radius = (BLUR_M * camera.px_per_m()).clamp(1.0, MAX_BLUR_PX) as usize;
+        let grown = |[from, to]: [usize; 2], limit: usize| {
+            [from.saturating_sub(2 * radius + 1), (to + 2 * radius + 1).min(limit)]
+        };
+        let area = Area { x: grown(area.x, size[0]), y: grown(area.y, size[1]) };
+        for _ in 0..2 {
+            self.blur_rows(area, radius);
+            self.blur_columns(area, radius);
+        }
+        for y in area.y[0]..area.y[1] {
+            let mask = &mut self.mask[y * self.width..][area.x[0]..area.x[1]];
+            for (pixel, shade) in image.row_mut(y)[area.x[0]..area.x[1]].iter_mut().zip(mask.iter()) {
+                if *shade > 0 {
+                    *pixel = mix(*pixel, SHADOW, SHADOW_OPACITY * f32::from(*shade) / 255.0);
+                }
+            }
+            mask.fill(0);
+        }
+    }
+
+    /// Marks the shadows of all blocks; returns where they lie.
+    fn cast(&mut self, camera: &Camera, blocks: &[Block], size: [usize; 2]) -> Option<Area> {
+        let light = camera.light();
+        let mut area: Option<Area> = None;
+        let onto_ground = |at: Point3<f32>| -> Option<Projected> { camera.project(&(at - light * (at.z / light.z))) };
+        for block in blocks.iter().filter(|block| block.finish != Finish::Ghost) {
+            // The lit sides hide all that the others hide.
+            for side in block.sides().filter(|side| side.normal.dot(light) > 0.0) {
+                let [Some(a), Some(b), Some(c), Some(d)] = side.corners.map(onto_ground) else { continue };
+                scan(&[a, b, c, d], size, |y, from, to| {
+                    if from < to {
+                        self.mask[y * size[0] + from..y * size[0] + to].fill(255);
+                        let known = area.unwrap_or(Area { x: [from, to], y: [y, y + 1] });
+                        area = Some(Area {
+                            x: [known.x[0].min(from), known.x[1].max(to)],
+                            y: [known.y[0].min(y), known.y[1].max(y + 1)],
+                        });
+                    }
+                });
+            }
+        }
+        area
+    }
+
+    fn blur_rows(&mut self, area: Area, radius: usize) {
+        let [from, to] = area.x;
+        let n = (2 * radius + 1) as u32;
+        for y in area.y[0]..area.y[1] {
+            let row = &mut self.mask[y * self.width..][from..to];
+            self.line.clear();
+            self.line.extend_from_slice(row);
+            let line = &self.line;
+            let mut sum: u32 = line.iter().take(radius).map(|&x| u32::from(x)).sum();
+            for (i, out) in row.iter_mut().enumerate() {
+                sum += line.get(i + radius).map_or(0, |&x| u32::from(x));
+                *out = (sum / n) as u8;
+                sum -= i.checked_sub(radius).map_or(0, |i| u32::from(line[i]));
+            }
+        }
+    }
+
+    fn blur_columns(&mut self, area: Area, radius: usize) {
+        let ([left, right], [top, bottom]) = (area.x, area.y);
+        let (width, n) = (right - left, (2 * radius + 1) as u32);
+        self.line.clear();
+        for y in top..bottom {
+            self.line.extend_from_slice(&self.mask[y * self.width..][left..right]);
+        }
+        self.sums.clear();
+        self.sums.resize(width, 0);
+        let line = |i: usize| &self.line[i * width..(i + 1) * width];
+        for i in 0..(bottom - top + radius) {
+            if i < bottom - top {
+                self.sums.iter_mut().zip(line(i)).for_each(|(sum, &x)| *sum += u32::from(x));
+            }
+            if let Some(out) = i.checked_sub(radius) {
+                let row = &mut self.mask[(top + out) * self.width..][left..right];
+                row.iter_mut().zip(&self.sums).for_each(|(x, sum)| *x = (sum / n) as u8);
+                if let Some(old) = out.checked_sub(radius) {
+                    self.sums.iter_mut().zip(line(old)).for_each(|(sum, &x)| *sum -= u32::from(x));
+                }
+            }
+        }
+    }
+}

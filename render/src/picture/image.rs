@@ -1,0 +1,107 @@
+//! A picture as rows of pixels, and the few ways to change it.
+
+/// Red, green and blue, each 0 to 255, sRGB.
+pub type Rgb = [u8; 3];
+
+/// The color of paper.
+pub const WHITE: Rgb = [255; 3];
+
+/// Pixels by row from the top, each row from the left.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    width: usize,
+    height: usize,
+    pixels: Vec<Rgb>,
+}
+
+impl Image {
+    /// An image of one color; both sides are in pixels, and one of 0 counts as 1.
+    pub fn filled(width: usize, height: usize, color: Rgb) -> Self {
+        let (width, height) = (width.max(1), height.max(1));
+        Self { width, height, pixels: vec![color; width * height] }
+    }
+
+    /// Width in pixels, at least 1.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height in pixels, at least 1.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// All pixels.
+    pub fn pixels(&self) -> &[Rgb] {
+        &self.pixels
+    }
+
+    /// The pixel in column `x` from the left and row `y` from the top, or `None` outside.
+    pub fn get(&self, x: usize, y: usize) -> Option<Rgb> {
+        (x < self.width && y < self.height).then(|| self.pixels[y * self.width + x])
+    }
+
+    /// A row from the top.
+    pub(crate) fn row_mut(&mut self, y: usize) -> &mut [Rgb] {
+        &mut self.pixels[y * self.width..(y + 1) * self.width]
+    }
+
+    /// Puts `color` over a pixel with an opacity of 0 to 255; nothing happens outside.
+    pub(crate) fn blend(&mut self, x: usize, y: usize, color: Rgb, opacity: u8) {
+        if x < self.width && y < self.height {
+            let pixel = &mut self.pixels[y * self.width + x];
+            *pixel = mix(*pixel, color, f32::from(opacity) / 255.0);
+        }
+    }
+
+    /// Fills a rectangle given by its upper left corner and size in pixels, as far as it lies inside.
+    pub(crate) fn fill(&mut self, [x, y]: [usize; 2], [width, height]: [usize; 2], color: Rgb) {
+        let (right, bottom) = ((x + width).min(self.width), (y + height).min(self.height));
+        for row in y..bottom {
+            self.row_mut(row)[x.min(right)..right].fill(color);
+        }
+    }
+
+    /// Copies another image with its upper left corner to `(x, y)`, as far as it lies inside.
+    pub fn paste(&mut self, other: &Self, x: usize, y: usize) {
+        let x = x.min(self.width);
+        let n_columns = other.width.min(self.width - x);
+        for row in 0..other.height.min(self.height.saturating_sub(y)) {
+            let from = row * other.width;
+            self.row_mut(y + row)[x..x + n_columns].copy_from_slice(&other.pixels[from..from + n_columns]);
+        }
+    }
+}
+
+/// The color at `share` of the way from `a` to `b`, 0 to 1.
+pub(crate) fn mix(a: Rgb, b: Rgb, share: f32) -> Rgb {
+    std::array::from_fn(|i| {
+        let (a, b) = (f32::from(a[i]), f32::from(b[i]));
+        (a + (b - a) * share + 0.5) as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_lies_outside_is_cut_off() {
+        let mut image = Image::filled(3, 2, WHITE);
+        image.paste(&Image::filled(5, 5, [1, 2, 3]), 2, 1);
+        image.paste(&Image::filled(1, 1, [9; 3]), 7, 0);
+        image.fill([5, 5], [2, 2], [9; 3]);
+        image.blend(3, 0, [9; 3], 255);
+        let changed: Vec<usize> = (0..6).filter(|&i| image.pixels()[i] != WHITE).collect();
+        assert_eq!(changed, [5]);
+        assert_eq!((image.get(2, 1), image.get(3, 1), image.get(0, 2)), (Some([1, 2, 3]), None, None));
+    }
+
+    #[test]
+    fn blending_goes_from_one_color_to_the_other() {
+        // 100 + (200 − 100) · 51/255 = 120.
+        let mut image = Image::filled(1, 1, [100; 3]);
+        image.blend(0, 0, [200, 0, 100], 51);
+        assert_eq!(image.get(0, 0), Some([120, 80, 100]));
+    }
+}

@@ -1,0 +1,130 @@
+//! Blocks → colored faces.
+
+use blueprints::{BlockIdx, Blueprint, Inventory, UNIT_M};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use proto::{N_GRIPPERS, Scene};
+
+use super::image::Rgb;
+
+/// Colors of the block types in the order of the inventory: apart in hue and, for those who see fewer hues, in
+/// lightness; none is the red or blue of a magnet (after Okabe and Ito's palette, lighter).
+pub const TYPE_COLORS: [Rgb; 6] =
+    [[250, 216, 92], [240, 154, 55], [62, 178, 138], [128, 196, 236], [206, 142, 190], [118, 130, 150]];
+
+/// Colors of the frames around what the grippers hold.
+pub const GRIPPER_COLORS: [Rgb; N_GRIPPERS] = [[214, 0, 110], [20, 20, 24]];
+
+/// How a block is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Finish {
+    /// In its type's color with thin dark edges.
+    Plain,
+    /// As plain, with broad edges of this color around each face.
+    Framed(Rgb),
+    /// In this color instead of its own and without magnets, with broad edges of another color if there is one.
+    Shaded {
+        /// Of its sides.
+        fill: Rgb,
+        /// Of its edges.
+        frame: Option<Rgb>,
+    },
+    /// Only its edges, for a place where a block is wanted. It casts no shadow.
+    Ghost,
+}
+
+/// A block to draw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// Which, for its size and color.
+    pub block: BlockIdx,
+    /// Its center in meters and its orientation, world frame, z up.
+    pub pose: Isometry3<f32>,
+    /// How.
+    pub finish: Finish,
+}
+
+/// A rectangular side of a block.
+pub(super) struct Side {
+    /// From one corner around: along the side's first axis, then its second.
+    pub(super) corners: [Point3<f32>; 4],
+    /// Outward unit normal, world frame.
+    pub(super) normal: Vector3<f32>,
+    /// Length along the first and second axis in unit cells; a magnet sits in the middle of each.
+    pub(super) cells: [f32; 2],
+    /// Whether the magnets are positive.
+    pub(super) is_positive: bool,
+}
+
+/// The blocks of a blueprint in its own frame.
+pub fn of_blueprint(blueprint: &Blueprint) -> Vec<Block> {
+    let pose = |at: &blueprints::Placement| {
+        Isometry3::from_parts(Translation3::from(at.position_m()), at.rotation.quaternion())
+    };
+    let placed = blueprint.placements().iter();
+    placed.map(|at| Block { block: at.block, pose: pose(at), finish: Finish::Plain }).collect()
+}
+
+/// All blocks of a world, those that a gripper holds framed in its color.
+pub fn of_scene(scene: &Scene) -> Vec<Block> {
+    let finish = |block: BlockIdx| {
+        let holds = |gripper: &Option<proto::Gripper>| gripper.is_some_and(|gripper| gripper.held == Some(block));
+        let holder = scene.grippers.iter().position(holds);
+        holder.map_or(Finish::Plain, |gripper| Finish::Framed(GRIPPER_COLORS[gripper]))
+    };
+    let pose = |pose: &proto::Pose| {
+        let [x, y, z, w] = pose.orientation;
+        let rotation = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, x, y, z));
+        Isometry3::from_parts(Translation3::from(pose.position), rotation)
+    };
+    BlockIdx::all()
+        .map(|block| Block { block, pose: pose(&scene.blocks[block.get()]), finish: finish(block) })
+        .collect()
+}
+
+/// The corners of all blocks (m, world), to frame a picture by.
+pub fn corners(blocks: &[Block]) -> Vec<Point3<f32>> {
+    blocks.iter().flat_map(Block::corners).collect()
+}
+
+impl Block {
+    /// The color of the block's type, or of its finish.
+    pub(super) fn color(&self) -> Rgb {
+        if let Finish::Shaded { fill, .. } = self.finish {
+            return fill;
+        }
+        TYPE_COLORS[Inventory::standard().type_idx(self.block) % TYPE_COLORS.len()]
+    }
+
+    fn half_extents_m(&self) -> Vector3<f32> {
+        Vector3::from(Inventory::standard().half_extents_m(self.block))
+    }
+
+    fn corners(&self) -> impl Iterator<Item = Point3<f32>> {
+        let half = self.half_extents_m();
+        let sign = move |k: usize, axis: usize| if k >> axis & 1 == 1 { half[axis] } else { -half[axis] };
+        (0..8).map(move |k| self.pose * Point3::new(sign(k, 0), sign(k, 1), sign(k, 2)))
+    }
+
+    /// The six sides: +x −x +y −y +z −z.
+    pub(super) fn sides(&self) -> impl Iterator<Item = Side> {
+        let half = self.half_extents_m();
+        (0..6).map(move |k| {
+            let (axis, is_positive) = (k / 2, k % 2 == 0);
+            let (first, second) = ((axis + 1) % 3, (axis + 2) % 3);
+            let mut normal = Vector3::zeros();
+            normal[axis] = if is_positive { 1.0 } else { -1.0 };
+            let corner = |along_first: f32, along_second: f32| {
+                let mut at = normal * half[axis];
+                at[first] = along_first * half[first];
+                at[second] = along_second * half[second];
+                self.pose * Point3::from(at)
+            };
+            Side {
+                corners: [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
+                normal: self.pose.rotation * normal,
+                cells: [first, second].map(|axis| 2.0 * half[axis] / UNIT_M),
+                is_positive,
+            }
+        })
+    }
+}

@@ -1,0 +1,225 @@
+//! Pixels that must be there, worked out by hand.
+
+use blueprints::{BlockIdx, Catalog, Inventory, N_BLOCKS, UNIT_M};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use proto::{Gripper, Pose, Scene};
+
+use super::*;
+
+/// A block with its center at a place given in units.
+fn block(type_name: &str, center_u: [f32; 3], turn: UnitQuaternion<f32>) -> Block {
+    let block = Inventory::standard().blocks_of_type(type_name)[0];
+    let center = Vector3::from(center_u) * UNIT_M;
+    Block { block, pose: Isometry3::from_parts(center.into(), turn), finish: Finish::Plain }
+}
+
+/// A cube on the ground.
+fn cube(turn: UnitQuaternion<f32>) -> Block {
+    block("1x1x1", [0.0, 0.0, 0.5], turn)
+}
+
+fn half_turn(axis: Vector3<f32>) -> UnitQuaternion<f32> {
+    UnitQuaternion::from_scaled_axis(axis * std::f32::consts::PI)
+}
+
+/// A square picture with a unit of `unit_px` pixels in which `framed` leaves four pixels free on each side.
+fn paint(blocks: &[Block], framed: &Block, view: View, unit_px: usize) -> Image {
+    let all = corners(std::slice::from_ref(framed));
+    let camera = Camera::framing(view, &all, [unit_px + 8; 2], 4.0, f32::INFINITY);
+    Painter::default().paint(blocks, &camera, Ground::under(blocks))
+}
+
+fn pixel(image: &Image, x: usize, y: usize) -> Rgb {
+    image.get(x, y).expect("tests look inside the picture")
+}
+
+fn is_red(color: Rgb) -> bool {
+    let [red, green, blue] = color.map(u16::from);
+    red > 2 * green && red > 2 * blue
+}
+
+fn is_blue(color: Rgb) -> bool {
+    let [red, green, blue] = color.map(u16::from);
+    blue > 2 * red && 2 * blue > 3 * green
+}
+
+fn brightness(color: Rgb) -> u16 {
+    color.into_iter().map(u16::from).sum()
+}
+
+#[test]
+fn a_cube_from_the_front_is_a_square_with_a_disc() {
+    let cube = cube(UnitQuaternion::identity());
+    let image = paint(std::slice::from_ref(&cube), &cube, View::Front, 32);
+    // 32 pixels wide with 4 on each side: columns and rows 4 to 35; below them lies the line of the ground.
+    for i in 0..40 {
+        let is_inside = (4..36).contains(&i);
+        assert_eq!(pixel(&image, i, 12) != WHITE, is_inside, "column {i}");
+        assert_eq!(pixel(&image, 20, i) != WHITE, is_inside || (36..38).contains(&i), "row {i}");
+    }
+    // The disc has a radius of 0.19 units or 6 pixels, so it ends before column 20 + 8; edges are dark.
+    assert!(is_blue(pixel(&image, 20, 20)) && is_blue(pixel(&image, 24, 20)) && !is_blue(pixel(&image, 28, 20)));
+    let [red, green, blue] = pixel(&image, 30, 10);
+    assert!(red > green && green > 2 * blue, "a cube is yellow");
+    assert!(2 * brightness(pixel(&image, 4, 10)) < brightness(pixel(&image, 30, 10)) * 3 / 2);
+}
+
+#[test]
+fn positive_sides_have_red_discs_with_a_plus_and_negative_sides_blue_ones_with_a_minus() {
+    let check = |view: View, turn: UnitQuaternion<f32>, is_positive: bool| {
+        let cube = cube(turn);
+        let image = paint(std::slice::from_ref(&cube), &cube, view, 80);
+        // Strokes reach 0.105 units or 8 pixels from the middle (44, 44) and are 4 pixels broad; the disc reaches 15.
+        let disc = pixel(&image, 44 + 7, 44 + 7);
+        assert_eq!((is_red(disc), is_blue(disc)), (is_positive, !is_positive), "{view:?} {turn:?}: {disc:?}");
+        let is_stroke = |x: usize, y: usize| brightness(pixel(&image, x, y)) > 550;
+        assert!(is_stroke(44, 44) && is_stroke(44 + 6, 44), "{view:?} {turn:?} has no level stroke");
+        assert_eq!(is_stroke(44, 44 + 6), is_positive, "{view:?} {turn:?}");
+    };
+    let same = UnitQuaternion::identity();
+    check(View::Front, same, false);
+    check(View::Front, half_turn(Vector3::z()), true);
+    check(View::Side, same, true);
+    check(View::Side, half_turn(Vector3::z()), false);
+    check(View::Top, same, true);
+    check(View::Top, half_turn(Vector3::x()), false);
+}
+
+#[test]
+fn the_nearer_block_hides_the_farther_whatever_the_order() {
+    let near = cube(UnitQuaternion::identity());
+    let far = block("3x2x1", [0.0, 3.0, 0.5], UnitQuaternion::identity());
+    let alone = paint(std::slice::from_ref(&near), &near, View::Front, 32);
+    let both = paint(&[near.clone(), far.clone()], &near, View::Front, 32);
+    assert_eq!(both, paint(&[far, near.clone()], &near, View::Front, 32));
+    assert_eq!(pixel(&both, 30, 10), pixel(&alone, 30, 10));
+    // Three units wide, so that it can be seen on both sides of the cube.
+    let [red, _, blue] = pixel(&both, 1, 20);
+    assert!(blue > red && pixel(&alone, 1, 20) == WHITE);
+}
+
+#[test]
+fn the_shadow_lies_away_from_the_light() {
+    // From above, light comes from (−0.2, 0.16, 1): a cube whose middle is 3 units up shades the ground around
+    // (0.6, −0.48) units. It is framed as if it covered 3 units, a unit being 20 pixels and the middle (34, 34).
+    let cube = block("1x1x1", [0.0, 0.0, 3.0], UnitQuaternion::identity());
+    let frame = block("3x1x1", [0.0, 0.0, 3.0], UnitQuaternion::identity());
+    let image = paint(std::slice::from_ref(&cube), &frame, View::Top, 60);
+    let shade = |x: usize, y: usize| brightness(WHITE) - brightness(pixel(&image, x, y));
+    assert!(shade(34 + 15, 34 + 11) > 100, "{}", shade(49, 45));
+    assert!(shade(34 - 15, 34 - 11) < 100, "{}", shade(19, 23));
+}
+
+#[test]
+fn a_frame_is_the_grippers_color_and_a_ghost_only_its_edges() {
+    let finished = |finish: Finish| Block { finish, ..cube(UnitQuaternion::identity()) };
+    let [plain, framed, ghost] = [Finish::Plain, Finish::Framed(GRIPPER_COLORS[0]), Finish::Ghost].map(finished);
+    let check = |blocks: &[Block], at: [usize; 2]| pixel(&paint(blocks, &blocks[0], View::Front, 32), at[0], at[1]);
+    // A frame is 0.13 units or 4 pixels broad, a plain edge one pixel.
+    assert_eq!(check(std::slice::from_ref(&framed), [6, 20]), GRIPPER_COLORS[0]);
+    assert_ne!(check(std::slice::from_ref(&plain), [6, 20]), GRIPPER_COLORS[0]);
+    assert_eq!(check(std::slice::from_ref(&ghost), [20, 20]), WHITE);
+    assert_ne!(check(std::slice::from_ref(&ghost), [4, 20]), WHITE);
+    let behind = block("1x1x1", [0.0, 2.0, 0.5], UnitQuaternion::identity());
+    assert!(is_blue(check(&[ghost, behind], [20, 20])), "a ghost lets what is behind it be seen");
+}
+
+#[test]
+fn a_scene_is_drawn_with_frames_around_what_grippers_hold() {
+    let held = BlockIdx::try_from(5).unwrap();
+    let gripper = |held| Gripper {
+        held,
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        linear_velocity: [0.0; 3],
+        angular_velocity: [0.0; 3],
+    };
+    let pose = |i: usize| Pose { position: [i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] };
+    let scene = Scene {
+        blocks: std::array::from_fn(pose),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(gripper(None)), Some(gripper(Some(held)))],
+        n_heavy_contacts: 0,
+    };
+    for (i, block) in of_scene(&scene).iter().enumerate() {
+        let finish = if i == 5 { Finish::Framed(GRIPPER_COLORS[1]) } else { Finish::Plain };
+        assert_eq!((block.block.get(), block.finish), (i, finish));
+        assert_eq!(block.pose.translation.vector, Vector3::new(i as f32, 0.0, 0.05));
+    }
+}
+
+#[test]
+fn a_blueprint_is_drawn_where_its_blocks_are() {
+    // The corners of the drawn blocks are those of the cells that the placements fill.
+    for blueprint in Catalog::builtin().iter() {
+        let drawn = corners(&of_blueprint(blueprint));
+        let cells: Vec<[i32; 3]> =
+            blueprint.placements().iter().flat_map(|at| at.filled_cells(Inventory::standard())).collect();
+        for axis in 0..3 {
+            let high = drawn.iter().map(|point| point[axis] / UNIT_M).fold(f32::NEG_INFINITY, f32::max);
+            let low = drawn.iter().map(|point| point[axis] / UNIT_M).fold(f32::INFINITY, f32::min);
+            let expected = cells.iter().map(|cell| cell[axis]);
+            let (from, to) = (expected.clone().min().unwrap() as f32, expected.max().unwrap() as f32 + 1.0);
+            assert!((low - from).abs() < 1e-4 && (high - to).abs() < 1e-4, "{}", blueprint.id());
+        }
+    }
+}
+
+#[test]
+fn a_painter_forgets_what_it_painted() {
+    let [first, second] = [0, 20].map(|i| of_blueprint(Catalog::builtin().iter().nth(i).unwrap()));
+    let mut painter = Painter::default();
+    let paint = |painter: &mut Painter, blocks: &[Block]| {
+        let camera = Camera::framing(View::FrontQuarter, &corners(blocks), [64, 48], 4.0, 300.0);
+        painter.paint(blocks, &camera, Ground::under(blocks))
+    };
+    let expected = paint(&mut Painter::default(), &second);
+    paint(&mut painter, &first);
+    assert_eq!(paint(&mut painter, &second), expected);
+    assert_eq!(paint(&mut painter, &second), expected);
+}
+
+#[test]
+fn a_diverged_world_can_be_drawn() {
+    for wrong in [f32::NAN, f32::INFINITY, 1e30, -1e30] {
+        let mut lost = cube(UnitQuaternion::identity());
+        lost.pose.translation.vector.x = wrong;
+        let here = cube(UnitQuaternion::identity());
+        for view in [View::FrontQuarter, View::Front, View::Top] {
+            let alone = paint(std::slice::from_ref(&here), &here, view, 24);
+            let all = corners(std::slice::from_ref(&here));
+            let camera = Camera::framing(view, &all, [32; 2], 4.0, f32::INFINITY);
+            let ground = Ground::under(std::slice::from_ref(&here));
+            let image = Painter::default().paint(&[lost.clone(), here.clone()], &camera, ground);
+            assert_eq!(pixel(&image, 16, 16), pixel(&alone, 16, 16), "{wrong} from {view:?}");
+        }
+    }
+}
+
+#[test]
+fn a_png_is_decoded_to_the_same_size_and_colors_and_is_always_the_same() {
+    let cube = cube(UnitQuaternion::identity());
+    let image = paint(std::slice::from_ref(&cube), &cube, View::Front, 32);
+    let bytes = encode(&image, 256).unwrap();
+    assert_eq!(bytes, encode(&paint(std::slice::from_ref(&cube), &cube, View::Front, 32), 256).unwrap());
+    let mut decoder = ::png::Decoder::new(std::io::Cursor::new(bytes));
+    decoder.set_transformations(::png::Transformations::EXPAND);
+    let mut reader = decoder.read_info().unwrap();
+    let mut decoded = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut decoded).unwrap();
+    assert_eq!((info.width, info.height, info.color_type), (40, 40, ::png::ColorType::Rgb));
+    // Orthographic and axis-aligned: few enough colors for the palette to be exact.
+    assert_eq!(decoded, image.pixels().concat());
+}
+
+#[test]
+fn cards_and_sheets_have_the_size_that_was_asked_for() {
+    let all: Vec<_> = Catalog::builtin().iter().take(8).collect();
+    let mut painter = Painter::default();
+    let card = card(&mut painter, all[0], 320);
+    // Words, two rows of views, and at most eight kinds of blocks and magnets in the legend.
+    assert!(card.width() == 320 && (400..720).contains(&card.height()), "{}", card.height());
+    // √(1.2 · 8) = 3.1: four columns of 310 pixels and two rows of 280.
+    let sheet = sheet(&mut painter, &all);
+    assert_eq!((sheet.width(), sheet.height()), (1240, 560));
+}

@@ -1,0 +1,124 @@
+//! The table of groups of one pass, as Markdown and as comma-separated values.
+
+use std::fmt::Write;
+
+use proto::metrics::EvalOutcome;
+use proto::wilson::SuccessRate;
+
+use blueprints::Group;
+use proto::ActionMode;
+use runlog::Pass;
+use runlog::series::{group_of, outcome_of};
+
+/// A group and a way of acting.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GroupRow {
+    /// `train 2-6` and so on, `all`, or `reset-free`.
+    pub name: String,
+    /// Blueprints, or goals in a run without resets.
+    pub n_blueprints: usize,
+    /// How actions were taken.
+    pub acting: ActionMode,
+    /// Successes, with the interval.
+    pub success: SuccessRate,
+    /// Successes that lasted.
+    pub stable: SuccessRate,
+    /// Mean steps of the successful episodes, if there are any.
+    pub mean_steps_to_success: Option<f64>,
+    /// Mean undiscounted return.
+    pub mean_return: f64,
+    /// Episodes whose physics diverged.
+    pub n_diverged: u64,
+}
+
+/// The rows of a pass: the paper's groups in its order, all blueprints, and the runs without resets; those that were not
+/// judged are left out.
+pub fn rows(pass: &Pass) -> Vec<GroupRow> {
+    use Group::{Test12To16, TestSpecial, Train2To6, Train7To11, Train12To16};
+    let groups = [Train2To6, Train7To11, Train12To16, Test12To16, TestSpecial].map(Some);
+    let mut rows = Vec::new();
+    for group in groups.into_iter().chain([None]) {
+        for acting in [ActionMode::Greedy, ActionMode::Sampled] {
+            let members = pass.blueprints.iter().filter(|score| group.is_none() || group_of(score) == group);
+            let outcomes: Vec<&EvalOutcome> = members.filter_map(|score| outcome_of(score, acting)).collect();
+            rows.extend(row(group.map_or("all", Group::name), acting, outcomes.len(), &outcomes));
+        }
+    }
+    if let Some(runs) = &pass.reset_free {
+        let n_goals = usize::try_from(runs.n_goals).unwrap_or(usize::MAX);
+        for (acting, runs) in [(ActionMode::Greedy, &runs.mode), (ActionMode::Sampled, &runs.sampled)] {
+            if runs.outcome.success.n_episodes > 0 {
+                rows.extend(row("reset-free", acting, n_goals, &[&runs.outcome]));
+            }
+        }
+    }
+    rows
+}
+
+fn row(name: &str, acting: ActionMode, n_blueprints: usize, outcomes: &[&EvalOutcome]) -> Option<GroupRow> {
+    let sum = |count: fn(&EvalOutcome) -> u64| outcomes.iter().map(|outcome| count(outcome)).sum::<u64>();
+    let n_episodes = sum(|outcome| outcome.success.n_episodes);
+    let n_successes = sum(|outcome| outcome.success.n_successes);
+    let steps =
+        outcomes.iter().filter_map(|outcome| Some(outcome.mean_steps_to_success? * outcome.success.n_successes as f64));
+    let returns =
+        outcomes.iter().map(|outcome| f64::from(outcome.mean_return.total()) * outcome.success.n_episodes as f64);
+    (n_episodes > 0).then(|| GroupRow {
+        name: name.to_owned(),
+        n_blueprints,
+        acting,
+        success: SuccessRate::new(n_successes, n_episodes),
+        stable: SuccessRate::new(sum(|outcome| outcome.stable_success.n_successes), n_episodes),
+        mean_steps_to_success: (n_successes > 0).then(|| steps.sum::<f64>() / n_successes as f64),
+        mean_return: returns.sum::<f64>() / n_episodes as f64,
+        n_diverged: sum(|outcome| outcome.n_diverged),
+    })
+}
+
+/// The rows as a Markdown table, rates in percent with the 95 % interval.
+pub fn markdown(rows: &[GroupRow]) -> String {
+    let mut text = "| group | blueprints | actions | episodes | success | 95 % interval | stable | steps to success | \
+                    return | diverged |\n|---|---|---|---|---|---|---|---|---|---|\n"
+        .to_owned();
+    for row in rows {
+        let [success, low, high, stable] =
+            [row.success.rate, row.success.wilson_low, row.success.wilson_high, row.stable.rate].map(|x| 100.0 * x);
+        let steps = row.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
+        writeln!(
+            text,
+            "| {} | {} | {} | {} | {success:.1} % | {low:.1} to {high:.1} | {stable:.1} % | {steps} | {:.2} | {} |",
+            row.name,
+            row.n_blueprints,
+            row.acting.name(),
+            row.success.n_episodes,
+            row.mean_return,
+            row.n_diverged
+        )
+        .expect("writing to a string does not fail");
+    }
+    text
+}
+
+/// The rows as comma-separated values under a line of names; rates from 0 to 1, nothing where there is no number.
+pub fn csv(rows: &[GroupRow]) -> String {
+    let mut text =
+        "group,n_blueprints,acting,n_episodes,n_successes,success,wilson_low,wilson_high,n_stable_successes,\
+                    mean_steps_to_success,mean_return,n_diverged\n"
+            .to_owned();
+    for row in rows {
+        let steps = row.mean_steps_to_success.map(|steps| steps.to_string()).unwrap_or_default();
+        let SuccessRate { n_successes, n_episodes, rate, wilson_low, wilson_high } = row.success;
+        writeln!(
+            text,
+            "{},{},{},{n_episodes},{n_successes},{rate},{wilson_low},{wilson_high},{},{steps},{},{}",
+            row.name,
+            row.n_blueprints,
+            row.acting.name(),
+            row.stable.n_successes,
+            row.mean_return,
+            row.n_diverged
+        )
+        .expect("writing to a string does not fail");
+    }
+    text
+}

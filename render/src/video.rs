@@ -1,0 +1,67 @@
+//! Films of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
+//!
+//! Reading order: `collect` (segments as they come) → `episode` (segments → one episode) → `stage` (an episode from one place, at any time) → `film` (frames
+//! with the goal and the score beside the world) → `mp4` and `gif` (frames → bytes) → `miniature` (a small GIF of
+//! bounded length) → `strip` (an episode as one picture) → `attention` and `heads` (what a policy attends to in it).
+
+mod attention;
+mod collect;
+mod episode;
+mod film;
+mod gif;
+mod heads;
+mod miniature;
+mod mp4;
+mod stage;
+mod strip;
+#[cfg(test)]
+mod tests;
+
+pub use attention::{AttentionError, EpisodeAttention};
+pub use collect::Collector;
+pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
+pub use film::{Film, MAX_WIDTH, MIN_WIDTH};
+pub use gif::{MAX_GIF_FPS, gif};
+pub use heads::{AttentionFilm, attention_strip};
+pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, Miniature, miniature};
+pub use mp4::mp4;
+pub use strip::strip;
+
+/// Most frames a second of a film.
+pub const MAX_FPS: u32 = 60;
+
+/// Why frames make no file.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// There is nothing to show.
+    #[error("a film needs at least one frame")]
+    NoFrames,
+    /// Not a rate that the format can say.
+    #[error("{fps} frames a second is not in 1..={most}")]
+    Rate {
+        /// Frames a second.
+        fps: u32,
+        /// Most frames a second of the format.
+        most: u32,
+    },
+    /// Colors are coded for squares of four pixels.
+    #[error("frames of {width} × {height} pixels; both must be even and the same in all frames")]
+    Size {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+    },
+    /// The encoder refused a frame.
+    #[error("encoding H.264: {0}")]
+    Encoder(#[from] openh264::Error),
+    /// The encoder left a frame out.
+    #[error("the encoder gave nothing for frame {0}")]
+    Dropped(usize),
+    /// The frames fit into no container.
+    #[error("writing MP4: {0}")]
+    Container(#[from] muxide::api::MuxerError),
+    /// The frames fit into no GIF.
+    #[error("writing GIF: {0}")]
+    Gif(#[from] ::gif::EncodingError),
+}

@@ -1,0 +1,189 @@
+//! Segments of a trajectory → one episode.
+
+use blueprints::{Blueprint, BlueprintId};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use proto::{Pose, RewardTerms, Scene, Status, Trajectory};
+
+/// Length of a control step in seconds. Trajectories do not carry it; worlds configured otherwise are shown at this pace.
+pub const STEP_S: f32 = 0.1;
+
+/// All scenes of an episode, or of a stretch of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Episode {
+    goal: Blueprint,
+    first_step: usize,
+    /// One more than steps.
+    scenes: Vec<Scene>,
+    /// Reward before each scene by term, summed from the first.
+    returns: Vec<RewardTerms>,
+    status: Status,
+}
+
+/// Why segments make no episode.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum EpisodeError {
+    /// No segment was given.
+    #[error("an episode needs at least one segment")]
+    Empty,
+    /// A segment has another actor, process or task than the first one.
+    #[error("the segment from step {first_step} on is of another episode")]
+    OtherEpisode {
+        /// Its first step.
+        first_step: usize,
+    },
+    /// The goal given is not that of the segments.
+    #[error("the goal is {expected}, not {given}")]
+    OtherGoal {
+        /// The segments' goal.
+        expected: BlueprintId,
+        /// The blueprint given.
+        given: BlueprintId,
+    },
+    /// Steps are missing, or there twice.
+    #[error("a segment begins at step {found} where step {expected} comes next")]
+    Gap {
+        /// The step after the segments before.
+        expected: usize,
+        /// The segment's first step.
+        found: usize,
+    },
+}
+
+/// Whether two segments are of the same episode: same actor process and same task.
+pub fn is_same_episode(a: &Trajectory, b: &Trajectory) -> bool {
+    (&a.actor, a.epoch, &a.task) == (&b.actor, b.epoch, &b.task)
+}
+
+impl Episode {
+    /// The episode of these segments, in any order, that was to build `goal` (as it stands in the catalog).
+    ///
+    /// # Errors
+    /// When there is no segment, one is of another episode, the goal is another, or steps are missing or there twice.
+    pub fn new(segments: &[Trajectory], goal: &Blueprint) -> Result<Self, EpisodeError> {
+        let mut ordered: Vec<&Trajectory> = segments.iter().collect();
+        ordered.sort_by_key(|segment| segment.first_step);
+        let (Some(first), Some(last)) = (ordered.first(), ordered.last()) else { return Err(EpisodeError::Empty) };
+        if first.task.blueprint != *goal.id() {
+            let (expected, given) = (first.task.blueprint.clone(), goal.id().clone());
+            return Err(EpisodeError::OtherGoal { expected, given });
+        }
+        let first_step = usize::from(first.first_step);
+        let (mut scenes, mut returns) = (Vec::new(), vec![RewardTerms::default()]);
+        let mut so_far = RewardTerms::default();
+        for segment in &ordered {
+            let (found, expected) = (usize::from(segment.first_step), first_step + scenes.len());
+            if !is_same_episode(first, segment) {
+                return Err(EpisodeError::OtherEpisode { first_step: found });
+            }
+            if found != expected {
+                return Err(EpisodeError::Gap { expected, found });
+            }
+            for transition in &segment.transitions {
+                scenes.push(transition.scene.clone());
+                so_far = so_far + transition.reward;
+                returns.push(so_far);
+            }
+        }
+        scenes.push(last.last_scene.clone());
+        let goal = goal.permuted(&first.task.assignment);
+        Ok(Self { goal, first_step, scenes, returns, status: last.status })
+    }
+
+    /// The goal, each of its blocks played by the block of this episode.
+    pub fn goal(&self) -> &Blueprint {
+        &self.goal
+    }
+
+    /// Number of the first step shown, from 0.
+    pub fn first_step(&self) -> usize {
+        self.first_step
+    }
+
+    /// Number of steps.
+    pub fn n_steps(&self) -> usize {
+        self.scenes.len() - 1
+    }
+
+    /// How it stood after the last step; `Running` if the recording ends before the episode does.
+    pub fn status(&self) -> Status {
+        self.status
+    }
+
+    /// Length in seconds of the world's time.
+    pub fn length_s(&self) -> f32 {
+        self.n_steps() as f32 * STEP_S
+    }
+
+    /// Steps that are over at a time in seconds.
+    pub(super) fn n_done(&self, time_s: f32) -> usize {
+        // A thousandth of a step makes up for times that are sums of rounded numbers.
+        ((time_s / STEP_S + 1e-3).max(0.0) as usize).min(self.n_steps())
+    }
+
+    /// Reward so far at a time in seconds.
+    pub(super) fn return_at(&self, time_s: f32) -> f32 {
+        self.return_after(self.n_done(time_s)).total()
+    }
+
+    /// Reward of so many steps by term.
+    pub fn return_after(&self, n_done: usize) -> RewardTerms {
+        self.returns[n_done]
+    }
+
+    /// All scenes.
+    pub fn scenes(&self) -> &[Scene] {
+        &self.scenes
+    }
+
+    /// Number of the goal's connections that are there after so many steps.
+    pub fn n_connected(&self, n_done: usize) -> usize {
+        let is_right = |joint: &&proto::Joint| {
+            self.goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative)
+        };
+        self.scenes[n_done].joints.iter().filter(is_right).count()
+    }
+
+    /// The scene at a time in seconds; between two steps, blocks are on their way from one to the other.
+    pub(super) fn scene_at(&self, time_s: f32) -> Scene {
+        let n_done = self.n_done(time_s);
+        let Some(after) = self.scenes.get(n_done + 1) else { return self.scenes[n_done].clone() };
+        let share = (time_s / STEP_S - n_done as f32).clamp(0.0, 1.0);
+        if share < 1e-3 {
+            return self.scenes[n_done].clone();
+        }
+        let mut scene = after.clone();
+        for (pose, before) in scene.blocks.iter_mut().zip(&self.scenes[n_done].blocks) {
+            *pose = between(before, pose, share);
+        }
+        scene
+    }
+}
+
+/// The pose at `share` of the way, 0 to 1.
+fn between(before: &Pose, after: &Pose, share: f32) -> Pose {
+    let [from, to] = [before, after].map(|pose| Vector3::from(pose.position));
+    let [turn_from, turn_to] = [before, after].map(|pose| {
+        let [x, y, z, w] = pose.orientation;
+        UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
+    });
+    // Half a turn in a step has no shortest way; no block turns that fast.
+    let turn = turn_from.try_slerp(&turn_to, share, 1e-6).unwrap_or(turn_to);
+    Pose { position: from.lerp(&to, share).into(), orientation: turn.coords.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_half_way_is_half_turned() {
+        let before = Pose { position: [0.0, 1.0, 0.0], orientation: [0.0, 0.0, 0.0, 1.0] };
+        // A quarter turn around z: half of it is an eighth, sin 22.5° = 0.3827.
+        let half = std::f32::consts::FRAC_1_SQRT_2;
+        let after = Pose { position: [0.4, 1.0, 0.2], orientation: [0.0, 0.0, half, half] };
+        let pose = between(&before, &after, 0.5);
+        let expected = [0.2, 1.0, 0.1, 0.0, 0.0, 0.3827, 0.9239];
+        let found = [&pose.position[..], &pose.orientation].concat();
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-4), "{found:?}");
+    }
+}

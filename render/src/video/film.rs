@@ -1,0 +1,184 @@
+//! Frames of an episode: the world, and beside it the goal, the score and what the grippers hold.
+
+use blueprints::Inventory;
+use proto::{Scene, Status};
+
+use super::episode::Episode;
+use super::stage::Stage;
+use crate::picture::text::{Type, fitted, write};
+use crate::picture::{Camera, GRIPPER_COLORS, Ground, Image, Painter, Rgb, View, WHITE, corners, of_blueprint};
+
+/// Least and greatest width of a frame, in pixels: words need the one, and the font is too small for more than the other.
+pub const MIN_WIDTH: usize = 480;
+/// See [`MIN_WIDTH`].
+pub const MAX_WIDTH: usize = 1920;
+
+pub(super) const INK: Rgb = [34, 38, 50];
+pub(super) const GRAY: Rgb = [104, 110, 126];
+pub(super) const HAIRLINE: Rgb = [214, 219, 228];
+const PANEL: Rgb = [244, 246, 250];
+const TRACK: Rgb = [222, 226, 235];
+const GREEN: Rgb = [24, 132, 84];
+const AMBER: Rgb = [186, 104, 10];
+
+/// How long the end stays, in seconds, so that it can be read.
+const LAST_S: f32 = 1.5;
+
+/// Frames wider than this have larger words.
+const WIDE_PX: usize = 800;
+
+/// Draws frames of one episode.
+#[derive(Debug)]
+pub struct Film<'a> {
+    episode: &'a Episode,
+    stage: Stage,
+    painter: Painter,
+    size_px: [usize; 2],
+    /// What is beside the world and never changes.
+    panel: Image,
+    layout: Layout,
+}
+
+/// Where things are in the panel, in pixels.
+#[derive(Clone, Copy, Debug)]
+struct Layout {
+    pad: usize,
+    /// Of the panel.
+    width: usize,
+    words: Type,
+    bold: Type,
+    line: usize,
+    /// Below the goal.
+    score_top: usize,
+}
+
+impl<'a> Film<'a> {
+    /// A film with frames of `width` pixels, held within [`MIN_WIDTH`] and [`MAX_WIDTH`] and made even, by nine sixteenths
+    /// of that, made even too.
+    pub fn new(episode: &'a Episode, width: usize) -> Self {
+        let width = width.clamp(MIN_WIDTH, MAX_WIDTH) / 2 * 2;
+        let size_px = [width, width * 9 / 32 * 2];
+        let mut painter = Painter::default();
+        let (panel, layout) = panel(&mut painter, episode, size_px);
+        let stage = Stage::new(episode, [width - layout.width, size_px[1]]);
+        Self { episode, stage, painter, size_px, panel, layout }
+    }
+
+    /// Width and height of the frames in pixels, both even.
+    pub fn size_px(&self) -> [usize; 2] {
+        self.size_px
+    }
+
+    /// All frames in order, `fps` (at least 1) for a second, from the first scene to the last, which stays for a moment.
+    pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
+        let per_second = fps.max(1) as f32;
+        let n_frames = (self.episode.length_s() * per_second).ceil() as usize + 1 + (LAST_S * per_second) as usize;
+        (0..n_frames).map(move |i| self.frame(i as f32 / per_second))
+    }
+
+    /// The frame at a time in seconds from the first scene; after the end, the end.
+    pub fn frame(&mut self, time_s: f32) -> Image {
+        let time_s = time_s.clamp(0.0, self.episode.length_s());
+        let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
+        let scene = self.episode.scene_at(time_s);
+        image.paste(&self.stage.picture(&mut self.painter, &scene), 0, 0);
+        let left = self.size_px[0] - self.layout.width;
+        image.paste(&self.panel, left, 0);
+        self.score(&mut image, left, time_s, &scene);
+        image
+    }
+
+    fn score(&self, image: &mut Image, left: usize, time_s: f32, scene: &Scene) {
+        let Layout { pad, width, words, bold, line, score_top } = self.layout;
+        let (x, room) = (left + pad, width - 2 * pad);
+        let n_done = self.episode.n_done(time_s);
+        let (n_connected, n_links) = (self.episode.n_connected(n_done), self.episode.goal().links().len());
+        let mut y = score_top;
+        row(image, [x, y], room, words, "connected", &format!("{n_connected}/{n_links}"));
+        y += line;
+        let bar = line / 3;
+        image.fill([x, y], [room, bar], TRACK);
+        image.fill([x, y], [room * n_connected / n_links.max(1), bar], GREEN);
+        y += line * 2 / 3;
+        let step = self.episode.first_step() + n_done;
+        let n_steps = self.episode.first_step() + self.episode.n_steps();
+        row(image, [x, y], room, words, "step", &format!("{step}/{n_steps}"));
+        row(image, [x, y + line], room, words, "reward", &format!("{:.1}", self.episode.return_at(time_s)));
+        y += 2 * line + line / 3;
+        for (gripper_idx, color) in GRIPPER_COLORS.into_iter().enumerate() {
+            let Some(held) = held(scene, gripper_idx) else { continue };
+            let side = words.height() * 3 / 4;
+            image.fill([x, y + 2], [side, side], color);
+            image.fill([x + side / 4, y + 2 + side / 4], [side - side / 4 * 2, side - side / 4 * 2], PANEL);
+            write(image, [x + side + pad / 2, y], &fitted(held, words, room - side - pad / 2), words, INK);
+            y += line;
+        }
+        if n_done < self.episode.n_steps() {
+            return;
+        }
+        let (text, color) = ending(self.episode.status());
+        let height = bold.height() + pad;
+        let top = self.size_px[1] - height;
+        image.fill([left, top], [width, height], color);
+        let middle = left + (width - bold.width(text).min(width)) / 2;
+        write(image, [middle, top + pad / 2], text, bold, WHITE);
+    }
+}
+
+/// What is said of an end, and in which color.
+pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
+    match status {
+        Status::Success => ("success", GREEN),
+        Status::TimeLimit => ("time is up", AMBER),
+        Status::Diverged => ("diverged", AMBER),
+        Status::Running => ("cut here", GRAY),
+    }
+}
+
+/// Name of the type of block that a gripper holds, `None` for a gripper that the world does not have.
+fn held(scene: &Scene, gripper_idx: usize) -> Option<&'static str> {
+    let gripper = scene.grippers[gripper_idx].as_ref()?;
+    Some(gripper.held.map_or("free", |block| Inventory::standard().block_type(block).name.as_str()))
+}
+
+/// Words on the left and a number on the right of a line.
+fn row(image: &mut Image, [x, y]: [usize; 2], room: usize, words: Type, name: &str, value: &str) {
+    write(image, [x, y], name, words, GRAY);
+    write(image, [(x + room).saturating_sub(words.width(value)), y], value, words, INK);
+}
+
+/// A picture of the goal of this size in pixels.
+pub(super) fn goal_picture(painter: &mut Painter, episode: &Episode, [width, height]: [usize; 2]) -> Image {
+    let blocks = of_blueprint(episode.goal());
+    let shorter = width.min(height) as f32;
+    let max_px_per_m = shorter / (3.0 * blueprints::UNIT_M);
+    let view = View::FrontQuarter;
+    let camera = Camera::framing(view, &corners(&blocks), [width, height], 0.06 * shorter, max_px_per_m);
+    painter.paint(&blocks, &camera, Ground::under(&blocks))
+}
+
+fn panel(painter: &mut Painter, episode: &Episode, [full_width, height]: [usize; 2]) -> (Image, Layout) {
+    let is_wide = full_width > WIDE_PX;
+    let (words, bold) = if is_wide { (Type::Body, Type::Heading) } else { (Type::Small, Type::BodyBold) };
+    let width = full_width * 27 / 100;
+    let pad = full_width / 64;
+    let line = words.height() + 3;
+    let mut panel = Image::filled(width, height, PANEL);
+    let room = width - 2 * pad;
+    let goal = episode.goal();
+    write(&mut panel, [pad, pad / 2], "goal", bold, INK);
+    let after = pad + bold.width("goal ");
+    let lower = pad / 2 + bold.height() - words.height();
+    let id = fitted(goal.id().as_str(), words, width.saturating_sub(after + pad));
+    write(&mut panel, [after, lower], &id, words, GRAY);
+    write(&mut panel, [pad, pad / 2 + bold.height() + 2], &fitted(goal.title(), words, room), words, GRAY);
+    let top = pad / 2 + bold.height() + line + 2;
+    // Five lines, two gaps and the end's banner must find room below.
+    let below = 6 * line + line / 3 + bold.height() + pad * 3 / 2;
+    let picture = goal_picture(painter, episode, [room, height.saturating_sub(top + below).max(1)]);
+    panel.fill([pad - 1, top - 1], [room + 2, picture.height() + 2], HAIRLINE);
+    panel.paste(&picture, pad, top);
+    panel.fill([0, 0], [1, height], HAIRLINE);
+    let layout = Layout { pad, width, words, bold, line, score_top: top + picture.height() + pad / 2 };
+    (panel, layout)
+}

@@ -1,0 +1,89 @@
+//! Frames → a GIF, for places that play nothing else.
+
+use ::gif::{DisposalMethod, Encoder, Frame, Repeat};
+
+use super::VideoError;
+use crate::picture::palette::Palette;
+use crate::picture::{Image, Rgb};
+
+/// Most frames a second: browsers slow down delays of less than two hundredths of a second.
+pub const MAX_GIF_FPS: u32 = 50;
+
+/// One number of a palette stands for pixels that stay as they are.
+const N_COLORS: usize = 255;
+
+/// The frames as a GIF that plays over and over, `fps` (1 to [`MAX_GIF_FPS`]) for a second. Equal frames give equal bytes.
+///
+/// Of each frame only what changed is kept, in up to 255 colors of its own. A frame without a change is kept as one
+/// pixel, so that the number of frames is that of the film.
+///
+/// # Errors
+/// When there is no frame, or a rate or a size that the format cannot say (see [`VideoError`]).
+pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>, VideoError> {
+    if !(1..=MAX_GIF_FPS).contains(&fps) {
+        return Err(VideoError::Rate { fps, most: MAX_GIF_FPS });
+    }
+    let mut frames = frames.into_iter().peekable();
+    let first = frames.peek().ok_or(VideoError::NoFrames)?;
+    let (width, height) = (first.width(), first.height());
+    let side = |n: usize| u16::try_from(n).map_err(|_| VideoError::Size { width, height });
+    let mut encoder = Encoder::new(Vec::new(), side(width)?, side(height)?, &[])?;
+    encoder.set_repeat(Repeat::Infinite)?;
+    let mut last: Option<Image> = None;
+    for (i, image) in (0_u32..).zip(frames) {
+        if (image.width(), image.height()) != (width, height) {
+            return Err(VideoError::Size { width: image.width(), height: image.height() });
+        }
+        let [x, y] = last.as_ref().map_or([[0, width], [0, height]], |last| changed(last, &image));
+        let (pixels, stays) = cut(last.as_ref(), &image, x, y);
+        let palette = Palette::of(&pixels, N_COLORS);
+        let mut numbers = palette.indices(&pixels);
+        numbers.iter_mut().zip(stays).filter(|(_, stays)| *stays).for_each(|(number, _)| *number = N_COLORS as u8);
+        let mut colors = palette.colors().to_vec();
+        colors.resize(N_COLORS + 1, [0; 3]);
+        // Hundredths of a second, rounded so that errors do not add up.
+        let until = |i: u32| (100 * i + fps / 2) / fps;
+        encoder.write_frame(&Frame {
+            delay: (until(i + 1) - until(i)) as u16,
+            dispose: DisposalMethod::Keep,
+            transparent: Some(N_COLORS as u8),
+            left: side(x[0])?,
+            top: side(y[0])?,
+            width: side(x[1] - x[0])?,
+            height: side(y[1] - y[0])?,
+            palette: Some(colors.concat()),
+            buffer: numbers.into(),
+            ..Frame::default()
+        })?;
+        last = Some(image);
+    }
+    Ok(encoder.into_inner()?)
+}
+
+/// Columns and rows (from, to but not including) outside of which nothing changed; one pixel if nothing did.
+fn changed(last: &Image, image: &Image) -> [[usize; 2]; 2] {
+    let width = image.width();
+    let (mut x, mut y) = ([width, 0], [image.height(), 0]);
+    let rows = last.pixels().chunks_exact(width).zip(image.pixels().chunks_exact(width));
+    for (row_idx, (before, after)) in rows.enumerate() {
+        let differs = |(a, b): (&Rgb, &Rgb)| a != b;
+        let Some(from) = before.iter().zip(after).position(differs) else { continue };
+        let to = before.iter().zip(after).rposition(differs).map_or(width, |at| at + 1);
+        x = [x[0].min(from), x[1].max(to)];
+        y = [y[0].min(row_idx), row_idx + 1];
+    }
+    if y[1] == 0 { [[0, 1], [0, 1]] } else { [x, y] }
+}
+
+/// The pixels of a part of an image, and which of them are as they were.
+fn cut(last: Option<&Image>, image: &Image, x: [usize; 2], y: [usize; 2]) -> (Vec<Rgb>, Vec<bool>) {
+    let part = |of: &Image| -> Vec<Rgb> {
+        of.pixels().chunks_exact(of.width()).take(y[1]).skip(y[0]).flat_map(|row| &row[x[0]..x[1]]).copied().collect()
+    };
+    let pixels = part(image);
+    let stays = match last {
+        Some(last) => part(last).iter().zip(&pixels).map(|(a, b)| a == b).collect(),
+        None => vec![false; pixels.len()],
+    };
+    (pixels, stays)
+}

@@ -1,0 +1,232 @@
+//! Films and strips of attention: every head of every layer over the blocks, through an episode.
+
+use super::attention::{AttentionSource, EpisodeAttention, FULL, Shares, shade};
+use super::film::{GRAY, HAIRLINE, INK, goal_picture};
+use super::stage::Stage;
+use crate::picture::text::{Type, fitted, write};
+use crate::picture::{Image, Painter, Rgb, WHITE};
+
+/// Least number of pictures in a row of a film: world, goal and two grippers.
+const MIN_COLUMNS: usize = 4;
+
+/// Space between pictures, height of the words below each and of the legend, in pixels.
+const GAP: usize = 6;
+const FOOT: usize = 22;
+const LEGEND: usize = 24;
+
+/// Width of the words beside the rows of a strip, in pixels.
+const MARGIN: usize = 152;
+
+/// How long the end of a film stays, in seconds.
+const LAST_S: f32 = 1.5;
+
+const TRACK: Rgb = [226, 230, 238];
+
+/// Names and colors of [`Shares`].
+const SHARES: [(&str, Rgb); 3] = [("plan", [24, 132, 84]), ("join", [30, 60, 130]), ("held", [214, 0, 110])];
+
+/// Draws frames of an episode with one picture for each head.
+#[derive(Debug)]
+pub struct AttentionFilm<'g> {
+    attention: &'g EpisodeAttention<'g>,
+    stage: Stage,
+    painter: Painter,
+    goal: Image,
+    n_columns: usize,
+    tile_px: [usize; 2],
+    size_px: [usize; 2],
+}
+
+impl<'g> AttentionFilm<'g> {
+    /// A film with frames of `width` pixels, within [`MIN_WIDTH`](super::MIN_WIDTH) and
+    /// [`MAX_WIDTH`](super::MAX_WIDTH) and made even; the height is what the layers take.
+    pub fn new(attention: &'g EpisodeAttention<'g>, width: usize) -> Self {
+        let width = width.clamp(super::MIN_WIDTH, super::MAX_WIDTH) / 2 * 2;
+        let n_columns = attention.n_heads().max(MIN_COLUMNS);
+        let tile_width = (width - (n_columns - 1) * GAP) / n_columns;
+        let tile_px = [tile_width, tile_width * 9 / 16];
+        let height = (attention.n_layers() + 1) * (tile_px[1] + FOOT) + LEGEND;
+        let mut painter = Painter::default();
+        let goal = goal_picture(&mut painter, attention.episode, tile_px);
+        let stage = Stage::new(attention.episode, tile_px);
+        Self { attention, stage, painter, goal, n_columns, tile_px, size_px: [width, height.next_multiple_of(2)] }
+    }
+
+    /// All frames in order, `fps` (at least 1) for a second; the last stays for a moment.
+    pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
+        let per_second = fps.max(1) as f32;
+        let length_s = self.attention.episode.length_s();
+        let n_frames = (length_s * per_second).ceil() as usize + 1 + (LAST_S * per_second) as usize;
+        let mut last: Option<(usize, Image)> = None;
+        (0..n_frames).map(move |i| {
+            let n_done = self.attention.episode.n_done(i as f32 / per_second);
+            match &last {
+                Some((known, image)) if *known == n_done => image.clone(),
+                _ => last.insert((n_done, self.frame(n_done))).1.clone(),
+            }
+        })
+    }
+
+    /// The frame after so many steps; attention is of whole steps only.
+    fn frame(&mut self, n_done: usize) -> Image {
+        let (attention, episode) = (self.attention, self.attention.episode);
+        let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
+        let world = self.stage.picture(&mut self.painter, &episode.scenes()[n_done]);
+        let n_links = episode.goal().links().len();
+        let step = episode.first_step() + n_done;
+        let words = format!("step {step}: {}/{n_links} connected", episode.n_connected(n_done));
+        self.place(&mut image, [0, 0], &world, &words, INK);
+        let goal = format!("goal: {}", episode.goal().id());
+        self.place(&mut image, [1, 0], &self.goal, &goal, INK);
+        for gripper in 0..attention.n_grippers() {
+            let source = AttentionSource::Gripper(gripper);
+            let picture = attention.picture(source, n_done, &self.stage, &mut self.painter);
+            let (words, color) = source.caption(attention.n_grippers());
+            self.place(&mut image, [2 + gripper, 0], &picture, &words, color);
+        }
+        for (layer, head) in
+            (0..attention.n_layers()).flat_map(|layer| (0..attention.n_heads()).map(move |head| (layer, head)))
+        {
+            let source = AttentionSource::Head { layer, head };
+            let picture = attention.picture(source, n_done, &self.stage, &mut self.painter);
+            let [left, top] =
+                self.place(&mut image, [head, layer + 1], &picture, &format!("{}.{}", layer + 1, head + 1), INK);
+            bars(
+                &mut image,
+                [left + 36, top],
+                self.tile_px[0].saturating_sub(36),
+                attention.shares(layer, head, n_done),
+            );
+        }
+        let top = self.size_px[1] - LEGEND + 4;
+        legend(&mut image, [2, top]);
+        image
+    }
+
+    /// Puts a picture into a column and row, and returns where the words below it begin.
+    fn place(
+        &self,
+        image: &mut Image,
+        [column, row]: [usize; 2],
+        picture: &Image,
+        words: &str,
+        color: Rgb,
+    ) -> [usize; 2] {
+        let [width, height] = self.tile_px;
+        let (x, y) = (column.min(self.n_columns - 1) * (width + GAP), row * (height + FOOT));
+        put(image, [x, y], picture);
+        write(image, [x + 2, y + height + 3], &fitted(words, Type::Small, width), Type::Small, color);
+        [x + 2, y + height + 3]
+    }
+}
+
+/// Rows of pictures: the world, then what each gripper and each head of each layer attends to, after `n_moments` (at least
+/// 2) evenly spread numbers of steps. The whole is about `width` pixels wide (at least 480).
+pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width: usize) -> Image {
+    let (n_moments, episode) = (n_moments.max(2), attention.episode);
+    let tile_width = (width.max(super::MIN_WIDTH) - MARGIN) / n_moments - GAP;
+    let tile_px = [tile_width, tile_width * 9 / 16];
+    let grippers = (0..attention.n_grippers()).map(AttentionSource::Gripper);
+    let heads = (0..attention.n_layers())
+        .flat_map(|layer| (0..attention.n_heads()).map(move |head| AttentionSource::Head { layer, head }));
+    let sources: Vec<AttentionSource> = grippers.chain(heads).collect();
+    let step_px = [tile_px[0] + GAP, tile_px[1] + GAP];
+    let height = FOOT + (sources.len() + 1) * step_px[1] + LEGEND;
+    let mut image = Image::filled(MARGIN + n_moments * step_px[0], height, WHITE);
+    let mut painter = Painter::default();
+    let goal = goal_picture(&mut painter, episode, [MARGIN - 12, tile_px[1]]);
+    put(&mut image, [0, FOOT], &goal);
+    write(
+        &mut image,
+        [2, 2],
+        &fitted(&format!("goal: {}", episode.goal().id()), Type::Small, MARGIN),
+        Type::Small,
+        INK,
+    );
+    let stage = Stage::new(episode, tile_px);
+    for moment in 0..n_moments {
+        let n_done = moment * episode.n_steps() / (n_moments - 1);
+        let x = MARGIN + moment * step_px[0];
+        let words = format!("step {}", episode.first_step() + n_done);
+        write(&mut image, [x + 2, 2], &fitted(&words, Type::Small, tile_px[0]), Type::Small, GRAY);
+        put(&mut image, [x, FOOT], &stage.picture(&mut painter, &episode.scenes()[n_done]));
+        for (row, source) in sources.iter().enumerate() {
+            put(
+                &mut image,
+                [x, FOOT + (row + 1) * step_px[1]],
+                &attention.picture(*source, n_done, &stage, &mut painter),
+            );
+        }
+    }
+    for (row, source) in sources.iter().enumerate() {
+        let y = FOOT + (row + 1) * step_px[1];
+        let (words, color) = source.caption(attention.n_grippers());
+        write(&mut image, [2, y + 4], &fitted(&words, Type::Small, MARGIN), Type::Small, color);
+        let AttentionSource::Head { layer, head } = *source else { continue };
+        let each = 1.0 / episode.scenes().len() as f32;
+        let mut mean = Shares::default();
+        for n_done in 0..episode.scenes().len() {
+            let shares = attention.shares(layer, head, n_done);
+            mean.planned += each * shares.planned;
+            mean.joined += each * shares.joined;
+            mean.held += each * shares.held;
+        }
+        let shares = [mean.planned, mean.joined, mean.held];
+        for (i, ((name, color), share)) in SHARES.into_iter().zip(shares).enumerate() {
+            let top = y + 24 + i * 18;
+            if top + 16 < y + tile_px[1] {
+                bar(&mut image, [8, top], MARGIN - 24, name, share, color);
+            }
+        }
+    }
+    legend(&mut image, [2, height - LEGEND + 4]);
+    image
+}
+
+fn put(image: &mut Image, [x, y]: [usize; 2], picture: &Image) {
+    image.paste(picture, x, y);
+    let (width, height) = (picture.width(), picture.height());
+    for (at, size) in [
+        ([x, y], [width, 1]),
+        ([x, y + height - 1], [width, 1]),
+        ([x, y], [1, height]),
+        ([x + width - 1, y], [1, height]),
+    ] {
+        image.fill(at, size, HAIRLINE);
+    }
+}
+
+/// The three shares beside each other.
+fn bars(image: &mut Image, [x, y]: [usize; 2], width: usize, shares: Shares) {
+    let each = width / SHARES.len();
+    let shares = [shares.planned, shares.joined, shares.held];
+    for (i, ((name, color), share)) in SHARES.into_iter().zip(shares).enumerate() {
+        bar(image, [x + i * each, y], each.saturating_sub(8), name, share, color);
+    }
+}
+
+/// A name and, behind it, a bar that is full at a share of 1.
+fn bar(image: &mut Image, [x, y]: [usize; 2], width: usize, name: &str, share: f32, color: Rgb) {
+    let words = Type::Small.width(name) + 4;
+    write(image, [x, y], name, Type::Small, GRAY);
+    let room = width.saturating_sub(words);
+    image.fill([x + words, y + 5], [room, 7], TRACK);
+    image.fill([x + words, y + 5], [(room as f32 * share.clamp(0.0, 1.0)) as usize, 7], color);
+}
+
+fn legend(image: &mut Image, [x, y]: [usize; 2]) {
+    let before = "attention 0";
+    write(image, [x, y], before, Type::Small, GRAY);
+    let left = x + Type::Small.width(before) + 6;
+    let length = 90;
+    for i in 0..length {
+        image.fill([left + i, y + 3], [1, 11], shade(FULL * i as f32 / length as f32));
+    }
+    let words = format!(
+        "{:.0} %, of the goal's blocks; bars: its share on partners in the plan, blocks connected, blocks held",
+        100.0 * FULL
+    );
+    let at = left + length + 6;
+    let room = image.width().saturating_sub(at);
+    write(image, [at, y], &fitted(&words, Type::Small, room), Type::Small, GRAY);
+}

@@ -1,0 +1,51 @@
+//! An episode as one picture: the goal, then the world from the first scene to the last.
+
+use proto::Status;
+
+use super::episode::Episode;
+use super::film::{GRAY, HAIRLINE, INK, goal_picture};
+use super::stage::Stage;
+use crate::picture::text::{Type, fitted, write};
+use crate::picture::{Image, Painter, Rgb, WHITE};
+
+/// Pictures in a row.
+const N_COLUMNS: usize = 4;
+
+/// Space between pictures, and of the words below each, in pixels.
+const GAP: usize = 8;
+const FOOT: usize = 26;
+
+/// Pictures in rows of four, `n_frames` (at least 2) of the world and the goal in front; the whole is `width` pixels wide
+/// (at least 480).
+pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
+    let n_frames = n_frames.max(2);
+    let tile = (width.max(super::MIN_WIDTH) - (N_COLUMNS - 1) * GAP) / N_COLUMNS;
+    let height = tile * 2 / 3;
+    let n_rows = (n_frames + 1).div_ceil(N_COLUMNS);
+    let full_height = n_rows * (height + FOOT + GAP) - GAP;
+    let mut image = Image::filled(N_COLUMNS * (tile + GAP) - GAP, full_height, WHITE);
+    let mut painter = Painter::default();
+    let place = |image: &mut Image, i: usize, picture: &Image, words: &str, color: Rgb| {
+        let (x, y) = (i % N_COLUMNS * (tile + GAP), i / N_COLUMNS * (height + FOOT + GAP));
+        image.fill([x, y], [tile, height], HAIRLINE);
+        image.paste(picture, x + 1, y + 1);
+        write(image, [x + 2, y + height + 4], &fitted(words, Type::Small, tile - 2), Type::Small, color);
+    };
+    let inside = [tile - 2, height - 2];
+    let goal = goal_picture(&mut painter, episode, inside);
+    place(&mut image, 0, &goal, &format!("goal: {}", episode.goal().id()), INK);
+    let stage = Stage::new(episode, inside);
+    let n_links = episode.goal().links().len();
+    for i in 0..n_frames {
+        let n_done = i * episode.n_steps() / (n_frames - 1);
+        let picture = stage.picture(&mut painter, &episode.scenes()[n_done]);
+        let end = match episode.status() {
+            Status::Success if i + 1 == n_frames => ", success",
+            _ => "",
+        };
+        let step = episode.first_step() + n_done;
+        let words = format!("step {step}: {}/{n_links} connected{end}", episode.n_connected(n_done));
+        place(&mut image, i + 1, &picture, &words, GRAY);
+    }
+    image
+}

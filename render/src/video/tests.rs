@@ -1,0 +1,272 @@
+//! Films of a small episode made by hand, and what can be read back from their bytes.
+
+use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
+use proto::{
+    Action, ActorId, Gripper, Outcome, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition,
+    WeightsVersion,
+};
+
+use super::*;
+use crate::picture::{GRIPPER_COLORS, Image, Rgb, WHITE};
+
+const STILL: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
+
+fn goal() -> &'static Blueprint {
+    Catalog::builtin().iter().next().unwrap()
+}
+
+/// Blocks in rows of four, the first one `along_m` to the side and held.
+fn scene(along_m: f32) -> Scene {
+    let row = |i: usize| [(i % 4) as f32 * 0.5, (i / 4) as f32 * 0.5, 0.05];
+    let mut blocks = std::array::from_fn(|i| Pose { position: row(i), orientation: STILL });
+    blocks[0].position = [along_m, -0.5, 0.05];
+    let held = BlockIdx::all().next();
+    let gripper = Gripper { held, orientation: STILL, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
+    let speeds_mps = [0.0; N_BLOCKS];
+    Scene { blocks, speeds_mps, joints: Vec::new(), grippers: [Some(gripper), None], n_heavy_contacts: 0 }
+}
+
+/// Steps `first` to `last` of an episode of four in which the first block moves 0.4 m a step, each for a reward of 1.
+pub(super) fn segment(first: u16, last: u16) -> Trajectory {
+    let action = Action { choices: [BlockIdx::all().next(), None], moves: [[0.0; 6]; N_BLOCKS] };
+    let reward = RewardTerms { connected: 1.0, ..RewardTerms::default() };
+    let transition = |step: u16| Transition {
+        scene: scene(0.4 * f32::from(step)),
+        action: action.clone(),
+        behavior_log_prob: 0.0,
+        value: 0.0,
+        reward,
+        label: None,
+    };
+    let status = if last == 4 { Status::Success } else { Status::Running };
+    let outcome = Outcome { success: true, n_steps: 4, episode_return: reward };
+    let mut blocks = BlockIdx::all();
+    Trajectory {
+        actor: ActorId::try_from("by-hand".to_owned()).unwrap(),
+        epoch: 0,
+        seq: first.into(),
+        weights_version: WeightsVersion(0),
+        task: Task {
+            blueprint: goal().id().clone(),
+            assignment: std::array::from_fn(|_| blocks.next().unwrap()),
+            start: Start::Scattered,
+            seed: 1,
+        },
+        driver: proto::Driver::Sample,
+        first_step: first,
+        transitions: (first..last).map(transition).collect(),
+        last_scene: scene(0.4 * f32::from(last)),
+        status,
+        bootstrap_value: 0.0,
+        outcome: (status == Status::Success).then_some(outcome),
+    }
+}
+
+fn episode() -> Episode {
+    Episode::new(&[segment(0, 4)], goal()).unwrap()
+}
+
+/// Mean column of the pixels of a color in the left 70 % of an image.
+fn mean_column(image: &Image, color: Rgb) -> f32 {
+    let world = image.width() * 7 / 10;
+    let columns: Vec<usize> = (0..image.pixels().len())
+        .filter(|i| image.pixels()[*i] == color)
+        .map(|i| i % image.width())
+        .filter(|x| *x < world)
+        .collect();
+    assert!(columns.len() > 10, "{} pixels of {color:?}", columns.len());
+    columns.iter().sum::<usize>() as f32 / columns.len() as f32
+}
+
+#[test]
+fn segments_in_any_order_make_the_episode() {
+    assert_eq!(Episode::new(&[segment(2, 4), segment(0, 2)], goal()).unwrap(), episode());
+    assert_eq!(episode().return_at(0.25), 2.0);
+    let refused = |segments: &[Trajectory]| Episode::new(segments, goal()).unwrap_err();
+    assert_eq!(refused(&[]), EpisodeError::Empty);
+    assert_eq!(refused(&[segment(0, 2), segment(3, 4)]), EpisodeError::Gap { expected: 2, found: 3 });
+    assert_eq!(refused(&[segment(0, 3), segment(2, 4)]), EpisodeError::Gap { expected: 3, found: 2 });
+    let mut other = segment(2, 4);
+    other.task.seed = 2;
+    assert_eq!(refused(&[segment(0, 2), other]), EpisodeError::OtherEpisode { first_step: 2 });
+    let another = Catalog::builtin().iter().nth(1).unwrap();
+    let error = Episode::new(&[segment(0, 4)], another).unwrap_err();
+    assert!(error.to_string().contains(another.id().as_str()), "{error}");
+}
+
+#[test]
+fn a_block_that_moves_moves_evenly_and_all_else_stays() {
+    let episode = episode();
+    let mut film = Film::new(&episode, 480);
+    let frames = [0.0, 0.1, 0.15, 0.2].map(|time_s| film.frame(time_s));
+    let [_, b, c, d] = frames.each_ref().map(|frame| mean_column(frame, GRIPPER_COLORS[0]));
+    // 1 m is about 100 pixels here, and the way to the side 0.85 of it on the picture: 0.4 m are about 30 pixels.
+    assert!((15.0..60.0).contains(&(d - b)), "{b} to {d}");
+    assert!((c - 0.5 * (b + d)).abs() < 2.0, "{b}, {c}, {d}");
+    // The farthest block is where it was, as the camera stands still.
+    let corner = |image: &Image| {
+        (0..60).flat_map(|y| (200..340).map(move |x| (x, y))).map(|(x, y)| image.get(x, y)).collect::<Vec<_>>()
+    };
+    assert_eq!(corner(&frames[0]), corner(&frames[3]));
+}
+
+#[test]
+fn the_goal_is_shown_beside_the_world() {
+    let episode = episode();
+    let frame = Film::new(&episode, 960).frame(0.0);
+    // The panel takes the last 27 % of the width; magnets are the only red and blue in it, and the goal has both.
+    let left = 960 - 960 * 27 / 100;
+    let panel = || (0..540).flat_map(|y| (left..960).map(move |x| (x, y))).filter_map(|(x, y)| frame.get(x, y));
+    let n_red = panel().filter(|[r, g, b]| r / 2 > *g && r / 2 > *b).count();
+    let n_blue = panel().filter(|[r, g, b]| b / 2 > *r && b > g).count();
+    assert!(n_red.min(n_blue) > 100 && panel().filter(|color| *color == WHITE).count() > 1000, "{n_red} {n_blue}");
+    // Success is said in the last frame only.
+    let last = Film::new(&episode, 960).frame(9.0);
+    let banner = |image: &Image| image.get(left + 5, 535);
+    assert_ne!(banner(&frame), banner(&last));
+}
+
+/// The content of a box of an MP4 file, by the path to it.
+fn mp4_box<'a>(bytes: &'a [u8], path: &[&str]) -> &'a [u8] {
+    let Some((name, rest)) = path.split_first() else { return bytes };
+    let mut at = bytes;
+    while at.len() >= 8 {
+        let length = u32::from_be_bytes(at[..4].try_into().unwrap()) as usize;
+        if &at[4..8] == name.as_bytes() {
+            return mp4_box(&at[8..length], rest);
+        }
+        at = &at[length..];
+    }
+    panic!("no box {name}")
+}
+
+#[test]
+fn every_frame_is_in_the_mp4_and_can_be_decoded() {
+    let episode = episode();
+    let frames: Vec<Image> = Film::new(&episode, 480).frames(10).collect();
+    // Five scenes, and 1.5 seconds of the last.
+    assert_eq!(frames.len(), 5 + 15);
+    let bytes = mp4(frames.iter().cloned(), 10).unwrap();
+    let table = |name| mp4_box(&bytes, &["moov", "trak", "mdia", "minf", "stbl", name]);
+    let sizes: Vec<usize> =
+        table("stsz")[12..].chunks_exact(4).map(|n| u32::from_be_bytes(n.try_into().unwrap()) as usize).collect();
+    assert_eq!(sizes.len(), frames.len());
+    // Each frame is some units, a length before each; the decoder wants a mark instead. What it needs to know before the
+    // first frame stands in the first frame.
+    let mut data = mp4_box(&bytes, &["mdat"]);
+    assert_eq!(data.len(), sizes.iter().sum::<usize>());
+    let mut decoder = openh264::decoder::Decoder::new().unwrap();
+    let mut n_decoded = 0;
+    for size in sizes {
+        let (mut units, rest) = data.split_at(size);
+        data = rest;
+        let mut stream = Vec::new();
+        while !units.is_empty() {
+            let length = u32::from_be_bytes(units[..4].try_into().unwrap()) as usize;
+            stream.extend([0, 0, 0, 1]);
+            stream.extend(&units[4..4 + length]);
+            units = &units[4 + length..];
+        }
+        n_decoded += usize::from(decoder.decode(&stream).unwrap().is_some());
+    }
+    n_decoded += decoder.flush_remaining().unwrap().len();
+    assert_eq!(n_decoded, frames.len());
+    assert_eq!(bytes, mp4(frames, 10).unwrap(), "equal frames give equal bytes");
+}
+
+#[test]
+fn every_frame_is_in_the_gif_and_looks_as_it_did() {
+    let episode = episode();
+    let frames: Vec<Image> = Film::new(&episode, 480).frames(10).collect();
+    let bytes = gif(frames.iter().cloned(), 10).unwrap();
+    let mut options = ::gif::DecodeOptions::new();
+    options.set_color_output(::gif::ColorOutput::RGBA);
+    let mut decoder = options.read_info(bytes.as_slice()).unwrap();
+    let width = frames[0].width();
+    let mut canvas = vec![[0_u8; 3]; width * frames[0].height()];
+    let mut n_decoded = 0;
+    while let Some(frame) = decoder.read_next_frame().unwrap() {
+        assert_eq!(frame.delay, 10);
+        for (i, pixel) in frame.buffer.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
+            let (x, y) = (i % usize::from(frame.width), i / usize::from(frame.width));
+            let at = (y + usize::from(frame.top)) * width + x + usize::from(frame.left);
+            canvas[at].copy_from_slice(&pixel[..3]);
+        }
+        let off = |(a, b): (&Rgb, &Rgb)| (0..3).map(|i| a[i].abs_diff(b[i])).max().unwrap();
+        let n_far = canvas.iter().zip(frames[n_decoded].pixels()).map(off).filter(|off| *off > 24).count();
+        assert!(n_far < canvas.len() / 500, "{n_far} pixels of frame {n_decoded} have other colors");
+        n_decoded += 1;
+    }
+    assert_eq!(n_decoded, frames.len());
+}
+
+#[test]
+fn frames_that_fit_no_file_are_refused() {
+    let blank = |width| Image::filled(width, 4, WHITE);
+    assert!(matches!(mp4([], 10), Err(VideoError::NoFrames)));
+    assert!(matches!(gif([], 10), Err(VideoError::NoFrames)));
+    assert!(matches!(mp4([blank(4)], 0), Err(VideoError::Rate { fps: 0, .. })));
+    assert!(matches!(gif([blank(4)], 51), Err(VideoError::Rate { fps: 51, most: 50 })));
+    assert!(matches!(mp4([blank(5)], 10), Err(VideoError::Size { width: 5, .. })));
+    assert!(matches!(gif([blank(4), blank(6)], 10), Err(VideoError::Size { width: 6, .. })));
+}
+
+#[test]
+fn a_strip_has_the_goal_and_the_scenes_in_rows_of_four() {
+    // Tiles are (600 − 3 · 8) / 4 = 144 wide and 96 high, with 26 pixels of words and 8 between: 2 · 130 − 8.
+    let strip = strip(&episode(), 7, 600);
+    assert_eq!((strip.width(), strip.height()), (600, 252));
+}
+
+/// A policy with two layers of three heads, untrained.
+fn policy(n_grippers: u8, attention: bool) -> policy::Policy {
+    let gat =
+        policy::GatConfig { n_layers: 2, n_heads: 3, head_dim: 4, mlp_hidden: 8, attention, ..Default::default() };
+    let encoder = policy::EncoderConfig::Gat(gat);
+    let network = policy::NetworkConfig { encoder, width: 8, value_hidden: vec![8], n_grippers, ..Default::default() };
+    let features = policy::FeatureConfig { n_grippers, ..Default::default() };
+    policy::Policy::new(&policy::PolicyConfig { network, features, ..Default::default() }).unwrap()
+}
+
+#[test]
+fn attention_is_shown_for_every_head_and_of_no_other_world() {
+    let episode = episode();
+    let attention = EpisodeAttention::new(&policy(1, true), &episode).unwrap();
+    let mut film = AttentionFilm::new(&attention, 640);
+    let frames: Vec<Image> = film.frames(10).collect();
+    assert_eq!(frames.len(), 5 + 15);
+    // Four tiles in a row, (640 − 3 · 6) / 4 = 155 wide and 87 high with 22 pixels of words; three rows, and the legend.
+    assert_eq!((frames[0].width(), frames[0].height()), (640, 352));
+    assert!(mp4(frames, 10).is_ok());
+    // Tiles are (600 − 152) / 2 − 6 = 218 wide and 122 high, 6 pixels between: the world, a gripper and six heads.
+    let strip = attention_strip(&attention, 2, 600);
+    assert_eq!((strip.width(), strip.height()), (152 + 2 * 224, 22 + 8 * 128 + 24));
+    // Both blocks of the goal look at each other in the plan; the first block of all is held, and nothing is connected.
+    let mut batch = policy(1, true).batch();
+    batch.push(&episode.scenes()[2], episode.goal());
+    let seen = &policy(1, true).attention(&batch)[0];
+    let [a, b] = [0, 1].map(|i| episode.goal().placements()[i].block);
+    let row = |block| seen.row(1, 2, block);
+    let shares = attention.shares(1, 2, 2);
+    assert!((shares.planned - 0.5 * (row(a)[b.get()] + row(b)[a.get()])).abs() < 1e-5, "{shares:?}");
+    assert!((shares.held - 0.5 * (row(a)[0] + row(b)[0])).abs() < 1e-5 && shares.joined == 0.0, "{shares:?}");
+    // The episode has one gripper.
+    let refused = |policy| EpisodeAttention::new(&policy, &episode).unwrap_err();
+    assert_eq!(refused(policy(2, true)), AttentionError::Grippers { episode: 1, network: 2 });
+    assert_eq!(refused(policy(1, false)), AttentionError::NoAttention);
+}
+
+#[test]
+fn a_miniature_stays_small_and_has_every_second_step() {
+    let episode = episode();
+    let small = miniature(&episode).unwrap().unwrap();
+    assert!(small.gif.len() <= MAX_MINIATURE_BYTES && small.gif.starts_with(b"GIF89a"));
+    let mut decoder = ::gif::DecodeOptions::new().read_info(small.gif.as_slice()).unwrap();
+    assert_eq!([decoder.width(), decoder.height()].map(usize::from), MINIATURE_PX);
+    let mut n_frames = 0;
+    while decoder.read_next_frame().unwrap().is_some() {
+        n_frames += 1;
+    }
+    // Steps 0 and 2 of four, and six times the last.
+    assert_eq!(n_frames, 2 + 6);
+}

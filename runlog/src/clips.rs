@@ -1,0 +1,189 @@
+//! Where video clips and their recordings lie: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use blueprints::BlueprintId;
+use proto::WeightsVersion;
+
+/// How the episode of a clip ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Ending {
+    /// The blueprint stood.
+    Success,
+    /// It did not.
+    Failure,
+}
+
+impl Ending {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Success, Self::Failure];
+
+    /// `success` or `failure`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Success => "success",
+            Self::Failure => "failure",
+        }
+    }
+}
+
+/// Ending of the names of recordings.
+pub const RECORDING: &str = "trajectory";
+
+/// Files of one kind.
+#[derive(Clone, Debug)]
+pub struct ClipStore {
+    /// The folder of all blueprints' folders.
+    pub folder: PathBuf,
+    /// Ending of the files' names.
+    pub kind: &'static str,
+    /// How many of each blueprint and ending stay.
+    pub keep: usize,
+}
+
+/// What a file's name says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ClipName {
+    /// The weights that acted.
+    pub version: WeightsVersion,
+    /// How the episode ended.
+    pub ending: Ending,
+    /// From 1; only later ones are in the name.
+    pub number: u32,
+}
+
+impl ClipName {
+    /// The name without the kind: those of a blueprint sort by version.
+    pub fn name(&self) -> String {
+        let (version, ending) = (self.version.0, self.ending.name());
+        match self.number {
+            0 | 1 => format!("{version:08}-{ending}"),
+            number => format!("{version:08}-{ending}-{number}"),
+        }
+    }
+
+    /// The label of which this is exactly the name; files that others put there have none.
+    fn of(name: &str) -> Option<Self> {
+        let mut parts = name.splitn(3, '-');
+        let version = WeightsVersion(parts.next()?.parse().ok()?);
+        let ending = parts.next()?;
+        let ending = Ending::ALL.into_iter().find(|known| known.name() == ending)?;
+        let number = parts.next().map_or(Some(1), |number| number.parse().ok())?;
+        let label = Self { version, ending, number };
+        (label.name() == name).then_some(label)
+    }
+}
+
+impl ClipStore {
+    /// Writes a file under another name first, so that none is ever seen half, and removes the oldest ones too many.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub fn put(&self, blueprint: &BlueprintId, label: ClipName, bytes: &[u8]) -> io::Result<PathBuf> {
+        let folder = self.folder.join(blueprint.as_str());
+        fs::create_dir_all(&folder)?;
+        let (name, kind) = (label.name(), self.kind);
+        let (path, part) = (folder.join(format!("{name}.{kind}")), folder.join(format!(".{name}.{kind}.part")));
+        fs::write(&part, bytes)?;
+        fs::rename(&part, &path)?;
+        self.remove_old(&folder, label.ending)?;
+        Ok(path)
+    }
+
+    fn remove_old(&self, folder: &Path, ending: Ending) -> io::Result<()> {
+        let mut found = Vec::new();
+        for entry in fs::read_dir(folder)? {
+            let name = entry?.file_name();
+            let label = name.to_str().and_then(|name| name.strip_suffix(self.kind)?.strip_suffix('.'));
+            found.extend(label.and_then(ClipName::of).filter(|label| label.ending == ending));
+        }
+        found.sort_unstable();
+        let n_old = found.len().saturating_sub(self.keep);
+        found[..n_old]
+            .iter()
+            .try_for_each(|label| fs::remove_file(folder.join(format!("{}.{}", label.name(), self.kind))))
+    }
+}
+
+/// A clip in a folder of clips.
+#[derive(Clone, Debug)]
+pub struct Clip {
+    /// The file.
+    pub path: PathBuf,
+    /// The goal.
+    pub blueprint: BlueprintId,
+    /// The weights that acted.
+    pub version: WeightsVersion,
+    /// `success` or `failure`.
+    pub ending: &'static str,
+    /// From 1.
+    pub number: u32,
+}
+
+/// The clips of a folder, newest first, those that others put there left out; none if it cannot be read.
+pub fn clips(folder: &Path) -> Vec<Clip> {
+    let names = |folder: &Path| {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.filter_map(|entry| entry.file_name().into_string().ok()).collect::<Vec<_>>()
+    };
+    let mut found = Vec::new();
+    for blueprint in names(folder).into_iter().filter_map(|name| BlueprintId::try_from(name).ok()) {
+        let own = folder.join(blueprint.as_str());
+        for name in names(&own) {
+            let Some(label) = name.strip_suffix(".mp4").and_then(ClipName::of) else { continue };
+            let ClipName { version, ending, number } = label;
+            let (path, blueprint) = (own.join(&name), blueprint.clone());
+            found.push(Clip { path, blueprint, version, ending: ending.name(), number });
+        }
+    }
+    let order = |clip: &Clip| (std::cmp::Reverse(clip.version), clip.blueprint.clone(), clip.ending, clip.number);
+    found.sort_by_key(order);
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn label(version: u64, ending: Ending, number: u32) -> ClipName {
+        ClipName { version: WeightsVersion(version), ending, number }
+    }
+
+    #[test]
+    fn a_name_is_read_as_it_was_written_and_no_other_is() {
+        for expected in [label(7, Ending::Success, 1), label(123_456_789, Ending::Failure, 3)] {
+            assert_eq!(ClipName::of(&expected.name()), Some(expected));
+        }
+        assert_eq!(label(7, Ending::Success, 1).name(), "00000007-success");
+        for foreign in ["7-success", "00000007-best", "00000007-success-1", "00000007-success-x", "mine", "00000007"] {
+            assert_eq!(ClipName::of(foreign), None, "{foreign}");
+        }
+    }
+
+    #[test]
+    fn the_newest_of_each_ending_stay_and_foreign_files_too() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = ClipStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
+        let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
+        let folder = dir.path().join("2_000");
+        fs::create_dir(&folder).unwrap();
+        for foreign in ["mine.mp4", "1-success.mp4", "00000001-success.txt"] {
+            fs::write(folder.join(foreign), "").unwrap();
+        }
+        for version in [1, 3, 2] {
+            store.put(&blueprint, label(version, Ending::Success, 1), b"film").unwrap();
+        }
+        store.put(&blueprint, label(1, Ending::Failure, 1), b"film").unwrap();
+        let mut names: Vec<String> =
+            fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        let kept = ["00000001-failure.mp4", "00000001-success.txt", "00000002-success.mp4", "00000003-success.mp4"];
+        assert_eq!(names, [&kept[..], &["1-success.mp4", "mine.mp4"]].concat());
+        // Of those, the page shows what is a film of ours, newest first.
+        let shown: Vec<_> = clips(dir.path()).into_iter().map(|film| (film.version.0, film.ending)).collect();
+        assert_eq!(shown, [(3, "success"), (2, "success"), (1, "failure")]);
+        assert!(clips(&dir.path().join("nowhere")).is_empty());
+    }
+}

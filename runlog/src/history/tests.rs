@@ -1,0 +1,167 @@
+//! What is written is read again, whole or not at all.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
+
+use blueprints::Split;
+use proto::metrics::{EvalOutcome, EvalRuns};
+
+use super::samples::{outcome, pass};
+use super::*;
+
+fn small(n_env_steps: u64) -> Pass {
+    pass(n_env_steps, &[("2_003", Split::Train, 2, 4), ("10_000", Split::Train, 10, 0)])
+}
+
+/// A hundred blueprints: some pages of the database.
+fn large(n_env_steps: u64) -> Pass {
+    let ids: Vec<String> = (0..100).map(|i| format!("3_{i:03}")).collect();
+    let scores: Vec<_> = ids.iter().map(|id| (id.as_str(), Split::Train, 3, 5)).collect();
+    pass(n_env_steps, &scores)
+}
+
+fn path(folder: &tempfile::TempDir) -> PathBuf {
+    folder.path().join("new/run").join("eval.db")
+}
+
+#[test]
+fn passes_come_back_as_they_were() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = path(&folder);
+    let mut first = small(0);
+    first.blueprints[1].sampled = outcome(10);
+    first.blueprints[1].mode = EvalOutcome::default();
+    first.reset_free = Some(EvalResetFree {
+        n_runs: 5,
+        n_goals: 2,
+        sampled: EvalRuns::default(),
+        mode: EvalRuns { outcome: outcome(7), n_successes_by_goal: vec![4, 3], run_rate_std: 0.4, n_forced_resets: 1 },
+    });
+    let second = pass(500, &[("2_000", Split::Train, 2, 1), ("test_12_000", Split::Test, 12, 10)]);
+    let mut history = History::open(&path).unwrap();
+    assert_eq!(History::read(&path).unwrap(), []);
+    history.append(&first).unwrap();
+    history.append(&second).unwrap();
+    // Read beside the writer, after it, and after a restart, which goes on where it was.
+    assert_eq!(History::read(&path).unwrap(), [first.clone(), second.clone()]);
+    drop(history);
+    assert_eq!(History::read(&path).unwrap(), [first.clone(), second.clone()]);
+    let third = small(0);
+    History::open(&path).unwrap().append(&third).unwrap();
+    assert_eq!(History::read(&path).unwrap(), [first, second, third]);
+}
+
+#[test]
+fn what_is_no_number_is_kept_as_such() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pass = small(0);
+    pass.blueprints[0].mode.mean_return.force = f32::NAN;
+    History::open(&path(&folder)).unwrap().append(&pass).unwrap();
+    let found = History::read(&path(&folder)).unwrap();
+    let terms = found[0].blueprints[0].mode.mean_return;
+    assert!(terms.force.is_nan() && terms.connected == 1.3, "{terms:?}");
+}
+
+#[test]
+fn there_is_one_writer_at_a_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = History::open(&path(&folder)).unwrap();
+    assert!(matches!(History::open(&path(&folder)), Err(HistoryError::Taken(_))));
+    drop(first);
+    History::open(&path(&folder)).unwrap();
+}
+
+/// Copies the database and its journal as they lie on the disk while a pass is half written, pages of it in the file.
+#[test]
+fn a_torn_write_leaves_the_passes_before_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = path(&folder);
+    let mut history = History::open(&path).unwrap();
+    history.append(&large(0)).unwrap();
+    let journal = |path: &Path| PathBuf::from(format!("{}-journal", path.display()));
+    let whole = std::fs::read(&path).unwrap();
+
+    let mut writer = Connection::open(&path).unwrap();
+    // A cache of one page: changed pages go to the file long before the end.
+    writer.pragma_update(None, "cache_size", 1).unwrap();
+    let transaction = writer.transaction().unwrap();
+    transaction.execute("UPDATE outcome SET n_successes = 10, mean_steps = 0.0", []).unwrap();
+    transaction.execute("UPDATE pass SET n_env_steps = 77", []).unwrap();
+    let torn = folder.path().join("torn.db");
+    std::fs::copy(&path, &torn).unwrap();
+    std::fs::copy(journal(&path), journal(&torn)).unwrap();
+    assert_ne!(std::fs::read(&torn).unwrap(), whole, "nothing was torn");
+
+    assert_eq!(History::read(&torn).unwrap(), [large(0)]);
+    let mut reopened = History::open(&torn).unwrap();
+    reopened.append(&large(10)).unwrap();
+    assert_eq!(History::read(&torn).unwrap(), [large(0), large(10)]);
+}
+
+/// This test starts itself as a process that writes for ever, and kills that.
+#[cfg(unix)]
+#[test]
+fn a_killed_writer_leaves_whole_passes() {
+    const FILE: &str = "LODESTONE_TEST_HISTORY";
+    if let Some(path) = std::env::var_os(FILE) {
+        let mut history = History::open(Path::new(&path)).unwrap();
+        for i in 0.. {
+            history.append(&large(i)).unwrap();
+            println!("\nwritten {i}");
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = path(&folder);
+    let mut child = Command::new(std::env::current_exe().unwrap())
+        .args(["history::tests::a_killed_writer_leaves_whole_passes", "--exact", "--nocapture"])
+        .env(FILE, &path)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+    lines.find(|line| line == "written 9").unwrap();
+    // It writes the eleventh, or one after that.
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let mut history = History::open(&path).unwrap();
+    let passes = History::read(&path).unwrap();
+    assert!(passes.len() >= 10, "{}", passes.len());
+    let expected: Vec<Pass> = (0..passes.len() as u64).map(large).collect();
+    assert_eq!(passes, expected);
+    history.append(&small(1000)).unwrap();
+}
+
+#[test]
+fn what_is_no_history_of_this_version_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    drop(History::open(&file("newer.db")).unwrap());
+    Connection::open(file("newer.db")).unwrap().pragma_update(None, "user_version", SCHEMA_VERSION + 1).unwrap();
+    Connection::open(file("foreign.db")).unwrap().execute_batch("CREATE TABLE pass (x)").unwrap();
+    std::fs::write(file("text.db"), "no database, but longer than the header of one ".repeat(9)).unwrap();
+    for (name, words) in [
+        ("newer.db", &["newer.db", "schema version 2", "knows 1"][..]),
+        ("foreign.db", &["foreign.db", "something else"]),
+        ("text.db", &["text.db", "not a database"]),
+    ] {
+        let before = std::fs::read(file(name)).unwrap();
+        for refused in [History::read(&file(name)).unwrap_err(), History::open(&file(name)).unwrap_err()] {
+            let message = refused.to_string();
+            for word in words {
+                assert!(message.contains(word), "no {word:?} in {message}");
+            }
+        }
+        assert_eq!(std::fs::read(file(name)).unwrap(), before, "{name} was changed");
+    }
+    assert!(matches!(History::read(&file("gone.db")), Err(HistoryError::Missing(_))));
+    assert!(!file("gone.db").exists());
+}
+
+#[test]
+fn impossible_counts_are_refused_instead_of_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    History::open(&path(&folder)).unwrap().append(&small(0)).unwrap();
+    Connection::open(path(&folder)).unwrap().execute("UPDATE outcome SET n_successes = 11", []).unwrap();
+    let message = History::read(&path(&folder)).unwrap_err().to_string();
+    assert!(message.contains("11 n_successes in 10 episodes"), "{message}");
+}

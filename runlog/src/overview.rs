@@ -1,0 +1,267 @@
+//! The passes of a training in short: small enough to be kept in memory and sent whole, to the page and over the bus.
+
+use std::collections::BTreeMap;
+
+use proto::metrics::EvalBlueprint;
+use proto::wilson::SuccessRate;
+use serde::Serialize;
+
+use crate::Pass;
+use crate::series::{Row, group_of, group_rates, outcome_of};
+use blueprints::Group;
+use proto::ActionMode;
+
+/// Version of the overview. Fields are only ever added within a version.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// Most passes that are kept. Beyond, every second one goes, and the newest always stays.
+const MAX_PASSES: usize = 400;
+
+/// The passes of a training with rising environment steps.
+#[derive(Debug, Default)]
+pub struct Passes {
+    kept: Vec<Kept>,
+    n_left_out: u64,
+}
+
+/// The answer to a query for the history on the bus.
+#[derive(Debug, Serialize)]
+pub struct Overview<'p> {
+    schema_version: u32,
+    #[serde(flatten)]
+    passes: PassesView<'p>,
+}
+
+/// Successes and episodes.
+type Counts = [u64; 2];
+
+/// A pass without what the overview does not show.
+#[derive(Debug)]
+struct Kept {
+    head: Head,
+    rates: BTreeMap<Row, [Option<Counts>; 2]>,
+}
+
+/// What a pass is about, and its groups.
+#[derive(Clone, Debug, Serialize)]
+pub struct Head {
+    ended_unix_ms: u64,
+    elapsed_s: f64,
+    /// Weights that were judged.
+    pub weights_version: u64,
+    /// Environment steps that the learner had consumed for them.
+    pub n_env_steps: u64,
+    seed: u64,
+    /// The paper's groups in its order.
+    pub groups: Vec<GroupView>,
+    /// All blueprints together.
+    pub all: GroupView,
+}
+
+/// A group of blueprints in one pass.
+#[derive(Clone, Debug, Serialize)]
+pub struct GroupView {
+    /// `all`, or the group's name.
+    pub name: &'static str,
+    n_blueprints: usize,
+    /// `None` if the most probable actions were not judged.
+    pub mode: Option<SuccessRate>,
+    /// `None` if sampled actions were not judged.
+    pub sampled: Option<SuccessRate>,
+}
+
+/// A row of the heat map.
+#[derive(Debug, Serialize)]
+struct BlueprintView<'p> {
+    id: &'p str,
+    split: String,
+    n_blocks: u64,
+    group: Option<&'static str>,
+}
+
+/// A pass as it is sent; counts stand in the order of the table of blueprints.
+#[derive(Debug, Serialize)]
+struct PassView<'p> {
+    #[serde(flatten)]
+    head: &'p Head,
+    mode: Vec<Option<Counts>>,
+    sampled: Vec<Option<Counts>>,
+}
+
+/// All passes as they are sent.
+#[derive(Debug, Serialize)]
+pub struct PassesView<'p> {
+    blueprints: Vec<BlueprintView<'p>>,
+    n_left_out: u64,
+    passes: Vec<PassView<'p>>,
+}
+
+impl Passes {
+    /// Adds a pass. Those that it makes obsolete go, as in [`lineage`](crate::series::lineage): a run that was resumed from
+    /// an older checkpoint passes the same steps twice.
+    pub fn push(&mut self, pass: &Pass) {
+        while self.kept.last().is_some_and(|last| last.head.n_env_steps >= pass.n_env_steps) {
+            self.kept.pop();
+        }
+        self.kept.push(Kept::new(pass));
+        if self.kept.len() > MAX_PASSES {
+            let n_before = self.kept.len();
+            let mut place = n_before;
+            self.kept.retain(|_| {
+                place -= 1;
+                place.is_multiple_of(2)
+            });
+            self.n_left_out += (n_before - self.kept.len()) as u64;
+        }
+    }
+
+    /// The newest pass.
+    pub fn last(&self) -> Option<&Head> {
+        Some(&self.kept.last()?.head)
+    }
+
+    /// Successes and episodes of the newest pass by blueprint, as `(blueprint, way of acting, counts)`.
+    pub fn newest(&self) -> impl Iterator<Item = (&Row, ActionMode, Counts)> {
+        let rates = self.kept.last().into_iter().flat_map(|pass| &pass.rates);
+        rates.flat_map(|(row, [mode, sampled])| {
+            let both = [(ActionMode::Greedy, *mode), (ActionMode::Sampled, *sampled)];
+            both.into_iter().filter_map(move |(acting, counts)| Some((row, acting, counts?)))
+        })
+    }
+
+    /// All that is kept, as the bus tells it.
+    pub fn overview(&self) -> Overview<'_> {
+        Overview { schema_version: SCHEMA_VERSION, passes: self.view() }
+    }
+
+    /// All that is kept.
+    pub fn view(&self) -> PassesView<'_> {
+        let mut rows: Vec<&Row> = self.kept.iter().flat_map(|pass| pass.rates.keys()).collect();
+        rows.sort();
+        rows.dedup();
+        let counts = |pass: &Kept, place: usize| -> Vec<Option<Counts>> {
+            rows.iter().map(|row| pass.rates.get(*row)?[place]).collect()
+        };
+        let passes = self.kept.iter();
+        PassesView {
+            passes: passes
+                .map(|pass| PassView { head: &pass.head, mode: counts(pass, 0), sampled: counts(pass, 1) })
+                .collect(),
+            blueprints: rows.iter().map(|row| BlueprintView::new(row)).collect(),
+            n_left_out: self.n_left_out,
+        }
+    }
+}
+
+impl Kept {
+    fn new(pass: &Pass) -> Self {
+        let of = |score: &EvalBlueprint, acting| {
+            let success = outcome_of(score, acting)?.success;
+            Some([success.n_successes, success.n_episodes])
+        };
+        let rates: BTreeMap<Row, [Option<Counts>; 2]> = pass
+            .blueprints
+            .iter()
+            .map(|score| {
+                let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
+                (row, [of(score, ActionMode::Greedy), of(score, ActionMode::Sampled)])
+            })
+            .collect();
+        let (mode, sampled) = (group_rates(pass, ActionMode::Greedy), group_rates(pass, ActionMode::Sampled));
+        let mut names: Vec<Group> = pass.blueprints.iter().filter_map(group_of).collect();
+        names.sort();
+        names.dedup();
+        let group = |group: &Group| {
+            let n_blueprints = pass.blueprints.iter().filter(|score| group_of(score) == Some(*group)).count();
+            let rate = |rates: &BTreeMap<Group, (SuccessRate, usize)>| rates.get(group).map(|(rate, _)| *rate);
+            GroupView { name: group.name(), n_blueprints, mode: rate(&mode), sampled: rate(&sampled) }
+        };
+        let sum = |place: usize| {
+            let all = rates.values().filter_map(|counts| counts[place]);
+            all.reduce(|[hits, n], [more_hits, more]| [hits + more_hits, n + more])
+                .map(|[hits, n]| SuccessRate::new(hits, n))
+        };
+        let all = GroupView { name: "all", n_blueprints: rates.len(), mode: sum(0), sampled: sum(1) };
+        let head = Head {
+            ended_unix_ms: pass.ended_unix_ms,
+            elapsed_s: pass.elapsed_s,
+            weights_version: pass.weights_version.0,
+            n_env_steps: pass.n_env_steps,
+            seed: pass.seed,
+            groups: names.iter().map(group).collect(),
+            all,
+        };
+        Self { head, rates }
+    }
+}
+
+impl<'p> BlueprintView<'p> {
+    fn new(row: &'p Row) -> Self {
+        let n_blocks = usize::try_from(row.n_blocks).ok();
+        let group = n_blocks.and_then(|n_blocks| Group::of(row.split, n_blocks)).map(Group::name);
+        Self { id: row.id.as_str(), split: row.split.to_string(), n_blocks: row.n_blocks, group }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::Split;
+    use serde_json::json;
+
+    use super::*;
+    use crate::history::samples::pass;
+
+    #[test]
+    fn a_hand_worked_history() {
+        let mut passes = Passes::default();
+        passes.push(&pass(100, &[("2_003", Split::Train, 2, 0)]));
+        passes.push(&pass(
+            200,
+            &[("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5), ("7_000", Split::Train, 7, 10)],
+        ));
+        let view = serde_json::to_value(passes.view()).unwrap();
+        assert_eq!(
+            view["blueprints"],
+            json!([
+                { "id": "2_003", "split": "train", "n_blocks": 2, "group": "train 2-6" },
+                { "id": "3_001", "split": "train", "n_blocks": 3, "group": "train 2-6" },
+                { "id": "7_000", "split": "train", "n_blocks": 7, "group": "train 7-11" },
+            ])
+        );
+        assert_eq!(view["passes"][0]["mode"], json!([[0, 10], null, null]));
+        assert_eq!(view["passes"][1]["mode"], json!([[4, 10], [5, 10], [10, 10]]));
+        assert_eq!(view["passes"][1]["sampled"], json!([null, null, null]));
+        // 9 of 20: z² = 3.8415, center (0.45 + z²/40) / (1 + z²/20) = 0.4581, half width 0.2003.
+        let group = &view["passes"][1]["groups"][0];
+        assert_eq!(
+            (&group["name"], &group["n_blueprints"], &group["sampled"]),
+            (&json!("train 2-6"), &json!(2), &json!(null))
+        );
+        assert_eq!((&group["mode"]["n_successes"], &group["mode"]["n_episodes"]), (&json!(9), &json!(20)));
+        let low = group["mode"]["wilson_low"].as_f64().unwrap();
+        assert!((low - 0.2582).abs() < 5e-4, "{low}");
+        let all = &view["passes"][1]["all"];
+        assert_eq!((&all["n_blueprints"], &all["mode"]["n_successes"]), (&json!(3), &json!(19)));
+    }
+
+    #[test]
+    fn a_resumed_run_replaces_what_it_passes_again() {
+        let mut passes = Passes::default();
+        for steps in [100, 200, 300, 200] {
+            passes.push(&pass(steps, &[]));
+        }
+        let kept: Vec<u64> = passes.kept.iter().map(|pass| pass.head.n_env_steps).collect();
+        assert_eq!(kept, [100, 200]);
+    }
+
+    #[test]
+    fn many_passes_are_thinned_out_and_the_newest_stays() {
+        let mut passes = Passes::default();
+        for steps in 0..=MAX_PASSES as u64 {
+            passes.push(&pass(steps, &[]));
+        }
+        // Of 401, those at even distances from the newest: 400, 398 and so on to 0, which are 201.
+        assert_eq!((passes.kept.len(), passes.n_left_out), (201, 200));
+        assert_eq!(passes.last().map(|head| head.n_env_steps), Some(400));
+    }
+}

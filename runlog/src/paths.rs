@@ -1,0 +1,66 @@
+//! Where each file of a run lies.
+
+use std::path::{Path, PathBuf};
+
+use proto::Role;
+
+/// The folder of a run, `runs/<run>/`, and the names of what is in it. Making one touches no disk.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunPaths(PathBuf);
+
+impl RunPaths {
+    /// The paths in this folder.
+    pub fn new(folder: impl Into<PathBuf>) -> Self {
+        Self(folder.into())
+    }
+
+    /// The folder itself.
+    pub fn folder(&self) -> &Path {
+        &self.0
+    }
+
+    /// Every setting, as TOML.
+    pub fn config(&self) -> PathBuf {
+        self.0.join("config.toml")
+    }
+
+    /// Version, seed, command and start, as JSON.
+    pub fn meta(&self) -> PathBuf {
+        self.0.join("meta.json")
+    }
+
+    /// Locked by the process that learns here.
+    pub fn lock(&self) -> PathBuf {
+        self.0.join("run.lock")
+    }
+
+    /// Folder of checkpoints.
+    pub fn checkpoints(&self) -> PathBuf {
+        self.0.join("checkpoints")
+    }
+
+    /// One line of JSON per update and per evaluation; see [`MetricsWriter`](crate::MetricsWriter).
+    pub fn metrics(&self) -> PathBuf {
+        self.0.join("metrics.jsonl")
+    }
+
+    /// Folder of a service's event files for TensorBoard, which shows every file below `tb/`.
+    pub fn tensorboard(&self, role: Role) -> PathBuf {
+        self.0.join("tb").join(role.as_str())
+    }
+
+    /// All evaluations; see [`History`](crate::History).
+    pub fn history(&self) -> PathBuf {
+        self.0.join("eval.db")
+    }
+
+    /// Folder of video clips, with a folder for each blueprint in it; see [`ClipStore`](crate::clips::ClipStore).
+    pub fn videos(&self) -> PathBuf {
+        self.0.join("videos")
+    }
+
+    /// Folder of the recordings that clips are made of, likewise.
+    pub fn replays(&self) -> PathBuf {
+        self.0.join("replays")
+    }
+}

@@ -1,0 +1,263 @@
+//! What of a history is shown: which passes, and numbers by blueprint or group.
+
+use std::collections::BTreeMap;
+
+use blueprints::{BlueprintId, Split};
+use proto::metrics::{EvalBlueprint, EvalOutcome};
+use proto::wilson::SuccessRate;
+
+use crate::Pass;
+use blueprints::Group;
+use proto::ActionMode;
+
+/// A row's blueprint; the order of rows is that of these.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Row {
+    /// Part of the catalog.
+    pub split: Split,
+    /// Number of blocks.
+    pub n_blocks: u64,
+    /// The blueprint.
+    pub id: BlueprintId,
+}
+
+/// A number for some blueprints at some times of a training.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Grid {
+    /// The blueprints, sorted.
+    pub rows: Vec<Row>,
+    /// Environment steps, rising.
+    pub steps: Vec<u64>,
+    /// For each row a value for each of the steps; `None` where nothing was judged.
+    pub values: Vec<Vec<Option<f64>>>,
+}
+
+/// The success of one run less that of another.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// Differences of success rates, −1 to 1, at the steps of the first run.
+    pub grid: Grid,
+    /// Farthest that the two passes of a column are apart, environment steps.
+    pub max_apart: u64,
+}
+
+/// The passes of the training that led to the last of them, with rising environment steps.
+///
+/// A run that was resumed from an older checkpoint passes the same steps twice; what came of the abandoned weights is left
+/// out, and of weights that were judged twice the first time.
+pub fn lineage(passes: &[Pass]) -> Vec<&Pass> {
+    let mut kept: Vec<&Pass> = Vec::new();
+    for pass in passes {
+        while kept.last().is_some_and(|last| last.n_env_steps >= pass.n_env_steps) {
+            kept.pop();
+        }
+        kept.push(pass);
+    }
+    kept
+}
+
+/// What came of one way of acting; `None` if it was not judged.
+pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutcome> {
+    let outcome = match acting {
+        ActionMode::Greedy => &score.mode,
+        ActionMode::Sampled => &score.sampled,
+    };
+    (outcome.success.n_episodes > 0).then_some(outcome)
+}
+
+/// Success of a pass by blueprint.
+fn rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
+    let rate = |score: &EvalBlueprint| {
+        let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
+        Some((row, outcome_of(score, acting)?.success))
+    };
+    pass.blueprints.iter().filter_map(rate).collect()
+}
+
+/// The group of a blueprint; `None` for a size that the paper does not report.
+pub fn group_of(score: &EvalBlueprint) -> Option<Group> {
+    Group::of(score.split, usize::try_from(score.n_blocks).ok()?)
+}
+
+/// Success of a pass by group, with the number of blueprints.
+pub fn group_rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Group, (SuccessRate, usize)> {
+    let mut counts: BTreeMap<Group, (u64, u64, usize)> = BTreeMap::new();
+    for score in &pass.blueprints {
+        if let (Some(group), Some(outcome)) = (group_of(score), outcome_of(score, acting)) {
+            let (n_successes, n_episodes, n_blueprints) = counts.entry(group).or_default();
+            *n_successes += outcome.success.n_successes;
+            *n_episodes += outcome.success.n_episodes;
+            *n_blueprints += 1;
+        }
+    }
+    counts.into_iter().map(|(group, (hits, all, n))| (group, (SuccessRate::new(hits, all), n))).collect()
+}
+
+/// Success of several runs on the blueprints that every pass of each of them judged.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Common {
+    /// How many blueprints these are, at least 1.
+    pub n_blueprints: usize,
+    /// For each run its passes: environment steps and success.
+    pub of_runs: Vec<Vec<(u64, SuccessRate)>>,
+}
+
+/// Success of runs, each with rising steps, on what all judged; `None` if that is nothing.
+pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: ActionMode) -> Option<Common> {
+    let runs: Vec<Vec<Judged>> = runs.map(|passes| judged(passes, acting)).collect();
+    let mut passes = runs.iter().flatten();
+    let first = passes.next()?;
+    if runs.iter().any(Vec::is_empty) {
+        return None;
+    }
+    let mut common: Vec<&Row> = first.1.keys().collect();
+    passes.for_each(|(_, rates)| common.retain(|row| rates.contains_key(row)));
+    let total = |rates: &BTreeMap<Row, SuccessRate>| {
+        let of_common = common.iter().filter_map(|row| rates.get(row));
+        let (hits, all) = of_common.fold((0, 0), |(h, n), rate| (h + rate.n_successes, n + rate.n_episodes));
+        SuccessRate::new(hits, all)
+    };
+    let of_runs = runs.iter().map(|run| run.iter().map(|(steps, rates)| (*steps, total(rates))).collect()).collect();
+    (!common.is_empty()).then_some(Common { n_blueprints: common.len(), of_runs })
+}
+
+impl Grid {
+    /// Success rates of passes with rising steps; `None` if none of them judged these actions.
+    pub fn success(passes: &[&Pass], acting: ActionMode) -> Option<Self> {
+        let columns = passes.iter().map(|pass| {
+            let rates = rates(pass, acting).into_iter().map(|(row, rate)| (row, rate.rate)).collect();
+            (pass.n_env_steps, rates)
+        });
+        Self::of_columns(columns)
+    }
+
+    /// Columns without any value are left out.
+    fn of_columns(columns: impl Iterator<Item = (u64, BTreeMap<Row, f64>)>) -> Option<Self> {
+        let columns: Vec<_> = columns.filter(|(_, values)| !values.is_empty()).collect();
+        let mut rows: Vec<Row> = columns.iter().flat_map(|(_, values)| values.keys().cloned()).collect();
+        rows.sort();
+        rows.dedup();
+        let of_row = |row: &Row| columns.iter().map(|(_, values)| values.get(row).copied()).collect();
+        let values = rows.iter().map(of_row).collect();
+        let steps: Vec<u64> = columns.iter().map(|(steps, _)| *steps).collect();
+        (!steps.is_empty()).then_some(Self { rows, steps, values })
+    }
+}
+
+impl Difference {
+    /// Success of `run` less that of `other`, both with rising steps; `None` if they judged no blueprint in common.
+    ///
+    /// Two passes make a column if each is the other's nearest in environment steps. So no pass is shown twice, and where
+    /// one run went on alone there is nothing.
+    pub fn new(run: &[&Pass], other: &[&Pass], acting: ActionMode) -> Option<Self> {
+        let (run, other) = (judged(run, acting), judged(other, acting));
+        let mut max_apart = 0;
+        let mut columns = Vec::new();
+        for (steps, rates) in &run {
+            let Some((their_steps, theirs)) = nearest(&other, *steps) else { continue };
+            if nearest(&run, *their_steps).is_none_or(|(back, _)| back != steps) {
+                continue;
+            }
+            let both = rates.iter().filter_map(|(row, rate)| {
+                let difference = rate.rate - theirs.get(row)?.rate;
+                Some((row.clone(), difference))
+            });
+            let both: BTreeMap<Row, f64> = both.collect();
+            if !both.is_empty() {
+                max_apart = max_apart.max(steps.abs_diff(*their_steps));
+            }
+            columns.push((*steps, both));
+        }
+        Some(Self { grid: Grid::of_columns(columns.into_iter())?, max_apart })
+    }
+}
+
+type Judged = (u64, BTreeMap<Row, SuccessRate>);
+
+/// Steps and rates of the passes that judged these actions.
+fn judged(passes: &[&Pass], acting: ActionMode) -> Vec<Judged> {
+    let all = passes.iter().map(|pass| (pass.n_env_steps, rates(pass, acting)));
+    all.filter(|(_, rates)| !rates.is_empty()).collect()
+}
+
+/// The earlier one of two that are equally near.
+fn nearest(passes: &[Judged], steps: u64) -> Option<&Judged> {
+    passes.iter().min_by_key(|(their_steps, _)| their_steps.abs_diff(steps))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::samples::pass;
+
+    const TWO: (&str, Split, u64) = ("2_000", Split::Train, 2);
+    const TEN: (&str, Split, u64) = ("10_000", Split::Train, 10);
+
+    fn passes(scores: &[(u64, u64, Option<u64>)]) -> Vec<Pass> {
+        let one = |&(steps, two, ten): &(u64, u64, Option<u64>)| {
+            let ten = ten.map(|n| (TEN.0, TEN.1, TEN.2, n));
+            pass(steps, &[Some((TWO.0, TWO.1, TWO.2, two)), ten].into_iter().flatten().collect::<Vec<_>>())
+        };
+        scores.iter().map(one).collect()
+    }
+
+    #[test]
+    fn a_resumed_run_shows_what_it_continued_from() {
+        // Judged at 0, 100, 200, 300; resumed from a checkpoint at 150, which passes 200 again.
+        let all =
+            passes(&[(0, 0, None), (100, 1, None), (200, 2, None), (300, 3, None), (150, 4, None), (200, 5, None)]);
+        let kept: Vec<(u64, u64)> =
+            lineage(&all).iter().map(|p| (p.n_env_steps, p.blueprints[0].mode.success.n_successes)).collect();
+        assert_eq!(kept, [(0, 0), (100, 1), (150, 4), (200, 5)]);
+        assert_eq!(lineage(&[]), [] as [&Pass; 0]);
+    }
+
+    #[test]
+    fn rows_are_sorted_by_size_and_gaps_stay_gaps() {
+        let all = passes(&[(0, 0, None), (100, 10, Some(5))]);
+        let grid = Grid::success(&lineage(&all), ActionMode::Greedy).unwrap();
+        assert_eq!(grid.rows.iter().map(|row| row.id.as_str()).collect::<Vec<_>>(), ["2_000", "10_000"]);
+        assert_eq!(grid.steps, [0, 100]);
+        assert_eq!(grid.values, [vec![Some(0.0), Some(1.0)], vec![None, Some(0.5)]]);
+        assert_eq!(Grid::success(&lineage(&all), ActionMode::Sampled), None);
+    }
+
+    #[test]
+    fn a_difference_pairs_passes_that_are_nearest_to_each_other() {
+        let run = passes(&[(0, 0, None), (100, 6, Some(9)), (190, 8, None), (210, 9, None), (900, 9, None)]);
+        let other = passes(&[(5, 1, None), (110, 2, None), (200, 4, Some(0))]);
+        let found = Difference::new(&lineage(&run), &lineage(&other), ActionMode::Greedy).unwrap();
+        // 0 with 5, 100 with 110, 190 with 200; 210 is as near to 200 but later, 900 goes on alone.
+        assert_eq!((found.grid.steps, found.max_apart), (vec![0, 100, 190], 10));
+        let values: Vec<f64> = found.grid.values[0].iter().map(|value| (10.0 * value.unwrap()).round()).collect();
+        assert_eq!(values, [-1.0, 4.0, 4.0]);
+        // 10_000 was never judged in both passes of a column.
+        assert_eq!(found.grid.rows.len(), 1);
+        let strange = vec![pass(0, &[("3_000", Split::Train, 3, 0)])];
+        assert_eq!(Difference::new(&lineage(&run), &lineage(&strange), ActionMode::Greedy), None);
+    }
+
+    #[test]
+    fn runs_are_compared_on_what_all_of_them_judged() {
+        let run = passes(&[(0, 0, None), (100, 6, Some(9))]);
+        let other = passes(&[(5, 1, Some(2)), (110, 2, Some(3))]);
+        let (run, other) = (lineage(&run), lineage(&other));
+        let found = common_rates([&run[..], &other[..]].into_iter(), ActionMode::Greedy).unwrap();
+        let rate = |n| SuccessRate::new(n, 10);
+        assert_eq!(found.of_runs, [vec![(0, rate(0)), (100, rate(6))], vec![(5, rate(1)), (110, rate(2))]]);
+        assert_eq!(found.n_blueprints, 1);
+        let strange = vec![pass(0, &[("3_000", Split::Train, 3, 0)])];
+        let strange = lineage(&strange);
+        assert_eq!(common_rates([&run[..], &strange[..]].into_iter(), ActionMode::Greedy), None);
+        assert_eq!(common_rates([&run[..], &[]].into_iter(), ActionMode::Greedy), None);
+    }
+
+    #[test]
+    fn groups_add_up_their_blueprints() {
+        let all =
+            [pass(0, &[("2_000", Split::Train, 2, 4), ("3_000", Split::Train, 3, 9), ("10_000", Split::Train, 10, 1)])];
+        let found = group_rates(&all[0], ActionMode::Greedy);
+        let counted: Vec<_> = found.iter().map(|(g, (rate, n))| (*g, rate.n_successes, rate.n_episodes, *n)).collect();
+        assert_eq!(counted, [(Group::Train2To6, 13, 20, 2), (Group::Train7To11, 1, 10, 1)]);
+    }
+}

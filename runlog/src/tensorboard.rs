@@ -1,0 +1,215 @@
+//! Metrics as event files of TensorBoard, which shows every file below the folder that it is given.
+//!
+//! A file is a row of records (length, its checksum, data, its checksum), each an `Event` message in protobuf; see
+//! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Of the message only what
+//! scalars and pictures need is here.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use prost::Message;
+use serde_json::Value;
+
+#[derive(Clone, PartialEq, Message)]
+struct Event {
+    /// Seconds since 1970.
+    #[prost(double, tag = "1")]
+    wall_time: f64,
+    #[prost(int64, tag = "2")]
+    step: i64,
+    #[prost(string, optional, tag = "3")]
+    file_version: Option<String>,
+    #[prost(message, optional, tag = "5")]
+    summary: Option<Summary>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct Summary {
+    #[prost(message, repeated, tag = "1")]
+    values: Vec<Tagged>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct Tagged {
+    #[prost(string, tag = "1")]
+    tag: String,
+    /// Optional, or a 0 would not be written and readers would find no value.
+    #[prost(float, optional, tag = "2")]
+    simple_value: Option<f32>,
+    #[prost(message, optional, tag = "4")]
+    image: Option<Picture>,
+}
+
+/// A picture as TensorBoard shows it: the bytes of a file whose format browsers know. A GIF moves.
+#[derive(Clone, PartialEq, Message)]
+pub struct Picture {
+    /// Pixels.
+    #[prost(int32, tag = "1")]
+    pub height: i32,
+    /// Pixels.
+    #[prost(int32, tag = "2")]
+    pub width: i32,
+    /// Numbers per pixel: 3 for red, green and blue.
+    #[prost(int32, tag = "3")]
+    pub colorspace: i32,
+    /// The file.
+    #[prost(bytes = "vec", tag = "4")]
+    pub encoded: Vec<u8>,
+}
+
+/// Appends to one event file.
+#[derive(Debug)]
+pub struct EventWriter {
+    path: PathBuf,
+    file: File,
+}
+
+impl EventWriter {
+    /// Begins a file of its own in `folder`, which is made if there is none.
+    ///
+    /// # Errors
+    /// When it cannot be made.
+    pub fn create(folder: &Path) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let now = since_1970();
+        // The reader asks for this prefix and takes files in the order of their names.
+        let name = format!("events.out.tfevents.{now:017.6}.{}", std::process::id());
+        let path = folder.join(name);
+        let mut writer = Self { file: File::create_new(&path)?, path };
+        let file_version = Some("brain.Event:2".to_owned());
+        writer.append(&Event { wall_time: now, step: 0, file_version, summary: None })?;
+        Ok(writer)
+    }
+
+    /// Adds numbers by tag at `step`, in one write.
+    ///
+    /// # Errors
+    /// When they cannot be written.
+    pub fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
+        let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), image: None };
+        self.summary(step, scalars.into_iter().map(number).collect())
+    }
+
+    /// Adds a picture under each of the tags at `step`, in one write.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn picture(&mut self, step: u64, tags: &[String], picture: &Picture) -> io::Result<()> {
+        let tagged = |tag: &String| Tagged { tag: tag.clone(), simple_value: None, image: Some(picture.clone()) };
+        self.summary(step, tags.iter().map(tagged).collect())
+    }
+
+    /// Where the file is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    fn summary(&mut self, step: u64, values: Vec<Tagged>) -> io::Result<()> {
+        let step = i64::try_from(step).unwrap_or(i64::MAX);
+        self.append(&Event { wall_time: since_1970(), step, file_version: None, summary: Some(Summary { values }) })
+    }
+
+    fn append(&mut self, event: &Event) -> io::Result<()> {
+        self.file.write_all(&record(&event.encode_to_vec()))
+    }
+}
+
+/// All numbers of metrics with tags made of the names that lead to them: those at the top as `<root>/<name>`, others as
+/// `<name>/…/<name>`. Lists and what stands under a name of `skipped` are left out.
+pub fn flatten(root: &str, metrics: &Value, skipped: &[&str]) -> Vec<(String, f64)> {
+    let mut scalars = Vec::new();
+    for (name, value) in fields(metrics, skipped) {
+        match value.as_f64() {
+            Some(number) => scalars.push((format!("{root}/{name}"), number)),
+            None => descend(name, value, skipped, &mut scalars),
+        }
+    }
+    scalars
+}
+
+fn descend(path: &str, value: &Value, skipped: &[&str], scalars: &mut Vec<(String, f64)>) {
+    scalars.extend(value.as_f64().map(|number| (path.to_owned(), number)));
+    for (name, value) in fields(value, skipped) {
+        descend(&format!("{path}/{name}"), value, skipped, scalars);
+    }
+}
+
+fn fields<'v>(value: &'v Value, skipped: &[&str]) -> impl Iterator<Item = (&'v String, &'v Value)> {
+    value.as_object().into_iter().flatten().filter(|(name, _)| !skipped.contains(&name.as_str()))
+}
+
+fn record(data: &[u8]) -> Vec<u8> {
+    let length = (data.len() as u64).to_le_bytes();
+    [&length[..], &masked_checksum(&length), data, &masked_checksum(data)].concat()
+}
+
+/// The checksum as the format stores it: turned and shifted, so that a checksum of data with checksums stays good.
+fn masked_checksum(data: &[u8]) -> [u8; 4] {
+    crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
+}
+
+fn since_1970() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |time| time.as_secs_f64())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_record_is_framed_as_upstream_does() {
+        // CRC-32C of eight zero bytes is 0x8c28b28a (RFC 3720's polynomial); turned right by 15 and shifted it is this.
+        let checksum = 0x8c28_b28a_u32.rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
+        let empty = record(&[]);
+        assert_eq!(empty[..8], [0; 8]);
+        assert_eq!(empty[8..12], checksum);
+        // The checksum of nothing is 0.
+        assert_eq!(empty[12..], 0xa282_ead8_u32.to_le_bytes());
+    }
+
+    #[test]
+    fn a_file_begins_with_its_version_and_goes_on_with_scalars_and_pictures() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(&dir.path().join("learner")).unwrap();
+        writer.scalars(4096, [("ppo/entropy".to_owned(), 1.5), ("learner/n_updates".to_owned(), 0.0)]).unwrap();
+        let picture = Picture { height: 2, width: 3, colorspace: 3, encoded: b"GIF89a".to_vec() };
+        writer.picture(8192, &["train-2-6/success".to_owned()], &picture).unwrap();
+        let path = fs::read_dir(dir.path().join("learner")).unwrap().next().unwrap().unwrap().path();
+        assert_eq!(path, writer.path());
+        assert!(path.file_name().unwrap().to_str().unwrap().starts_with("events.out.tfevents."));
+        let mut rest = fs::read(path).unwrap();
+        let mut events = Vec::new();
+        while !rest.is_empty() {
+            let length = u64::from_le_bytes(rest[..8].try_into().unwrap()) as usize;
+            events.push(Event::decode(&rest[12..12 + length]).unwrap());
+            rest.drain(..12 + length + 4);
+        }
+        assert_eq!(events.len(), 3);
+        assert_eq!(events[0].file_version.as_deref(), Some("brain.Event:2"));
+        assert_eq!(events[1].step, 4096);
+        let scalar = |tag: &str, value| Tagged { tag: tag.to_owned(), simple_value: Some(value), image: None };
+        assert_eq!(
+            events[1].summary.as_ref().unwrap().values,
+            [scalar("ppo/entropy", 1.5), scalar("learner/n_updates", 0.0)]
+        );
+        assert_eq!(events[2].step, 8192);
+        let value = &events[2].summary.as_ref().unwrap().values[0];
+        assert_eq!((value.tag.as_str(), &value.image, value.simple_value), ("train-2-6/success", &Some(picture), None));
+    }
+
+    #[test]
+    fn numbers_get_the_names_that_lead_to_them() {
+        let metrics = json!({
+            "n_updates": 3, "who": "x", "none": null, "lags": [1, 2], "schema_version": 1,
+            "ppo": { "entropy": 0.5 }, "episodes": { "success": { "rate": 0.25 }, "by": { "2_000": 1 } },
+        });
+        let mut found = flatten("learner", &metrics, &["schema_version", "by"]);
+        found.sort_by(|a, b| a.0.cmp(&b.0));
+        let wanted = [("episodes/success/rate", 0.25), ("learner/n_updates", 3.0), ("ppo/entropy", 0.5)];
+        assert_eq!(found, wanted.map(|(tag, value)| (tag.to_owned(), value)));
+    }
+}

@@ -1,0 +1,228 @@
+//! Who gets in, and what they may do there: honest members with keys, and clients in Python that try everything else.
+
+use std::fs;
+use std::net::UdpSocket;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::support::judges::{python, told_by_script};
+use crate::support::program::lodestone;
+use serde_json::{Value, json};
+
+/// Longest time that anything here may take.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A process that does not outlive its test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only for a process that has ended already, which is what is wanted.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Process {
+    /// Resident memory, bytes.
+    fn memory(&self) -> u64 {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() * 1024
+    }
+}
+
+/// A ring with keys.
+struct Ring {
+    folder: tempfile::TempDir,
+    endpoint: String,
+    router: Process,
+}
+
+impl Ring {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for keys in ["keys", "strangers"] {
+            assert!(quiet(folder.path(), &["keys", "new", keys]).status().unwrap().success());
+        }
+        // A port that was free a moment ago; members retry until the router listens there.
+        let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let endpoint = format!("quic/127.0.0.1:{port}");
+        let router = quiet(folder.path(), &["router", "--listen", &endpoint, "--keys", "keys"]).spawn().unwrap();
+        Self { folder, endpoint, router: Process(router) }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn member(&self, role: &str, args: &[&str]) -> Process {
+        let shared = [role, "--connect", &self.endpoint, "--preset", "near-goal", "--health-file", role];
+        Process(quiet(self.folder.path(), &shared).args(args).spawn().unwrap())
+    }
+
+    /// The newest line that the learner has written about its updates, once there is one.
+    fn newest_update(&self) -> Option<Value> {
+        let lines = fs::read_to_string(self.path("run/metrics.jsonl")).ok()?;
+        lines.lines().rev().find_map(|line| serde_json::from_str(line).ok())
+    }
+
+    /// Waits for an update after which `holds`.
+    fn update_after_which(&self, holds: impl Fn(&Value) -> bool) -> Value {
+        until("an update", || {
+            // Returns when the run has said something, so that this does not spin.
+            self.watch();
+            self.newest_update().filter(&holds)
+        })
+    }
+
+    /// What a viewer sees.
+    fn watch(&self) -> String {
+        let mut command =
+            quiet(self.folder.path(), &["watch", "--once", "--connect", &self.endpoint, "--keys", "keys"]);
+        let watched = command.args(["--run", "near-goal"]).stdout(Stdio::piped()).output().unwrap();
+        String::from_utf8(watched.stdout).unwrap()
+    }
+}
+
+fn quiet(folder: &Path, args: &[&str]) -> Command {
+    let mut command = lodestone(folder);
+    command.args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+/// Asks until there is an answer.
+fn until<T>(what: &str, mut ask: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(answer) = ask() {
+            return answer;
+        }
+        assert!(start.elapsed() < PATIENCE, "{what} did not come in {PATIENCE:?}");
+    }
+}
+
+fn count(update: &Value, pointer: &str) -> u64 {
+    update.pointer(pointer).and_then(Value::as_u64).unwrap()
+}
+
+#[test]
+fn members_with_keys_train_and_everybody_else_is_kept_out() {
+    let Some(python) = python() else { return };
+    let ring = Ring::start();
+    let learner = ring.member("learner", &["--keys", "keys", "--run-dir", "run"]);
+    // One role's folder is enough for it.
+    let _actor = ring.member("actor", &["--keys", "keys/actor", "--id", "honest"]);
+    let _evaluator = ring.member("evaluator", &["--keys", "keys"]);
+    ring.update_after_which(|update| count(update, "/ingest/accepted_total") > 0);
+    for role in ["learner", "actor", "evaluator"] {
+        let mut check = quiet(ring.folder.path(), &["healthcheck", "--file", role]);
+        until(role, || check.status().unwrap().success().then_some(()));
+    }
+    until("everybody on the screen", || {
+        let text = ring.watch();
+        (text.contains("honest") && text.contains("evaluator heard")).then_some(())
+    });
+
+    let memory = [ring.router.memory(), learner.memory()];
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/rogue.py");
+    let [keys, strangers] = ["keys", "strangers"].map(|name| ring.path(name).display().to_string());
+    let report = told_by_script(&python, &script, &[&ring.endpoint, &keys, &strangers, "near-goal"]);
+
+    for (who, gets_in) in
+        [("without_keys", false), ("without_encryption", false), ("stranger", false), ("honest", true)]
+    {
+        assert_eq!(report[who], gets_in, "{who}");
+    }
+    // What each role may read, is answered, and puts; nobody believes its answers.
+    for (role, read, asked, put) in [
+        ("viewer", json!(["metrics/**", "**"]), json!(["metrics/learner", "history/eval"]), json!([])),
+        (
+            "actor",
+            json!([]),
+            json!(["weights/latest", "ingest/rogue"]),
+            json!(["metrics/actor/rogue", "trajectories/rogue"]),
+        ),
+        (
+            "evaluator",
+            json!(["trajectories/*", "metrics/**", "**"]),
+            json!(["weights/latest", "metrics/learner"]),
+            json!(["metrics/eval/summary"]),
+        ),
+        // The certificate of one role with the password of another.
+        ("mixed", json!([]), json!([]), json!([])),
+    ] {
+        let attack = &report["attacks"][role];
+        // It reads only what somebody says meanwhile, and is heard only by who is known to the router by then.
+        for (found, allowed) in [(&attack["read"], &read), (&attack["put"], &put)] {
+            let allowed = allowed.as_array().unwrap();
+            assert!(found.as_array().unwrap().iter().all(|key| allowed.contains(key)), "{role}: {found}");
+        }
+        assert_eq!([&attack["asked"], &attack["believed"]], [&asked, &json!([])], "{role}");
+    }
+    // Every message of the flood was answered, counted by the learner, and kept by nobody.
+    assert_eq!(report["flood_answered"], report["n_flood"]);
+    let n_flood = report["n_flood"].as_u64().unwrap();
+    let update = ring.update_after_which(|update| count(update, "/ingest/invalid_total") >= n_flood);
+    let verdicts = update["ingest"].as_object().unwrap().iter().filter(|(name, _)| *name != "received_total");
+    let n_verdicts: u64 = verdicts.map(|(_, n)| n.as_u64().unwrap()).sum();
+    // Those that wait in the queue have no verdict yet.
+    let n_received = count(&update, "/ingest/received_total");
+    assert!((n_verdicts..=n_verdicts + 256).contains(&n_received), "{n_received} received, {n_verdicts} verdicts");
+    for (before, process) in memory.into_iter().zip([&ring.router, &learner]) {
+        let grown = process.memory().saturating_sub(before);
+        assert!(grown < 300 << 20, "{grown} bytes");
+    }
+    // The training went on meanwhile, and goes on.
+    let n_steps = count(&update, "/n_env_steps");
+    ring.update_after_which(|update| count(update, "/n_env_steps") > n_steps);
+}
+
+#[test]
+fn nobody_listens_to_the_world_without_keys() {
+    let folder = tempfile::tempdir().unwrap();
+    for (args, words) in [
+        (&["router", "--listen", "tcp/0.0.0.0:7447"][..], &["tcp/0.0.0.0:7447", "lodestone keys new"][..]),
+        (&["router", "--listen", "quic/0.0.0.0:7447"], &["quic/0.0.0.0:7447", "lodestone keys new"]),
+        (&["router", "--listen", "tcp/[::]:7447"], &["tcp/[::]:7447", "lodestone keys new"]),
+        (&["train", "--listen", "tcp/0.0.0.0:7447"], &["tcp/0.0.0.0:7447", "lodestone keys new"]),
+        (&["actor", "--connect", "quic/127.0.0.1:1"], &["quic/127.0.0.1:1", "--keys"]),
+        (&["actor", "--connect", "quic/127.0.0.1:1", "--keys", "absent"], &["absent/ca.pem", "lodestone keys new"]),
+    ] {
+        let output = lodestone(folder.path()).args(args).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(64), "{args:?}: {stderr}");
+        assert!(words.iter().all(|word| stderr.contains(word)), "{args:?}: {stderr}");
+    }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn keys_are_private_whole_and_never_overwritten() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let run = |args: &[&str]| lodestone(folder.path()).args(args).output().unwrap();
+    assert!(run(&["keys", "new", "keys", "--host", "router,10.0.0.7"]).status.success());
+    let mode = |path: PathBuf| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    for role in ["ca", "router", "learner", "actor", "evaluator", "viewer"] {
+        let of_role = folder.path().join("keys").join(role);
+        assert_eq!(mode(of_role.clone()), 0o700, "{role}");
+        for file in fs::read_dir(&of_role).unwrap() {
+            assert_eq!(mode(file.unwrap().path()), 0o600, "{role}");
+        }
+    }
+    let key = || fs::read(folder.path().join("keys/router/key.pem")).unwrap();
+    let before = key();
+    assert_eq!(run(&["keys", "new", "keys"]).status.code(), Some(2));
+    assert!(run(&["keys", "new", "keys", "--keep"]).status.success());
+    assert_eq!(key(), before);
+    let authority = fs::read(folder.path().join("keys/actor/ca.pem")).unwrap();
+    assert!(run(&["keys", "router", "keys", "--host", "elsewhere"]).status.success());
+    assert_ne!(key(), before);
+    assert_eq!(fs::read(folder.path().join("keys/router/ca.pem")).unwrap(), authority);
+    let refused = run(&["keys", "new", "others", "--host", "not a name"]);
+    let message = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(64), "{message}");
+    assert!(message.contains("`not a name`") && !folder.path().join("others").exists(), "{message}");
+}

@@ -1,0 +1,264 @@
+//! The page in a real browser, over a real run: its numbers are those that were recorded, it lives, it plays, it comes back.
+
+use crate::support::line::Line;
+use crate::support::webdriver::Browser;
+use runlog::Pass;
+use runlog::{History, RunPaths};
+use serde_json::{Value, json};
+
+/// What a page may cost before its history, bytes.
+const MAX_PAGE_BYTES: u64 = 300_000;
+
+/// The right arrow key in the protocol's private code points.
+const RIGHT: &str = "\u{e014}";
+
+/// A run, its page in a browser, and the line between them.
+struct Watched {
+    // In this order they end.
+    browser: Browser,
+    line: Line,
+    _run: crate::support::served::Process,
+    folder: tempfile::TempDir,
+}
+
+impl Watched {
+    /// `None` where `LODESTONE_CHROMEDRIVER` names no driver; `.ci/run` installs one.
+    fn start() -> Option<Self> {
+        let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else {
+            eprintln!("LODESTONE_CHROMEDRIVER names no chromedriver, so no browser looked at the page");
+            return None;
+        };
+        let folder = tempfile::tempdir().unwrap();
+        // What it prints goes nowhere; it does not mind.
+        let (run, _, address) = crate::support::served::endless(folder.path());
+        let line = Line::to(&address);
+        let browser = Browser::start(&driver, folder.path());
+        browser.open(&format!("http://{}/", line.address()));
+        Some(Self { browser, line, _run: run, folder })
+    }
+
+    fn passes(&self) -> Vec<Pass> {
+        History::read(&RunPaths::new(self.folder.path().join("run")).history()).unwrap()
+    }
+
+    /// Version of the weights of the newest evaluation that is shown, once it is beyond `version`.
+    fn judged_after(&self, version: u64) -> u64 {
+        let shown = "Number((/weights (\\d+)/.exec(document.querySelector('#groups caption')?.textContent) || [])[1])";
+        self.browser.until(&format!("({shown}) > {version} && ({shown})")).as_u64().unwrap()
+    }
+
+    /// What the page asked for since the last question.
+    fn requests(&self) -> Vec<String> {
+        let events = self.browser.log("performance").into_iter().map(|entry| {
+            let event: Value = serde_json::from_str(entry["message"].as_str().unwrap()).unwrap();
+            event["message"].clone()
+        });
+        let sent = events.filter(|event| event["method"] == "Network.requestWillBeSent");
+        // The browser's first tab has a page of its own, with files that come from no network.
+        let is_ours = |event: &Value| !event["params"]["documentURL"].as_str().unwrap().starts_with("chrome:");
+        let sent = sent.filter(is_ours);
+        sent.map(|event| event["params"]["request"]["url"].as_str().unwrap().to_owned()).collect()
+    }
+
+    /// Complaints in the console since the last question.
+    fn complaints(&self) -> Vec<Value> {
+        let entries = self.browser.log("browser").into_iter();
+        entries.filter(|entry| entry["level"] == "SEVERE" || entry["level"] == "WARNING").collect()
+    }
+}
+
+/// A rate as the page writes it.
+fn percent(rate: f64) -> String {
+    let digits = usize::from(rate > 0.0 && rate < 1.0);
+    format!("{:.digits$} %", 100.0 * rate)
+}
+
+#[test]
+fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
+    let Some(watched) = Watched::start() else { return };
+    let browser = &watched.browser;
+    let first = watched.judged_after(0);
+    let loaded = "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]
+        .filter((entry) => !entry.name.includes('/api/')).map((entry) => entry.transferSize)";
+    let sizes: Vec<u64> = serde_json::from_value(browser.run(&format!("return {loaded}"))).unwrap();
+    // The page, its style and its script; a browser without a window may leave out the icon.
+    assert!(sizes.len() >= 3 && sizes.iter().all(|size| *size > 0), "{sizes:?}");
+    assert!(sizes.iter().sum::<u64>() < MAX_PAGE_BYTES, "{sizes:?}");
+
+    // A newer evaluation comes into the same document: a reload would lose the mark.
+    browser.run("window.mark = true");
+    watched.judged_after(first);
+    assert_eq!(browser.run("return window.mark"), true);
+
+    // Read at one moment, because the next evaluation may come at any.
+    let shown = browser.run(
+        "return [document.querySelector('#groups caption').textContent,
+                 ...document.querySelector('#groups tbody tr:last-child').children].map((cell) => cell.textContent || cell)",
+    );
+    let shown: Vec<String> = serde_json::from_value(shown).unwrap();
+    let version: u64 = shown[0].split(['s', ',']).find_map(|word| word.trim().parse().ok()).unwrap();
+    let pass = watched.passes().into_iter().find(|pass| pass.weights_version.0 == version).unwrap();
+    let success = pass.blueprints[0].mode.success;
+    assert_eq!((pass.blueprints.len(), success.n_episodes), (1, 2));
+    let interval = format!("{} to {}", percent(success.wilson_low), percent(success.wilson_high));
+    let expected = ["all", "1", &percent(success.rate), &interval, "2", "–", "–", "–"];
+    assert_eq!(shown[1..], expected, "{shown:?}");
+
+    // The heat map tells the same by keyboard.
+    browser.element("#heat").press(RIGHT);
+    let told = browser.text("#heat-cell");
+    let is_told = |pass: &Pass| {
+        let success = pass.blueprints[0].mode.success;
+        let words = format!("{} of {} episodes ({})", success.n_successes, success.n_episodes, percent(success.rate));
+        told.starts_with("2_000, train, 2 blocks, after ") && told.ends_with(&words)
+    };
+    assert!(watched.passes().iter().any(is_told), "{told}");
+    browser.until("document.querySelectorAll('#health .spark').length >= 6");
+    browser.until("document.querySelector('#roster').textContent.includes('actor ')");
+
+    assert_eq!(watched.complaints(), Vec::<Value>::new());
+    let requests = watched.requests();
+    let origin = format!("http://{}/", watched.line.address());
+    // The browser draws the controls of films from pictures of its own, which go nowhere.
+    let is_elsewhere = |url: &&String| !url.starts_with(&origin) && !url.starts_with("data:");
+    let elsewhere: Vec<_> = requests.iter().filter(is_elsewhere).collect();
+    assert!(requests.len() >= 5 && elsewhere.is_empty(), "{requests:?}");
+}
+
+#[test]
+fn an_episode_plays_and_is_turned_and_stepped() {
+    let Some(watched) = Watched::start() else { return };
+    let browser = &watched.browser;
+    browser.element("#replay-ask").click();
+    browser.until("!document.querySelector('#replay-player').hidden");
+    let picture = || browser.run("return document.querySelector('#replay').toDataURL()");
+    let step = || browser.run("return Number(document.querySelector('#replay-slider').value)").as_u64().unwrap();
+    let says =
+        |words: &str| browser.until(&format!("document.querySelector('#replay-play').textContent === {words:?}"));
+    // It plays by itself, and stops at the end.
+    says("Play");
+    let n_steps = step();
+    assert!(browser.text("#replay-text").starts_with(&format!("step {n_steps} of {n_steps}, ")));
+
+    // The scrubber goes back to the start, where no reward was earned yet; at the end the terms make up the whole.
+    let scrub = |to: u64| {
+        browser.run(&format!(
+            "const slider = document.querySelector('#replay-slider');
+             slider.value = {to};
+             slider.dispatchEvent(new Event('input'));"
+        ));
+        let values =
+            "return [...document.querySelectorAll('#replay-values dd')].map((value) => Number(value.textContent))";
+        serde_json::from_value::<Vec<f64>>(browser.run(values)).unwrap()
+    };
+    let terms = scrub(n_steps);
+    assert!((terms[0] - terms[1..].iter().sum::<f64>()).abs() < 0.05, "{terms:?}");
+    assert!(browser.text("#replay-text").contains(&format!("reward {:.2}", terms[0])));
+    assert_eq!(browser.run("return document.querySelectorAll('#replay-terms polyline').length"), 6);
+    assert_eq!(scrub(0), [0.0; 6]);
+
+    // From far away, because a policy that has learned nothing throws blocks out of the picture.
+    let near = picture();
+    browser.element("#replay").press("--------");
+    let first = picture();
+    assert_ne!(first, near);
+    // The first step puts frames around what the grippers take.
+    browser.element("#replay-forth").click();
+    assert_eq!(step(), 1);
+    assert_ne!(picture(), first);
+    browser.element("#replay-back").click();
+    assert_eq!((step(), picture()), (0, first.clone()));
+    browser.element("#replay-play").click();
+    browser.until(&format!("document.querySelector('#replay').toDataURL() !== {first}"));
+    says("Play");
+    assert_eq!(step(), n_steps);
+    let end = picture();
+    browser.element("#replay").drag([80, 20]);
+    let turned = picture();
+    assert_ne!(turned, end);
+    browser.element("#replay").press(RIGHT);
+    assert_ne!(picture(), turned);
+    assert_eq!(watched.complaints(), Vec::<Value>::new());
+}
+
+#[test]
+fn a_film_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
+    let Some(watched) = Watched::start() else { return };
+    let browser = &watched.browser;
+    browser.until("document.querySelector('#films figure:first-child button')");
+    browser.element("#films figure:first-child button").click();
+    browser.until("!document.querySelector('#replay-player').hidden");
+    browser.run("replay.play(false)");
+    assert!(browser.text("#replay-note").starts_with("2_000, "), "{}", browser.text("#replay-note"));
+    let picture = || browser.run("return document.querySelector('#replay').toDataURL()");
+    let choose = |eye: &str| {
+        browser.run(&format!(
+            "const eye = document.querySelector('#replay-eye');
+             eye.value = [...eye.options].find((option) => option.textContent === {eye:?}).value;
+             eye.dispatchEvent(new Event('change'));"
+        ));
+        picture()
+    };
+    // From far away, so that the goal is in the picture wherever it is being built.
+    browser.element("#replay").press("--------");
+    let with_goal = picture();
+    browser.element("#replay-ghost").click();
+    let plain = picture();
+    assert_ne!(plain, with_goal);
+    // A row for each of the two blocks, and one for all others; and a column for each scene.
+    let shaded = choose("layer 1, head 1");
+    assert_ne!(shaded, plain);
+    assert_ne!(choose("gripper 2"), plain);
+    let cells = browser.run("return document.querySelectorAll('#replay-strip rect').length").as_u64().unwrap();
+    let n_scenes = browser.run("return Number(document.querySelector('#replay-slider').max) + 1").as_u64().unwrap();
+    assert_eq!(cells, 3 * (n_scenes + 1));
+    assert_eq!(choose("off"), plain);
+    assert_eq!(browser.run("return document.querySelector('#replay-strip').hidden"), true);
+    assert_eq!(watched.complaints(), Vec::<Value>::new());
+}
+
+#[test]
+fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
+    let Some(watched) = Watched::start() else { return };
+    let browser = &watched.browser;
+    let state = |text: &str| browser.until(&format!("document.querySelector('#state').textContent === {text:?}"));
+    state("live");
+    let before = watched.judged_after(0);
+    assert_eq!(watched.complaints(), Vec::<Value>::new());
+    browser.run("window.mark = true");
+    watched.line.cut();
+    state("reconnecting");
+    // What was known stays in sight.
+    assert!(browser.text("#groups caption").contains("weights"));
+    watched.line.mend();
+    state("live");
+    watched.judged_after(before);
+    assert_eq!(browser.run("return window.mark"), true);
+    // The browser itself reports what it could not load; the page has nothing to add.
+    let complaints = watched.complaints();
+    assert!(complaints.iter().all(|entry| entry["source"] == "network"), "{complaints:?}");
+}
+
+#[test]
+fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
+    let Some(watched) = Watched::start() else { return };
+    let browser = &watched.browser;
+    watched.judged_after(0);
+    browser.element("#replay-ask").click();
+    browser.until("!document.querySelector('#replay-player').hidden");
+    // Without news nothing is drawn anew, so that elements stay until they are looked at.
+    watched.line.cut();
+    browser.until("document.querySelector('#state').textContent === 'reconnecting'");
+    let named =
+        browser.elements("main section, main button, main input, canvas[tabindex], main svg[role=img], .scroll");
+    assert!(named.len() > 20, "{}", named.len());
+    for element in named {
+        assert_ne!(element.label(), "");
+    }
+    for width in [390, 768, 1280] {
+        let metrics = json!({ "width": width, "height": 844, "deviceScaleFactor": 2, "mobile": width < 500 });
+        browser.devtools("Emulation.setDeviceMetricsOverride", &metrics);
+        let beyond = browser.run("return document.documentElement.scrollWidth - document.documentElement.clientWidth");
+        assert_eq!(beyond, 0, "at a width of {width}");
+    }
+}

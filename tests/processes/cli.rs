@@ -1,0 +1,234 @@
+//! What the real program answers to wrong use: the culprit, what would be valid, and the exit code.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// Runs `lodestone` in `folder` with nothing of ours in its environment but `variables`.
+fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
+    command.args(args).current_dir(folder);
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
+        command.env_remove(name);
+    }
+    command.envs(variables.iter().copied()).output().unwrap()
+}
+
+/// Expects the exit code and all of `words` on stderr.
+fn check_refused(args: &[&str], variables: &[(&str, &str)], file: Option<&str>, code: i32, words: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    if let Some(text) = file {
+        std::fs::write(folder.path().join("my.toml"), text).unwrap();
+    }
+    let output = lodestone(folder.path(), args, variables);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
+    for word in words {
+        assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
+    }
+    assert!(!folder.path().join("runs").exists(), "{args:?} left a run directory behind");
+}
+
+#[test]
+fn wrong_flags_are_named_with_what_is_valid() {
+    for (args, words) in [
+        (&["train", "--step", "5"][..], &["--step", "--steps"][..]),
+        (&["train", "--steps", "0"], &["--steps", "0 is not in 1.."]),
+        (&["train", "--steps", "many"], &["--steps", "many"]),
+        (&["train", "--actors", "65"], &["--actors", "65 is not in 1..=64"]),
+        (&["train", "--preset", "papr"], &["papr", "paper", "quickstart"]),
+        (&["train", "--device", "tpu"], &["--device", "tpu", "cpu", "gpu"]),
+        (&["train", "--preset", "paper", "--config", "my.toml"], &["--preset", "--config", "cannot be used with"]),
+        (&["eval"], &["--checkpoint", "--pretrained"]),
+        (&["eval", "--checkpoint", "x", "--pretrained"], &["--checkpoint", "--pretrained", "cannot be used with"]),
+        (&["play"], &["--checkpoint", "--pretrained"]),
+        (&["export", "--checkpoint", "x"], &["--out"]),
+        (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),
+        (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=10000"]),
+        (&["expert", "eval", "--grippers", "3"], &["--grippers", "3 is not in 1..=2"]),
+        (&["expert", "eval", "--start", "flying"], &["--start", "flying", "scattered, prebuilt, mixed"]),
+        (&["expert", "eval", "2_000", "--split", "train"], &["--split", "cannot be used with"]),
+        (&["router"], &["--listen"]),
+        (&["render", "x.trajectory"], &["--out"]),
+        (&["render", "x", "--out", "films", "--width", "3"], &["--width", "480..=1920"]),
+        (&["tarin"], &["tarin", "train"]),
+    ] {
+        check_refused(args, &[], None, 2, words);
+    }
+}
+
+#[test]
+fn wrong_configurations_are_named_with_what_is_valid() {
+    let with_file = &["train", "--config", "my.toml"][..];
+    for (args, file, words) in [
+        (with_file, None, &["my.toml", "cannot read"][..]),
+        (with_file, Some("seed = 1\n[actor]\nn_wolrds = 3"), &["my.toml:3", "n_wolrds", "did you mean `n_worlds`"]),
+        (with_file, Some("[actor]\nn_worlds = \"three\""), &["my.toml:2", "three"]),
+        (with_file, Some("seed = = 1"), &["my.toml:1"]),
+        (with_file, Some("[actor]\nn_worlds = 0"), &["actor.n_worlds is 0", "1 to 1024"]),
+        (with_file, Some("[learner]\ngamma = 1.5"), &["learner", "gamma", "1.5"]),
+        (
+            with_file,
+            Some("[environment]\nn_grippers = 1"),
+            &["environment.n_grippers is 1", "policy.network.n_grippers"],
+        ),
+        (with_file, Some("base = \"papr\""), &["papr", "did you mean `paper`"]),
+        (&["train", "--set", "actor.n_wolrds=3"], None, &["--set actor.n_wolrds=3", "did you mean `n_worlds`"]),
+        (&["train", "--set", "actor"], None, &["--set actor", "KEY=VALUE"]),
+        (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
+        (&["actor"], None, &["bus.connect is empty", "router"]),
+        (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
+        (&["render", "gone", "--out", "films"], None, &["gone", "cannot be read"]),
+        (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
+        (&["render", "my.toml", "--out", "films"], Some(""), &["my.toml", "is empty"]),
+        (&["render", "my.toml", "--out", "films"], Some("\u{8}\u{1}\u{12}\u{6}exp"), &["my.toml", "cut off"]),
+        (&["blueprints", "list", "gone"], None, &["gone", "cannot read"]),
+        (&["expert", "eval", "6-005"], None, &["`6-005`", "did you mean `6_005`"]),
+        (&["expert", "eval", "--set", "environment.n_griper=1"], None, &["did you mean `n_grippers`"]),
+        (
+            &["blueprints", "generate", "--size", "3", "--style", "ring", "--out", "made"],
+            None,
+            &["style ring needs 4 to 16 blocks, not 3"],
+        ),
+    ] {
+        check_refused(args, &[], file, 64, words);
+    }
+}
+
+#[test]
+fn a_wrong_variable_is_named() {
+    let variables = [("LODESTONE_LEARNER__GAMA", "0.9")];
+    check_refused(&["train"], &variables, None, 64, &["LODESTONE_LEARNER__GAMA", "did you mean `gamma`"]);
+}
+
+#[test]
+fn a_missing_checkpoint_is_named() {
+    check_refused(&["eval", "--checkpoint", "gone"], &[], None, 66, &["gone"]);
+}
+
+#[test]
+fn an_endpoint_that_makes_no_sense_is_named() {
+    for (role, endpoint) in [("router", "nonsense"), ("router", "tls/127.0.0.1:7447"), ("router", "tcp/localhost")] {
+        check_refused(&[role, "--listen", endpoint], &[], None, 64, &[endpoint, "tcp/HOST:PORT"]);
+    }
+    check_refused(&["actor", "--connect", "localhost:7447"], &[], None, 64, &["`localhost:7447`", "tcp/HOST:PORT"]);
+}
+
+#[cfg(not(feature = "gpu"))]
+#[test]
+fn a_gpu_that_is_not_built_in_is_refused_before_anything_starts() {
+    check_refused(&["train", "--device", "gpu"], &[], None, 64, &["no GPU backend", "--features gpu"]);
+}
+
+#[test]
+fn layers_are_put_over_each_other_in_order() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("my.toml"), "seed = 1\n[actor]\nn_worlds = 11\nsegment_len = 11").unwrap();
+    let variables = [("LODESTONE_ACTOR__N_WORLDS", "12"), ("LODESTONE_SEED", "12")];
+    let args = ["train", "--config", "my.toml", "--set", "actor.n_threads=13", "--seed", "13", "--print-config"];
+    let output = lodestone(folder.path(), &args, &variables);
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for line in ["seed = 13", "segment_len = 11", "n_worlds = 12", "n_threads = 13"] {
+        assert!(printed.lines().any(|printed| printed == line), "no {line:?} in {printed}");
+    }
+}
+
+#[test]
+fn the_catalog_is_listed_and_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let listed = lodestone(folder.path(), &["blueprints", "list", "--json"], &[]);
+    let rows: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
+    let is_two_block = |row: &&serde_json::Value| row["n_blocks"] == 2 && row["split"] == "train";
+    assert_eq!(rows.as_array().unwrap().iter().filter(is_two_block).count(), 14);
+    let checked = lodestone(folder.path(), &["blueprints", "check"], &[]);
+    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
+}
+
+#[test]
+fn a_bad_blueprint_is_told_apart_from_good_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("2_099.toml"), "id = 3").unwrap();
+    let output = lodestone(folder.path(), &["blueprints", "check", "2_099.toml"], &[]);
+    assert_eq!(output.status.code(), Some(64));
+    let stdout = String::from_utf8_lossy(&output.stdout);
+    for words in ["2_099.toml  -   FAILED  -  ", "2_099.toml, format: line 1"] {
+        assert!(stdout.contains(words), "no {words:?} in {stdout}");
+    }
+}
+
+#[test]
+fn blueprints_are_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["blueprints", "show", "2_000", "6_005", "2_000", "--size", "320", "--out", "new/pictures"];
+    let output = lodestone(folder.path(), &args, &[]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let written = std::fs::read_dir(folder.path().join("new/pictures")).unwrap();
+    let mut names: Vec<String> = written.map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    assert_eq!(names, ["2_000.png", "6_005.png", "sheet.png"]);
+    // A PNG begins with its signature, 8 bytes about the header, and the width.
+    let card = std::fs::read(folder.path().join("new/pictures/6_005.png")).unwrap();
+    assert_eq!((&card[..8], &card[16..20]), (&b"\x89PNG\r\n\x1a\n"[..], &320_u32.to_be_bytes()[..]));
+}
+
+#[test]
+fn what_cannot_be_drawn_is_named_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    for (args, code, words) in [
+        (&["2_000", "6-005"][..], 64, &["`6-005`", "did you mean `6_005`"][..]),
+        (&["--path", "gone"], 64, &["gone", "cannot read"]),
+        (&["2_000", "--split", "train"], 2, &["--split", "cannot be used with"]),
+        (&["--size", "319"], 2, &["--size", "319 is not in 320..=4000"]),
+    ] {
+        let output = lodestone(folder.path(), &[&["blueprints", "show", "--out", "pictures"], args].concat(), &[]);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
+        for word in words {
+            assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
+        }
+        assert!(!folder.path().join("pictures").exists(), "{args:?} left files behind");
+    }
+}
+
+#[test]
+fn generated_blueprints_pass_the_checks_and_replace_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["blueprints", "generate", "--size", "4", "--count", "2", "--style", "arch", "--out", "made"];
+    let made = lodestone(folder.path(), &args, &[]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let lines = String::from_utf8(made.stdout).unwrap();
+    assert_eq!(lines.lines().filter(|line| line.starts_with("gen1-arch-0_4_")).count(), 2, "{lines}");
+    let checked = lodestone(folder.path(), &["blueprints", "check", "made"], &[]);
+    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
+    let again = lodestone(folder.path(), &args, &[]);
+    assert_eq!(again.status.code(), Some(64));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("exists already; nothing was written"));
+}
+
+#[test]
+fn the_expert_is_judged_and_its_failures_are_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let judge = |args: &[&str]| {
+        let output = lodestone(folder.path(), &[&["expert", "eval", "--episodes", "2", "--json"], args].concat(), &[]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    // A generated goal is as good as one of the catalog.
+    let good = judge(&["2_000", "gen1-any-0_6_000"]);
+    assert_eq!(good["blueprints"].as_array().unwrap().len(), 2);
+    assert_eq!(good["groups"][0]["outcome"]["success"]["n_episodes"], 4);
+    assert!(good["steps_per_second"].as_f64().unwrap() > 0.0);
+    assert_eq!(judge(&["2_000", "--grippers", "1"])["groups"][0]["n_built"], 1);
+    let bad = judge(&["16_000", "--set", "environment.episode_steps=5", "--explain", "why"]);
+    assert_eq!(bad["groups"][0]["outcome"]["success"]["n_successes"], 0);
+    let causes = std::fs::read_to_string(folder.path().join("why/failures.json")).unwrap();
+    let causes: serde_json::Value = serde_json::from_str(&causes).unwrap();
+    assert_eq!((causes[0]["cause"].as_str(), causes[1]["episode_idx"].as_u64()), (Some("time"), Some(1)));
+    let replay = folder.path().join("why").join(causes[0]["replay"].as_str().unwrap());
+    let replay = proto::codec::decode_trajectory(&std::fs::read(replay).unwrap()).unwrap();
+    assert_eq!((replay.task.blueprint.as_str(), replay.transitions.len()), ("16_000", 5));
+    // A folder that is there already is not written into.
+    let again = lodestone(folder.path(), &["expert", "eval", "2_000", "--explain", "why"], &[]);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("cannot make the folder why"));
+}

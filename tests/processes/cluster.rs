@@ -1,0 +1,168 @@
+//! Router, learner, actors and evaluator as separate processes over TCP, killed and replaced while they work.
+
+use std::io::{BufRead, BufReader};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use crate::support::judges::{python, told_by};
+use crate::support::program::{lodestone, n_saved_steps};
+
+/// The task of CI's learning test, saved often enough to be killed at any time.
+const TASK: [&str; 4] = ["--preset", "near-goal", "--set", "learner.checkpoints.every_updates=2"];
+
+/// Environment steps in which it is learned with room to spare.
+const ENOUGH_STEPS: u64 = 200_000;
+
+/// A process that does not outlive its test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only for a process that has ended already, which is what is wanted.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+struct Cluster {
+    folder: tempfile::TempDir,
+    endpoint: String,
+    _router: Process,
+}
+
+impl Cluster {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        // A port that was free a moment ago; members retry until the router listens there.
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let endpoint = format!("tcp/127.0.0.1:{port}");
+        let router = command(folder.path()).args(["router", "--listen", &endpoint]).spawn().unwrap();
+        Self { folder, endpoint, _router: Process(router) }
+    }
+
+    fn member(&self, role: &str, args: &[&str]) -> Process {
+        let mut command = command(self.folder.path());
+        command.args([role, "--connect", &self.endpoint]).args(args);
+        if !args.contains(&"--resume") {
+            command.args(TASK);
+        }
+        if role == "evaluator" {
+            command.stdout(Stdio::piped());
+        }
+        Process(command.spawn().unwrap())
+    }
+
+    /// Runs a learner until it has consumed `n_steps`; returns what the newest checkpoint holds.
+    fn learn(&self, source: [&str; 2], n_steps: u64) -> u64 {
+        let steps = n_steps.to_string();
+        let mut learner = self.member("learner", &[source[0], source[1], "--steps", &steps]);
+        let status = learner.0.wait().unwrap();
+        assert!(status.success(), "{status}");
+        let saved = self.n_saved_steps();
+        assert!(saved >= n_steps, "{saved} of {n_steps}");
+        saved
+    }
+
+    /// Success rate of the newest checkpoint, mode actions from starts near the goal.
+    fn success_rate(&self) -> f64 {
+        let judged = lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]).output().unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+        report["summary"]["all"]["mode"]["success"]["rate"].as_f64().unwrap()
+    }
+
+    fn n_saved_steps(&self) -> u64 {
+        n_saved_steps(&self.folder.path().join("run"))
+    }
+}
+
+fn command(folder: &Path) -> Command {
+    let mut command = lodestone(folder);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command
+}
+
+#[test]
+fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() {
+    let cluster = Cluster::start();
+    let mut first = cluster.member("actor", &["--id", "first"]);
+    let _second = cluster.member("actor", &["--id", "second"]);
+    let mut evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let saved = cluster.learn(["--run-dir", "run"], 2048);
+    let untrained = cluster.success_rate();
+
+    // `kill` is SIGKILL: the actor has no chance to say goodbye.
+    first.0.kill().unwrap();
+    first.0.wait().unwrap();
+    let _late = cluster.member("actor", &["--id", "late"]);
+    let saved = cluster.learn(["--resume", "run"], saved + 2048);
+
+    // A learner without end, killed after it has saved twice.
+    let mut endless = command(cluster.folder.path())
+        .args(["learner", "--connect", &cluster.endpoint, "--resume", "run", "--steps", "1000000000"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .map(Process)
+        .unwrap();
+    let lines = BufReader::new(endless.0.stderr.take().unwrap()).lines();
+    assert_eq!(lines.filter(|line| line.as_ref().unwrap().contains("saved")).take(2).count(), 2);
+    endless.0.kill().unwrap();
+    endless.0.wait().unwrap();
+    let before = cluster.n_saved_steps();
+    assert!(before >= saved + 2048, "{before}");
+    // How much is learned from a step depends on how the machine shares out its time, so there is some more time.
+    let mut n_steps = before.max(ENOUGH_STEPS);
+    cluster.learn(["--resume", "run"], n_steps);
+    let mut trained = cluster.success_rate();
+    while trained < 0.9 && n_steps < before + 3 * ENOUGH_STEPS {
+        n_steps += ENOUGH_STEPS / 2;
+        cluster.learn(["--resume", "run"], n_steps);
+        trained = cluster.success_rate();
+    }
+    assert!(untrained < 0.5 && trained >= 0.9, "{untrained} before, {trained} after");
+    // The evaluator writes its history before it prints the first line of a report.
+    let lines = BufReader::new(evaluator.0.stdout.take().unwrap()).lines();
+    let report = lines.map(Result::unwrap).find(|line| !line.is_empty()).unwrap();
+    assert!(report.starts_with("weights"), "{report}");
+    assert!(cluster.folder.path().join("judged/metrics.jsonl").is_file());
+}
+
+#[test]
+fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
+    let Some(python) = python() else { return };
+    let cluster = Cluster::start();
+    let _actor = cluster.member("actor", &[]);
+    let _evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let _worker = cluster.member("evaluator", &["--worker"]);
+    cluster.learn(["--run-dir", "run"], 2048);
+
+    let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--once"]);
+    let record = |key: &str, file: &str, is_same: &dyn Fn(&serde_json::Value) -> bool| {
+        let recorded = std::fs::read_to_string(cluster.folder.path().join(file)).unwrap();
+        let mut lines = recorded.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let mut same = lines.find(|line| line["key"] == key && is_same(line)).unwrap();
+        same.as_object_mut().unwrap().remove("key");
+        same
+    };
+    let version = |line: &serde_json::Value| line["weights_version"] == told["weights_version"];
+    assert_eq!(told, record("eval/summary", "judged/metrics.jsonl", &version));
+    assert!(told["all"]["mode"]["success"]["n_episodes"].as_u64().unwrap() > 0);
+
+    let history = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--history"]);
+    let pass = history["passes"].as_array().unwrap().iter().find(|pass| version(pass)).unwrap();
+    assert_eq!(pass["all"]["mode"], told["all"]["mode"]["success"]);
+
+    // Event files hold numbers with 24 bits.
+    let same = |number: &serde_json::Value, recorded: &serde_json::Value| {
+        assert_eq!(number.as_f64().unwrap() as f32, recorded.as_f64().unwrap() as f32);
+    };
+    let path = |folder: &str| cluster.folder.path().join(folder).display().to_string();
+    let plotted = told_by(&python, "scalars.py", &[&path("run/tb/learner")]);
+    let [step, entropy] = [0, 1].map(|i| &plotted["ppo/entropy"][0][i]);
+    let update = record("learner", "run/metrics.jsonl", &|line| line["n_env_steps"] == *step);
+    same(entropy, &update["ppo"]["entropy"]);
+    let plotted = told_by(&python, "scalars.py", &[&path("judged/tb/evaluator")]);
+    let [step, success] = [0, 1].map(|i| &plotted["success-mode/all"][0][i]);
+    let summary = record("eval/summary", "judged/metrics.jsonl", &|line| line["n_env_steps"] == *step);
+    same(success, &summary["all"]["mode"]["success"]["rate"]);
+}

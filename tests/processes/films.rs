@@ -1,0 +1,147 @@
+//! Films of a training, of its recordings, of a running actor and of what a network attends to.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use crate::support::judges::{python, told_by};
+use crate::support::program::lodestone;
+
+/// Small enough for seconds, with goals that stand but for one block, so that some episodes succeed.
+const SMALL: [&str; 16] = [
+    "--preset",
+    "near-goal",
+    "--set",
+    "learner.steps_per_update=256",
+    "--set",
+    "learner.minibatch_size=256",
+    "--set",
+    "actor.n_worlds=8",
+    "--set",
+    "evaluator.selection.blueprints=[\"2_000\"]",
+    "--set",
+    "evaluator.episodes.n_episodes=4",
+    "--set",
+    "evaluator.films.width=480",
+    "--set",
+    "evaluator.films.fps=10",
+];
+
+/// A process that does not outlive its test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only for a process that has ended already, which is what is wanted.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn finished(command: &mut Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+/// All files below a folder, in order.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let below = |path: PathBuf| if path.is_dir() { files(&path) } else { vec![path] };
+    let mut all: Vec<PathBuf> = entries.into_iter().flat_map(below).collect();
+    all.sort();
+    all
+}
+
+/// Steps of the episode of a film, as the program says them.
+fn n_steps(printed: &Output, name: &str) -> u64 {
+    let text = String::from_utf8_lossy(&printed.stdout);
+    let line = text.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name} in {text}"));
+    line.rsplit(": ").next().unwrap().split(' ').next().unwrap().parse().unwrap()
+}
+
+#[test]
+fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let endpoint = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
+    let mut training = lodestone(folder.path());
+    training.args(["train", "--run-dir", "run", "--listen", &endpoint]).args(SMALL).env("RUST_LOG", "evaluator=debug");
+    let mut training = Process(training.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(training.0.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let filmed = lines.by_ref().find(|line| line.contains("a film of an evaluation"));
+    assert!(filmed.is_some(), "the first pass has an end, whatever it is");
+    // Whoever does not read the log may hold the program up.
+    let rest = std::thread::spawn(move || lines.count());
+
+    let watched = ["render", "--connect", &endpoint, "--run", "near-goal", "--actor", "local", "--out", "live"];
+    finished(lodestone(folder.path()).args(watched).args(["--format", "png-strip", "--timeout", "120"]));
+    let [live] = files(&folder.path().join("live")).try_into().unwrap();
+    assert!(live.file_name().unwrap().to_str().unwrap().starts_with("local-01-2_000-"), "{live:?}");
+
+    finished(Command::new("kill").args(["-TERM", &training.0.id().to_string()]));
+    assert!(training.0.wait().unwrap().success());
+    rest.join().unwrap();
+    let replays = files(&run.join("replays"));
+    let shown = finished(lodestone(folder.path()).args(["render", "run", "--out", "films", "--fps", "10"]));
+    let films = files(&folder.path().join("films"));
+    assert_eq!(films.len(), replays.len());
+    let stem = films[0].file_stem().unwrap().to_str().unwrap().to_owned();
+    let with_weights = ["render", "run", "--out", "seen", "--format", "png-strip", "--attention", "run"];
+    finished(lodestone(folder.path()).args(with_weights));
+    assert!(fs::read(folder.path().join(format!("seen/{stem}-attention.png"))).unwrap().starts_with(b"\x89PNG"));
+
+    // A policy in a file is as good as its run, also for a page of its own.
+    finished(lodestone(folder.path()).args(["export", "--checkpoint", "run", "--out", "policy.safetensors"]));
+    let mut again = lodestone(folder.path());
+    assert_eq!(
+        again.args(["export", "--checkpoint", "run", "--out", "policy.safetensors"]).status().unwrap().code(),
+        Some(2)
+    );
+    let mut playing = lodestone(folder.path());
+    playing.args(["play", "--checkpoint", "policy.safetensors", "2_001", "--episodes", "1", "--run-dir", "played"]);
+    let mut playing = Process(playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(playing.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.by_ref().any(|line| line.starts_with("page at http://127.0.0.1:")));
+    assert!(lines.by_ref().any(|line| line.starts_with("train 2_001")), "it is judged once");
+    finished(Command::new("kill").args(["-TERM", &playing.0.id().to_string()]));
+    assert!(playing.0.wait().unwrap().success());
+    assert_eq!(files(&folder.path().join("played/replays")).len(), 1);
+
+    let Some(python) = python() else { return };
+    // 960 × 540 unless told otherwise; a tenth of a second for every step, the first scene, and 1.5 s of the last.
+    let told = told_by(&python, "frames.py", &[&films[0].display().to_string()]);
+    let expected = n_steps(&shown, &stem) + 1 + 15;
+    assert_eq!(told, serde_json::json!({ "n_frames": expected, "size": [960, 540], "fps": 10.0 }));
+    let made = files(&run.join("videos"));
+    let told = told_by(&python, "frames.py", &[&made[0].display().to_string()]);
+    assert_eq!((&told["size"], &told["fps"]), (&serde_json::json!([480, 270]), &serde_json::json!(10.0)));
+    let pictures = told_by(&python, "pictures.py", &[&run.join("tb/evaluator/films").display().to_string()]);
+    let (tag, pictures) = pictures.as_object().unwrap().iter().next().unwrap();
+    assert!(["train-2-6/success", "train-2-6/failure"].contains(&tag.as_str()), "{tag}");
+    let picture = &pictures[0];
+    assert_eq!((&picture["format"], &picture["size"]), (&"GIF89a".into(), &picture["screen"]));
+    assert_eq!(picture["size"], serde_json::json!([320, 200]));
+    assert!(picture["n_bytes"].as_u64().unwrap() <= 400_000);
+}
+
+#[test]
+fn what_cannot_be_shown_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir_all(folder.path().join("empty/replays")).unwrap();
+    fs::create_dir(folder.path().join("other")).unwrap();
+    for (args, code, words) in [
+        (&["render", "empty", "--out", "films"][..], 66, "no recordings yet"),
+        (&["render", "other", "--out", "films"], 66, "no folder of a run"),
+        (&["render", "empty", "--out", "films", "--attention", "gone"], 66, "gone"),
+        (&["render", "--out", "films"], 2, "<FILE_OR_RUN>"),
+        (&["render", "empty", "--connect", "tcp/127.0.0.1:1", "--out", "films"], 2, "--connect"),
+        (&["render", "--connect", "unixsock-stream//gone/bus.sock", "--timeout", "1", "--out", "films"], 65, "gone"),
+    ] {
+        let output = lodestone(folder.path()).args(args).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{told}");
+        assert!(told.contains(words), "no {words:?} in {told}");
+    }
+}

@@ -1,0 +1,93 @@
+//! A run that is started again by somebody who does not know how it ended.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use crate::support::program::{lodestone, n_saved_steps};
+
+/// Always the same command, as a supervisor has it; checkpoints come often enough to be killed between any two.
+const COMMAND: [&str; 10] = [
+    "train",
+    "--preset",
+    "near-goal",
+    "--run-dir",
+    "run",
+    "--auto-resume",
+    "--set",
+    "learner.checkpoints.every_updates=1",
+    "--set",
+    "evaluator.evaluate_last=false",
+];
+
+/// A process that does not outlive its test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only for a process that has ended already, which is what is wanted.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn train(folder: &Path) -> Command {
+    let mut command = lodestone(folder);
+    command.args(COMMAND).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+/// A training that has saved `n` times since it was started.
+fn trained(folder: &Path, n: usize) -> Process {
+    let mut training = Process(train(folder).args(["--steps", "1000000000"]).spawn().unwrap());
+    let lines = BufReader::new(training.0.stderr.as_mut().unwrap()).lines();
+    let saved = lines.map(Result::unwrap).filter(|line| line.contains("saved"));
+    assert_eq!(saved.take(n).count(), n);
+    training
+}
+
+#[test]
+fn one_command_starts_a_run_and_continues_it_after_a_kill() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    drop(trained(folder.path(), 2));
+    let first = n_saved_steps(&run);
+    drop(trained(folder.path(), 1));
+    let second = n_saved_steps(&run);
+    assert!(second > first, "{second} after {first}");
+    let meta: serde_json::Value = serde_json::from_slice(&fs::read(run.join("meta.json")).unwrap()).unwrap();
+    assert_eq!(meta["resumed_from"], "run");
+
+    // One that has its steps ends at once, and well.
+    let ended = train(folder.path()).args(["--steps", "1"]).output().unwrap();
+    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+}
+
+#[test]
+fn a_run_that_was_ended_before_its_first_checkpoint_begins_again() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(trained(folder.path(), 1));
+    fs::remove_dir_all(folder.path().join("run/checkpoints")).unwrap();
+    drop(trained(folder.path(), 1));
+    let meta = fs::read(folder.path().join("run/meta.json")).unwrap();
+    let meta: serde_json::Value = serde_json::from_slice(&meta).unwrap();
+    assert_eq!(meta["resumed_from"], serde_json::Value::Null);
+}
+
+#[test]
+fn a_second_process_is_refused_before_it_writes_anything() {
+    let folder = tempfile::tempdir().unwrap();
+    let _training = trained(folder.path(), 1);
+    let files = ["config.toml", "meta.json"].map(|name| folder.path().join("run").join(name));
+    let contents =
+        || files.each_ref().map(|file| (fs::read(file).unwrap(), fs::metadata(file).unwrap().modified().unwrap()));
+    let before = contents();
+    for args in [&["train", "--resume", "run", "--seed", "7"][..], &COMMAND] {
+        let refused = lodestone(folder.path()).args(args).output().unwrap();
+        let message = String::from_utf8(refused.stderr).unwrap();
+        assert_eq!(refused.status.code(), Some(2), "{message}");
+        assert!(message.contains("another process learns in run"), "{message}");
+    }
+    assert_eq!(contents(), before);
+}

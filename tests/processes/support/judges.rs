@@ -1,0 +1,28 @@
+//! Programs in Python that read what we say, and share no code with us.
+
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
+use std::process::Command;
+
+/// A Python that has the packages of `deploy/examples/requirements.txt`; `.ci/run` makes one.
+pub(crate) fn python() -> Option<OsString> {
+    let python = std::env::var_os("LODESTONE_PYTHON");
+    if python.is_none() {
+        eprintln!(
+            "LODESTONE_PYTHON names no Python with the packages of deploy/examples, so nothing was read with one"
+        );
+    }
+    python
+}
+
+/// Runs a script from the folder of examples and returns the JSON that it prints.
+pub(crate) fn told_by(python: &OsStr, script: &str, args: &[&str]) -> serde_json::Value {
+    told_by_script(python, &Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script), args)
+}
+
+/// Runs a script and returns the JSON that it prints.
+pub(crate) fn told_by_script(python: &OsStr, script: &Path, args: &[&str]) -> serde_json::Value {
+    let read = Command::new(python).arg(script).args(args).output().unwrap();
+    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
+    serde_json::from_slice(&read.stdout).unwrap()
+}

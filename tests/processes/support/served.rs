@@ -1,0 +1,62 @@
+//! A small run with a page.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+use crate::support::program::lodestone;
+
+/// A process that does not outlive its test.
+pub(crate) struct Process(pub(crate) Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Both fail only for a process that has ended already, which is what is wanted.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The smallest run that is judged.
+pub(crate) fn train(command: &mut Command) -> &mut Command {
+    command.args(["train", "--preset", "near-goal", "--run-dir", "run"]);
+    for setting in [
+        "learner.steps_per_update=256",
+        "actor.n_worlds=8",
+        "evaluator.episodes.n_episodes=2",
+        "policy.network.width=16",
+        "policy.network.value_hidden=[16]",
+    ] {
+        command.args(["--set", setting]);
+    }
+    command
+}
+
+/// A run without end in `folder`, what it prints from now on, and the address of its page.
+pub(crate) fn endless(folder: &Path) -> (Process, BufReader<ChildStdout>, String) {
+    let mut command = lodestone(folder);
+    let run = train(&mut command).args(["--steps", "1000000000", "--web", "127.0.0.1:0"]);
+    let mut run = Process(run.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut printed = BufReader::new(run.0.stdout.take().unwrap());
+    let mut lines = printed.by_ref().lines().map(Result::unwrap);
+    let address = lines.find_map(|line| Some(line.strip_prefix("page at http://")?.to_owned())).unwrap();
+    (run, printed, address)
+}
+
+/// Lines of the stream of events, until the page closes it.
+pub(crate) fn events(address: &str) -> impl Iterator<Item = String> {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(format!("GET /api/events HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
+    BufReader::new(stream).lines().map_while(Result::ok)
+}
+
+/// Head and body of an answer.
+pub(crate) fn get(address: &str, path: &str) -> (String, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    (head.to_owned(), body.to_owned())
+}

@@ -1,0 +1,108 @@
+//! A run of the real program: it trains, saves, can be judged and continued, and drains on a signal.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Output, Stdio};
+
+use crate::support::program::{lodestone, n_saved_steps};
+
+/// Small enough for seconds: updates of 256 steps, each of them saved.
+const SMALL: [&str; 18] = [
+    "--set",
+    "learner.steps_per_update=256",
+    "--set",
+    "learner.minibatch_size=256",
+    "--set",
+    "learner.n_epochs=1",
+    "--set",
+    "learner.checkpoints.every_updates=1",
+    "--set",
+    "actor.n_worlds=8",
+    "--set",
+    "evaluator.selection.blueprints=[\"2_000\"]",
+    "--set",
+    "evaluator.episodes.n_episodes=2",
+    "--set",
+    "policy.network.width=16",
+    "--set",
+    "policy.network.value_hidden=[16]",
+];
+
+fn finished(command: &mut Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+#[test]
+fn a_run_is_saved_judged_and_continued() {
+    let folder = tempfile::tempdir().unwrap();
+    let run_dir = folder.path().join("run");
+    let trained = finished(lodestone(folder.path()).args(["train", "--run-dir", "run", "--steps", "512"]).args(SMALL));
+    assert!(String::from_utf8_lossy(&trained.stdout).contains("eval --checkpoint run"));
+    let n_steps = n_saved_steps(&run_dir);
+    assert!(n_steps >= 512, "{n_steps}");
+    for file in ["config.toml", "meta.json", "metrics.jsonl", "eval.db"] {
+        assert!(run_dir.join(file).is_file(), "{file}");
+    }
+    let passes = runlog::History::read(&runlog::RunPaths::new(&run_dir).history()).unwrap();
+    assert_eq!(passes.last().unwrap().n_env_steps, n_steps, "the last weights were judged as well");
+
+    let judged = finished(
+        lodestone(folder.path())
+            .args(["eval", "--checkpoint", "run", "--episodes", "2", "--json"])
+            .args(["--set", "evaluator.episodes.acting=[\"sampled\"]"]),
+    );
+    let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+    assert_eq!(report["summary"]["n_env_steps"], n_steps);
+    let n_episodes = |acting: &str| report["summary"]["all"][acting]["success"]["n_episodes"].as_u64();
+    assert_eq!((n_episodes("sampled"), n_episodes("mode")), (Some(2), Some(0)));
+
+    let goal = (n_steps + 256).to_string();
+    finished(lodestone(folder.path()).args(["train", "--resume", "run", "--steps", &goal]));
+    assert!(n_saved_steps(&run_dir) >= n_steps + 256);
+
+    let again = lodestone(folder.path()).args(["train", "--run-dir", "run"]).output().unwrap();
+    assert_eq!(again.status.code(), Some(2), "a run must not be overwritten");
+}
+
+#[test]
+fn in_lockstep_a_resumed_run_goes_on_bit_by_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = |args: &[&str]| {
+        finished(lodestone(folder.path()).args(["train", "--lockstep"]).args(args));
+    };
+    // Every update is saved, so the whole run and the one cut in two begin new episodes at the same places.
+    for (run, steps) in [("whole", "1024"), ("cut", "512")] {
+        train(&[&["--run-dir", run, "--steps", steps], &SMALL[..]].concat());
+    }
+    train(&["--resume", "cut", "--steps", "1024"]);
+    let newest = |run: &str| {
+        folder.path().join(run).join(format!("checkpoints/step-{}", n_saved_steps(&folder.path().join(run))))
+    };
+    for file in ["parameters.safetensors", "adam.safetensors"] {
+        let bytes = |run| std::fs::read(newest(run).join(file)).unwrap();
+        assert!(bytes("whole") == bytes("cut"), "{file}");
+    }
+}
+
+#[test]
+fn a_signal_drains_and_saves() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = lodestone(folder.path())
+        .args(["train", "--run-dir", "run"])
+        .args(SMALL)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    // The learner's first line: everything is up and has learned.
+    lines.find(|line| line.as_ref().unwrap().contains("explained variance")).unwrap().unwrap();
+    let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    for line in lines {
+        line.unwrap();
+    }
+    assert!(child.wait().unwrap().success());
+    assert!(n_saved_steps(&folder.path().join("run")) >= 256);
+}

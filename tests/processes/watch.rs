@@ -1,0 +1,100 @@
+//! `watch` beside a run on a real bus: what it prints, what it says when nothing comes, and what it refuses.
+
+use std::path::Path;
+use std::process::Output;
+
+use crate::support::program::lodestone;
+use bus::{Bus, MetricsPublisher};
+use proto::Role;
+use serde_json::{Value, json};
+
+/// The program's answer, while this process goes on serving the bus.
+async fn watch(folder: &Path, args: &[&str]) -> Output {
+    let mut command = lodestone(folder);
+    command.args(["watch", "--connect", &format!("unixsock-stream/{}", folder.join("bus.sock").display())]).args(args);
+    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+}
+
+/// Puts metrics under a key; they are the latest for as long as the publisher is kept.
+async fn put(bus: &Bus, suffix: &str, metrics: &Value) -> MetricsPublisher {
+    let publisher = bus.metrics_publisher(suffix).await.unwrap();
+    publisher.put(metrics).await.unwrap();
+    publisher
+}
+
+fn sample(json: &str) -> Value {
+    serde_json::from_str(json).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_is_printed_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(folder.path()).await.unwrap();
+    let _tokens = (
+        bus.declare_alive(Role::Learner, "learner").await.unwrap(),
+        bus.declare_alive(Role::Actor, "actor-1").await.unwrap(),
+        bus.declare_alive(Role::Actor, "quiet").await.unwrap(),
+    );
+    let mut hostile = sample(include_str!("../../dashboard/tests/metrics/actor.json"));
+    hostile["actor"] = json!("\u{1b}[2Jred");
+    let _published = [
+        put(&bus, "actor/actor-1", &sample(include_str!("../../dashboard/tests/metrics/actor.json"))).await,
+        put(&bus, "actor/hostile", &hostile).await,
+        put(&bus, "eval/train/2_000", &sample(include_str!("../../dashboard/tests/metrics/eval-blueprint.json"))).await,
+        put(&bus, "eval/train/2_001", &json!({ "schema_version": 2 })).await,
+        put(&bus, "eval/summary", &sample(include_str!("../../dashboard/tests/metrics/eval-summary.json"))).await,
+        put(&bus, "learner", &sample(include_str!("../../dashboard/tests/metrics/learner.json"))).await,
+    ];
+    let output = watch(folder.path(), &["--run", "default", "--once", "--timeout", "60"]).await;
+    let (stdout, stderr) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{stderr}");
+    for words in [
+        "Run default at unixsock-stream/",
+        "learner heard 0 s ago, evaluator gone, heard 0 s ago",
+        "Success in %: weights 800, 3 276 800 environment steps, judged 0 s ago",
+        "  train 2-6     100.0 ( 91.2 to 100.0)      40",
+        "  worst  2_000 100.0",
+        "Learning: weights 812, 3 326 976 environment steps",
+        "Actors: 2 alive, 0 lost; 640 steps/s",
+        // The latest values may come twice, when the view notices that a service is there.
+        "watch.metrics_unreadable_total ",
+        "watch.schema_unknown_total ",
+    ] {
+        assert!(stdout.contains(words), "no {words:?} in {stdout}");
+    }
+    assert!(!stdout.contains('\u{1b}'), "{stdout:?}");
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_that_says_nothing_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(folder.path()).await.unwrap();
+    let output = watch(folder.path(), &["--run", "elsewhere", "--once", "--timeout", "3"]).await;
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(66), "{stderr}");
+    assert!(stderr.contains("run `elsewhere` said anything in 3 s"), "{stderr}");
+    bus.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_missing_router_and_wrong_use_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    for (args, code, words) in [
+        (&["--once", "--timeout", "1"][..], 65, &["no router answers at unixsock-stream/", "after 1 s"][..]),
+        (&[], 2, &["needs a terminal", "--once"]),
+        (&["--run", "My Run", "--once"], 2, &["--run", "My Run", "a-z"]),
+        (&["--timeout", "3"], 2, &["--once"]),
+        (&["--once", "--timeout", "0"], 2, &["--timeout", "1..=86400"]),
+    ] {
+        let output = watch(folder.path(), args).await;
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
+        for word in words {
+            assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
+        }
+    }
+    let output = lodestone(folder.path()).arg("watch").output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--connect"));
+}

@@ -1,0 +1,122 @@
+//! The page of a real run: found by the line that is printed, filled while training goes on, gone afterwards.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Command, Output};
+
+use crate::support::judges::{python, told_by};
+use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::served::{Process, endless, events, get, train};
+use runlog::{History, RunPaths};
+use serde_json::Value;
+
+fn interrupt(run: &Process) {
+    assert!(Command::new("kill").args(["-INT", &run.0.id().to_string()]).status().unwrap().success());
+}
+
+fn error(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn a_page_shows_a_run_while_it_lasts() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut run, _printed, address) = endless(folder.path());
+    // Events come until something was judged; each connection that is read to its end waits for the run.
+    let mut events = events(&address);
+    assert!(events.any(|line| line == "event: pass"));
+    assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
+
+    assert!(get(&address, "/readyz").0.starts_with("HTTP/1.1 200"));
+    assert!(get(&address, "/").1.contains("<title>Lodestone</title>"));
+    let history: Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
+    assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"2_000".into()));
+    assert_eq!(history["passes"][0]["all"]["mode"]["n_episodes"], 2);
+    assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{role=\"actor\"} 1.0\n"));
+
+    interrupt(&run);
+    // The stream of events ends with the run, and does not hold it up.
+    events.for_each(drop);
+    assert!(run.0.wait().unwrap().success());
+    assert!(TcpStream::connect(&address).is_err());
+    assert!(n_saved_steps(&folder.path().join("run")) > 0);
+}
+
+#[test]
+fn prometheus_reads_the_numbers_that_were_recorded() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (mut run, mut printed, address) = endless(folder.path());
+    let mut events = events(&address);
+    assert!(events.any(|line| line == "event: pass"));
+    assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
+    assert!(events.any(|line| line.contains("\"key\":\"actor/")));
+    // The one request that is refused.
+    let mut stranger = TcpStream::connect(&address).unwrap();
+    stranger.write_all(b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").unwrap();
+    let mut status = [0; 12];
+    stranger.read_exact(&mut status).unwrap();
+    assert_eq!(&status, b"HTTP/1.1 403");
+    let told = told_by(&python, "scrape.py", &[&format!("http://{address}/metrics")]);
+    interrupt(&run);
+    events.for_each(drop);
+    printed.read_to_string(&mut String::new()).unwrap();
+    assert!(run.0.wait().unwrap().success());
+
+    // After the run has ended, all that it has measured is on the disk.
+    let samples = |name: &str, kind: &str| {
+        let family = &told[format!("lodestone_{name}")];
+        assert_eq!(family["type"], kind, "{name}");
+        let of = |sample: &Value| {
+            let labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
+            (labels.into_values().collect::<Vec<_>>().join(" "), sample[2].as_f64().unwrap())
+        };
+        family["samples"].as_array().unwrap().iter().map(of).collect::<BTreeMap<String, f64>>()
+    };
+    let of_all = |name| samples(name, "gauge")["mode all"];
+    let version = samples("eval_weights_version", "gauge")[""];
+    let passes = History::read(&RunPaths::new(folder.path().join("run")).history()).unwrap();
+    let pass = passes.iter().find(|pass| pass.weights_version.0 as f64 == version).unwrap();
+    let success = pass.blueprints[0].mode.success;
+    assert_eq!(of_all("eval_group_success_ratio"), success.rate);
+    assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
+    assert_eq!(samples("eval_group_episodes", "gauge")["mode train 2-6"], success.n_episodes as f64);
+    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["mode 2_000 train"], success.rate);
+
+    let recorded = std::fs::read_to_string(folder.path().join("run/metrics.jsonl")).unwrap();
+    let mut lines = recorded.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let n_updates = samples("learner_updates", "counter")[""];
+    let is_same = |line: &Value| line["key"] == "learner" && line["n_updates"].as_f64() == Some(n_updates);
+    let learner = lines.find(is_same).unwrap();
+    let recorded = |value: &Value| value.as_f64().unwrap();
+    assert_eq!(samples("learner_env_steps", "counter")[""], recorded(&learner["n_env_steps"]));
+    assert_eq!(samples("learner_entropy_nats", "gauge")[""], recorded(&learner["ppo"]["entropy"]));
+    let drops = samples("learner_trajectories_dropped", "counter");
+    for reason in ["stale", "full", "invalid", "name_taken"] {
+        assert_eq!(drops[reason], recorded(&learner["ingest"][format!("{reason}_total")]), "{reason}");
+    }
+    assert_eq!(samples("actor_trajectories_dropped", "counter").len(), 9);
+    assert_eq!(drops["unmade"], recorded(&learner["unmade_total"]));
+    assert_eq!(samples("learner_bus_dropped", "counter")["weights_refused"], 0.0);
+    assert_eq!(samples("page_dropped", "counter")["request_refused"], 1.0);
+}
+
+#[test]
+fn a_page_that_cannot_be_served_is_refused_before_anything_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let train = |address: &str| train(&mut lodestone(folder.path())).args(["--web", address]).output().unwrap();
+    let open = train("0.0.0.0:0");
+    assert_eq!(open.status.code(), Some(64));
+    assert!(
+        error(&open).contains("dashboard.web.listen is 0.0.0.0:0, which others can reach: set web.token"),
+        "{}",
+        error(&open)
+    );
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let refused = train(&address);
+    assert_eq!(refused.status.code(), Some(64));
+    assert!(error(&refused).contains(&format!("the page cannot be served at {address}")), "{}", error(&refused));
+    assert!(!folder.path().join("run").exists());
+}
