@@ -1,7 +1,7 @@
 //! The bounded queue between the threads that step and the tasks that send.
 
+use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 use proto::Trajectory;
 use tokio::sync::Notify;
@@ -39,7 +39,7 @@ impl Backlog {
     pub fn push(&self, segment: Trajectory) -> u64 {
         let mut state = self.lock();
         while self.when_full == FullBacklog::Pause && !state.closed && state.segments.len() >= self.limit {
-            state = self.emptied.wait(state).unwrap_or_else(PoisonError::into_inner);
+            self.emptied.wait(&mut state);
         }
         state.segments.push_back(segment);
         let n_dropped = self.shed(&mut state);
@@ -122,7 +122,7 @@ impl Backlog {
 
     fn lock(&self) -> MutexGuard<'_, State> {
         // The state is consistent after every statement, so a panic elsewhere does not spoil it.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 }
 

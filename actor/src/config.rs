@@ -1,5 +1,6 @@
 //! Settings of an actor process.
 
+use proto::InvalidSetting;
 use serde::{Deserialize, Serialize};
 
 use crate::{DaggerConfig, TaskConfig};
@@ -56,18 +57,6 @@ pub enum FullBacklog {
     Pause,
 }
 
-/// A setting outside its range.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{field} is {value}, valid is {valid}")]
-pub struct ActorConfigError {
-    /// Path of the field.
-    pub field: &'static str,
-    /// The value that was given.
-    pub value: String,
-    /// What may be given.
-    pub valid: &'static str,
-}
-
 impl Default for ActorConfig {
     fn default() -> Self {
         Self {
@@ -97,33 +86,32 @@ impl ActorConfig {
     ///
     /// # Errors
     /// Names the first field that is out of range.
-    pub fn validate(&self) -> Result<(), ActorConfigError> {
-        check("n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1 to 64")?;
-        check("n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1 to 1024")?;
-        check("segment_len", self.segment_len, (1..=1000).contains(&self.segment_len), "1 to 1000")?;
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        check("n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1..=64")?;
+        check("n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1..=1024")?;
+        check("segment_len", self.segment_len, (1..=1000).contains(&self.segment_len), "1..=1000")?;
         let BurnInConfig { probability, max_steps } = self.burn_in;
-        check("burn_in.probability", probability, (0.0..=1.0).contains(&probability), "0 to 1")?;
-        check("burn_in.max_steps", max_steps, (1..=1000).contains(&max_steps), "1 to 1000")?;
-        check("n_outstanding", self.n_outstanding, (1..=16).contains(&self.n_outstanding), "1 to 16")?;
-        check("backlog_limit", self.backlog_limit, (1..=100_000).contains(&self.backlog_limit), "1 to 100000")?;
+        check("burn_in.probability", probability, (0.0..=1.0).contains(&probability), "0..=1")?;
+        check("burn_in.max_steps", max_steps, (1..=1000).contains(&max_steps), "1..=1000")?;
+        check("n_outstanding", self.n_outstanding, (1..=16).contains(&self.n_outstanding), "1..=16")?;
+        check("backlog_limit", self.backlog_limit, (1..=100_000).contains(&self.backlog_limit), "1..=100000")?;
         let metrics = self.metrics_period_ms;
-        check("metrics_period_ms", metrics, (50..=3_600_000).contains(&metrics), "50 to 3600000")?;
-        check("drain_timeout_ms", self.drain_timeout_ms, self.drain_timeout_ms <= 60_000, "0 to 60000")?;
+        check("metrics_period_ms", metrics, (50..=3_600_000).contains(&metrics), "50..=3600000")?;
+        check("drain_timeout_ms", self.drain_timeout_ms, self.drain_timeout_ms <= 60_000, "0..=60000")?;
         self.dagger.as_ref().map_or(Ok(()), DaggerConfig::validate)?;
         self.tasks.validate()
     }
 }
 
 /// `Err` with the field's name, value and valid range unless `ok`.
-pub(crate) fn check<T: std::fmt::Debug>(
+pub(crate) fn check(
     field: &'static str,
-    value: T,
+    value: impl std::fmt::Debug,
     ok: bool,
-    valid: &'static str,
-) -> Result<(), ActorConfigError> {
-    if ok { Ok(()) } else { Err(ActorConfigError { field, value: format!("{value:?}"), valid }) }
+    expected: &'static str,
+) -> Result<(), InvalidSetting> {
+    InvalidSetting::check(format_args!("actor.{field}"), format_args!("{value:?}"), ok, expected)
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;

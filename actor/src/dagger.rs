@@ -6,13 +6,13 @@
 use blueprints::{BlockIdx, Blueprint, N_BLOCKS};
 use environment::EnvironmentConfig;
 use environment::expert::Expert;
-use proto::{Action, Driver, Label, Scene, WeightsVersion};
+use proto::{Action, Driver, InvalidSetting, Label, Scene, WeightsVersion};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use serde::{Deserialize, Serialize};
 
-use crate::config::{ActorConfigError, check};
+use crate::config::check;
 
 /// Who acts in the episodes of an actor with a teacher. Whoever it is, every scene gets the expert's label.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -80,18 +80,18 @@ impl Default for NoiseConfig {
 }
 
 impl DaggerConfig {
-    pub(crate) fn validate(&self) -> Result<(), ActorConfigError> {
+    pub(crate) fn validate(&self) -> Result<(), InvalidSetting> {
         let is_share = |share: f64| (0.0..=1.0).contains(&share);
-        check("dagger.expert_share", self.expert_share, self.expert_share.iter().all(|&s| is_share(s)), "0 to 1")?;
+        check("dagger.expert_share", self.expert_share, self.expert_share.iter().all(|&s| is_share(s)), "0..=1")?;
         check("dagger.mixing_versions", self.mixing_versions, self.mixing_versions >= 1, "at least 1")?;
-        check("dagger.sampled_share", self.sampled_share, is_share(self.sampled_share), "0 to 1")?;
+        check("dagger.sampled_share", self.sampled_share, is_share(self.sampled_share), "0..=1")?;
         for (noise, sigmas, random_block) in [
             (&self.expert_noise, "dagger.expert_noise.sigmas", "dagger.expert_noise.random_block"),
             (&self.policy_noise, "dagger.policy_noise.sigmas", "dagger.policy_noise.random_block"),
         ] {
             let ok = !noise.sigmas.is_empty() && noise.sigmas.iter().all(|sigma| (0.0..=1.0).contains(sigma));
             check(sigmas, &noise.sigmas, ok, "at least one number from 0 to 1")?;
-            check(random_block, noise.random_block, is_share(noise.random_block), "0 to 1")?;
+            check(random_block, noise.random_block, is_share(noise.random_block), "0..=1")?;
         }
         Ok(())
     }

@@ -20,7 +20,7 @@ pub mod task;
 mod toy;
 
 pub use backlog::Backlog;
-pub use config::{ActorConfig, ActorConfigError, BurnInConfig, FullBacklog};
+pub use config::{ActorConfig, BurnInConfig, FullBacklog};
 pub use dagger::{DaggerConfig, DaggerMixture, NoiseConfig};
 pub use environment::EnvironmentConfig;
 pub use lockstep::Lockstep;

@@ -2,8 +2,9 @@
 
 mod stepping;
 
+use parking_lot::{Mutex, MutexGuard};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -203,16 +204,16 @@ impl Shared {
     }
 
     fn drops(&self) -> MutexGuard<'_, ActorDrops> {
-        self.dropped.lock().unwrap_or_else(PoisonError::into_inner)
+        self.dropped.lock()
     }
 
     fn progress(&self) -> MutexGuard<'_, Vec<Progress>> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+        self.progress.lock()
     }
 
     /// Counts weights that are not acted by.
     fn refuse(&self, weights: &Arc<Weights>, error: &PolicyError) {
-        let mut refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut refused = self.refused.lock();
         let weak = Arc::downgrade(weights);
         if !refused.ptr_eq(&weak) {
             *refused = weak;
@@ -223,7 +224,7 @@ impl Shared {
 
     /// Remembers that the learner takes another process for the owner of the name, or ends everything if that stays so.
     fn name_is_taken(&self, patience: Duration) {
-        let mut since = self.name_taken_since.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut since = self.name_taken_since.lock();
         let since = since.get_or_insert_with(|| {
             tracing::warn!(actor = %self.actor, "the learner says that another live actor has this name");
             Instant::now()
@@ -300,7 +301,7 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
             Ok(ack) => {
                 shared.n_acked.fetch_add(1, Ordering::Relaxed);
                 shared.learner_version.store(ack.weights_version.0, Ordering::Relaxed);
-                *shared.name_taken_since.lock().unwrap_or_else(PoisonError::into_inner) = None;
+                *shared.name_taken_since.lock() = None;
                 return Sent::Done;
             }
             Err(SendError::NoReply) => {}

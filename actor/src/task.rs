@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use blueprints::generator::{Draws, MAX_DRAWN_SEED, MAX_INDEX, Request, Style};
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::sample_assignment;
-use proto::{Start, Task};
+use proto::{InvalidSetting, Start, Task};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{ActorConfigError, check};
+use crate::config::check;
 
 /// Generated structures that are tried before a goal of the catalog is taken after all.
 const MAX_GENERATED: usize = 8;
@@ -105,14 +105,14 @@ impl TaskConfig {
     ///
     /// # Errors
     /// Names the first field that is out of range.
-    pub fn validate(&self) -> Result<(), ActorConfigError> {
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         let (prebuilt, near) = (self.prebuilt_probability, self.near_goal_probability);
-        check("tasks.prebuilt_probability", prebuilt, (0.0..=1.0).contains(&prebuilt), "0 to 1")?;
-        check("tasks.near_goal_probability", near, (0.0..=1.0).contains(&near), "0 to 1")?;
+        check("tasks.prebuilt_probability", prebuilt, (0.0..=1.0).contains(&prebuilt), "0..=1")?;
+        check("tasks.near_goal_probability", near, (0.0..=1.0).contains(&near), "0..=1")?;
         let sum = prebuilt + near;
-        check("tasks.prebuilt_probability + tasks.near_goal_probability", sum, sum <= 1.0, "0 to 1")?;
+        check("tasks.prebuilt_probability + tasks.near_goal_probability", sum, sum <= 1.0, "0..=1")?;
         let generated = self.generated_probability;
-        check("tasks.generated_probability", generated, (0.0..=1.0).contains(&generated), "0 to 1")?;
+        check("tasks.generated_probability", generated, (0.0..=1.0).contains(&generated), "0..=1")?;
         let some = !self.generated_styles.is_empty();
         check("tasks.generated_styles", &self.generated_styles, some, "at least one style")?;
         let [low, high] = self.near_goal_undone;

@@ -15,9 +15,10 @@ mod sketch;
 mod style;
 mod tiling;
 
+use parking_lot::Mutex;
 use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
-use std::sync::{LazyLock, Mutex, PoisonError};
+use std::sync::LazyLock;
 
 use lru::LruCache;
 
@@ -171,7 +172,7 @@ pub fn made(id: &BlueprintId) -> Option<Blueprint> {
     static MADE: LazyLock<Mutex<LruCache<BlueprintId, Option<Blueprint>>>> =
         LazyLock::new(|| Mutex::new(LruCache::new(MADE_CAPACITY)));
     let request = Request::from_id(id)?;
-    let lock = || MADE.lock().unwrap_or_else(PoisonError::into_inner);
+    let lock = || MADE.lock();
     if let Some(known) = lock().get(id) {
         return known.clone();
     }

@@ -7,6 +7,7 @@ use serde_json::json;
 
 use super::access;
 use super::security::{Keys, KeysError, SecurityConfig, is_endpoint, is_quic, is_reachable};
+use proto::InvalidSetting;
 use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
 use proto::keys;
 
@@ -51,15 +52,8 @@ pub enum BusMode {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BusConfigError {
     /// A value out of its range.
-    #[error("bus.{field} is {value}, expected {expected}")]
-    Invalid {
-        /// Name of the field.
-        field: &'static str,
-        /// The offending value.
-        value: String,
-        /// The valid range.
-        expected: &'static str,
-    },
+    #[error(transparent)]
+    Invalid(#[from] InvalidSetting),
     /// Text that names no place.
     #[error(
         "bus.{field}: `{endpoint}` is no endpoint, expected `tcp/HOST:PORT`, `quic/HOST:PORT` with keys, or \
@@ -127,8 +121,8 @@ impl BusConfig {
     /// # Errors
     /// Names the first field out of its range, its value and the range.
     pub fn validate(&self) -> Result<(), BusConfigError> {
-        let check = |field, ok: bool, value: String, expected| {
-            if ok { Ok(()) } else { Err(BusConfigError::Invalid { field, value, expected }) }
+        let check = |field: &str, ok: bool, value: String, expected: &str| {
+            InvalidSetting::check(format_args!("bus.{field}"), value, ok, expected)
         };
         let name = "1 to 64 characters of a-z, 0-9 and -";
         check("run", keys::is_valid_run(&self.run), format!("{:?}", self.run), name)?;
@@ -141,13 +135,13 @@ impl BusConfig {
             "a router's endpoint for a client",
         )?;
         for (field, ms) in [("ack_timeout_ms", self.ack_timeout_ms), ("pull_timeout_ms", self.pull_timeout_ms)] {
-            check(field, (100..=600_000).contains(&ms), ms.to_string(), "100 to 600000")?;
+            check(field, (100..=600_000).contains(&ms), ms.to_string(), "100..=600000")?;
         }
         let queue = self.ingest_queue;
-        check("ingest_queue", (1..=65_536).contains(&queue), queue.to_string(), "1 to 65536")?;
+        check("ingest_queue", (1..=65_536).contains(&queue), queue.to_string(), "1..=65536")?;
         let bytes = self.max_message_bytes;
         let least = MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES);
-        check("max_message_bytes", (least..=1 << 30).contains(&bytes), bytes.to_string(), "68157440 to 1073741824")?;
+        check("max_message_bytes", (least..=1 << 30).contains(&bytes), bytes.to_string(), "68157440..=1073741824")?;
         self.check_endpoints()
     }
 
@@ -268,10 +262,10 @@ mod tests {
             change(&mut config);
             assert_eq!(config.validate().unwrap_err().to_string(), message);
         };
-        check(|c| c.run = "My Run".into(), r#"bus.run is "My Run", expected 1 to 64 characters of a-z, 0-9 and -"#);
-        check(|c| c.mode = BusMode::Client, "bus.connect is empty, expected a router's endpoint for a client");
-        check(|c| c.ack_timeout_ms = 5, "bus.ack_timeout_ms is 5, expected 100 to 600000");
-        check(|c| c.ingest_queue = 0, "bus.ingest_queue is 0, expected 1 to 65536");
-        check(|c| c.max_message_bytes = 1, "bus.max_message_bytes is 1, expected 68157440 to 1073741824");
+        check(|c| c.run = "My Run".into(), r#"bus.run = "My Run": expected 1 to 64 characters of a-z, 0-9 and -"#);
+        check(|c| c.mode = BusMode::Client, "bus.connect = empty: expected a router's endpoint for a client");
+        check(|c| c.ack_timeout_ms = 5, "bus.ack_timeout_ms = 5: expected 100..=600000");
+        check(|c| c.ingest_queue = 0, "bus.ingest_queue = 0: expected 1..=65536");
+        check(|c| c.max_message_bytes = 1, "bus.max_message_bytes = 1: expected 68157440..=1073741824");
     }
 }

@@ -14,18 +14,18 @@ use self::names::Names;
 use self::repeats::{Repeats, Seen};
 use super::counters::IngestCounters;
 use super::sender::{ACK_SCHEMA, REFUSAL_SCHEMA};
-use super::task::OwnedTask;
 use super::{Bus, BusError};
 use proto::codec::{Ack, Refusal, Refused, decode_trajectory, encode_ack, encode_refused};
 use proto::metrics::IngestCounts;
 use proto::{Trajectory, WeightsVersion, keys};
+use tokio_util::task::AbortOnDropHandle;
 
 /// Takes the trajectories of all actors until it is dropped.
 #[derive(Debug)]
 pub struct TrajectoryServer {
     counters: Arc<IngestCounters>,
     queryable: Queryable<()>,
-    _worker: OwnedTask,
+    _worker: AbortOnDropHandle<()>,
     _open: Bus,
 }
 
@@ -64,13 +64,13 @@ impl Bus {
             })
             .await
             .map_err(BusError::during("declaring the learner's ingest"))?;
-        let worker = OwnedTask::spawn(async move {
+        let worker = AbortOnDropHandle::new(tokio::spawn(async move {
             while let Some(query) = queries.recv().await {
                 let verdict = server.judge(&query);
                 let version = *server.current_version.borrow();
                 answer(&query, verdict, version);
             }
-        });
+        }));
         Ok(TrajectoryServer { counters, queryable, _worker: worker, _open: self.clone() })
     }
 }

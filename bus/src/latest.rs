@@ -1,6 +1,7 @@
 //! A key whose newest value anybody can ask for.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 
 use tokio::sync::mpsc;
 use zenoh::Wait;
@@ -8,10 +9,10 @@ use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::{Query, Queryable};
 
 use super::sender::REFUSAL_SCHEMA;
-use super::task::OwnedTask;
 use super::{Bus, BusError};
 use proto::WeightsVersion;
 use proto::codec::{Refusal, Refused, encode_refused};
+use tokio_util::task::AbortOnDropHandle;
 
 /// Queries that may wait for their answer.
 const QUEUE: usize = 1024;
@@ -21,7 +22,7 @@ const QUEUE: usize = 1024;
 pub(super) struct Latest {
     value: Arc<Mutex<Option<ZBytes>>>,
     _queryable: Queryable<()>,
-    _worker: OwnedTask,
+    _worker: AbortOnDropHandle<()>,
     _open: Bus,
 }
 
@@ -43,7 +44,7 @@ impl Latest {
             .map_err(BusError::during(format!("declaring {key}")))?;
         let value: Arc<Mutex<Option<ZBytes>>> = Arc::default();
         let (shared, counters) = (value.clone(), bus.counters.clone());
-        let worker = OwnedTask::spawn(async move {
+        let worker = AbortOnDropHandle::new(tokio::spawn(async move {
             while let Some(query) = queries.recv().await {
                 if query.payload().is_some_and(|payload| !payload.is_empty()) {
                     counters.queries_invalid.add_one();
@@ -59,7 +60,7 @@ impl Latest {
                     }
                 });
             }
-        });
+        }));
         Ok(Self { value, _queryable: queryable, _worker: worker, _open: bus.clone() })
     }
 
@@ -77,7 +78,7 @@ fn refuse(query: &Query) {
     }
 }
 
-fn lock(value: &Mutex<Option<ZBytes>>) -> std::sync::MutexGuard<'_, Option<ZBytes>> {
+fn lock(value: &Mutex<Option<ZBytes>>) -> parking_lot::MutexGuard<'_, Option<ZBytes>> {
     // The lock is held only to copy or to replace the value, so a poisoned one is still whole.
-    value.lock().unwrap_or_else(PoisonError::into_inner)
+    value.lock()
 }

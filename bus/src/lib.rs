@@ -25,7 +25,6 @@ mod pulse;
 pub mod security;
 mod sender;
 mod session;
-mod task;
 mod units;
 mod viewer;
 mod weights;

@@ -8,13 +8,13 @@ use zenoh::pubsub::Publisher;
 use zenoh::query::Querier;
 
 use super::BusError;
-use super::task::OwnedTask;
+use tokio_util::task::AbortOnDropHandle;
 
 /// Follows the matching status of a querier or publisher.
 #[derive(Debug)]
 pub(super) struct Matching {
     status: watch::Receiver<bool>,
-    _task: OwnedTask,
+    _task: AbortOnDropHandle<()>,
 }
 
 /// Makes the same task for the two zenoh types that have a matching status but no common trait.
@@ -27,12 +27,12 @@ macro_rules! follow {
             let changes = entity.matching_listener().with(RingChannel::new(1)).await.map_err(failed())?;
             let now = entity.matching_status().await.map_err(failed())?.matching();
             let (sender, status) = watch::channel(now);
-            let task = OwnedTask::spawn(async move {
+            let task = AbortOnDropHandle::new(tokio::spawn(async move {
                 while changes.recv_async().await.is_ok() {
                     let Ok(now) = entity.matching_status().await else { return };
                     sender.send_replace(now.matching());
                 }
-            });
+            }));
             Ok(Self { status, _task: task })
         }
     };

@@ -1,7 +1,8 @@
 //! Whether the work of a service goes on, for whoever asks about its health.
 
+use parking_lot::{Mutex, MutexGuard};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Beats with every turn of a service's main loop; clones share it.
@@ -46,7 +47,7 @@ impl Pulse {
 
     fn last(&self) -> MutexGuard<'_, Instant> {
         // A time is whole after every statement.
-        self.0.last.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.last.lock()
     }
 }
 

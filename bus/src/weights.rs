@@ -14,12 +14,12 @@ use zenoh::sample::Sample;
 use super::counters::BusCounters;
 use super::latest::Latest;
 use super::matching::Matching;
-use super::task::OwnedTask;
 use super::{Bus, BusError, process_epoch_ms};
 use proto::codec::{
     MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice, encode_weights,
 };
 use proto::{Weights, keys};
+use tokio_util::task::AbortOnDropHandle;
 
 const WEIGHTS_SCHEMA: &str = "lodestone.v1.Weights";
 const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
@@ -39,7 +39,7 @@ pub struct WeightsPublisher {
 #[derive(Debug)]
 pub struct WeightsSubscriber<T = Weights> {
     weights: watch::Receiver<Option<Arc<T>>>,
-    _worker: OwnedTask,
+    _worker: AbortOnDropHandle<()>,
     _open: Bus,
 }
 
@@ -98,7 +98,11 @@ impl Bus {
         let (sender, weights) = watch::channel(None);
         let counters = self.counters.clone();
         let puller = Puller { learner, learner_there, notices, counters, held: None, keep, sender };
-        Ok(WeightsSubscriber { weights, _worker: OwnedTask::spawn(puller.run()), _open: self.clone() })
+        Ok(WeightsSubscriber {
+            weights,
+            _worker: AbortOnDropHandle::new(tokio::spawn(puller.run())),
+            _open: self.clone(),
+        })
     }
 }
 

@@ -41,12 +41,12 @@ pub struct Token(String);
 pub enum WebConfigError {
     /// Others could reach the page, and nothing keeps them out.
     #[error(
-        "web.listen is {0}, which others can reach: set web.token, listen on 127.0.0.1, or, in a network of its own, name in \
-         web.hosts how it is reached"
+        "dashboard.web.listen = {0}, which others can reach: set dashboard.web.token, listen on 127.0.0.1, or, in a network of its own, name in \
+         dashboard.web.hosts how it is reached"
     )]
     NoToken(SocketAddr),
     /// A token that is too short, too long or has other characters. The token itself is not named.
-    #[error("web.token has {n_characters} characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _")]
+    #[error("dashboard.web.token has {n_characters} characters: expected 16 to 128 of A-Z, a-z, 0-9, - and _")]
     Token {
         /// Its length.
         n_characters: usize,
@@ -131,19 +131,19 @@ mod tests {
                 "0.0.0.0:8080",
                 None,
                 Some(
-                    "web.listen is 0.0.0.0:8080, which others can reach: set web.token, listen on 127.0.0.1, or, in a network \
-                     of its own, name in web.hosts how it is reached",
+                    "dashboard.web.listen = 0.0.0.0:8080, which others can reach: set dashboard.web.token, listen on 127.0.0.1, or, in a network \
+                     of its own, name in dashboard.web.hosts how it is reached",
                 ),
             ),
             (
                 "127.0.0.1:0",
                 Some("short"),
-                Some("web.token has 5 characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _"),
+                Some("dashboard.web.token has 5 characters: expected 16 to 128 of A-Z, a-z, 0-9, - and _"),
             ),
             (
                 "127.0.0.1:0",
                 Some("0123456789abcde;"),
-                Some("web.token has 16 characters, valid are 16 to 128 of A-Z, a-z, 0-9, - and _"),
+                Some("dashboard.web.token has 16 characters: expected 16 to 128 of A-Z, a-z, 0-9, - and _"),
             ),
         ];
         let default = WebConfig::default();

@@ -6,13 +6,13 @@ mod checks;
 mod episode;
 mod world;
 
+use proto::InvalidSetting;
 use serde::{Deserialize, Serialize};
 
-pub use checks::EnvironmentConfigError;
 pub use episode::{ForcePenalty, ResetConfig, RewardConfig, SuccessConfig};
 pub use world::{MagnetConfig, PhysicsConfig};
 
-use checks::{check, check_count};
+use checks::check;
 
 /// Configuration of a [`World`](crate::World).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,12 +64,12 @@ impl EnvironmentConfig {
     ///
     /// # Errors
     /// Names the first field that is out of range, its value and the range.
-    pub fn validate(&self) -> Result<(), EnvironmentConfigError> {
-        check_count("n_grippers", self.n_grippers.into(), 1, 2)?;
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        check("n_grippers", self.n_grippers.into(), 1, 2)?;
         check("max_speed_mps", self.max_speed_mps, 0.01, 10.0)?;
         check("max_turn_radps", self.max_turn_radps, 0.01, 31.0)?;
-        check_count("transition_delay_steps", self.transition_delay_steps.into(), 0, 100)?;
-        check_count("episode_steps", self.episode_steps.into(), 1, 10_000)?;
+        check("transition_delay_steps", self.transition_delay_steps.into(), 0, 100)?;
+        check("episode_steps", self.episode_steps.into(), 1, 10_000)?;
         self.physics.validate()?;
         self.magnets.validate()?;
         self.reset.validate()?;

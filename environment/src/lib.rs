@@ -23,7 +23,7 @@ mod magnets;
 mod physics_tests;
 mod reset;
 
-pub use config::{EnvironmentConfig, EnvironmentConfigError};
+pub use config::EnvironmentConfig;
 pub use env::{Env, ResetError, StepResult};
 pub use expert::{Activity, Decision, Expert};
 pub use reset::sample_assignment;

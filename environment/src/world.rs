@@ -5,7 +5,7 @@ use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{EnvironmentConfig, EnvironmentConfigError};
+use crate::config::EnvironmentConfig;
 use crate::connections::{Connections, block_array};
 use crate::convert::to_pose;
 use crate::engine::Engine;
@@ -14,6 +14,7 @@ use crate::grippers::Grippers;
 use crate::reset::{self, Layout};
 use crate::reward::{potential, reward};
 use crate::success::is_success;
+use proto::InvalidSetting;
 
 /// One world; cheap to step, so a thread drives many.
 ///
@@ -55,7 +56,7 @@ impl World {
     ///
     /// # Errors
     /// When a value of the configuration is out of range.
-    pub fn new(config: &EnvironmentConfig) -> Result<Self, EnvironmentConfigError> {
+    pub fn new(config: &EnvironmentConfig) -> Result<Self, InvalidSetting> {
         config.validate()?;
         let inventory = Inventory::standard();
         let cube_weight_n = config.physics.density_kgpm3 * blueprints::UNIT_M.powi(3) * config.physics.gravity_mps2;

@@ -5,7 +5,7 @@ mod films;
 use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use serde::{Deserialize, Serialize};
 
-use proto::ActionMode;
+use proto::{ActionMode, InvalidSetting};
 
 pub use films::FilmsConfig;
 
@@ -101,15 +101,8 @@ pub struct ResetFreeConfig {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EvaluatorConfigError {
     /// Outside its range.
-    #[error("{field} is {value}, valid is {valid}")]
-    OutOfRange {
-        /// Path of the field.
-        field: &'static str,
-        /// The value that was given.
-        value: String,
-        /// What may be given.
-        valid: &'static str,
-    },
+    #[error(transparent)]
+    Setting(#[from] InvalidSetting),
     /// A blueprint that the catalog does not have.
     #[error("the catalog has no blueprint {0}")]
     UnknownBlueprint(BlueprintId),
@@ -159,7 +152,7 @@ impl EvaluatorConfig {
     pub fn validate(&self) -> Result<(), EvaluatorConfigError> {
         match self.every {
             Every::Minutes(minutes) => {
-                check("every.minutes", minutes, (0.0..=10_000.0).contains(&minutes), "0 to 10000")?;
+                check("every.minutes", minutes, (0.0..=10_000.0).contains(&minutes), "0..=10000")?;
             }
             Every::Steps(steps) => check("every.steps", steps, steps >= 1, "at least 1")?,
             Every::Versions(versions) => check("every.versions", versions, versions >= 1, "at least 1")?,
@@ -168,7 +161,7 @@ impl EvaluatorConfig {
         let sizes_ok = 1 <= low && low <= high && high <= N_BLOCKS;
         check("selection.sizes", self.selection.sizes, sizes_ok, "two ascending numbers from 1 to 16")?;
         self.episodes.validate()?;
-        check("nice", self.nice, (0..=19).contains(&self.nice), "0 to 19")?;
+        check("nice", self.nice, (0..=19).contains(&self.nice), "0..=19")?;
         self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)?;
         self.films.validate()
     }
@@ -199,7 +192,7 @@ impl EpisodeConfig {
     /// # Errors
     /// Names the first field that is out of range.
     pub fn validate(&self) -> Result<(), EvaluatorConfigError> {
-        check("episodes.n_episodes", self.n_episodes, (1..=10_000).contains(&self.n_episodes), "1 to 10000")?;
+        check("episodes.n_episodes", self.n_episodes, (1..=10_000).contains(&self.n_episodes), "1..=10000")?;
         let distinct = match self.acting[..] {
             [] => false,
             [_] => true,
@@ -207,28 +200,27 @@ impl EpisodeConfig {
             _ => false,
         };
         check("episodes.acting", &self.acting, distinct, "\"mode\", \"sampled\" or both")?;
-        check("episodes.n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1 to 64")?;
-        check("episodes.n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1 to 1024")
+        check("episodes.n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1..=64")?;
+        check("episodes.n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1..=1024")
     }
 }
 
 impl ResetFreeConfig {
     fn validate(&self) -> Result<(), EvaluatorConfigError> {
-        check("reset_free.n_runs", self.n_runs, (1..=10_000).contains(&self.n_runs), "1 to 10000")?;
-        check("reset_free.n_goals", self.n_goals, (1..=1000).contains(&self.n_goals), "1 to 1000")?;
-        check("reset_free.min_blocks", self.min_blocks, (1..=N_BLOCKS).contains(&self.min_blocks), "1 to 16")
+        check("reset_free.n_runs", self.n_runs, (1..=10_000).contains(&self.n_runs), "1..=10000")?;
+        check("reset_free.n_goals", self.n_goals, (1..=1000).contains(&self.n_goals), "1..=1000")?;
+        check("reset_free.min_blocks", self.min_blocks, (1..=N_BLOCKS).contains(&self.min_blocks), "1..=16")
     }
 }
 
-pub(crate) fn check<T: std::fmt::Debug>(
+pub(crate) fn check(
     field: &'static str,
-    value: T,
+    value: impl std::fmt::Debug,
     ok: bool,
-    valid: &'static str,
+    expected: &'static str,
 ) -> Result<(), EvaluatorConfigError> {
-    if ok { Ok(()) } else { Err(EvaluatorConfigError::OutOfRange { field, value: format!("{value:?}"), valid }) }
+    Ok(InvalidSetting::check(format_args!("evaluator.{field}"), format_args!("{value:?}"), ok, expected)?)
 }
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,8 +1,9 @@
 //! What an evaluation is made of besides weights, and why it may have no result.
 
 use blueprints::{BlueprintId, Catalog};
-use environment::{EnvironmentConfig, EnvironmentConfigError, ResetError};
+use environment::{EnvironmentConfig, ResetError};
 use policy::{PolicyConfig, PolicyError};
+use proto::InvalidSetting;
 use proto::config_hash;
 use runlog::RunPaths;
 
@@ -33,7 +34,7 @@ pub enum EvalError {
     Policy(#[from] PolicyError),
     /// The world cannot be made.
     #[error(transparent)]
-    Environment(#[from] EnvironmentConfigError),
+    Environment(#[from] InvalidSetting),
     /// A start state cannot be made.
     #[error("an episode of blueprint {blueprint} cannot be started")]
     Reset {

@@ -3,7 +3,8 @@
 //! Every sequence is given to one at a time. What is not brought back goes to the next who asks; of two who bring the same
 //! sequence the first counts.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use parking_lot::{Condvar, Mutex, MutexGuard};
+use std::sync::Arc;
 use std::time::Duration;
 
 use proto::Weights;
@@ -115,14 +116,13 @@ impl WorkQueue {
         let is_idle = |table: &mut Table| {
             table.n_missing > 0 && !table.sequences.iter().any(|sequence| matches!(sequence.state, State::Waiting))
         };
-        // Whoever panicked with the lock left the table whole: every change of it is one assignment.
-        drop(self.brought.wait_timeout_while(self.table(), patience, is_idle).unwrap_or_else(PoisonError::into_inner));
+        self.brought.wait_while_for(&mut self.table(), is_idle, patience);
     }
 
     /// Waits until all sequences are done, at most for `patience`.
     #[cfg(test)]
     pub(crate) fn wait_until_done(&self, patience: Duration) {
-        drop(self.brought.wait_timeout_while(self.table(), patience, |table| table.n_missing > 0));
+        self.brought.wait_while_for(&mut self.table(), |table| table.n_missing > 0, patience);
     }
 
     /// Whether all sequences are done.
@@ -146,7 +146,7 @@ impl WorkQueue {
     }
 
     fn table(&self) -> MutexGuard<'_, Table> {
-        self.table.lock().unwrap_or_else(PoisonError::into_inner)
+        self.table.lock()
     }
 }
 

@@ -5,6 +5,7 @@ mod imitation;
 mod loss;
 mod schedule;
 
+use proto::InvalidSetting;
 use serde::{Deserialize, Serialize};
 
 pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, UniformConfig, WideningConfig};
@@ -141,18 +142,6 @@ pub struct CheckpointConfig {
     pub keep: usize,
 }
 
-/// A setting outside its range.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("learner setting {field} is {value}, but must be {range}")]
-pub struct LearnerConfigError {
-    /// Path of the field below the learner's section.
-    pub field: &'static str,
-    /// The value found.
-    pub value: f64,
-    /// The valid range in words.
-    pub range: &'static str,
-}
-
 impl Default for LearnerConfig {
     fn default() -> Self {
         Self {
@@ -236,26 +225,26 @@ impl LearnerConfig {
     ///
     /// # Errors
     /// The first field out of range, with its value and the range.
-    pub fn validate(&self) -> Result<(), LearnerConfigError> {
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         let (optimizer, norm) = (&self.optimizer, &self.normalization);
         let int = |value: usize| value as f64;
         check(
             "steps_per_update",
             int(self.steps_per_update),
             (256.0..=1_048_576.0).contains(&int(self.steps_per_update)),
-            "in 256..=1048576",
+            "256..=1048576",
         )?;
         check(
             "minibatch_size",
             int(self.minibatch_size),
             (1..=self.steps_per_update).contains(&self.minibatch_size),
-            "in 1..=steps_per_update",
+            "1..=steps_per_update",
         )?;
-        check("forward_size", int(self.forward_size), (1..=65536).contains(&self.forward_size), "in 1..=65536")?;
+        check("forward_size", int(self.forward_size), (1..=65536).contains(&self.forward_size), "1..=65536")?;
         if let Some(n) = self.n_threads {
-            check("n_threads", int(n), (1..=256).contains(&n), "in 1..=256")?;
+            check("n_threads", int(n), (1..=256).contains(&n), "1..=256")?;
         }
-        check("n_epochs", int(self.n_epochs), (1..=32).contains(&self.n_epochs), "in 1..=32")?;
+        check("n_epochs", int(self.n_epochs), (1..=32).contains(&self.n_epochs), "1..=32")?;
         check_unit("gamma", self.gamma)?;
         check_unit("lambda", self.lambda)?;
         self.loss.validate()?;
@@ -284,7 +273,7 @@ impl LearnerConfig {
         let capacity = self.mailbox.capacity_steps;
         check("mailbox.capacity_steps", int(capacity), capacity >= self.steps_per_update, "at least steps_per_update")?;
         let lag = self.mailbox.max_policy_lag;
-        check("mailbox.max_policy_lag", lag as f64, lag <= 1000, "in 0..=1000")?;
+        check("mailbox.max_policy_lag", lag as f64, lag <= 1000, "0..=1000")?;
         self.curriculum.validate()?;
         check(
             "checkpoints.every_updates",
@@ -303,7 +292,7 @@ impl RateLine {
 }
 
 impl AdaptiveRate {
-    fn validate(&self) -> Result<(), LearnerConfigError> {
+    fn validate(&self) -> Result<(), InvalidSetting> {
         check_positive("optimizer.rate_rule.low_kl", self.low_kl)?;
         check("optimizer.rate_rule.high_kl", self.high_kl.into(), self.high_kl > self.low_kl, "above low_kl")?;
         check(
@@ -318,23 +307,23 @@ impl AdaptiveRate {
 }
 
 /// Turns `ok` into an error that names the field. `NaN` must make `ok` false.
-pub(crate) fn check(field: &'static str, value: f64, ok: bool, range: &'static str) -> Result<(), LearnerConfigError> {
-    if ok { Ok(()) } else { Err(LearnerConfigError { field, value, range }) }
+pub(crate) fn check(field: &'static str, value: f64, ok: bool, range: &'static str) -> Result<(), InvalidSetting> {
+    InvalidSetting::check(format_args!("learner.{field}"), value, ok, range)
 }
 
-fn check_unit(field: &'static str, value: f32) -> Result<(), LearnerConfigError> {
-    check(field, value.into(), (0.0..=1.0).contains(&value), "in 0..=1")
+fn check_unit(field: &'static str, value: f32) -> Result<(), InvalidSetting> {
+    check(field, value.into(), (0.0..=1.0).contains(&value), "0..=1")
 }
 
-fn check_decay(field: &'static str, value: f64) -> Result<(), LearnerConfigError> {
+fn check_decay(field: &'static str, value: f64) -> Result<(), InvalidSetting> {
     check(field, value, (0.0..1.0).contains(&value), "at least 0 and below 1")
 }
 
-fn check_positive(field: &'static str, value: f32) -> Result<(), LearnerConfigError> {
+fn check_positive(field: &'static str, value: f32) -> Result<(), InvalidSetting> {
     check(field, value.into(), value > 0.0 && value.is_finite(), "above 0 and finite")
 }
 
-fn check_at_least(field: &'static str, value: f32, low: f32, range: &'static str) -> Result<(), LearnerConfigError> {
+fn check_at_least(field: &'static str, value: f32, low: f32, range: &'static str) -> Result<(), InvalidSetting> {
     check(field, value.into(), value >= low && value.is_finite(), range)
 }
 
@@ -355,23 +344,20 @@ mod tests {
     fn a_value_out_of_range_is_named() {
         type Spoil = fn(&mut LearnerConfig);
         let cases: [(Spoil, &str); 9] = [
-            (|c| c.gamma = 1.5, "learner setting gamma is 1.5, but must be in 0..=1"),
-            (|c| c.lambda = f32::NAN, "learner setting lambda is NaN, but must be in 0..=1"),
-            (|c| c.n_epochs = 0, "learner setting n_epochs is 0, but must be in 1..=32"),
-            (
-                |c| c.minibatch_size = 9000,
-                "learner setting minibatch_size is 9000, but must be in 1..=steps_per_update",
-            ),
-            (|c| c.loss.clip = 0.0, "learner setting loss.clip is 0, but must be above 0 and at most 1"),
-            (|c| c.optimizer.beta1 = 1.0, "learner setting optimizer.beta1 is 1, but must be at least 0 and below 1"),
+            (|c| c.gamma = 1.5, "learner.gamma = 1.5: expected 0..=1"),
+            (|c| c.lambda = f32::NAN, "learner.lambda = NaN: expected 0..=1"),
+            (|c| c.n_epochs = 0, "learner.n_epochs = 0: expected 1..=32"),
+            (|c| c.minibatch_size = 9000, "learner.minibatch_size = 9000: expected 1..=steps_per_update"),
+            (|c| c.loss.clip = 0.0, "learner.loss.clip = 0: expected above 0 and at most 1"),
+            (|c| c.optimizer.beta1 = 1.0, "learner.optimizer.beta1 = 1: expected at least 0 and below 1"),
             (
                 |c| c.mailbox.capacity_steps = 1,
-                "learner setting mailbox.capacity_steps is 1, but must be at least steps_per_update",
+                "learner.mailbox.capacity_steps = 1: expected at least steps_per_update",
             ),
-            (|c| c.checkpoints.keep = 0, "learner setting checkpoints.keep is 0, but must be at least 1"),
+            (|c| c.checkpoints.keep = 0, "learner.checkpoints.keep = 0: expected at least 1"),
             (
                 |c| c.optimizer.learning_rate = f32::INFINITY,
-                "learner setting optimizer.learning_rate is inf, but must be above 0 and finite",
+                "learner.optimizer.learning_rate = inf: expected above 0 and finite",
             ),
         ];
         for (spoil, message) in cases {

@@ -9,7 +9,7 @@ use blueprints::{BlueprintId, Catalog};
 use policy::PolicyConfig;
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
-use proto::{Driver, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
+use proto::{Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -17,7 +17,7 @@ use crate::adam::LearningRate;
 use crate::admission::Admission;
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
-use crate::config::{LearnerConfig, LearnerConfigError};
+use crate::config::LearnerConfig;
 use crate::curriculum::Curriculum;
 use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
@@ -49,12 +49,9 @@ pub struct LearnerSetup {
 /// Why a learner cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum LearnerError {
-    /// A setting of the learner is out of range.
+    /// A setting is out of range.
     #[error(transparent)]
-    Config(#[from] LearnerConfigError),
-    /// A setting of the policy is out of range.
-    #[error(transparent)]
-    Policy(#[from] policy::PolicyConfigError),
+    Config(#[from] InvalidSetting),
     /// There is no such device.
     #[error(transparent)]
     Device(#[from] DeviceError),

@@ -32,7 +32,7 @@ mod tests;
 
 pub use admission::Admission;
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use config::{LearnerConfig, LearnerConfigError};
+pub use config::LearnerConfig;
 pub use learner::{Learner, LearnerError, LearnerSetup};
 pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;

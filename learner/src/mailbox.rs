@@ -1,7 +1,7 @@
 //! The bounded inbox between the bus and the updates: what does not fit or is too old is refused and counted.
 
+use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use proto::{Refusal, Trajectory, WeightsVersion};
@@ -105,8 +105,9 @@ impl Mailbox {
 
     /// Waits until `n_steps` steps are there or `patience` is over; true when they are there.
     pub fn wait(&self, n_steps: usize, patience: Duration) -> bool {
-        let waited = self.arrived.wait_timeout_while(self.lock(), patience, |state| state.n_steps < n_steps);
-        waited.unwrap_or_else(PoisonError::into_inner).0.n_steps >= n_steps
+        let mut state = self.lock();
+        self.arrived.wait_while_for(&mut state, |state| state.n_steps < n_steps, patience);
+        state.n_steps >= n_steps
     }
 
     /// Names the newest weights, and drops what has become too old for them.
@@ -143,7 +144,7 @@ impl Mailbox {
 
     fn lock(&self) -> MutexGuard<'_, State> {
         // Every critical section leaves the queue whole, so a poisoned lock is still usable.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 }
 

@@ -1,6 +1,6 @@
 //! Settings of the policy: what it sees, its network, and its action distribution.
 
-use proto::config_hash;
+use proto::{InvalidSetting, config_hash};
 use serde::{Deserialize, Serialize};
 
 /// Everything that decides what a set of parameters means; all services of a run share one.
@@ -197,53 +197,17 @@ impl Default for ScaleConfig {
     }
 }
 
-/// Why a [`PolicyConfig`] is refused.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum PolicyConfigError {
-    /// A whole number outside its range.
-    #[error("policy.{field} is {value}, must be in {min}..={max}")]
-    Count {
-        /// Path of the field.
-        field: &'static str,
-        /// What was given.
-        value: usize,
-        /// Smallest valid value.
-        min: usize,
-        /// Largest valid value.
-        max: usize,
-    },
-    /// A real number outside its range.
-    #[error("policy.network.scale.{field} is {value}, must be {range}")]
-    Scale {
-        /// Name of the field.
-        field: &'static str,
-        /// What was given.
-        value: f32,
-        /// The valid range in words.
-        range: String,
-    },
-    /// Features and network disagree on the grippers.
-    #[error("policy.features.n_grippers is {features}, must equal policy.network.n_grippers = {network}")]
-    Grippers {
-        /// As the features say.
-        features: u8,
-        /// As the network says.
-        network: u8,
-    },
-}
-
 impl PolicyConfig {
     /// Checks every field.
     ///
     /// # Errors
     /// The first field that is out of range.
-    pub fn validate(&self) -> Result<(), PolicyConfigError> {
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         self.network.validate()?;
         if self.features.n_grippers != self.network.n_grippers {
-            return Err(PolicyConfigError::Grippers {
-                features: self.features.n_grippers,
-                network: self.network.n_grippers,
-            });
+            let (own, network) = (self.features.n_grippers, self.network.n_grippers);
+            let expected = format!("{network}, as policy.network.n_grippers");
+            return InvalidSetting::check("policy.features.n_grippers", own, false, expected);
         }
         Ok(())
     }
@@ -261,9 +225,10 @@ impl NetworkConfig {
     ///
     /// # Errors
     /// The first field that is out of range.
-    pub fn validate(&self) -> Result<(), PolicyConfigError> {
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         let count = |field, value: usize, min, max| {
-            if (min..=max).contains(&value) { Ok(()) } else { Err(PolicyConfigError::Count { field, value, min, max }) }
+            let ok = (min..=max).contains(&value);
+            InvalidSetting::check(format_args!("policy.{field}"), value, ok, format_args!("{min}..={max}"))
         };
         count("network.n_grippers", usize::from(self.n_grippers), 1, 2)?;
         count("network.width", self.width, 1, 1024)?;
@@ -296,17 +261,17 @@ impl NetworkConfig {
 }
 
 impl ScaleConfig {
-    fn validate(&self) -> Result<(), PolicyConfigError> {
+    fn validate(&self) -> Result<(), InvalidSetting> {
         let check = |field, value: f32, valid: bool, range: String| {
-            if valid { Ok(()) } else { Err(PolicyConfigError::Scale { field, value, range }) }
+            InvalidSetting::check(format_args!("policy.network.scale.{field}"), value, valid, range)
         };
-        check("floor", self.floor, self.floor > 0.0 && self.floor < 1.0, "in (0, 1)".into())?;
+        check("floor", self.floor, self.floor > 0.0 && self.floor < 1.0, "above 0 and below 1".into())?;
         if let Some(max) = self.max_std {
-            check("max_std", max, max > self.floor && max <= 10.0, format!("in ({}, 10]", self.floor))?;
+            check("max_std", max, max > self.floor && max <= 10.0, format!("above {} and at most 10", self.floor))?;
         }
         if let Some(init) = self.init_std {
             let top = self.max_std.unwrap_or(10.0);
-            check("init_std", init, init > self.floor && init < top, format!("in ({}, {top})", self.floor))?;
+            check("init_std", init, init > self.floor && init < top, format!("above {} and below {top}", self.floor))?;
         }
         Ok(())
     }

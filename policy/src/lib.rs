@@ -21,8 +21,8 @@ pub mod policy;
 
 pub use batch::FeatureBatch;
 pub use config::{
-    BlockMask, EncoderConfig, FeatureConfig, GatConfig, JointForm, NetworkConfig, PolicyConfig, PolicyConfigError,
-    ResnetConfig, ScaleConfig,
+    BlockMask, EncoderConfig, FeatureConfig, GatConfig, JointForm, NetworkConfig, PolicyConfig, ResnetConfig,
+    ScaleConfig,
 };
 pub use device::{DeviceError, DeviceKind};
 pub use features::FeatureSizes;

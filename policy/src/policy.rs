@@ -4,11 +4,11 @@ mod attention;
 mod trial;
 
 use burn::tensor::{Device, Tensor};
-use proto::{Action, ActionMode, Normalization, Weights, WeightsVersion};
+use proto::{Action, ActionMode, InvalidSetting, Normalization, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
 use crate::FeatureBatch;
-use crate::config::{BlockMask, PolicyConfig, PolicyConfigError};
+use crate::config::{BlockMask, PolicyConfig};
 use crate::distribution::{ActionDistribution, mask_logits};
 use crate::network::{BatchTensors, Folded, Network};
 use crate::normalization::normalize;
@@ -32,7 +32,7 @@ pub struct Decision {
 pub enum PolicyError {
     /// The configuration is not valid.
     #[error(transparent)]
-    Config(#[from] PolicyConfigError),
+    Config(#[from] InvalidSetting),
     /// The weights belong to another network.
     #[error("weights {version:?} are for network {given:016x}, this process runs {expected:016x}")]
     OtherNetwork {

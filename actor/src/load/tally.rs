@@ -1,6 +1,6 @@
 //! What became of the segments, counted at the actors' end.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use parking_lot::{Mutex, MutexGuard};
 use std::time::Duration;
 
 use proto::Trajectory;
@@ -126,6 +126,6 @@ impl Tally {
 
     fn lock(&self) -> MutexGuard<'_, LoadCounts> {
         // Numbers are whole after every statement.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock()
     }
 }

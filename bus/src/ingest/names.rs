@@ -1,7 +1,8 @@
 //! Which process a name belongs to: of two live ones that call themselves alike, the one whose trajectory was taken first.
 
+use parking_lot::{Mutex, MutexGuard};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::SampleKind;
@@ -84,7 +85,7 @@ impl Register {
 
 fn lock(register: &Mutex<Register>) -> MutexGuard<'_, Register> {
     // Every statement leaves it consistent, so a panic elsewhere does not spoil it.
-    register.lock().unwrap_or_else(PoisonError::into_inner)
+    register.lock()
 }
 
 #[cfg(test)]

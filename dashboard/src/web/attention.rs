@@ -1,6 +1,7 @@
 //! What the newest weights attend to in an episode that somebody looks at.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 
 use policy::{Policy, PolicyConfig};
 use proto::Weights;
@@ -38,7 +39,7 @@ impl Onlooker {
     /// `None` before the first weights, and for a network without attention. Takes some ten milliseconds.
     pub(super) fn look(&self, episode: &Episode) -> Option<AttentionView> {
         let weights = self.weights.borrow().clone()?;
-        let mut kept = self.policy.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.policy.lock();
         if kept.as_ref().and_then(Policy::version) != Some(weights.version) {
             let mut policy = Policy::new(&self.config).ok()?;
             policy.load(&weights).ok()?;

@@ -1,7 +1,7 @@
 //! What the page knows: passes, the newest metrics, who is alive, and the browsers that listen.
 
+use parking_lot::{Mutex, MutexGuard};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use bus::MetricsSample;
 use proto::Role;
@@ -93,8 +93,7 @@ struct HistoryView<'b> {
 impl Board {
     /// What is known, for a short look.
     pub(super) fn state(&self) -> MutexGuard<'_, State> {
-        // Whoever panicked with the lock left numbers that are old at worst.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock()
     }
 
     /// Remembers a pass and tells browsers to ask for it.

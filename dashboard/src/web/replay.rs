@@ -2,7 +2,8 @@
 //!
 //! Actors make copies of their trajectories only while somebody watches, so nobody watches longer than it takes.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
@@ -92,7 +93,7 @@ impl Replays {
     /// The newest episode, if any; a newer one will be recorded.
     pub(super) fn ask(&self) -> Option<Bytes> {
         self.wanted.notify_one();
-        self.newest.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.newest.lock().clone()
     }
 
     /// Records whenever it was asked for, one episode at a time, until `shutdown`.
@@ -120,7 +121,7 @@ impl Replays {
             let replays = self.clone();
             let json = tokio::task::spawn_blocking(move || replays.to_json(&segments?)).await;
             match json.ok().flatten() {
-                Some(json) => *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(json),
+                Some(json) => *self.newest.lock() = Some(json),
                 None => tracing::debug!("no episode was recorded"),
             }
         }

@@ -85,7 +85,9 @@ impl Config {
     /// # Panics
     /// If a section has a type that TOML cannot express, which the tests exclude.
     pub fn to_toml(&self) -> String {
-        toml::to_string(&self.to_table()).expect("a table is TOML")
+        let mut table = toml::Value::Table(self.to_table());
+        shorten(&mut table);
+        toml::to_string(&table).expect("a table is TOML")
     }
 
     fn to_table(&self) -> toml::Table {
@@ -102,30 +104,53 @@ impl Config {
 
     fn check(&self) -> Result<(), String> {
         if self.seed > MAX_SEED {
-            return Err(format!("seed is {}, valid is 0 to {MAX_SEED}", self.seed));
+            return Err(format!("seed = {}: expected 0..={MAX_SEED}", self.seed));
         }
         if self.n_env_steps == 0 {
-            return Err("n_env_steps is 0, valid is at least 1".to_owned());
+            return Err("n_env_steps = 0: expected at least 1".to_owned());
         }
-        section("bus", self.bus.validate())?;
-        section("environment", self.environment.validate())?;
-        section("policy", self.policy.validate())?;
-        section("actor", self.actor.validate())?;
-        section("learner", self.learner.validate())?;
-        section("evaluator", self.evaluator.validate())?;
-        section("dashboard", self.dashboard.validate())?;
+        self.bus.validate().map_err(|error| error.to_string())?;
+        self.environment.validate().map_err(|error| error.to_string())?;
+        self.policy.validate().map_err(|error| error.to_string())?;
+        self.actor.validate().map_err(|error| error.to_string())?;
+        self.learner.validate().map_err(|error| error.to_string())?;
+        self.evaluator.validate().map_err(|error| error.to_string())?;
+        self.dashboard.validate().map_err(|error| error.to_string())?;
         let (worlds, network) = (self.environment.n_grippers, self.policy.network.n_grippers);
         if worlds != network {
-            return Err(format!("environment.n_grippers is {worlds}, but policy.network.n_grippers is {network}"));
+            return Err(format!("environment.n_grippers = {worlds}: expected {network}, as policy.network.n_grippers"));
         }
         Ok(())
     }
 }
 
-/// Puts the section's name before an error that does not begin with it.
-fn section<E: std::fmt::Display>(name: &str, checked: Result<(), E>) -> Result<(), String> {
-    checked.map_err(|error| {
-        let message = error.to_string();
-        if message.starts_with(name) { message } else { format!("{name}.{message}") }
-    })
+/// Writes numbers with the digits that they were given with: a setting of 32 bits becomes 0.04 again instead of
+/// 0.03999999910593033, which is the same number to it.
+fn shorten(value: &mut toml::Value) {
+    match value {
+        toml::Value::Float(number) => {
+            let narrow = *number as f32;
+            if f64::from(narrow) == *number {
+                *number = narrow.to_string().parse().unwrap_or(*number);
+            }
+        }
+        toml::Value::Array(values) => values.iter_mut().for_each(shorten),
+        toml::Value::Table(table) => table.iter_mut().for_each(|(_, value)| shorten(value)),
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_written_as_they_were_given() {
+        let text = Config::parse("[learner.loss]\nclip = 0.04\n[learner.normalization]\nvalue_rate = 0.1", "file")
+            .unwrap()
+            .to_toml();
+        assert!(text.contains("clip = 0.04\n") && text.contains("value_rate = 0.1\n"), "{text}");
+        let digits = |line: &&str| line.rsplit('.').next().is_some_and(|rest| rest.len() > 9);
+        assert_eq!(text.lines().find(digits), None);
+    }
 }

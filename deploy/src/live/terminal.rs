@@ -1,7 +1,8 @@
 //! One owner of the terminal, so that log lines, results and a progress bar do not overwrite each other.
 
+use parking_lot::Mutex;
 use std::io::{self, IsTerminal, Write};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tracing_subscriber::fmt::MakeWriter;
@@ -60,7 +61,7 @@ impl Terminal {
         if !io::stderr().is_terminal() {
             return HeldLog(None);
         }
-        *self.held.lock().unwrap_or_else(PoisonError::into_inner) = Some(Held::default());
+        *self.held.lock() = Some(Held::default());
         HeldLog(Some(self.clone()))
     }
 
@@ -90,7 +91,7 @@ impl Progress {
 impl Drop for HeldLog {
     fn drop(&mut self) {
         let Some(terminal) = &self.0 else { return };
-        let held = terminal.held.lock().unwrap_or_else(PoisonError::into_inner).take().unwrap_or_default();
+        let held = terminal.held.lock().take().unwrap_or_default();
         let mut stderr = io::stderr();
         let left_out = match held.n_left_out {
             0 => Ok(()),
@@ -112,8 +113,7 @@ impl<'a> MakeWriter<'a> for Terminal {
 
 impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        // A panic while it is locked leaves whole lines all the same.
-        if let Some(held) = self.0.held.lock().unwrap_or_else(PoisonError::into_inner).as_mut() {
+        if let Some(held) = self.0.held.lock().as_mut() {
             if held.lines.len() + bytes.len() <= MAX_HELD {
                 held.lines.extend_from_slice(bytes);
             } else {

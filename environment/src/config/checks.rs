@@ -1,36 +1,16 @@
 //! Range checks with one form of message.
 
-/// A value of the configuration that is out of range.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("environment.{field} is {value}; it must be {lowest} to {highest}")]
-pub struct EnvironmentConfigError {
-    /// Dotted path of the field below `environment`.
-    pub field: &'static str,
-    /// The value found.
-    pub value: String,
-    /// Lowest valid value.
-    pub lowest: f64,
-    /// Highest valid value.
-    pub highest: f64,
-}
+use std::fmt::Display;
 
-pub(super) fn check(field: &'static str, value: f32, lowest: f32, highest: f32) -> Result<(), EnvironmentConfigError> {
-    if (lowest..=highest).contains(&value) {
-        return Ok(());
-    }
-    // Through text, so that 0.045 prints as 0.045 and not as its f32 neighbor.
-    let exact = |x: f32| x.to_string().parse().unwrap_or(f64::from(x));
-    Err(EnvironmentConfigError { field, value: value.to_string(), lowest: exact(lowest), highest: exact(highest) })
-}
+use proto::InvalidSetting;
 
-pub(super) fn check_count(
-    field: &'static str,
-    value: u32,
-    lowest: u32,
-    highest: u32,
-) -> Result<(), EnvironmentConfigError> {
-    if (lowest..=highest).contains(&value) {
-        return Ok(());
-    }
-    Err(EnvironmentConfigError { field, value: value.to_string(), lowest: lowest.into(), highest: highest.into() })
+/// Checks that a number lies between two others; `field` is its path below `environment`.
+pub(super) fn check<T: PartialOrd + Display>(
+    field: &str,
+    value: T,
+    lowest: T,
+    highest: T,
+) -> Result<(), InvalidSetting> {
+    let ok = (&lowest..=&highest).contains(&&value);
+    InvalidSetting::check(format_args!("environment.{field}"), value, ok, format_args!("{lowest}..={highest}"))
 }

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::EnvironmentConfigError;
 use super::checks::check;
+use proto::InvalidSetting;
 
 /// Initial states.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,7 +108,7 @@ impl Default for SuccessConfig {
 }
 
 impl ResetConfig {
-    pub(super) fn validate(&self) -> Result<(), EnvironmentConfigError> {
+    pub(super) fn validate(&self) -> Result<(), InvalidSetting> {
         check("reset.arena_half_width_m", self.arena_half_width_m, 0.6, 2.5)?;
         check("reset.clearance_m", self.clearance_m, 0.005, 0.1)?;
         check("reset.max_slenderness", self.max_slenderness, 1.0, 4.0)?;
@@ -119,7 +119,7 @@ impl ResetConfig {
 }
 
 impl RewardConfig {
-    pub(super) fn validate(&self) -> Result<(), EnvironmentConfigError> {
+    pub(super) fn validate(&self) -> Result<(), InvalidSetting> {
         check("reward.connected_weight", self.connected_weight, 0.0, 10.0)?;
         check("reward.wrong_weight", self.wrong_weight, 0.0, 10.0)?;
         check("reward.dense_weight", self.dense_weight, 0.0, 10.0)?;
@@ -131,10 +131,10 @@ impl RewardConfig {
 }
 
 impl SuccessConfig {
-    pub(super) fn validate(&self) -> Result<(), EnvironmentConfigError> {
+    pub(super) fn validate(&self) -> Result<(), InvalidSetting> {
         check("success.max_distance_m", self.max_distance_m, 0.001, 1.0)?;
         check("success.max_angle_deg", self.max_angle_deg, 0.1, 180.0)?;
         check("success.stable_speed_mps", self.stable_speed_mps, 0.001, 10.0)?;
-        super::checks::check_count("success.stable_steps", self.stable_steps.into(), 1, 100)
+        super::checks::check("success.stable_steps", self.stable_steps.into(), 1, 100)
     }
 }

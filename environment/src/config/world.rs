@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::EnvironmentConfigError;
-use super::checks::{check, check_count};
+use super::checks::check;
+use proto::InvalidSetting;
 
 /// Bodies and time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -110,8 +110,8 @@ impl PhysicsConfig {
         self.substep_ms / 1000.0
     }
 
-    pub(super) fn validate(&self) -> Result<(), EnvironmentConfigError> {
-        check_count("physics.n_substeps", self.n_substeps.into(), 1, 100)?;
+    pub(super) fn validate(&self) -> Result<(), InvalidSetting> {
+        check("physics.n_substeps", self.n_substeps.into(), 1, 100)?;
         check("physics.substep_ms", self.substep_ms, 1.0, 50.0)?;
         check("physics.gravity_mps2", self.gravity_mps2, 0.0, 30.0)?;
         check("physics.density_kgpm3", self.density_kgpm3, 10.0, 5000.0)?;
@@ -126,7 +126,7 @@ impl PhysicsConfig {
 }
 
 impl MagnetConfig {
-    pub(super) fn validate(&self) -> Result<(), EnvironmentConfigError> {
+    pub(super) fn validate(&self) -> Result<(), InvalidSetting> {
         check("magnets.attraction_range_m", self.attraction_range_m, 0.0, 0.05)?;
         check("magnets.attraction_peak_n", self.attraction_peak_n, 0.0, 100.0)?;
         check("magnets.snap_gap_m", self.snap_gap_m, 0.001, 0.045)?;
@@ -135,7 +135,7 @@ impl MagnetConfig {
         check("magnets.snap_frequency_hz", self.snap_frequency_hz, 1.0, 1000.0)?;
         check("magnets.hold_frequency_hz", self.hold_frequency_hz, 1.0, 1000.0)?;
         check("magnets.break_force_n", self.break_force_n, 1.0, 10_000.0)?;
-        check_count("magnets.break_max_pairs", self.break_max_pairs.into(), 1, 6)?;
+        check("magnets.break_max_pairs", self.break_max_pairs.into(), 1, 6)?;
         check("magnets.load_smoothing", self.load_smoothing, 0.0, 0.99)?;
         check("magnets.cooldown_ms", self.cooldown_ms, 0.0, 2000.0)
     }

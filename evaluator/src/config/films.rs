@@ -63,11 +63,11 @@ impl FilmsConfig {
         if let Some(unknown) = self.blueprints.iter().find(|id| Catalog::builtin().get(id).is_none()) {
             return Err(EvaluatorConfigError::UnknownBlueprint(unknown.clone()));
         }
-        check("films.n_of_each", self.n_of_each, self.n_of_each <= 10, "0 to 10")?;
-        check("films.width", self.width, (MIN_WIDTH..=MAX_WIDTH).contains(&self.width), "480 to 1920")?;
-        check("films.fps", self.fps, (1..=MAX_FPS).contains(&self.fps), "1 to 60")?;
-        check("films.keep", self.keep, (1..=10_000).contains(&self.keep), "1 to 10000")?;
-        check("films.tensorboard_mb", self.tensorboard_mb, self.tensorboard_mb <= 10_000, "0 to 10000")
+        check("films.n_of_each", self.n_of_each, self.n_of_each <= 10, "0..=10")?;
+        check("films.width", self.width, (MIN_WIDTH..=MAX_WIDTH).contains(&self.width), "480..=1920")?;
+        check("films.fps", self.fps, (1..=MAX_FPS).contains(&self.fps), "1..=60")?;
+        check("films.keep", self.keep, (1..=10_000).contains(&self.keep), "1..=10000")?;
+        check("films.tensorboard_mb", self.tensorboard_mb, self.tensorboard_mb <= 10_000, "0..=10000")
     }
 }
 

@@ -1,7 +1,7 @@
 //! Where recorded episodes wait to be made into video clips. What finds no room is counted and dropped.
 
+use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 use proto::Trajectory;
 use proto::metrics::FilmCounts;
@@ -67,7 +67,8 @@ impl ClipQueue {
     /// Waits for the next clip, and says whether the queue is closed; `None` once it is closed and empty.
     pub(super) fn next(&self) -> Option<(Clip, bool)> {
         let is_idle = |state: &mut State| state.clips.is_empty() && !state.is_closed;
-        let mut state = self.changed.wait_while(self.state(), is_idle).unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.state();
+        self.changed.wait_while(&mut state, is_idle);
         let is_closed = state.is_closed;
         state.clips.pop_front().map(|clip| (clip, is_closed))
     }
@@ -95,13 +96,15 @@ impl ClipQueue {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 
     #[cfg(test)]
     pub(super) fn wait_until(&self, is_reached: impl Fn(FilmCounts) -> bool) -> FilmCounts {
         let waits = |state: &mut State| !is_reached(state.all_counts());
-        self.changed.wait_while(self.state(), waits).unwrap().all_counts()
+        let mut state = self.state();
+        self.changed.wait_while(&mut state, waits);
+        state.all_counts()
     }
 }
 

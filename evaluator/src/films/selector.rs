@@ -1,7 +1,8 @@
 //! Which episodes of a pass are recorded: those that could be the success or the failure that a film is wanted of.
 
+use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use blueprints::{BlueprintId, Split};
 use proto::{ActorId, Driver, Scene, Task, Weights};
@@ -111,7 +112,7 @@ impl EpisodeSelector {
     }
 
     fn open(&self) -> MutexGuard<'_, Open> {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+        self.open.lock()
     }
 }
 

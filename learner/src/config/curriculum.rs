@@ -3,7 +3,9 @@
 use blueprints::N_BLOCKS;
 use serde::{Deserialize, Serialize};
 
-use super::{LearnerConfigError, check};
+use proto::InvalidSetting;
+
+use super::check;
 
 /// The rule that turns successes into task probabilities.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -94,7 +96,7 @@ impl CurriculumConfig {
     ///
     /// # Errors
     /// The first field out of range.
-    pub fn validate(&self) -> Result<(), LearnerConfigError> {
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
         match self {
             Self::Uniform(_) => Ok(()),
             Self::Paper(paper) => {
@@ -113,7 +115,7 @@ impl CurriculumConfig {
                 check_share("curriculum.tau", widening.tau)?;
                 check_share("curriculum.gate", widening.gate)?;
                 let first = widening.first_size;
-                check("curriculum.first_size", first as f64, (2..=N_BLOCKS).contains(&first), "in 2..=16")?;
+                check("curriculum.first_size", first as f64, (2..=N_BLOCKS).contains(&first), "2..=16")?;
                 check_batch(widening.episodes_per_batch)
             }
         }
@@ -130,10 +132,10 @@ impl CurriculumConfig {
     }
 }
 
-fn check_share(field: &'static str, value: f64) -> Result<(), LearnerConfigError> {
+fn check_share(field: &'static str, value: f64) -> Result<(), InvalidSetting> {
     check(field, value, value > 0.0 && value <= 1.0, "above 0 and at most 1")
 }
 
-fn check_batch(episodes: usize) -> Result<(), LearnerConfigError> {
-    check("curriculum.episodes_per_batch", episodes as f64, (1..=65536).contains(&episodes), "in 1..=65536")
+fn check_batch(episodes: usize) -> Result<(), InvalidSetting> {
+    check("curriculum.episodes_per_batch", episodes as f64, (1..=65536).contains(&episodes), "1..=65536")
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{LearnerConfigError, Schedule, check, check_at_least, check_positive};
+use super::{InvalidSetting, Schedule, check, check_at_least, check_positive};
 
 /// Learning from the expert's labels, alone or together with PPO: every gradient step minimizes one weighted sum.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -63,7 +63,7 @@ impl Default for ReplayConfig {
 }
 
 impl ImitationConfig {
-    pub(super) fn validate(&self) -> Result<(), LearnerConfigError> {
+    pub(super) fn validate(&self) -> Result<(), InvalidSetting> {
         check_weight("imitation.weight", &self.weight)?;
         check_weight("imitation.ppo_weight", &self.ppo_weight)?;
         check_weight("imitation.value_weight", &self.value_weight)?;
@@ -71,18 +71,18 @@ impl ImitationConfig {
         check_at_least("imitation.move_weight", self.move_weight, 0.0, "at least 0")?;
         check_positive("imitation.move_delta", self.move_delta)?;
         let (size, steps) = (self.minibatch_size, self.steps_per_update);
-        check("imitation.minibatch_size", size as f64, (1..=65536).contains(&size), "in 1..=65536")?;
-        check("imitation.steps_per_update", steps as f64, (1..=65536).contains(&steps), "in 1..=65536")?;
+        check("imitation.minibatch_size", size as f64, (1..=65536).contains(&size), "1..=65536")?;
+        check("imitation.steps_per_update", steps as f64, (1..=65536).contains(&steps), "1..=65536")?;
         let capacity = self.replay.capacity_steps;
         check("imitation.replay.capacity_steps", capacity as f64, capacity >= 1024, "at least 1024")?;
         let power = self.replay.size_power;
-        check("imitation.replay.size_power", power, (-4.0..=4.0).contains(&power), "in -4..=4")
+        check("imitation.replay.size_power", power, (-4.0..=4.0).contains(&power), "-4..=4")
     }
 }
 
-fn check_weight(field: &'static str, schedule: &Schedule) -> Result<(), LearnerConfigError> {
+fn check_weight(field: &'static str, schedule: &Schedule) -> Result<(), InvalidSetting> {
     let values = schedule.values();
     let first = values.first().copied().unwrap_or(f32::NAN);
     check(field, first.into(), schedule.is_ordered(), "a number, or points of ascending environment steps")?;
-    values.into_iter().try_for_each(|x| check(field, x.into(), (0.0..=100.0).contains(&x), "in 0..=100"))
+    values.into_iter().try_for_each(|x| check(field, x.into(), (0.0..=100.0).contains(&x), "0..=100"))
 }

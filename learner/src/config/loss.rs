@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{LearnerConfigError, Schedule, check, check_at_least, check_positive};
+use super::{InvalidSetting, Schedule, check, check_at_least, check_positive};
 
 /// The PPO objective.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,7 +83,7 @@ impl LossConfig {
         }
     }
 
-    pub(super) fn validate(&self) -> Result<(), LearnerConfigError> {
+    pub(super) fn validate(&self) -> Result<(), InvalidSetting> {
         check("loss.clip", self.clip.into(), self.clip > 0.0 && self.clip <= 1.0, "above 0 and at most 1")?;
         if let Some(clip) = self.value_clip {
             check_positive("loss.value_clip", clip)?;
@@ -95,9 +95,9 @@ impl LossConfig {
     }
 }
 
-fn check_schedule(field: &'static str, schedule: &Schedule) -> Result<(), LearnerConfigError> {
+fn check_schedule(field: &'static str, schedule: &Schedule) -> Result<(), InvalidSetting> {
     let values = schedule.values();
     let first = values.first().copied().unwrap_or(f32::NAN);
     check(field, first.into(), schedule.is_ordered(), "a number, or points of ascending environment steps")?;
-    values.into_iter().try_for_each(|x| check(field, x.into(), (-1.0..=1.0).contains(&x), "in -1..=1"))
+    values.into_iter().try_for_each(|x| check(field, x.into(), (-1.0..=1.0).contains(&x), "-1..=1"))
 }

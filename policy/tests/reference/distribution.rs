@@ -110,7 +110,7 @@ fn log_probs_match_in_all_forms() {
 fn gradients_of_the_clipped_loss_match_in_all_forms() {
     let golden = read_json(&golden_path("ppo_policy.json"));
     let device = Device::flex().autodiff();
-    let advantages = floats(&golden["advantages_normalized"]);
+    let advantages = floats(&golden["advantages_normalised"]);
     let clip = golden["clip_eps"].as_f64().unwrap();
     for (form, name) in FORMS {
         let output = Heads::read(&golden["new"]).tensors(&device);
