@@ -48,9 +48,9 @@ fuzz:
 kubernetes:
     .ci/run kubernetes
 
-# Rings in containers, on Slurm and under random faults. Run as root; takes about 15 minutes.
-launchers: build
-    .ci/launchers target/debug/lodestone
+# Rings under random faults, in containers, and on Slurm. Run as root; takes about 15 minutes.
+launchers:
+    .ci/run soak compose slurm
 
 # Speed, crate by crate; compare with docs/performance.md.
 bench:

@@ -124,11 +124,11 @@ mod tests {
     #[test]
     fn an_error_names_field_value_and_range() {
         let table: [(ActorConfig, &str); 5] = [
-            (ActorConfig { n_threads: 0, ..Default::default() }, "n_threads is 0, valid is 1 to 64"),
-            (ActorConfig { n_worlds: 2000, ..Default::default() }, "n_worlds is 2000, valid is 1 to 1024"),
-            (ActorConfig { segment_len: 0, ..Default::default() }, "segment_len is 0, valid is 1 to 1000"),
-            (ActorConfig { n_outstanding: 17, ..Default::default() }, "n_outstanding is 17, valid is 1 to 16"),
-            (ActorConfig { backlog_limit: 0, ..Default::default() }, "backlog_limit is 0, valid is 1 to 100000"),
+            (ActorConfig { n_threads: 0, ..Default::default() }, "actor.n_threads = 0: expected 1..=64"),
+            (ActorConfig { n_worlds: 2000, ..Default::default() }, "actor.n_worlds = 2000: expected 1..=1024"),
+            (ActorConfig { segment_len: 0, ..Default::default() }, "actor.segment_len = 0: expected 1..=1000"),
+            (ActorConfig { n_outstanding: 17, ..Default::default() }, "actor.n_outstanding = 17: expected 1..=16"),
+            (ActorConfig { backlog_limit: 0, ..Default::default() }, "actor.backlog_limit = 0: expected 1..=100000"),
         ];
         for (config, message) in table {
             assert_eq!(config.validate().unwrap_err().to_string(), message);

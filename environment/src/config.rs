@@ -94,15 +94,12 @@ mod tests {
             change(&mut config);
             config.validate().unwrap_err().to_string()
         };
-        assert_eq!(message(|c| c.n_grippers = 3), "environment.n_grippers is 3; it must be 1 to 2");
-        assert_eq!(message(|c| c.max_speed_mps = f32::NAN), "environment.max_speed_mps is NaN; it must be 0.01 to 10");
+        assert_eq!(message(|c| c.n_grippers = 3), "environment.n_grippers = 3: expected 1..=2");
+        assert_eq!(message(|c| c.max_speed_mps = f32::NAN), "environment.max_speed_mps = NaN: expected 0.01..=10");
         assert_eq!(
             message(|c| c.magnets.snap_gap_m = 0.2),
-            "environment.magnets.snap_gap_m is 0.2; it must be 0.001 to 0.045"
+            "environment.magnets.snap_gap_m = 0.2: expected 0.001..=0.045"
         );
-        assert_eq!(
-            message(|c| c.reset.yaw_noise_rad = -1.0),
-            "environment.reset.yaw_noise_rad is -1; it must be 0 to 3.2"
-        );
+        assert_eq!(message(|c| c.reset.yaw_noise_rad = -1.0), "environment.reset.yaw_noise_rad = -1: expected 0..=3.2");
     }
 }

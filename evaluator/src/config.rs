@@ -236,28 +236,31 @@ mod tests {
     fn an_error_names_field_value_and_range() {
         let twice = EpisodeConfig { acting: vec![ActionMode::Greedy, ActionMode::Greedy], ..Default::default() };
         let table = [
-            (EvaluatorConfig { every: Every::Steps(0), ..Default::default() }, "every.steps is 0, valid is at least 1"),
+            (
+                EvaluatorConfig { every: Every::Steps(0), ..Default::default() },
+                "evaluator.every.steps = 0: expected at least 1",
+            ),
             (
                 EvaluatorConfig { every: Every::Minutes(f64::NAN), ..Default::default() },
-                "every.minutes is NaN, valid is 0 to 10000",
+                "evaluator.every.minutes = NaN: expected 0..=10000",
             ),
             (
                 EvaluatorConfig { episodes: twice, ..Default::default() },
-                "episodes.acting is [Mode, Mode], valid is \"mode\", \"sampled\" or both",
+                "evaluator.episodes.acting = [Greedy, Greedy]: expected \"mode\", \"sampled\" or both",
             ),
             (
                 EvaluatorConfig {
                     reset_free: Some(ResetFreeConfig { min_blocks: 17, ..Default::default() }),
                     ..Default::default()
                 },
-                "reset_free.min_blocks is 17, valid is 1 to 16",
+                "evaluator.reset_free.min_blocks = 17: expected 1..=16",
             ),
             (
                 EvaluatorConfig {
                     films: FilmsConfig { groups: vec![Group::Train2To6; 2], ..Default::default() },
                     ..Default::default()
                 },
-                "films.groups is [Train2To6, Train2To6], valid is names of groups, none twice",
+                "evaluator.films.groups = [Train2To6, Train2To6]: expected names of groups, none twice",
             ),
         ];
         for (config, message) in table {

@@ -296,11 +296,17 @@ fn the_initial_standard_deviation_is_as_configured() {
 fn bad_settings_name_the_field_and_the_range() {
     type Spoil = fn(&mut PolicyConfig);
     let cases: [(Spoil, &str); 5] = [
-        (|c| c.network.n_grippers = 3, "policy.network.n_grippers is 3, must be in 1..=2"),
-        (|c| c.network.width = 0, "policy.network.width is 0, must be in 1..=1024"),
-        (|c| c.features.n_grippers = 1, "policy.features.n_grippers is 1, must equal policy.network.n_grippers = 2"),
-        (|c| c.network.scale.max_std = Some(-1.0), "policy.network.scale.max_std is -1, must be in (0.000001, 10]"),
-        (|c| c.network.scale.init_std = Some(0.0), "policy.network.scale.init_std is 0, must be in (0.000001, 10)"),
+        (|c| c.network.n_grippers = 3, "policy.network.n_grippers = 3: expected 1..=2"),
+        (|c| c.network.width = 0, "policy.network.width = 0: expected 1..=1024"),
+        (|c| c.features.n_grippers = 1, "policy.features.n_grippers = 1: expected 2, as policy.network.n_grippers"),
+        (
+            |c| c.network.scale.max_std = Some(-1.0),
+            "policy.network.scale.max_std = -1: expected above 0.000001 and at most 10",
+        ),
+        (
+            |c| c.network.scale.init_std = Some(0.0),
+            "policy.network.scale.init_std = 0: expected above 0.000001 and below 10",
+        ),
     ];
     for (spoil, message) in cases {
         let mut config = PolicyConfig::default();

@@ -44,9 +44,9 @@ class Ring:
             project,
             "--file",
             str(ROOT / "deploy/compose.yaml"),
-            # What a user would do for a setting that has no variable.
+            # What a user would do for settings that have no variable.
             "--file",
-            str(Path(__file__).with_name("often-saved.yaml")),
+            str(Path(__file__).with_name("quick.yaml")),
         ]
 
     def compose(self, *arguments: str, steps: int = ENDLESS, seconds: float = 180) -> str:

@@ -109,7 +109,7 @@ fn a_page_that_cannot_be_served_is_refused_before_anything_is_written() {
     let open = train("0.0.0.0:0");
     assert_eq!(open.status.code(), Some(64));
     assert!(
-        error(&open).contains("dashboard.web.listen is 0.0.0.0:0, which others can reach: set web.token"),
+        error(&open).contains("dashboard.web.listen = 0.0.0.0:0, which others can reach: set dashboard.web.token"),
         "{}",
         error(&open)
     );

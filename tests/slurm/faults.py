@@ -8,7 +8,7 @@ import tomllib
 import conf
 import queue_of_slurm as queue
 from training import N_ACTORS, Check, Training
-from wait import Watch, timed, wait_for
+from wait import Watch, in_background, timed, wait_for
 
 ENOUGH = 0.9
 """Success rate at which the task of `near-goal` is learned."""
@@ -59,8 +59,8 @@ def preempted_actors_return(training: Training) -> None:
     assert all(queue.restarts(task) == 1 for task in victims)
 
 
-def a_cut_node_returns(training: Training) -> None:
-    """A node without network is found, its actor comes back, and the training does not stop for it."""
+def a_cut_node_is_replaced(training: Training) -> None:
+    """A node without network is found, its actors work elsewhere, and the training does not stop for it."""
     run, cluster = training.run, training.cluster
     node = next(node for node in queue.running(run.actor_job()).values() if node != training.learner_node())
     cluster.cut(node)
@@ -71,8 +71,8 @@ def a_cut_node_returns(training: Training) -> None:
     )
     run.wait_for_steps(run.n_steps(), 90)
     cluster.mend(node)
-    training.figures["mended node in use again, s"] = timed("the node is back", lambda: queue.node_works(node), 60)
-    training.wait_for_all_actors(60)
+    # The next check does not need the node.
+    training.returning = in_background("the node is back", lambda: queue.node_works(node), 60)
 
 
 def a_requeued_learner_goes_on(training: Training) -> None:
@@ -88,6 +88,13 @@ def a_requeued_learner_goes_on(training: Training) -> None:
     training.figures["learner requeued to its next update, s"] = watch.seconds
     assert run.metrics("learner")[lines]["n_env_steps"] > saved
     assert run.endpoint() not in (None, endpoint)
+    training.wait_for_all_actors(60)
+
+
+def the_mended_node_returns(training: Training) -> None:
+    """Slurm takes the node that was cut off back, by itself."""
+    assert training.returning is not None
+    training.figures["mended node in use again, s"] = training.returning.result()
     training.wait_for_all_actors(60)
 
 
@@ -183,8 +190,9 @@ def success_is_reached(training: Training) -> None:
 CHECKS: list[Check] = [
     launch_finds_each_other,
     preempted_actors_return,
-    a_cut_node_returns,
+    a_cut_node_is_replaced,
     a_requeued_learner_goes_on,
+    the_mended_node_returns,
     the_learner_survives_its_node,
     a_cut_learner_lets_go,
     stop_saves,

@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
-"""Trains on a real Slurm: a controller and three nodes in namespaces of this machine, which exist for this test alone.
+"""Trains on a real Slurm: controllers and nodes in namespaces of this machine, which exist for this test alone.
 
 usage: python3 tests/slurm/run.py --binary target/debug/lodestone
 
 Needs root and the programs of Debian's slurm-wlm, munge and iproute2. Touches nothing outside its namespaces: whatever it
 mounts, listens on or writes is gone when it ends, also when it is killed.
+
+Two parts run at the same time, each on a cluster of its own, because most of the time is Slurm's: it looks at nodes and time
+limits every few seconds. Each line begins with the name of its part. The last line counts the checks.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import traceback
 from pathlib import Path
@@ -32,18 +36,23 @@ SCRATCH = Path("/run")
 NO_LOGS = ("checkpoints", "keys", "munge", "spool", "state")
 """Folders that --logs leaves out."""
 
+PARTS: dict[str, list[Check]] = {"faults": faults.CHECKS, "others": [*commands.CHECKS, *hetjob.CHECKS]}
+"""What runs at the same time; within a part each check may need what the one before it left behind."""
+
+OUTCOMES = {True: "ok", False: "FAILED"}
+
 
 def main() -> int:
-    """Checks what is needed, then runs itself again in namespaces of its own."""
+    """Checks what is needed, then runs each part in namespaces of its own."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, required=True, help="the program lodestone")
     parser.add_argument("--logs", type=Path, help="keep all logs in this folder, which must not be there yet")
     parser.add_argument("--only", default="", help="only the checks whose name contains this, and the launch before them")
     parser.add_argument("--patience", type=float, default=1.0, help="factor on all time limits [default: 1]")
-    parser.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--isolated", choices=PARTS, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.isolated:
-        return isolated(args.binary, args.logs, args.only)
+        return isolated(args.isolated, args.binary, args.logs, args.only)
     if not os.access(args.binary, os.X_OK):
         parser.error(f"{args.binary} is no program: build it with `cargo build`")
     if args.logs is not None and args.logs.exists():
@@ -53,37 +62,64 @@ def main() -> int:
     missing = clusters.missing_programs()
     if missing:
         parser.error(f"lacks {', '.join(missing)}: install slurm-wlm, munge and iproute2")
-    again = [sys.executable, __file__, "--binary", str(args.binary.resolve()), "--isolated", "--only", args.only]
-    again += ["--logs", str(args.logs.resolve())] if args.logs else []
-    sys.stdout.flush()
-    # `unshare` is deaf to SIGTERM, so the kernel ends it, and all in its namespaces, when this process ends for any reason.
-    bound = ["setpriv", "--pdeathsig", "KILL", *clusters.isolate(again)]
-    return subprocess.run(bound, env={**os.environ, "PATIENCE": str(args.patience)}, check=False).returncode
+    again = [sys.executable, __file__, "--binary", str(args.binary.resolve()), "--only", args.only]
+    parts = {part: Part(part, again, args.logs, args.patience) for part in PARTS}
+    codes = [part.wait() for part in parts.values()]
+    said = [word for part in parts.values() for word in part.outcomes]
+    print(f"{said.count(OUTCOMES[True])} passed, {said.count(OUTCOMES[False])} failed")
+    return max(codes)
 
 
-def isolated(binary: Path, logs: Path | None, only: str) -> int:
-    """Runs all checks on a cluster."""
+class Part:
+    """A part that runs in namespaces of its own, and whose lines are printed here."""
+
+    def __init__(self, name: str, again: list[str], logs: Path | None, patience: float) -> None:
+        self.name = name
+        self.outcomes: list[str] = []
+        command = [*again, "--isolated", name, *(["--logs", str(logs.resolve() / name)] if logs else [])]
+        # `unshare` is deaf to SIGTERM, so the kernel ends it, and all in its namespaces, when this process ends for any reason.
+        bound = ["setpriv", "--pdeathsig", "KILL", *clusters.isolate(command)]
+        environment = {**os.environ, "PATIENCE": str(patience), "PYTHONUNBUFFERED": "1"}
+        self._process = subprocess.Popen(bound, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        self._printer = threading.Thread(target=self._print)
+        self._printer.start()
+
+    def wait(self) -> int:
+        """Waits until it has ended; its exit code."""
+        self._printer.join()
+        return self._process.wait()
+
+    def _print(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.outcomes += [word for word in OUTCOMES.values() if line.startswith(f"{word} ")]
+            # One write a line, so that the parts do not come between each other.
+            sys.stdout.write(f"{self.name} | {line}")
+            sys.stdout.flush()
+
+
+def isolated(part: str, binary: Path, logs: Path | None, only: str) -> int:
+    """Runs the checks of one part on a cluster."""
     for name in [name for name in os.environ if name.startswith(("LODESTONE_", "SLURM_", "SBATCH_"))]:
         del os.environ[name]
+    checks = chosen(PARTS[part], only)
+    if not checks:
+        return 0
     os.environ["PATH"] += os.pathsep + os.pathsep.join(["/usr/sbin", "/sbin"])
     conf.mount_tmpfs(SCRATCH)
     scratch = SCRATCH / "lodestone-slurm-test"
     cluster = clusters.Cluster(scratch / "cluster")
     # A name with spaces and a quote, which the scripts must survive.
     training = Training(cluster, Launched(binary, scratch / "the user's runs" / "near-goal"))
-    together = Training(cluster, Launched(binary, scratch / "together"))
     try:
         cluster.start()
-        outcomes = in_turn(chosen(commands.CHECKS, only), training, scratch)
-        outcomes += in_turn(chosen(faults.CHECKS, only), training, scratch)
-        outcomes += in_turn(chosen(hetjob.CHECKS, only), together, scratch)
+        outcomes = in_turn(checks, training, scratch)
     finally:
         cluster.stop()
         if logs is not None:
             shutil.copytree(scratch, logs, ignore=lambda _, names: [name for name in names if name in NO_LOGS])
-    for name, value in {**training.figures, **together.figures}.items():
+    for name, value in training.figures.items():
         print(f"{name}: {value:.2f}")
-    print(f"{outcomes.count(True)} passed, {outcomes.count(False)} failed")
     return 0 if all(outcomes) else 1
 
 
@@ -98,19 +134,19 @@ def in_turn(checks: list[Check], training: Training, scratch: Path) -> list[bool
     outcomes: list[bool] = []
     for check in checks:
         if False in outcomes:
-            print(f"FAILED {check.__name__}: not tried after the failure before it", flush=True)
+            print(f"{OUTCOMES[False]} {check.__name__}: not tried after the failure before it", flush=True)
             outcomes.append(False)
             continue
         began = time.monotonic()
         try:
             check(training)
         except Exception:  # Every failure is one to report, and the cluster must go down after it
-            print(f"FAILED {check.__name__}", flush=True)
+            print(f"{OUTCOMES[False]} {check.__name__}", flush=True)
             traceback.print_exc(file=sys.stdout)
             show_logs(scratch)
             outcomes.append(False)
         else:
-            print(f"ok {check.__name__} ({time.monotonic() - began:.1f} s)", flush=True)
+            print(f"{OUTCOMES[True]} {check.__name__} ({time.monotonic() - began:.1f} s)", flush=True)
             outcomes.append(True)
     return outcomes
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 
 import queue_of_slurm as queue
@@ -23,6 +24,8 @@ class Training:
     cluster: Cluster
     run: Launched
     figures: dict[str, float] = field(default_factory=dict)
+    returning: Future[float] | None = None
+    """Seconds until the node that was mended last was in use again."""
 
     def options(self, n_steps: int = NO_END) -> list[str]:
         """How it is launched, but for time limits."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -52,3 +53,8 @@ def timed(what: str, condition: Callable[[], object], limit_s: float, still_well
     with Watch() as watch:
         wait_for(what, condition, limit_s, still_well)
     return watch.seconds
+
+
+def in_background(what: str, condition: Callable[[], object], limit_s: float) -> Future[float]:
+    """As `timed`, while the caller does something else."""
+    return ThreadPoolExecutor(max_workers=1).submit(timed, what, condition, limit_s)

@@ -74,7 +74,7 @@ async def disturbed(run: Member, folder: Path, moments: list[int], chance: rando
 
 
 async def ends_with_the_same_bytes(binary: Path, folder: Path, seed: int, n_kills: int) -> str:
-    """Compares parameters and optimiser of the two runs."""
+    """Compares parameters and optimizer of the two runs."""
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     chance = random.Random(seed)
     # The first comes before there is a checkpoint, so that the run begins again.

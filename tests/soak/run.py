@@ -42,6 +42,10 @@ SHORT_MIN = 5.0
 
 LEARNER_BACK_S = 10.0
 
+# A run of at least so many minutes ends with a phase in which nothing is hurt and memory must not grow.
+LONG_MIN = 10.0
+CALM_S = 300.0
+
 PROGRESS_S = 10.0
 
 
@@ -49,7 +53,8 @@ def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--binary", type=Path, required=True, help="the program lodestone")
-    parser.add_argument("--minutes", type=float, default=1.0, help="how long faults are injected [default: 1]")
+    injected = "how long faults are injected [default: 1]; from 10 on, 5 calm ones follow"
+    parser.add_argument("--minutes", type=float, default=1.0, help=injected)
     parser.add_argument("--seed", type=int, help="of the faults and of the trainings [default: a random one]")
     parser.add_argument("--dir", type=Path, help="keep runs and logs in this folder, which must not be there yet")
     parser.add_argument("--json", type=Path, help="write the figures into this file")
@@ -104,7 +109,7 @@ async def show_progress(ring: Ring, faults: Faults) -> None:
 
 async def disturb(ring: Ring, faults: Faults, minutes: float, tally: Tally) -> bool:
     """Starts the ring, hurts it, lets it settle and ends it; whether it came so far that it can be judged."""
-    from settle import all_work, nothing_is_lost
+    from settle import all_work, calm, nothing_is_lost
 
     if not await attempt(tally, "the ring starts", ring.start()):
         return False
@@ -115,6 +120,8 @@ async def disturb(ring: Ring, faults: Faults, minutes: float, tally: Tally) -> b
     finally:
         progress.cancel()
     await attempt(tally, "everybody works after the last fault", all_work(ring))
+    if minutes >= LONG_MIN:
+        await attempt(tally, "the ring works on when nothing hurts it", calm(ring, CALM_S))
     await attempt(tally, "a learner that ends well loses nothing it acknowledged", nothing_is_lost(ring))
     await attempt(tally, "everything ends well after SIGTERM", ring.stop())
     return True
@@ -149,7 +156,9 @@ def judge(ring: Ring, faults: Faults, binary: Path, tally: Tally) -> dict[str, A
         "learner_back_after_sigterm_s": spread(record.learner_restart_back_s),
         "updates_again_after_router_restart_s": spread(record.router_back_s),
         "memory_mb": {role: round(ring.memory.most_mb(role), 1) for role in roles},
-        "memory_slope_mb_per_minute": {role: round(ring.memory.slope_mb_per_minute(role), 3) for role in roles},
+        "calm_memory_slope_mb_per_minute": {
+            role: round(growth, 3) for role, growth in ring.memory.slopes_mb_per_minute().items()
+        },
         "processes": {member.name: len(member.lives) for member in ring.members},
         "balance": vars(sums),
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import records
 from checks import require, until
 from members import Member
@@ -23,6 +25,16 @@ async def all_work(ring: Ring) -> str:
     await until("a newer checkpoint", BACK_S, lambda: records.newest_checkpoint(ring.run_dir)[0] > steps)
     await until("an evaluation", 3 * BACK_S, lambda: ring.listener.n_summaries > n_summaries)
     return f"{N_ACTORS} actors, learner and evaluator"
+
+
+async def calm(ring: Ring, seconds: float) -> str:
+    """Nothing hurts the ring for a while, and its memory is watched."""
+    n_updates = ring.n_updates()
+    ring.memory.is_calm = True
+    await asyncio.sleep(seconds)
+    ring.memory.is_calm = False
+    require(ring.n_updates() > n_updates, "the learner did nothing")
+    return f"{seconds:.0f} s, {ring.n_updates() - n_updates} updates"
 
 
 async def _acked_at_rest(ring: Ring) -> int:

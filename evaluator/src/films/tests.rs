@@ -61,7 +61,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let segment = decode_trajectory(&fs::read(replay).unwrap()).unwrap();
     assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights.version));
     render::video::Episode::new(&[segment], goal).unwrap();
-    assert_eq!(names(&dir.path().join("tb/films")).len(), 1);
+    assert_eq!(names(&dir.path().join("tb/evaluator/films")).len(), 1);
 }
 
 /// An episode of one step that ended so.

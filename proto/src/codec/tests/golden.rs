@@ -35,7 +35,7 @@ fn the_bytes_are_those_committed() {
         line("trajectory-running", samples::running("actor-1", 7), encode_trajectory, decode_trajectory),
         line("trajectory-success", samples::successful("actor-1", 8), encode_trajectory, decode_trajectory),
         line("trajectory-one-gripper", near_goal, encode_trajectory, decode_trajectory),
-        line("trajectory-labeled", samples::labeled("actor-1", 9), encode_trajectory, decode_trajectory),
+        line("trajectory-labelled", samples::labeled("actor-1", 9), encode_trajectory, decode_trajectory),
         line("weights", published, |p| encode_weights(&p.weights, p.epoch), decode_weights),
         line("notice", notice, |&n| encode_notice(n), decode_notice),
         line("unit", samples::unit(), encode_unit, decode_unit),
