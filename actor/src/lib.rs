@@ -1,6 +1,6 @@
 //! From tasks to trajectories: steps many worlds with the newest weights and sends what the learner learns from.
 //!
-//! Reading order: [`config`] → [`task`] (what to build next) → [`teacher`] (who acts) → [`segment`] (episodes cut into segments) → [`rollout`]
+//! Reading order: [`config`] → [`task`] (what to build next) → [`dagger`] (who acts) → [`segment`] (episodes cut into segments) → [`rollout`]
 //! (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`] and [`streams`] → [`run()`]
 //! (threads and the bus). [`load`] measures the bus with actors that step no worlds.
 

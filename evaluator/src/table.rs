@@ -43,7 +43,7 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
     text
 }
 
-/// The expert's report as lines, each ended by a line break; the columns are those of [`render`], and `built` is the
+/// The expert's report as lines, each ended by a line break; the columns are those of [`render()`], and `built` is the
 /// number of blueprints that were built at least once.
 pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
     let mut text = String::new();
