@@ -101,10 +101,10 @@ class Launched:
         lines = text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]
         return [metrics for metrics in map(json.loads, lines) if metrics["key"] == key]
 
-    def success(self) -> float:
-        """The success rate in the last pass of the evaluator; 0 before there is one."""
+    def success(self, n_passes: int) -> float:
+        """The lowest success rate in the last passes of the evaluator; 0 before there are as many."""
         rates = [float(found["all"]["mode"]["success"]["rate"]) for found in self.metrics("eval/summary")]
-        return rates[-1] if rates else 0.0
+        return min(rates[-n_passes:]) if len(rates) >= n_passes else 0.0
 
     def actors_that_work(self) -> set[str]:
         """Actors whose processes work on some node, by id."""
