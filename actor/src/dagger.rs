@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::check;
 
-/// Who acts in the episodes of an actor with a teacher. Whoever it is, every scene gets the expert's label.
+/// The DAgger mixture: who acts in an episode, the expert or the policy. Whoever it is, every scene gets the expert's label.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DaggerConfig {
@@ -50,7 +50,7 @@ pub struct DaggerMixture {
     environment: EnvironmentConfig,
 }
 
-/// The teacher in one episode.
+/// The mixture in one episode: who drives it, and the expert that labels it.
 #[derive(Debug)]
 pub struct DaggerEpisode {
     /// None if there is no order in which the blueprint can be built.
@@ -105,7 +105,7 @@ impl DaggerConfig {
 }
 
 impl DaggerMixture {
-    /// A teacher in worlds of this configuration.
+    /// A mixture in worlds of this configuration.
     pub fn new(config: DaggerConfig, environment: EnvironmentConfig) -> Self {
         Self { config, environment }
     }
@@ -211,8 +211,8 @@ mod tests {
         ] {
             let config = DaggerConfig { expert_share: [expert_share; 2], sampled_share, ..Default::default() };
             let mut rng = ChaCha8Rng::seed_from_u64(1);
-            let teacher = DaggerMixture::new(config, environment.clone());
-            let mut dagger = teacher.begin(&blueprint, WeightsVersion(0), &mut rng);
+            let mixture = DaggerMixture::new(config, environment.clone());
+            let mut dagger = mixture.begin(&blueprint, WeightsVersion(0), &mut rng);
             assert_eq!(dagger.driver(), driver);
             assert_eq!(dagger.step(world.scene(), nothing(), &mut rng), (action.clone(), label));
         }
@@ -224,8 +224,8 @@ mod tests {
         let expert_noise = NoiseConfig { sigmas: vec![0.5], random_block: 1.0 };
         let config = DaggerConfig { expert_noise, ..Default::default() };
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let teacher = DaggerMixture::new(config, EnvironmentConfig::default());
-        let mut dagger = teacher.begin(&blueprint, WeightsVersion(0), &mut rng);
+        let mixture = DaggerMixture::new(config, EnvironmentConfig::default());
+        let mut dagger = mixture.begin(&blueprint, WeightsVersion(0), &mut rng);
         let clean = Expert::new(&EnvironmentConfig::default(), &blueprint).unwrap().act(world.scene());
         let mut chosen = std::collections::BTreeSet::new();
         for _ in 0..100 {

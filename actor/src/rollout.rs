@@ -53,7 +53,7 @@ impl RolloutSetup<'static> {
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
             burn_in: config.burn_in,
-            dagger: config.dagger.clone().map(|teacher| DaggerMixture::new(teacher, environment.clone())),
+            dagger: config.dagger.clone().map(|dagger| DaggerMixture::new(dagger, environment.clone())),
             identity,
             seed,
         }
@@ -315,14 +315,14 @@ fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
     }
 }
 
-/// The teacher's part in an episode that has begun; without a teacher nothing is drawn.
+/// The DAgger part of an episode that has begun; without DAgger nothing is drawn.
 fn begin_dagger<E: Env>(
     setup: &RolloutSetup<'_>,
     env: &E,
     version: WeightsVersion,
     rng: &mut ChaCha8Rng,
 ) -> Option<DaggerEpisode> {
-    setup.dagger.as_ref().map(|teacher| teacher.begin(env.blueprint(), version, rng))
+    setup.dagger.as_ref().map(|mixture| mixture.begin(env.blueprint(), version, rng))
 }
 
 /// Who acts in an episode.

@@ -1,4 +1,4 @@
-//! Gives the sequences of a pass to remote workers: a task for each, which lives as long as the remote worker.
+//! Gives the sequences of a pass to remote workers: a task for each, which lives as long as that worker.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -40,7 +40,7 @@ impl Dispatcher {
     /// Looks for remote workers from now on; `setup_hash` must be theirs.
     pub(crate) async fn start(bus: &Bus, setup_hash: u64) -> anyhow::Result<Self> {
         let (open, passes) = watch::channel(None);
-        let workers = bus.alive(Role::Worker).await.context("looking for assistants")?;
+        let workers = bus.alive(Role::Worker).await.context("looking for remote workers")?;
         let manager = Manager { bus: bus.clone(), setup_hash, passes };
         Ok(Self {
             open,
@@ -49,7 +49,7 @@ impl Dispatcher {
         })
     }
 
-    /// Lets remote workers work at this work queue.
+    /// Lets remote workers take from this queue.
     pub(crate) fn open(&mut self, queue: Arc<WorkQueue>) {
         self.open.send_replace(Some(Open { pass: self.pass, queue }));
         self.pass.number += 1;
@@ -85,7 +85,7 @@ impl Manager {
                     async move {
                         match bus.worker_caller(&name).await {
                             Ok(caller) => Clerk { name, hash, caller, passes }.run().await,
-                            Err(error) => tracing::warn!(worker = name, %error, "an assistant cannot be reached"),
+                            Err(error) => tracing::warn!(worker = name, %error, "a remote worker cannot be reached"),
                         }
                     }
                 });
@@ -118,7 +118,7 @@ impl Clerk {
                 // Lanes that were leased go back to the work queue with the future that holds them.
                 changed = passes.changed() => if changed.is_err() { return },
                 refusal = self.serve(&open) => {
-                    tracing::warn!(worker = self.name, refusal, "an assistant is of no use");
+                    tracing::warn!(worker = self.name, refusal, "a remote worker is of no use");
                     return;
                 }
             }

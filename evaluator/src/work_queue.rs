@@ -171,7 +171,7 @@ impl Table {
 }
 
 impl WorkerGuard {
-    /// An remote worker who works for `work queue`.
+    /// A remote worker that takes from this queue.
     pub(crate) fn new(queue: Arc<WorkQueue>) -> Self {
         queue.table().n_workers += 1;
         Self(queue)

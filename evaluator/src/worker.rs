@@ -1,4 +1,4 @@
-//! An remote worker: runs episodes for whoever evaluates in the same run.
+//! A remote worker: runs episodes for whoever evaluates in the same run.
 
 use std::sync::Arc;
 
@@ -59,7 +59,7 @@ impl RemoteWorker {
     /// `None` if `shutdown` came before the unit was done.
     async fn answer(&mut self, unit: &EvalUnit, shutdown: &CancellationToken) -> anyhow::Result<Option<EvalAnswer>> {
         if unit.setup_hash != self.hash {
-            let refusal = "the assistant has another version, network or world: start it with the evaluator's settings";
+            let refusal = "the worker has another version, network or world: start it with the evaluator's settings";
             tracing::warn!("refused a unit of an evaluator with another version, network or world");
             return Ok(Some(EvalAnswer::Refused(refusal.to_owned())));
         }
@@ -71,7 +71,7 @@ impl RemoteWorker {
             _ => return Ok(Some(EvalAnswer::NeedsWeights)),
         };
         let Some(sequences) = sequences(unit) else {
-            return Ok(Some(EvalAnswer::Refused("a goal is not in the assistant's catalog".to_owned())));
+            return Ok(Some(EvalAnswer::Refused("a goal is not in the worker's catalog".to_owned())));
         };
         let acting = if unit.is_sampled { ActionMode::Sampled } else { ActionMode::Greedy };
         let (setup, shutdown, pulse) = (self.setup.clone(), shutdown.clone(), self.pulse.clone());

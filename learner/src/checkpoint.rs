@@ -4,7 +4,7 @@
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
 //! - `mailbox.bin`: trajectories that waited, each as a little-endian u64 length and its wire form;
-//! - `replay.bin`: labeled segments in the same form, and `imitator.safetensors`, of which a network without a teacher has
+//! - `replay.bin`: labeled segments in the same form, and `imitator.safetensors`, of which a run without imitation has
 //!   none;
 //! - `model.json`: the policy's configuration, enough to act with the parameters;
 //! - `state.json`: the rest, and the length and FNV-1a hash of each of the files above.

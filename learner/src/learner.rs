@@ -178,7 +178,7 @@ impl Learner {
         self.mailbox.n_steps() >= self.setup.config.steps_per_update
     }
 
-    /// One update with the oldest trajectories and, if there is a teacher, labeled scenes; `None` when there are not
+    /// One update with the oldest trajectories and, if there is imitation, labeled scenes; `None` when there are not
     /// enough trajectories. PPO learns from those alone whose actions were sampled.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
         let mut trajectories = self.mailbox.take(self.setup.config.steps_per_update);

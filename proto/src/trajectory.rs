@@ -66,7 +66,7 @@ pub struct Transition {
     pub value: f32,
     /// Reward by term.
     pub reward: RewardTerms,
-    /// What the expert would have done in `scene`; `None` without a teacher, or if the expert knows nothing.
+    /// What the expert would have done in `scene`; `None` without DAgger, or if the expert knows nothing.
     pub label: Option<Label>,
 }
 

@@ -1,4 +1,4 @@
-//! Assistants on an isolated bus do the work of a pass in which the evaluator itself does nothing.
+//! Remote workers on an isolated bus do the work of a pass in which the evaluator itself does nothing.
 
 use blueprints::{Blueprint, Catalog, Split};
 use bus::UnitServer;

@@ -6,7 +6,7 @@ use proto::Normalization;
 use proto::metrics::ImitationMetrics;
 use rand_chacha::ChaCha8Rng;
 
-use super::passes::{ImitationSums, Lessons};
+use super::passes::{ImitationBatch, ImitationSums};
 use super::workers::Workers;
 use crate::config::ImitationConfig;
 use crate::replay::Replay;
@@ -59,7 +59,7 @@ impl<'a> ImitationUpdate<'a> {
         let mut features = FeatureBatch::new(features);
         let labels = replay.draw(config.minibatch_size, rng, &mut features);
         normalize(&mut features, normalization);
-        for pass in workers.imitate(&Lessons { features, labels }, forward_size, config) {
+        for pass in workers.imitate(&ImitationBatch { features, labels }, forward_size, config) {
             gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += self.weight * g);
             self.sums += pass.sums;
         }

@@ -65,7 +65,7 @@ pub(super) struct GradientPass {
 }
 
 /// Scenes with the expert's labels.
-pub(super) struct Lessons {
+pub(super) struct ImitationBatch {
     /// Normalized.
     pub(super) features: FeatureBatch,
     /// One for each scene.
@@ -164,16 +164,16 @@ impl Passes {
     /// Gradient of `share` × the summed imitation loss of a piece of normalized scenes.
     pub(super) fn imitate(
         &self,
-        lessons: &Lessons,
+        batch: &ImitationBatch,
         rows: &[usize],
         config: &ImitationConfig,
         share: f32,
     ) -> ImitationPass {
         let device = &self.tracked_device;
-        let features = lessons.features.select(rows);
+        let features = batch.features.select(rows);
         // Not masked: the expert may clear a block out of the way that a mask would forbid.
         let output = self.tracked.forward(&BatchTensors::new(&features, self.tracked.edge_layout(), device));
-        let labels: Vec<Label> = rows.iter().map(|&row| lessons.labels[row]).collect();
+        let labels: Vec<Label> = rows.iter().map(|&row| batch.labels[row]).collect();
         let tensors = LabelTensors::new(&labels, usize::from(self.policy.network.n_grippers), device);
         let loss = imitation::imitation(&output, &tensors, config.move_delta);
         let (blocks, moves) = (loss.blocks.sum(), loss.moves.sum());

@@ -4,7 +4,7 @@ use burn::tensor::Device;
 use policy::parameters::ParameterError;
 use policy::{Network, PolicyConfig};
 
-use super::passes::{Evaluation, GradientPass, ImitationPass, Lessons, Passes, Targets};
+use super::passes::{Evaluation, GradientPass, ImitationBatch, ImitationPass, Passes, Targets};
 use crate::batch::Batch;
 use crate::config::ImitationConfig;
 
@@ -43,11 +43,16 @@ impl Workers {
         self.each(|_, passes| passes.freeze(parameters)).into_iter().collect()
     }
 
-    /// Gradients of the mean imitation loss of all lessons, one for each piece of about `size` scenes.
-    pub(super) fn imitate(&mut self, lessons: &Lessons, size: usize, config: &ImitationConfig) -> Vec<ImitationPass> {
-        let rows: Vec<usize> = (0..lessons.labels.len()).collect();
+    /// Gradients of the mean imitation loss of the batch, one for each piece of about `size` scenes.
+    pub(super) fn imitate(
+        &mut self,
+        batch: &ImitationBatch,
+        size: usize,
+        config: &ImitationConfig,
+    ) -> Vec<ImitationPass> {
+        let rows: Vec<usize> = (0..batch.labels.len()).collect();
         let share = 1.0 / rows.len() as f32;
-        self.map(&pieces(&rows, size), |passes, piece| passes.imitate(lessons, piece, config, share))
+        self.map(&pieces(&rows, size), |passes, piece| passes.imitate(batch, piece, config, share))
     }
 
     /// Values of all rows and log-probabilities of all actions, in pieces of about `size` rows.
