@@ -160,14 +160,10 @@ impl Load {
     }
 
     /// Leaves the bus.
-    ///
-    /// # Errors
-    /// When a session cannot end in time.
-    pub async fn close(self) -> anyhow::Result<()> {
+    pub async fn close(self) {
         for member in &self.members {
-            member.close().await?;
+            member.close().await;
         }
-        Ok(())
     }
 }
 

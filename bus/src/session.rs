@@ -2,11 +2,16 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::counters::BusCounters;
 use super::{BusConfig, BusError, BusMode, Pulse};
 use proto::metrics::BusCounts;
+
+/// How long leaving may take.
+const CLOSE_LIMIT: Duration = Duration::from_secs(10);
+/// The same for a client without a router, which has nobody to send to or to say goodbye to.
+const CLOSE_LIMIT_ALONE: Duration = Duration::from_secs(1);
 
 /// A session on the bus; clones share it, and whatever it makes keeps it open.
 ///
@@ -73,10 +78,17 @@ impl Bus {
 
     /// Leaves the bus: what is queued is still sent, tokens and queryables vanish for the others.
     ///
-    /// # Errors
-    /// If zenoh cannot end its tasks in time.
-    pub async fn close(&self) -> Result<(), BusError> {
-        self.session.close().await.map_err(BusError::during("leaving the bus"))
+    /// A session that cannot end its tasks in time is left as it is, with a warning: whoever closes is about to end, and
+    /// the others notice when the lease is over. That is what happens to a client that has lost its router, because
+    /// zenoh waits for the running attempt to reach it again.
+    pub async fn close(&self) {
+        let reached = self.mode() != BusMode::Client || self.has_router().await;
+        let limit = if reached { CLOSE_LIMIT } else { CLOSE_LIMIT_ALONE };
+        match tokio::time::timeout(limit, self.session.close()).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::warn!(%error, "the bus was not left in an orderly way"),
+            Err(_) => tracing::warn!(reached, "the bus was not left within {} s", limit.as_secs()),
+        }
     }
 }
 

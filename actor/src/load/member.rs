@@ -63,8 +63,8 @@ impl Member {
         Ok(())
     }
 
-    pub(super) async fn close(&self) -> anyhow::Result<()> {
-        Ok(self.bus.close().await?)
+    pub(super) async fn close(&self) {
+        self.bus.close().await;
     }
 
     /// Sends segments as they become due until `stop`.

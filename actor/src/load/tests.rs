@@ -97,10 +97,10 @@ async fn both_ends_count_the_same_segments() {
     });
     let running = load.run(vec![segment(4), segment(2)], stop);
     let report = tokio::time::timeout(Duration::from_secs(60), running).await.expect("enough arrives in time").unwrap();
-    load.close().await.unwrap();
+    load.close().await;
     let counts = server.counts();
     server.close().await.unwrap();
-    bus.close().await.unwrap();
+    bus.close().await;
     let taken = receiving.await.unwrap();
 
     assert_eq!((report.counts.invalid_total, &report.counts.first_error), (0, &None));

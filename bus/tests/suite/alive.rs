@@ -27,7 +27,7 @@ async fn those_who_come_and_go_are_seen() {
     until("one that left", &mut alive, |a| *a == names(&["a-1"])).await;
     let _token = second.declare_alive(Role::Actor, "a-3").await.unwrap();
     until("a new one", &mut alive, |a| *a == names(&["a-1", "a-3"])).await;
-    second.close().await.unwrap();
+    second.close().await;
     until("one whose session closed", &mut alive, |a| *a == names(&["a-1"])).await;
 }
 

@@ -41,14 +41,14 @@ async fn everybody_comes_back_after_a_router_restart() {
     within("an ack", sender.send(&samples::running("a", 0))).await.unwrap();
 
     let mut there = sender.watch_learner();
-    cluster.router.close().await.unwrap();
+    cluster.router.close().await;
     until("the learner's absence", &mut there, |there| !there).await;
 
     let router = within("router", Bus::open(&BusConfig::isolated_router(cluster.dir.path()))).await.unwrap();
     within("a learner", sender.wait_for_learner()).await;
     within("an ack", sender.send(&samples::running("a", 1))).await.unwrap();
     assert_eq!(learner.seqs(), [0, 1]);
-    router.close().await.unwrap();
+    router.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -58,6 +58,20 @@ async fn a_client_may_start_before_its_router() {
     let client = tokio::spawn(async move { Bus::open(&config).await });
     let router = Bus::isolated(dir.path()).await.unwrap();
     let client = within("the client", client).await.unwrap().unwrap();
-    client.close().await.unwrap();
-    router.close().await.unwrap();
+    client.close().await;
+    router.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_lost_its_router_leaves_all_the_same() {
+    let cluster = Cluster::start().await;
+    let (learner_bus, actor_bus) = (cluster.client().await, cluster.client().await);
+    let _learner = Learner::start(&learner_bus, |_| Ok(())).await;
+    let sender = sender(&actor_bus, "a").await;
+    within("a learner", sender.wait_for_learner()).await;
+    let mut there = sender.watch_learner();
+    cluster.router.close().await;
+    until("the learner's absence", &mut there, |there| !there).await;
+    within("the actor's end", actor_bus.close()).await;
+    within("the learner's end", learner_bus.close()).await;
 }

@@ -66,7 +66,7 @@ async fn a_learner_that_resumed_an_older_version_is_followed() {
     publisher.publish(Arc::new(samples::weights(9))).await.unwrap();
     until_version(&mut weights, 9).await;
     drop(publisher);
-    first_learner.close().await.unwrap();
+    first_learner.close().await;
 
     let publisher = cluster.client().await.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(samples::weights(4))).await.unwrap();
@@ -81,10 +81,10 @@ async fn weights_come_again_after_a_router_restart() {
     let mut weights = subscriber.watch();
     publisher.publish(Arc::new(samples::weights(1))).await.unwrap();
     until_version(&mut weights, 1).await;
-    cluster.router.close().await.unwrap();
+    cluster.router.close().await;
     // Nobody hears this notice.
     publisher.publish(Arc::new(samples::weights(2))).await.unwrap();
     let router = Bus::isolated(cluster.dir.path()).await.unwrap();
     until_version(&mut weights, 2).await;
-    router.close().await.unwrap();
+    router.close().await;
 }

@@ -30,7 +30,7 @@ pub(super) async fn follow(
         opened = Bus::open(&config) => opened?,
     };
     let ended = read(&bus, &board, start, &shutdown).await;
-    bus.close().await?;
+    bus.close().await;
     ended
 }
 

@@ -94,7 +94,7 @@ impl Served {
     async fn end(self) {
         drop(self.passes);
         within(self.task).await.unwrap().unwrap();
-        self.bus.close().await.unwrap();
+        self.bus.close().await;
     }
 }
 
@@ -294,7 +294,7 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     within(served.task).await.unwrap().unwrap();
     let mut rest = String::new();
     let _ = within(lines.read_to_string(&mut rest)).await;
-    served.bus.close().await.unwrap();
+    served.bus.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

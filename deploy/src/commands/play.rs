@@ -69,7 +69,7 @@ pub(super) async fn run(
     let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
     let stop = Stop { now: shutdown, ..Stop::default() };
     let ended = services::evaluator(setup, reports, page, bus.clone(), stop).await;
-    bus.close().await?;
+    bus.close().await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
 }

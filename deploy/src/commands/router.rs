@@ -23,6 +23,6 @@ pub(super) async fn run(args: &RouterArgs, shutdown: CancellationToken) -> Resul
     let _waiting = bus.pulse().waiting();
     tracing::info!(listen = ?config.listen, with_keys = config.security.keys.is_some(), "routing");
     shutdown.cancelled().await;
-    bus.close().await?;
+    bus.close().await;
     Ok(())
 }

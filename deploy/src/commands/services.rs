@@ -101,7 +101,7 @@ async fn on_bus(
     };
     health.joined(&bus);
     let ended = service(bus.clone()).await;
-    bus.close().await?;
+    bus.close().await;
     ended
 }
 

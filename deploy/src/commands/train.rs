@@ -77,7 +77,7 @@ pub(super) async fn run(
             shutdown.cancel();
         }
     }
-    bus.close().await?;
+    bus.close().await;
     for shown in [learning, judging] {
         shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     }

@@ -70,7 +70,7 @@ async fn a_run_learns_reports_saves_and_is_resumed() {
     let lines: Vec<LearnerMetrics> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.iter().map(|m| m.n_updates).collect::<Vec<_>>(), [1, 2, 3]);
     assert_eq!(lines[1].episodes.success.n_episodes, 256);
-    bus.close().await.unwrap();
+    bus.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -100,7 +100,7 @@ async fn a_run_that_cannot_save_in_the_end_says_what_is_lost_and_what_is_left() 
     let lost = "the last checkpoint, of 512 environment steps and weights 2, is lost; the newest whole one is";
     let message = format!("{error:#}");
     assert!(message.starts_with(lost) && message.contains("step-256: removing "), "{message}");
-    bus.close().await.unwrap();
+    bus.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -116,5 +116,5 @@ async fn a_run_ends_at_its_number_of_steps() {
     let report = run(options, None, &bus, CancellationToken::new()).await.unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
     assert!(report.checkpoint.ends_with("checkpoints/step-0"));
-    bus.close().await.unwrap();
+    bus.close().await;
 }

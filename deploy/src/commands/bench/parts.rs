@@ -66,7 +66,7 @@ pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let bus = Bus::open(&orders.plan()?).await?;
     orders.gone.cancelled().await;
-    bus.close().await?;
+    bus.close().await;
     Ok(())
 }
 
@@ -83,7 +83,7 @@ pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
         sink.publish_until(&stop).await?;
     }
     say(&Note::Sank(sink.close().await?))?;
-    bus.close().await?;
+    bus.close().await;
     Ok(())
 }
 
@@ -101,10 +101,7 @@ pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
         let stop = orders.stop();
         say(&Note::Sent(load.run(segments, stop).await?))?;
     }
-    // Everything has been counted: a session that cannot leave in time takes nothing away.
-    if let Err(error) = load.close().await {
-        tracing::warn!("{error:#}");
-    }
+    load.close().await;
     Ok(())
 }
 

@@ -43,7 +43,7 @@ pub(in crate::commands) async fn run(
     let bus = opened.map_err(|panic| Failure::Service(panic.into()))??;
     // What came before a failure is shown all the same.
     let (recorded, ended) = record(&bus, &args.live, patience, &shutdown).await;
-    bus.close().await?;
+    bus.close().await;
     let episodes: Vec<Named> =
         recorded.iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
     make_all(&episodes, args, policy.as_ref(), terminal)?;
