@@ -8,6 +8,7 @@
 
 pub mod batch;
 pub mod config;
+pub mod cpu;
 pub mod device;
 pub mod distribution;
 pub mod features;

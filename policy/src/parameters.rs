@@ -81,14 +81,16 @@ pub fn flatten(network: &Network) -> Vec<f32> {
 /// # Errors
 /// When the number of values is wrong or one of them is not finite.
 pub fn load(network: Network, values: &[f32]) -> Result<Network, ParameterError> {
-    let expected = network.n_parameters();
+    check(values, network.n_parameters())?;
+    Ok(network.map(&mut Load { values, at: 0 }))
+}
+
+/// Checks that there are `expected` parameters, all finite.
+pub(crate) fn check(values: &[f32], expected: usize) -> Result<(), ParameterError> {
     if values.len() != expected {
         return Err(ParameterError::Count { given: values.len(), expected });
     }
-    if let Some(index) = values.iter().position(|x| !x.is_finite()) {
-        return Err(ParameterError::NotFinite { index });
-    }
-    Ok(network.map(&mut Load { values, at: 0 }))
+    values.iter().position(|x| !x.is_finite()).map_or(Ok(()), |index| Err(ParameterError::NotFinite { index }))
 }
 
 /// Gradients of all parameters in the order of the table; 0 where the loss does not depend on one.

@@ -13,6 +13,7 @@ pub use gat::{FoldedGat, GatEncoder};
 pub use heads::{PolicyHead, ValueHead};
 pub use layers::{LayerNorm, Linear, Projection};
 pub use resnet::ResnetEncoder;
+pub(crate) use tensors::listed_index;
 pub use tensors::{BatchTensors, EdgeLayout, dense_edges};
 
 use crate::config::{EncoderConfig, NetworkConfig};

@@ -64,7 +64,7 @@ fn tensor(values: Vec<f32>, shape: [usize; 3], device: &Device) -> Tensor<3> {
 /// Position of edge `sender → receiver` in a sender-major list with or without self-edges.
 ///
 /// `None` for a self-edge in a list without them.
-fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> Option<usize> {
+pub(crate) fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> Option<usize> {
     if self_edges {
         return Some(sender * N + receiver);
     }

@@ -1,0 +1,322 @@
+//! The policy's and the value's heads (paper, sections "Policy" and "Critic" and the listing).
+
+use pulp::Arch;
+
+use super::activations::Activations;
+use super::layer::Flow;
+use super::matmul::{Base, Packed, add_transposed, product};
+use super::ops::{add, add_rows, dot, relu_backward, softmax};
+use super::spans::{Linear, Shape, Spans};
+use crate::config::ScaleConfig;
+
+/// Number of blocks.
+const N: usize = blueprints::N_BLOCKS;
+
+/// Entries of a move.
+const MOVE: usize = 6;
+
+/// What the network says about B scenes with G grippers; see [`crate::NetworkOutput`].
+#[derive(Clone, Debug, Default)]
+pub struct Outputs {
+    /// Means of the moves `[B, 16, 6]`.
+    pub locs: Vec<f32>,
+    /// Standard deviations of the moves `[B, 16, 6]`.
+    pub scales: Vec<f32>,
+    /// Logits of each gripper's choice `[B, G, 16]`, not masked.
+    pub logits: Vec<f32>,
+    /// Values `[B]`.
+    pub values: Vec<f32>,
+}
+
+/// Kernels of the policy's head, or their transposes.
+#[derive(Clone, Debug)]
+pub(super) struct PolicyKernels {
+    act: [Packed; 2],
+    input_global: Packed,
+    grip_key: Packed,
+    /// The rows of the blocks' keys that act on nodes.
+    block_key: Packed,
+}
+
+/// Kernels of the value's head, or their transposes.
+#[derive(Clone, Debug)]
+pub(super) struct ValueKernels {
+    input_global: Packed,
+    graph_global: Packed,
+    mlp: Vec<Packed>,
+}
+
+/// Inputs and hidden units of the value's MLP for a whole batch.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ValueActivations {
+    /// `[B, gd]` and `[B, w]`
+    pub(super) raw_global: Vec<f32>,
+    pub(super) global: Vec<f32>,
+    /// The input of each layer.
+    inputs: Vec<Vec<f32>>,
+}
+
+impl PolicyKernels {
+    pub(super) fn new(
+        shape: &Shape,
+        spans: &Spans,
+        parameters: &[f32],
+        pack: impl Fn(&[f32], [usize; 2]) -> Packed,
+    ) -> Self {
+        let (w, g) = (shape.width, shape.n_grippers);
+        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
+        Self {
+            act: [pack(of(&spans.act_loc.w), [w, MOVE]), pack(of(&spans.act_scale.w), [w, MOVE])],
+            input_global: pack(of(&spans.input_global), [shape.sizes.global, w]),
+            grip_key: pack(of(&spans.grip_key), [2 * w, g * w]),
+            block_key: pack(&of(&spans.block_key)[..w * w], [w, w]),
+        }
+    }
+
+    /// Appends what the last layer's nodes and graphs say.
+    pub(super) fn forward(
+        &self,
+        arch: Arch,
+        shape: &Shape,
+        spans: &Spans,
+        parameters: &[f32],
+        x: &mut Activations,
+        out: &mut Outputs,
+    ) {
+        let (w, g) = (shape.width, shape.n_grippers);
+        let rows = x.n * N;
+        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
+        let (nodes, global) = x.layers.last().map_or((&x.embedded, &x.embedded_global), |l| (&l.nodes, &l.global));
+        let acts = [(&spans.act_loc, &mut out.locs), (&spans.act_scale, &mut out.scales)];
+        for ((linear, to), kernel) in acts.into_iter().zip(&self.act) {
+            let at = to.len();
+            to.resize(at + rows * MOVE, 0.0);
+            product(arch, nodes, kernel, Base::Bias(of(&linear.b)), false, &mut to[at..]);
+        }
+        let at = out.scales.len() - rows * MOVE;
+        out.scales[at..].iter_mut().for_each(|s| *s = scale(&shape.scale, *s));
+
+        let mut own = vec![0.0; x.n * w];
+        product(arch, &x.raw_global, &self.input_global, Base::Zero, false, &mut own);
+        x.grip_input.clear();
+        for (own, global) in own.chunks_exact(w).zip(global.chunks_exact(w)) {
+            x.grip_input.extend_from_slice(own);
+            x.grip_input.extend_from_slice(global);
+        }
+        x.grip.resize(x.n * g * w, 0.0);
+        product(arch, &x.grip_input, &self.grip_key, Base::Zero, false, &mut x.grip);
+        x.block_keys.resize(rows * w, 0.0);
+        product(arch, nodes, &self.block_key, Base::Zero, false, &mut x.block_keys);
+        let of_held = &of(&spans.block_key)[w * w..];
+        let keys = x.block_keys.chunks_exact_mut(N * w);
+        for ((keys, grips), raw) in keys.zip(x.grip.chunks_exact(g * w)).zip(x.raw_global.chunks_exact(raw_len(shape)))
+        {
+            for (gripper, row) in of_held.chunks_exact(w).enumerate() {
+                for (key, &bit) in keys.chunks_exact_mut(w).zip(held(shape, raw, gripper)) {
+                    if bit != 0.0 {
+                        key.iter_mut().zip(row).for_each(|(key, row)| *key += bit * row);
+                    }
+                }
+            }
+            for grip in grips.chunks_exact(w) {
+                out.logits.extend(keys.chunks_exact(w).map(|key| dot(key, grip) / (w as f32).sqrt()));
+            }
+        }
+    }
+
+    /// Sets the gradient of the last layer's nodes and adds to that of its graphs; `self` has the transposes. `gradients` are those
+    /// of these scenes' means, unbounded deviations, and logits.
+    #[allow(clippy::too_many_arguments, reason = "a head, what it did, what flows back, and where gradients go")]
+    pub(super) fn backward(
+        &self,
+        arch: Arch,
+        shape: &Shape,
+        spans: &Spans,
+        x: &Activations,
+        [locs, scales, logits]: [&[f32]; 3],
+        flow: &mut Flow,
+        gradient: &mut [f32],
+    ) {
+        let (w, g) = (shape.width, shape.n_grippers);
+        let rows = x.n * N;
+        let nodes = x.layers.last().map_or(&x.embedded, |layer| &layer.nodes);
+        flow.nodes.resize(rows * w, 0.0);
+        let mut base = Base::Zero;
+        for (part, (linear, of_act)) in [(&spans.act_loc, locs), (&spans.act_scale, scales)].into_iter().enumerate() {
+            add_rows(arch, of_act, &mut gradient[linear.b.clone()]);
+            add_transposed(arch, nodes, w, of_act, MOVE, &mut gradient[linear.w.clone()]);
+            product(arch, of_act, &self.act[part], base, false, &mut flow.nodes);
+            base = Base::Kept;
+        }
+
+        let mut of_grip = vec![0.0; x.n * g * w];
+        let mut of_keys = vec![0.0; rows * w];
+        let per_root = 1.0 / (w as f32).sqrt();
+        let (on_nodes, on_held) = gradient[spans.block_key.clone()].split_at_mut(w * w);
+        let scenes = of_keys.chunks_exact_mut(N * w).zip(of_grip.chunks_exact_mut(g * w)).enumerate();
+        for (scene, (of_keys, of_grip)) in scenes {
+            let keys = &x.block_keys[scene * N * w..(scene + 1) * N * w];
+            let raw = &x.raw_global[scene * raw_len(shape)..(scene + 1) * raw_len(shape)];
+            for (gripper, of_grip) in of_grip.chunks_exact_mut(w).enumerate() {
+                let grip = &x.grip[(scene * g + gripper) * w..][..w];
+                let logits = &logits[(scene * g + gripper) * N..][..N];
+                let blocks = of_keys.chunks_exact_mut(w).zip(keys.chunks_exact(w));
+                for ((of_key, key), logit) in blocks.zip(logits) {
+                    let d = logit * per_root;
+                    of_key.iter_mut().zip(grip).for_each(|(to, grip)| *to += d * grip);
+                    of_grip.iter_mut().zip(key).for_each(|(to, key)| *to += d * key);
+                }
+            }
+            for (gripper, row) in on_held.chunks_exact_mut(w).enumerate() {
+                for (of_key, &bit) in of_keys.chunks_exact(w).zip(held(shape, raw, gripper)) {
+                    if bit != 0.0 {
+                        row.iter_mut().zip(of_key).for_each(|(to, g)| *to += bit * g);
+                    }
+                }
+            }
+        }
+        add_transposed(arch, nodes, w, &of_keys, w, on_nodes);
+        product(arch, &of_keys, &self.block_key, Base::Kept, false, &mut flow.nodes);
+        add_transposed(arch, &x.grip_input, 2 * w, &of_grip, g * w, &mut gradient[spans.grip_key.clone()]);
+        let mut of_input = vec![0.0; x.n * 2 * w];
+        product(arch, &of_grip, &self.grip_key, Base::Zero, false, &mut of_input);
+        let own: Vec<f32> = of_input.chunks_exact(2 * w).flat_map(|row| row[..w].iter().copied()).collect();
+        let n_raw = raw_len(shape);
+        add_transposed(arch, &x.raw_global, n_raw, &own, w, &mut gradient[spans.input_global.clone()]);
+        for (global, input) in flow.global.chunks_exact_mut(w).zip(of_input.chunks_exact(2 * w)) {
+            add(arch, &input[w..], global);
+        }
+    }
+}
+
+impl ValueKernels {
+    pub(super) fn new(
+        shape: &Shape,
+        spans: &Spans,
+        parameters: &[f32],
+        pack: impl Fn(&[f32], [usize; 2]) -> Packed,
+    ) -> Self {
+        let w = shape.width;
+        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
+        let mlp = |linear: &Linear| pack(of(&linear.w), [linear.w.len() / linear.n_out, linear.n_out]);
+        Self {
+            input_global: pack(of(&spans.value_input_global), [shape.sizes.global, w]),
+            graph_global: pack(of(&spans.value_graph_global), [w, w]),
+            mlp: spans.value_mlp.iter().map(mlp).collect(),
+        }
+    }
+
+    /// Values of all scenes; their choices are read from the logits.
+    pub(super) fn forward(
+        &self,
+        arch: Arch,
+        shape: &Shape,
+        spans: &Spans,
+        parameters: &[f32],
+        x: &mut ValueActivations,
+        out: &mut Outputs,
+    ) {
+        let (w, n_choices) = (shape.width, shape.n_grippers * N);
+        let n = out.logits.len() / n_choices;
+        let [mut own, mut graph] = [vec![0.0; n * w], vec![0.0; n * w]];
+        product(arch, &x.raw_global, &self.input_global, Base::Zero, false, &mut own);
+        product(arch, &x.global, &self.graph_global, Base::Zero, false, &mut graph);
+        x.inputs.resize_with(self.mlp.len(), Vec::new);
+        let first = &mut x.inputs[0];
+        first.clear();
+        for ((own, graph), logits) in own.chunks_exact(w).zip(graph.chunks_exact(w)).zip(out.logits.chunks(n_choices)) {
+            first.extend_from_slice(own);
+            first.extend_from_slice(graph);
+            for logits in logits.as_chunks::<N>().0 {
+                let mut choice = *logits;
+                softmax(&mut choice, None);
+                first.extend(choice);
+            }
+        }
+        out.values.resize(n, 0.0);
+        for (j, (linear, kernel)) in spans.value_mlp.iter().zip(&self.mlp).enumerate() {
+            let bias = Base::Bias(&parameters[linear.b.clone()]);
+            let (inputs, next) = x.inputs.split_at_mut(j + 1);
+            match next.first_mut() {
+                Some(next) => {
+                    next.resize(n * linear.n_out, 0.0);
+                    product(arch, &inputs[j], kernel, bias, true, next);
+                }
+                None => product(arch, &inputs[j], kernel, bias, false, &mut out.values),
+            }
+        }
+    }
+
+    /// The gradient of the graphs, `[B, w]`; `self` has the transposes. None flows into the choices (listing).
+    pub(super) fn backward(
+        &self,
+        arch: Arch,
+        shape: &Shape,
+        spans: &Spans,
+        x: &ValueActivations,
+        values: &[f32],
+        gradient: &mut [f32],
+    ) -> Vec<f32> {
+        let w = shape.width;
+        let mut flow = values.to_vec();
+        for (j, (linear, kernel)) in spans.value_mlp.iter().zip(&self.mlp).enumerate().rev() {
+            let n_in = linear.w.len() / linear.n_out;
+            add_rows(arch, &flow, &mut gradient[linear.b.clone()]);
+            add_transposed(arch, &x.inputs[j], n_in, &flow, linear.n_out, &mut gradient[linear.w.clone()]);
+            let mut before = vec![0.0; values.len() * n_in];
+            product(arch, &flow, kernel, Base::Zero, false, &mut before);
+            if j > 0 {
+                relu_backward(arch, &x.inputs[j], &mut before);
+            }
+            flow = before;
+        }
+        let n_in = flow.len() / values.len();
+        let part = |from: usize| -> Vec<f32> {
+            flow.chunks_exact(n_in).flat_map(|row| row[from..from + w].iter().copied()).collect()
+        };
+        let (own, graph) = (part(0), part(w));
+        let n_raw = raw_len(shape);
+        add_transposed(arch, &x.raw_global, n_raw, &own, w, &mut gradient[spans.value_input_global.clone()]);
+        add_transposed(arch, &x.global, w, &graph, w, &mut gradient[spans.value_graph_global.clone()]);
+        let mut global = vec![0.0; values.len() * w];
+        product(arch, &graph, &self.graph_global, Base::Zero, false, &mut global);
+        global
+    }
+}
+
+/// See [`ScaleConfig`].
+fn scale(config: &ScaleConfig, x: f32) -> f32 {
+    let x = x + config.offset();
+    let s = x.max(0.0) + (-x.abs()).exp().ln_1p() + config.floor;
+    match config.max_std {
+        Some(max) => ((s / max).tanh() * max).max(config.floor),
+        None => s,
+    }
+}
+
+/// From the gradient of deviations to that of the numbers that they were made from.
+pub(super) fn unscale(config: &ScaleConfig, deviations: &[f32], gradient: &[f32]) -> Vec<f32> {
+    let slope = |deviation: f32| {
+        let (bounded, unbounded) = match config.max_std {
+            // With t = s / m: d(m tanh t) / ds = 1 − tanh² t.
+            Some(max) => {
+                let ratio = (deviation / max).min(1.0);
+                if deviation <= config.floor { (0.0, deviation) } else { (1.0 - ratio * ratio, max * ratio.atanh()) }
+            }
+            None => (1.0, deviation),
+        };
+        // softplus' = sigmoid = 1 − e^−softplus.
+        bounded * -(-(unbounded - config.floor)).exp_m1()
+    };
+    deviations.iter().zip(gradient).map(|(&deviation, g)| if *g == 0.0 { 0.0 } else { g * slope(deviation) }).collect()
+}
+
+fn raw_len(shape: &Shape) -> usize {
+    shape.sizes.global
+}
+
+/// Which block a gripper held: the last 16 entries of its part of the raw globals.
+fn held<'a>(shape: &Shape, raw: &'a [f32], gripper: usize) -> &'a [f32] {
+    let part = raw.len() / shape.n_grippers;
+    &raw[(gripper + 1) * part - N..(gripper + 1) * part]
+}

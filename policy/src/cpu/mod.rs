@@ -1,0 +1,191 @@
+//! The graph network on the CPU: forward and backward passes written out.
+//!
+//! The same numbers as [`crate::Network`] on burn, which is the oracle of its tests, and what runs on a GPU and for the
+//! ablations. Here nothing is allocated per operation, a few graphs at a time stay in the cache, and the first layer attends to
+//! raw features.
+//!
+//! Reading order: `matmul` and `ops` (what everything is made of) → `spans` (where parameters lie) → `fold` → `attend` → `layer` →
+//! `heads`.
+
+mod activations;
+mod attend;
+mod fold;
+mod heads;
+mod layer;
+mod matmul;
+mod ops;
+mod spans;
+
+use pulp::Arch;
+
+pub use heads::Outputs;
+
+use self::activations::{Activations, GRAPHS};
+use self::heads::{PolicyKernels, ValueActivations, ValueKernels, unscale};
+use self::layer::{Flow, Layer};
+use self::matmul::{Base, Packed, add_transposed, product};
+use self::ops::add_rows;
+use self::spans::{Shape, Spans};
+use crate::config::NetworkConfig;
+use crate::features::FeatureSizes;
+use crate::network::Network;
+use crate::parameters::ParameterError;
+use crate::{FeatureBatch, parameters};
+
+/// A network of graph attention with parameters, ready to compute.
+#[derive(Clone, Debug)]
+pub struct CpuNetwork {
+    arch: Arch,
+    shape: Shape,
+    spans: Spans,
+    parameters: Vec<f32>,
+    embed_node: Packed,
+    embed_global: Packed,
+    layers: Vec<Layer>,
+    policy: PolicyKernels,
+    value: ValueKernels,
+    /// Transposes of the heads' kernels, where gradients are wanted.
+    backward: Option<(PolicyKernels, ValueKernels)>,
+}
+
+/// What a forward pass leaves for the backward pass; the memory is kept from one pass to the next.
+#[derive(Clone, Debug, Default)]
+pub struct Tape {
+    parts: Vec<Activations>,
+    n_parts: usize,
+    value: ValueActivations,
+    flow: Flow,
+    outputs: Outputs,
+}
+
+impl CpuNetwork {
+    /// The network of a configuration with `parameters`; `None` if it is not one of graph attention. Without `with_gradients`
+    /// it can only run forward, and takes less time to make.
+    ///
+    /// # Errors
+    /// When the number of parameters is wrong or one is not finite.
+    pub fn new(network: &NetworkLayout, parameters: &[f32], with_gradients: bool) -> Result<Self, ParameterError> {
+        let NetworkLayout { shape, spans } = network.clone();
+        parameters::check(parameters, spans.n_parameters)?;
+        let arch = Arch::new();
+        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
+        let plain = |w: &[f32], [k, n]: [usize; 2]| Packed::new(w, k, n);
+        let transposed = |w: &[f32], [k, n]: [usize; 2]| Packed::transposed(w, n, k);
+        let layer = |l| Layer::new(arch, &shape, &spans, l, parameters, with_gradients);
+        Ok(Self {
+            embed_node: plain(of(&spans.embed_node), [shape.sizes.node + 1, shape.width]),
+            embed_global: plain(of(&spans.embed_global.w), [shape.sizes.global, shape.width]),
+            layers: (0..shape.gat.n_layers).map(layer).collect(),
+            policy: PolicyKernels::new(&shape, &spans, parameters, plain),
+            value: ValueKernels::new(&shape, &spans, parameters, plain),
+            backward: with_gradients.then(|| {
+                (
+                    PolicyKernels::new(&shape, &spans, parameters, transposed),
+                    ValueKernels::new(&shape, &spans, parameters, transposed),
+                )
+            }),
+            arch,
+            parameters: parameters.to_vec(),
+            shape,
+            spans,
+        })
+    }
+
+    /// What the network says about `rows` of a batch of normalized features.
+    ///
+    /// # Panics
+    /// When a row is not in the batch, or the batch has other feature sizes.
+    pub fn forward<'t>(&self, batch: &FeatureBatch, rows: &[usize], tape: &'t mut Tape) -> &'t Outputs {
+        assert_eq!(batch.sizes, self.shape.sizes, "features of this network");
+        let Tape { parts, n_parts, value, outputs, .. } = tape;
+        for values in [&mut outputs.locs, &mut outputs.scales, &mut outputs.logits, &mut outputs.values] {
+            values.clear();
+        }
+        value.raw_global.clear();
+        value.global.clear();
+        *n_parts = rows.len().div_ceil(GRAPHS);
+        parts.resize_with(parts.len().max(*n_parts), Activations::default);
+        for (rows, x) in rows.chunks(GRAPHS).zip(parts) {
+            x.read(&self.shape, batch, rows);
+            self.encode(x);
+            self.policy.forward(self.arch, &self.shape, &self.spans, &self.parameters, x, outputs);
+            value.raw_global.extend_from_slice(&x.raw_global);
+            value.global.extend_from_slice(x.layers.last().map_or(&x.embedded_global, |layer| &layer.global));
+        }
+        self.value.forward(self.arch, &self.shape, &self.spans, &self.parameters, value, outputs);
+        outputs
+    }
+
+    fn encode(&self, x: &mut Activations) {
+        let (arch, w) = (self.arch, self.shape.width);
+        x.embedded.resize(x.n * 16 * w, 0.0);
+        product(arch, &x.raw, &self.embed_node, Base::Zero, false, &mut x.embedded);
+        x.embedded_global.resize(x.n * w, 0.0);
+        let bias = Base::Bias(&self.parameters[self.spans.embed_global.b.clone()]);
+        product(arch, &x.raw_global, &self.embed_global, bias, false, &mut x.embedded_global);
+        for (l, layer) in self.layers.iter().enumerate() {
+            layer.forward(arch, &self.shape, l, &self.parameters, x);
+        }
+    }
+
+    /// Gradient of a loss in the order of the flat parameters, from its gradient by the outputs of the last forward pass on this
+    /// tape.
+    ///
+    /// # Panics
+    /// When the network was made without gradients, or `by_output` has other lengths than the outputs.
+    pub fn backward(&self, tape: &mut Tape, by_output: &Outputs) -> Vec<f32> {
+        let (arch, shape, spans) = (self.arch, &self.shape, &self.spans);
+        let (policy, value) = self.backward.as_ref().expect("the network was made for gradients");
+        let Tape { parts, n_parts, value: of_value, flow, outputs } = tape;
+        let mut gradient = vec![0.0; spans.n_parameters];
+        let mut folded: Vec<_> = self.layers.iter().map(|layer| layer.fold.gradient()).collect();
+        let global = value.backward(arch, shape, spans, of_value, &by_output.values, &mut gradient);
+        let scales = unscale(&shape.scale, &outputs.scales, &by_output.scales);
+        let (mut moves, mut choices) = (0, 0);
+        for (x, global) in parts[..*n_parts].iter_mut().zip(global.chunks(GRAPHS * shape.width)) {
+            let (n_moves, n_choices) = (x.n * 96, x.n * shape.n_grippers * 16);
+            let of_moves = moves..moves + n_moves;
+            let by_head =
+                [&by_output.locs[of_moves.clone()], &scales[of_moves], &by_output.logits[choices..choices + n_choices]];
+            (moves, choices) = (moves + n_moves, choices + n_choices);
+            flow.global.clear();
+            flow.global.extend_from_slice(global);
+            policy.backward(arch, shape, spans, x, by_head, flow, &mut gradient);
+            for (l, (layer, folded)) in self.layers.iter().zip(&mut folded).enumerate().rev() {
+                layer.backward(arch, shape, l, &self.parameters, x, flow, folded, &mut gradient);
+            }
+            let (w, nd) = (shape.width, shape.sizes.node);
+            add_transposed(arch, &x.raw, nd + 1, &flow.nodes, w, &mut gradient[spans.embed_node.clone()]);
+            let of_global = &spans.embed_global;
+            add_rows(arch, &flow.global, &mut gradient[of_global.b.clone()]);
+            add_transposed(
+                arch,
+                &x.raw_global,
+                shape.sizes.global,
+                &flow.global,
+                w,
+                &mut gradient[of_global.w.clone()],
+            );
+        }
+        for (l, (layer, folded)) in self.layers.iter().zip(&folded).enumerate() {
+            layer.fold.unfold(arch, shape, spans, l, &self.parameters, folded, &mut gradient);
+        }
+        gradient
+    }
+}
+
+/// What [`CpuNetwork`] needs to know of a network besides its parameters.
+#[derive(Clone, Debug)]
+pub struct NetworkLayout {
+    shape: Shape,
+    spans: Spans,
+}
+
+impl NetworkLayout {
+    /// Of `network`, which has this configuration; `None` if it is not one of graph attention.
+    pub fn new(config: &NetworkConfig, sizes: &FeatureSizes, network: &Network) -> Option<Self> {
+        let shape = Shape::new(config, sizes)?;
+        let spans = Spans::new(&shape, network.table());
+        Some(Self { shape, spans })
+    }
+}

@@ -1,0 +1,137 @@
+//! Where each parameter lies in the flat vector.
+
+use std::ops::Range;
+
+use crate::config::{EncoderConfig, GatConfig, NetworkConfig, ScaleConfig};
+use crate::features::FeatureSizes;
+use crate::parameters::ParameterSpec;
+
+/// Places in the flat vector.
+pub(super) type Span = Range<usize>;
+
+/// Numbers that all shapes follow from.
+#[derive(Clone, Debug)]
+pub(super) struct Shape {
+    pub(super) sizes: FeatureSizes,
+    pub(super) gat: GatConfig,
+    pub(super) width: usize,
+    pub(super) n_grippers: usize,
+    pub(super) scale: ScaleConfig,
+}
+
+/// A kernel `[n_in, n_out]` and its bias.
+#[derive(Clone, Debug)]
+pub(super) struct Linear {
+    pub(super) w: Span,
+    pub(super) b: Span,
+    pub(super) n_out: usize,
+}
+
+/// Scale and offset of a LayerNorm.
+pub(super) type Norm = [Span; 2];
+
+/// One layer of the encoder.
+#[derive(Clone, Debug)]
+pub(super) struct LayerSpans {
+    pub(super) message: Span,
+    pub(super) query: Span,
+    pub(super) key: Span,
+    pub(super) node_proj: Span,
+    pub(super) ln_attn: Norm,
+    pub(super) mlp_node: [Linear; 2],
+    pub(super) ln_mlp: Norm,
+    pub(super) mlp_global: [Linear; 2],
+    pub(super) ln_global: Norm,
+}
+
+/// The whole network.
+#[derive(Clone, Debug)]
+pub(super) struct Spans {
+    pub(super) n_parameters: usize,
+    /// Kernel and bias beside each other: `[nd + 1, w]`.
+    pub(super) embed_node: Span,
+    pub(super) embed_edge: Linear,
+    pub(super) embed_global: Linear,
+    pub(super) layers: Vec<LayerSpans>,
+    pub(super) input_global: Span,
+    pub(super) act_loc: Linear,
+    pub(super) act_scale: Linear,
+    pub(super) grip_key: Span,
+    pub(super) block_key: Span,
+    pub(super) value_input_global: Span,
+    pub(super) value_graph_global: Span,
+    pub(super) value_mlp: Vec<Linear>,
+}
+
+impl Shape {
+    /// None if the network is not one of graph attention.
+    pub(super) fn new(config: &NetworkConfig, sizes: &FeatureSizes) -> Option<Self> {
+        let EncoderConfig::Gat(gat) = config.encoder else { return None };
+        gat.attention.then(|| Self {
+            sizes: *sizes,
+            gat,
+            width: config.width,
+            n_grippers: usize::from(config.n_grippers),
+            scale: config.scale,
+        })
+    }
+
+    /// Whether a layer's attention acts on raw node features: they are linear in what the first layer reads, and fewer.
+    pub(super) fn attends_to_raw(&self, layer: usize) -> bool {
+        layer == 0 && self.sizes.node + 1 < self.width
+    }
+}
+
+impl Spans {
+    pub(super) fn new(shape: &Shape, table: &[ParameterSpec]) -> Self {
+        let find = |name: &str| -> (Span, usize) {
+            let mut at = 0;
+            for spec in table {
+                if spec.name == name {
+                    return (at..at + spec.len(), *spec.shape.last().expect("every parameter has a shape"));
+                }
+                at += spec.len();
+            }
+            panic!("the network has no parameter {name}")
+        };
+        let span = |name: &str| find(name).0;
+        let linear = |name: &str| {
+            let (w, n_out) = find(&format!("{name}.w"));
+            Linear { w, b: span(&format!("{name}.b")), n_out }
+        };
+        let norm = |name: &str| ["scale", "offset"].map(|part| span(&format!("{name}.{part}")));
+        let mlp = |name: &str| [0, 1].map(|j| linear(&format!("{name}.{j}")));
+        let layer = |l: usize| {
+            let name = |part: &str| format!("layer{l}.{part}");
+            LayerSpans {
+                message: span(&name("message.w")),
+                query: span(&name("query.w")),
+                key: span(&name("key.w")),
+                node_proj: span(&name("node_proj.w")),
+                ln_attn: norm(&name("ln_attn")),
+                mlp_node: mlp(&name("mlp_node")),
+                ln_mlp: norm(&name("ln_mlp")),
+                mlp_global: mlp(&name("mlp_global")),
+                ln_global: norm(&name("ln_global")),
+            }
+        };
+        let n_value = table.iter().filter(|spec| spec.name.starts_with("value.mlp.")).count() / 2;
+        let embed_node = linear("embed_node");
+        assert_eq!(embed_node.w.end, embed_node.b.start, "a kernel is followed by its bias");
+        Self {
+            n_parameters: table.iter().map(ParameterSpec::len).sum(),
+            embed_node: embed_node.w.start..embed_node.b.end,
+            embed_edge: linear("embed_edge"),
+            embed_global: linear("embed_global"),
+            layers: (0..shape.gat.n_layers).map(layer).collect(),
+            input_global: span("head.input_global.w"),
+            act_loc: linear("head.act_loc"),
+            act_scale: linear("head.act_scale"),
+            grip_key: span("head.grip_key.w"),
+            block_key: span("head.block_key.w"),
+            value_input_global: span("value.input_global.w"),
+            value_graph_global: span("value.graph_global.w"),
+            value_mlp: (0..n_value).map(|j| linear(&format!("value.mlp.{j}"))).collect(),
+        }
+    }
+}
