@@ -67,7 +67,12 @@ impl Bus {
                 return Err(BusError::NameTaken { role: role.as_str(), name: id.to_owned(), advice });
             }
             if !std::mem::replace(&mut told, true) {
-                tracing::warn!(role = role.as_str(), id, ?patience, "one of this name is there; waiting for it to go");
+                tracing::warn!(
+                    role = role.as_str(),
+                    id,
+                    ?patience,
+                    "the name is in use; waiting for the other process to end"
+                );
             }
             tokio::time::sleep(LOOK_PERIOD).await;
         }

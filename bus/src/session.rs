@@ -86,8 +86,8 @@ impl Bus {
         let limit = if reached { CLOSE_LIMIT } else { CLOSE_LIMIT_ALONE };
         match tokio::time::timeout(limit, self.session.close()).await {
             Ok(Ok(())) => {}
-            Ok(Err(error)) => tracing::warn!(%error, "the bus was not left in an orderly way"),
-            Err(_) => tracing::warn!(reached, "the bus was not left within {} s", limit.as_secs()),
+            Ok(Err(error)) => tracing::warn!(%error, "the session did not close cleanly"),
+            Err(_) => tracing::warn!(reached, "the session did not close within {} s", limit.as_secs()),
         }
     }
 }

@@ -135,7 +135,7 @@ impl Checkpoint {
             && let Err(error) = files::remove(&temporary)
         {
             // Report the first error, which explains more; the next start retries the cleanup.
-            tracing::warn!(%error, "a checkpoint that was cut short stays on the disk");
+            tracing::warn!(%error, "an incomplete checkpoint was not removed");
         }
         written?;
         files::sync_folder(dir)?;
@@ -213,7 +213,7 @@ impl Checkpoint {
             match Self::read(&path) {
                 Ok(checkpoint) => return Ok(Found { path, checkpoint, passed_over }),
                 Err(error) => {
-                    tracing::warn!(%error, "a checkpoint is unusable, trying the one before");
+                    tracing::warn!(%error, "a checkpoint is unusable, trying the previous one");
                     passed_over.push(error);
                 }
             }

@@ -275,7 +275,7 @@ impl Ppo {
         let norm = clip_global_norm(gradient, config.optimizer.max_grad_norm);
         if !norm.is_finite() {
             // One gradient that is not finite would corrupt the moments permanently.
-            tracing::warn!(norm, "a gradient is not finite, its step is left out");
+            tracing::warn!(norm, "a gradient is not finite, skipping its step");
             steps.n_skipped += 1;
             return;
         }

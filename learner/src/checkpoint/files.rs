@@ -75,7 +75,7 @@ pub(super) fn replace(new: &Path, path: &Path) -> Result<(), CheckpointError> {
     }
     if let Err(error) = remove(&old) {
         // The replacement is complete; the next write or start removes the old one.
-        tracing::warn!(%error, "a checkpoint that was replaced stays on the disk");
+        tracing::warn!(%error, "a replaced checkpoint was not removed");
     }
     Ok(())
 }
