@@ -1,4 +1,4 @@
-//! Lists the catalog's files for embedding, so that adding a blueprint is adding a file.
+//! Lists the catalog's files for embedding, so that a new file is a new built-in blueprint.
 
 use std::fmt::Write as _;
 use std::path::Path;

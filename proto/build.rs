@@ -1,4 +1,4 @@
-//! Compiles the message definitions with a protobuf compiler written in Rust, so that no `protoc` need be installed.
+//! Compiles the protobuf definitions with a compiler written in Rust, so that building does not need `protoc`.
 
 use anyhow::Context;
 
@@ -6,7 +6,7 @@ fn main() -> anyhow::Result<()> {
     println!("cargo::rerun-if-changed=proto");
     let descriptors =
         protox::compile(["proto/lodestone.proto"], ["proto"]).context("compiling proto/lodestone.proto")?;
-    // The generated types are an implementation detail of the codec; the comments that matter are in the .proto file.
+    // The generated types are private to the codec; the comments in the .proto file are the reference.
     prost_build::Config::new()
         .disable_comments(["."])
         .compile_fds(descriptors)

@@ -1,8 +1,8 @@
-//! How a structure can be put together from the ground up, part by part: what may be added next, and from where.
+//! Assembly orders: which part can be added next, and along which approach path.
 //!
-//! The structure is built lying on one of its six sides; success does not ask which. Whoever adds a part has nobody to
-//! hold the rest, so every intermediate structure must stand by itself, and a part must come in without passing
-//! through another or sliding along a face that would catch it one cell too early.
+//! A structure is built lying on one of its six sides; success does not depend on the side. The builder cannot support
+//! the other parts, so every intermediate structure must stand by itself. A part must not pass through another one or
+//! slide along a face whose magnets would catch it one cell early.
 
 mod geometry;
 mod plan;
@@ -16,39 +16,39 @@ pub use plan::{Plan, PlanStep, extent_m};
 
 use crate::{BlockIdx, Blueprint, Placement};
 
-/// Least support margin of an intermediate structure, in units.
+/// Minimum support margin of an intermediate structure, in units.
 pub const MIN_BUILD_MARGIN_U: f64 = 0.15;
 
-/// Margins beyond this are all the same to the choice of a side, in units.
+/// Margin in units above which sides rank equally.
 const AMPLE_MARGIN_U: f64 = 0.35;
 
-/// Intermediate structures that a search looks at before it gives a side up.
+/// Maximum number of intermediate structures that a search visits on one side.
 const MAX_VISITS: usize = 4000;
 
-/// The blueprint has no order of assembly.
+/// The blueprint has no assembly order.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("whichever side it lies on, it cannot be put together block by block: blocks {missing:?} are never reached")]
 pub struct NoAssembly {
-    /// The blocks that are left when the search got furthest, on the side where it did.
+    /// The blocks that remain at the furthest point of the search, on the side where it got furthest.
     pub missing: Vec<BlockIdx>,
 }
 
-/// A blueprint and the ways to build it; queries are cached, so they take `&mut self`, but depend on nothing else.
+/// A blueprint's assembly orders. Queries are cached and therefore take `&mut self`, but depend only on the blueprint.
 #[derive(Clone, Debug)]
 pub struct Assembly {
     geometry: Geometry,
     blocks: Vec<BlockIdx>,
-    /// Sides to lie on with an order from nothing, best first.
+    /// Sides with a complete assembly order, best first.
     sides: Vec<Side>,
 }
 
-/// Building with one direction of the blueprint's frame pointing up.
+/// Assembly with one direction of the blueprint's frame pointing up.
 #[derive(Clone, Debug)]
 struct Side {
     up: [i32; 3],
     /// Whether the structure can be completed from here.
     safe: BTreeMap<Parts, bool>,
-    /// The largest structure that was reached.
+    /// The largest structure reached.
     furthest: Parts,
 }
 
@@ -59,11 +59,11 @@ impl Side {
 }
 
 impl Assembly {
-    /// The sides on which the blueprint can be built. They are looked for once for all copies of a blueprint; parts are
-    /// numbered alike in all of them, whatever blocks play them.
+    /// Finds the sides on which the blueprint can be built. All copies of a blueprint share one search; their parts
+    /// have the same numbers, whichever blocks they use.
     ///
     /// # Errors
-    /// When there is none.
+    /// If no side has an assembly order.
     pub fn new(blueprint: &Blueprint) -> Result<Self, NoAssembly> {
         blueprint.assembly.assembly(blueprint.placements())
     }
@@ -82,7 +82,7 @@ impl Assembly {
                 furthest = side.furthest;
             }
         }
-        // A stable sort: among equals the drawing's own up comes first.
+        // The sort is stable: the drawing's own up comes first among equals.
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         let sides: Vec<Side> = ranked.into_iter().map(|(_, side)| side).collect();
         if sides.is_empty() {
@@ -92,8 +92,8 @@ impl Assembly {
         Ok(Self { geometry, blocks, sides })
     }
 
-    /// Whether there is a side to build the placements on, without ranking the sides: several times as fast as
-    /// [`of_placements`](Self::of_placements), for those who judge many structures.
+    /// Whether the placements can be built on some side. It does not rank the sides and is several times as fast as
+    /// [`of_placements`](Self::of_placements).
     pub(crate) fn is_possible(placements: &[Placement]) -> bool {
         let geometry = Geometry::new(placements);
         UPS.into_iter().any(|up| Side::new(up).is_safe(&geometry, Parts::default()))
@@ -109,12 +109,12 @@ impl Assembly {
         Parts::first(self.blocks.len())
     }
 
-    /// Number of sides on which it can be built, at least 1; they are numbered from the best.
+    /// Number of sides on which the structure can be built, at least 1; side 0 is the best.
     pub fn n_sides(&self) -> usize {
         self.sides.len()
     }
 
-    /// Which direction of the blueprint's frame points up on a side.
+    /// The direction of the blueprint's frame that points up on a side.
     pub fn up(&self, side: usize) -> [i32; 3] {
         self.sides[side].up
     }
@@ -135,12 +135,12 @@ impl Assembly {
         sides[side].is_safe(geometry, placed)
     }
 
-    /// The ways in for `group` when `placed` stands, best first.
+    /// The approach paths for `group` when `placed` stands, best first.
     pub fn approaches(&self, side: usize, placed: Parts, group: Parts) -> impl Iterator<Item = Approach> {
         self.geometry.approaches(placed, group, self.sides[side].up)
     }
 
-    /// The best way in for `group` when `placed` stands; `None` if there is none.
+    /// The best approach path for `group` when `placed` stands; `None` if there is none.
     pub fn approach(&self, side: usize, placed: Parts, group: Parts) -> Option<Approach> {
         self.approaches(side, placed, group).next()
     }
@@ -150,14 +150,14 @@ impl Assembly {
         self.geometry.margin_u(placed, self.sides[side].up)
     }
 
-    /// The part to begin with, or the best next one; `None` when all stand or no order goes on from here.
+    /// The first part, or the best next one; `None` if all parts are placed or no assembly order continues from here.
     pub fn next(&mut self, side: usize, placed: Parts) -> Option<usize> {
         let Self { geometry, sides, .. } = self;
         let side = &mut sides[side];
         side.candidates(geometry, placed).into_iter().find(|&part| side.is_safe(geometry, placed.with(part)))
     }
 
-    /// A whole order on the best side.
+    /// A complete assembly order on the best side.
     pub fn order(&mut self) -> Vec<BlockIdx> {
         let mut placed = Parts::default();
         let mut order = Vec::new();
@@ -172,8 +172,8 @@ impl Assembly {
 const UPS: [[i32; 3]; 6] = [[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]];
 
 impl Side {
-    /// Parts that can be added now, best first: low ones, then those that leave the structure standing firmly, then
-    /// large ones.
+    /// Parts that can be added now, best first: the lowest, then those that keep the structure most stable, then the
+    /// largest.
     fn candidates(&self, geometry: &Geometry, placed: Parts) -> Vec<usize> {
         let mut found: Vec<(i32, i64, i32, usize)> = Vec::new();
         for part in geometry.all().without(placed).iter() {
@@ -212,14 +212,14 @@ impl Side {
         }
         let candidates = self.candidates(geometry, placed);
         let safe = candidates.into_iter().any(|part| self.search(geometry, placed.with(part), visits));
-        // A search that was cut short proves nothing.
+        // A search that was cut short proves nothing, so do not cache it.
         if safe || *visits > 0 {
             self.safe.insert(placed, safe);
         }
         safe
     }
 
-    /// The least support margin along the preferred order; `None` if there is no order.
+    /// The minimum support margin along the preferred order; `None` if there is no order.
     fn least_margin(&mut self, geometry: &Geometry) -> Option<f64> {
         let mut placed = Parts::default();
         let mut least = f64::INFINITY;

@@ -1,4 +1,4 @@
-//! A target structure: which blocks, where, and which magnet pairs hold it together.
+//! A target structure: its blocks, their placement, and the magnet pairs that hold it together.
 
 use std::fmt;
 use std::str::FromStr;
@@ -32,7 +32,7 @@ pub enum Split {
 /// One block of a blueprint on the lattice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Placement {
-    /// Which block of the inventory.
+    /// The block of the inventory.
     pub block: BlockIdx,
     /// Center in half units (0.05 m), blueprint frame, z up; the lowest cell rests on z = 0.
     pub center_half_units: [i32; 3],
@@ -53,7 +53,7 @@ pub struct Link {
     pub n_magnet_pairs: u8,
 }
 
-/// A validated target structure on concrete blocks of the inventory.
+/// A validated target structure made of specific blocks of the inventory.
 ///
 /// Invariants: blocks unique, no overlap, connected, every coincident magnet pair opposite and listed in `links`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -66,12 +66,12 @@ pub struct Blueprint {
     pub(crate) assembly: Shared,
 }
 
-/// The error of a text that is no blueprint id.
+/// A text that is not a blueprint id.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a blueprint id like 6_005 or test_12_000: a size of 2 to 16, an index of three digits")]
 pub struct InvalidBlueprintId(pub String);
 
-/// The error of an unknown split name.
+/// An unknown split name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a split; the splits are train, test, test-literal, test-longest and test-tallest")]
 pub struct InvalidSplit(pub String);
@@ -82,7 +82,7 @@ impl BlueprintId {
         &self.0
     }
 
-    /// The number of blocks that the id announces, 2 to 16.
+    /// The number of blocks given in the id, 2 to 16.
     pub fn size(&self) -> usize {
         parse_size(&self.0).expect("an id holds a size")
     }
@@ -197,7 +197,7 @@ impl Blueprint {
         self.split
     }
 
-    /// What it shows, in a few words.
+    /// A short description of the structure.
     pub fn title(&self) -> &str {
         &self.title
     }
@@ -233,22 +233,22 @@ impl Blueprint {
         self.placement(block).is_some()
     }
 
-    /// Where the block belongs, or `None` if the structure does without it.
+    /// The placement of a block, or `None` if the structure does not use it.
     pub fn placement(&self, block: BlockIdx) -> Option<&Placement> {
         self.placements.binary_search_by_key(&block, |p| p.block).ok().map(|i| &self.placements[i])
     }
 
-    /// The wanted pose of `b` seen from `a`, linked or not; `None` if one of them is not in the structure.
+    /// The target pose of `b` seen from `a`, linked or not; `None` if one of them is not in the structure.
     pub fn relative(&self, a: BlockIdx, b: BlockIdx) -> Option<RelativePlacement> {
         Some(RelativePlacement::between(self.placement(a)?, self.placement(b)?))
     }
 
-    /// How it is built; `None` if it cannot be put together block by block. The first call on any copy works it out.
+    /// The assembly plan, computed by the first call on any copy; `None` without an assembly order.
     pub fn plan(&self) -> Option<&Plan> {
         self.assembly.plan(&self.placements)
     }
 
-    /// What `plan`, which is this blueprint's, has for a block; `None` for one that does not belong to it.
+    /// The step of `plan`, which must be this blueprint's, for a block; `None` for a block outside the structure.
     pub fn plan_step(&self, plan: &Plan, block: BlockIdx) -> Option<PlanStep> {
         self.assembly.step(plan, block)
     }

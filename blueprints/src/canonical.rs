@@ -1,4 +1,4 @@
-//! One number for a structure however it is turned, moved or numbered, to find duplicates.
+//! A hash that is independent of rotation, translation, and numbering, to find duplicates.
 
 use crate::hash::fnv1a;
 use crate::{Blueprint, CubeRotation, Inventory};
@@ -7,8 +7,8 @@ impl Blueprint {
     /// A hash that is the same for two blueprints exactly when one can be turned (24 rotations) and moved onto the
     /// other with blocks of the same types in the same orientations, up to collisions of 64 bits.
     ///
-    /// Mirror images differ: a reflection turns no block into itself, as it would swap a face's magnets. It depends
-    /// neither on id, split and title nor on the program's version.
+    /// Mirror images have different hashes: a reflection maps no block onto itself, because it would swap a face's
+    /// magnets. The hash does not depend on id, split, title, or the program's version.
     pub fn canonical_hash(&self) -> u64 {
         fnv1a(self.canonical_form())
     }
@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn turning_moving_and_renumbering_keep_the_hash() {
+    fn hash_is_invariant_to_rotation_translation_and_renumbering() {
         // Reverses the blocks inside each type: 4, 4, 2, 2, 2 and 2 of them.
         let reversed: [u8; N_BLOCKS] = [3, 2, 1, 0, 7, 6, 5, 4, 9, 8, 11, 10, 13, 12, 15, 14];
         let reversed = reversed.map(|i| BlockIdx::try_from(i).unwrap());
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mirror_image_has_another_hash() {
+    fn mirror_image_has_a_different_hash() {
         // A cube 0, a bar in +x of it, a longer bar in +y of it, and the same with +x and +y exchanged.
         let bars = |x_first: bool| {
             let at = |block: u8, center: [i32; 3]| Placement {

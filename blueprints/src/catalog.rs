@@ -1,4 +1,4 @@
-//! All blueprints that a run knows, from the program or from a folder.
+//! The set of blueprints of a run, compiled in or loaded from a folder.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -10,10 +10,10 @@ use crate::checks::check_text;
 use crate::error::BlueprintFileError;
 use crate::{Blueprint, BlueprintId, Split, generator};
 
-/// The `(file name, text)` of every blueprint file that is part of the program.
+/// The `(file name, text)` of every compiled-in blueprint file.
 pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/catalog.rs"));
 
-/// Blueprints of distinct ids and structures.
+/// Blueprints with distinct ids and structures.
 ///
 /// # Example
 /// ```
@@ -29,37 +29,37 @@ pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/c
 pub struct Catalog {
     blueprints: Vec<Blueprint>,
     positions: BTreeMap<BlueprintId, usize>,
-    /// Canonical hashes of what is not for training.
+    /// Canonical hashes of the held-out blueprints.
     held_out: BTreeSet<u64>,
 }
 
-/// Why a catalog is refused.
+/// Reasons to reject a catalog.
 #[derive(Debug, thiserror::Error)]
 pub enum CatalogError {
     /// A folder or file cannot be read.
     #[error("cannot read {path}: {error}")]
     Io {
-        /// What was to be read.
+        /// The folder or file.
         path: PathBuf,
-        /// Why it could not be.
+        /// The cause.
         #[source]
         error: io::Error,
     },
-    /// A file is no valid blueprint.
+    /// A file is not a valid blueprint.
     #[error(transparent)]
     Blueprint(#[from] BlueprintFileError),
-    /// There is nothing to build.
+    /// No blueprint was found.
     #[error("{0} holds no blueprint (*.toml)")]
     Empty(PathBuf),
-    /// A file is not called after its blueprint.
+    /// A file is not named after its blueprint.
     #[error("{file}: the file of blueprint {id} must be called {id}.toml")]
     FileName {
         /// Name of the file.
         file: String,
-        /// Id inside.
+        /// The id in the file.
         id: BlueprintId,
     },
-    /// Two files with one id.
+    /// Two files have the same id.
     #[error("{file}: the id {id} is taken by another file")]
     DuplicateId {
         /// Name of the later file.
@@ -67,7 +67,7 @@ pub enum CatalogError {
         /// The id.
         id: BlueprintId,
     },
-    /// Two files with the same structure, up to rotation and the choice among identical blocks.
+    /// Two files have the same structure, up to rotation and the choice among identical blocks.
     #[error("{file}: {id} is the same structure as {other}")]
     DuplicateStructure {
         /// Name of the later file.
@@ -77,7 +77,7 @@ pub enum CatalogError {
         /// Id of the earlier one.
         other: BlueprintId,
     },
-    /// A held-out structure that is also trained on.
+    /// A held-out structure is also in the training split.
     #[error("{file}: {id} ({split}) is the same structure as {other} ({other_split}); training would see a test")]
     SplitOverlap {
         /// Name of the later file.
@@ -94,10 +94,10 @@ pub enum CatalogError {
 }
 
 impl Catalog {
-    /// The blueprints that are part of the program.
+    /// The compiled-in blueprints.
     ///
     /// # Panics
-    /// Never in a build that passes the tests: the files are part of the program.
+    /// Never in a build that passes the tests: the files are compiled in.
     pub fn builtin() -> &'static Self {
         static BUILTIN: LazyLock<Catalog> = LazyLock::new(|| {
             Catalog::from_files(BUILTIN_FILES.iter().copied()).expect("the embedded blueprints are valid")
@@ -108,7 +108,7 @@ impl Catalog {
     /// Reads every `*.toml` of a folder, or one file.
     ///
     /// # Errors
-    /// The first thing wrong, in the order of the file names; see [`CatalogError`].
+    /// The first error, in file name order; see [`CatalogError`].
     pub fn load(path: &Path) -> Result<Self, CatalogError> {
         let files = read_files(path)?;
         if files.is_empty() {
@@ -120,13 +120,13 @@ impl Catalog {
     /// Builds a catalog from `(file name, text)` pairs.
     ///
     /// # Errors
-    /// The first thing wrong, in the order given.
+    /// The first error, in the order given.
     pub fn from_files<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, CatalogError> {
         let checked = files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?)));
         Self::from_checked(checked.collect::<Result<Vec<_>, CatalogError>>()?)
     }
 
-    /// A catalog of one blueprint, under its own id.
+    /// A catalog of one blueprint.
     pub fn of_one(blueprint: Blueprint) -> Self {
         Self::of_sorted(vec![blueprint])
     }
@@ -151,7 +151,7 @@ impl Catalog {
             }
             blueprints.push(blueprint);
         }
-        // By size first: as text, 12_000 comes before 2_000.
+        // By size first, because 12_000 sorts before 2_000 as text.
         blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
         Ok(Self::of_sorted(blueprints))
     }
@@ -162,20 +162,20 @@ impl Catalog {
         Self { blueprints, positions, held_out }
     }
 
-    /// The blueprint of that id.
+    /// The blueprint with that id.
     pub fn get(&self, id: &BlueprintId) -> Option<&Blueprint> {
         self.positions.get(id).map(|&i| &self.blueprints[i])
     }
 
-    /// The blueprint of that id, from the catalog or from the [`generator`] if the id is one of its.
+    /// The blueprint with that id, from the catalog or from the [`generator`] for the id of a generated structure.
     ///
-    /// Making one takes 0.1 to 30 ms, by size and style; those made lately are kept.
+    /// Generating one takes 0.1 to 30 ms, depending on size and style; recent ones are cached.
     pub fn find(&self, id: &BlueprintId) -> Option<Cow<'_, Blueprint>> {
         let generated = || generator::made(id).map(Cow::Owned);
         self.get(id).map(Cow::Borrowed).or_else(generated)
     }
 
-    /// Whether a structure may be trained on: it is none of the held-out ones, however it is turned or named.
+    /// Whether training may use a structure: it equals no held-out structure up to rotation and renumbering.
     pub fn is_for_training(&self, blueprint: &Blueprint) -> bool {
         !self.held_out.contains(&blueprint.canonical_hash())
     }
@@ -195,13 +195,13 @@ impl Catalog {
         self.blueprints.len()
     }
 
-    /// Whether there are none.
+    /// Whether the catalog is empty.
     pub fn is_empty(&self) -> bool {
         self.blueprints.is_empty()
     }
 }
 
-/// The `(path, text)` of every `*.toml` of a folder by name, or of one file whatever its name.
+/// The `(path, text)` of every `*.toml` of a folder, sorted by name, or of one file with any name.
 ///
 /// # Errors
 /// [`CatalogError::Io`] with the path that cannot be read.

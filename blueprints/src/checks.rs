@@ -1,7 +1,7 @@
-//! The checks that make a drawing a blueprint, one by one and by name.
+//! Named static checks that a blueprint must pass.
 //!
-//! The loader and `lodestone blueprints check` run the same list: the loader stops at the first failure, the command
-//! shows them all.
+//! The loader and `lodestone blueprints check` run the same list. The loader stops at the first failure, and the
+//! command reports all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -17,13 +17,13 @@ use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, Inventory, Link, NoAssembly, Placement, RelativePlacement, Split,
 };
 
-/// A check of one file, in the order in which they run.
+/// A check of one file, in running order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Check {
-    /// The text reads as a blueprint.
+    /// The text parses as a blueprint.
     Format,
-    /// The inventory has the blocks.
+    /// The inventory has enough blocks of each type.
     Inventory,
     /// No two blocks fill the same cell.
     Overlap,
@@ -35,49 +35,49 @@ pub enum Check {
     Connected,
     /// The center of mass is over the support polygon by at least [`MIN_SUPPORT_MARGIN_U`].
     Stands,
-    /// No connection carries more than half of what would break it in the default world, as far as statics tells.
+    /// No connection carries more than half of its breaking load in the default world, by a static estimate.
     Strength,
-    /// There is an order in which single blocks can be added so that every intermediate structure stands.
+    /// Single blocks can be added in some order such that every intermediate structure stands.
     Assembly,
-    /// No other file has its id or its structure.
+    /// No other file has the same id or the same structure.
     Unique,
-    /// Built in a world, it hardly moves for two seconds and loses no connection.
+    /// Built in a simulated world, the structure hardly moves for two seconds and loses no connection.
     Settles,
-    /// The scripted expert builds it in the time of an episode.
+    /// The scripted expert builds it within an episode.
     Expert,
 }
 
-/// How a check went.
+/// The outcome of a check.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "outcome", rename_all = "kebab-case")]
 pub enum Outcome {
-    /// It holds.
+    /// The check passed.
     Passed,
-    /// It does not.
+    /// The check failed.
     Failed {
-        /// Why, in one line.
+        /// The reason, in one line.
         error: String,
     },
-    /// It could not run because an earlier one failed.
+    /// The check did not run because an earlier one failed.
     Skipped,
 }
 
-/// A check and how it went.
+/// A check and its outcome.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CheckResult {
-    /// Which check.
+    /// The check.
     pub check: Check,
-    /// How it went.
+    /// The outcome.
     #[serde(flatten)]
     pub outcome: Outcome,
 }
 
-/// All that was checked on one file.
+/// The results of all checks of one file.
 #[derive(Clone, Debug)]
 pub struct Report {
     /// Name of the file.
     pub file: String,
-    /// The id, if the text could be read.
+    /// The id, if the text parses.
     pub id: Option<BlueprintId>,
     /// One result per check, in order; [`Check::Unique`] only where several files were checked together.
     pub results: Vec<CheckResult>,
@@ -86,10 +86,10 @@ pub struct Report {
 }
 
 impl Check {
-    /// The checks that need a world; this crate only names them.
+    /// The checks that need a simulated world. This crate only names them.
     pub const PHYSICAL: [Self; 2] = [Self::Settles, Self::Expert];
 
-    /// All checks of the text and the geometry, in order.
+    /// All static checks, in order.
     pub const ALL: [Self; 10] = [
         Self::Format,
         Self::Inventory,
@@ -130,7 +130,7 @@ impl Report {
     }
 }
 
-/// Runs every check but [`Check::Unique`] on a file's text; `file` is only used in messages.
+/// Runs every check except [`Check::Unique`] on a file's text; `file` only appears in messages.
 ///
 /// # Example
 /// ```
@@ -154,7 +154,7 @@ pub fn check_text(file: &str, text: &str) -> Report {
         run.record(Check::Connected, structure.connected());
         run.record(Check::Stands, structure.stands());
         run.record(Check::Strength, structure.strength());
-        // What is wrong already need not have an order of assembly.
+        // Search for an assembly order only if every earlier check passed.
         if run.first_error.is_none() {
             run.record(Check::Assembly, structure.assembly());
         }
@@ -176,7 +176,7 @@ pub fn check_text(file: &str, text: &str) -> Report {
     }
 }
 
-/// Runs the checks of a file on placements whose connections are those that meet; the lowest corner lies at the origin.
+/// Runs the file checks on placements whose lowest corner is at the origin; all magnet pairs that meet are connections.
 pub(crate) fn check_placements(
     id: BlueprintId,
     split: Split,
@@ -197,7 +197,7 @@ pub(crate) fn check_placements(
     Ok(structure.blueprint())
 }
 
-/// Runs every check on `(file name, text)` pairs that are to form one catalog.
+/// Runs every check on `(file name, text)` pairs that will form one catalog.
 pub fn check_all<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Vec<Report> {
     let mut reports: Vec<_> = files.into_iter().map(|(file, text)| check_text(file, text)).collect();
     let mut by_id: BTreeMap<BlueprintId, String> = BTreeMap::new();
@@ -240,15 +240,15 @@ impl Run {
     }
 }
 
-/// A placed drawing with all magnets that meet; blocks are counted in the order of the file.
+/// A placed drawing with all magnet pairs that meet; blocks are numbered in file order.
 struct Structure<'a> {
     draft: &'a Draft,
     placements: &'a [Placement],
     inventory: &'a Inventory,
     attracting: BTreeSet<NamedPair>,
-    /// With the place where they meet, in half units.
+    /// Repelling magnet pairs, each with the point where they meet, in half units.
     repelling: Vec<(NamedPair, [i32; 3])>,
-    /// Where blocks attract each other.
+    /// Contacts where blocks attract each other.
     joints: Vec<Joint>,
 }
 
@@ -374,7 +374,7 @@ impl<'a> Structure<'a> {
             for b in &placements[i + 1..] {
                 let relative = RelativePlacement::between(a, b);
                 let n_pairs = self.inventory.magnet_pairs(a.block, b.block, relative).len();
-                // Nothing overlaps here, so the magnets of one face at most meet: no more than 8 × 8.
+                // Blocks do not overlap here, so at most one face of 8 × 8 magnets meets another.
                 let n_magnet_pairs = u8::try_from(n_pairs).unwrap_or(u8::MAX);
                 if n_magnet_pairs > 0 {
                     links.push(Link { a: a.block, b: b.block, relative, n_magnet_pairs });

@@ -1,74 +1,74 @@
-//! Why a blueprint file is refused.
+//! Errors of blueprint files.
 
 use crate::BlueprintId;
 
-/// What is wrong with a blueprint's text or structure. Blocks are named as in the file.
+/// An error in a blueprint's text or structure. Blocks are named as in the file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the fields are the values that the messages show")]
 pub enum BlueprintError {
-    /// Not TOML, an unknown or missing field, or a value of the wrong kind.
+    /// The text is not TOML, a field is unknown or missing, or a value has the wrong type.
     #[error("line {line}: {message}")]
     Syntax { line: usize, message: String },
     /// The number of blocks differs from the one in the id.
     #[error("the id {id} promises {} blocks, the file has {n_blocks}", id.size())]
     SizeMismatch { id: BlueprintId, n_blocks: usize },
-    /// A text that must say something says nothing.
+    /// A required text is empty.
     #[error("field `{0}` is empty")]
     Empty(&'static str),
-    /// `up` is no axis.
+    /// `up` is not an axis.
     #[error("up {0:?} is not one of +x, -x, +y, -y, +z, -z")]
     BadUp(String),
     /// An empty or repeated block name.
     #[error("block name {0:?} is empty or used twice")]
     BadBlockName(String),
-    /// `axes` is no pair of distinct axes.
+    /// `axes` is not a pair of distinct axes.
     #[error("block {block:?}: axes {axes:?} are not two different axes like \"+x +y\"")]
     BadAxes { block: String, axes: String },
-    /// A cell far outside the drawing.
+    /// A cell is far outside the drawing.
     #[error("block {block:?}: cell {at:?} is outside -64..=64")]
     OutOfRange { block: String, at: [i32; 3] },
-    /// A connection with a block that the file does not have.
+    /// A connection refers to a block that is not in the file.
     #[error("a connection names the block {0:?}, which the file does not have")]
     UnknownBlock(String),
-    /// A connection of a block with itself.
+    /// A connection joins a block to itself.
     #[error("block {0:?} is connected to itself")]
     SelfConnection(String),
-    /// A connection without magnets.
+    /// A connection lists no magnets.
     #[error("the connection of {a:?} and {b:?} lists no magnets")]
     NoMagnets { a: String, b: String },
-    /// A magnet pair that cannot be read.
+    /// A magnet pair cannot be parsed.
     #[error("magnet pair {0:?} is not of the form \"+z(0,0,0) -z(0,0,0)\"")]
     BadMagnetPair(String),
-    /// A magnet pair listed twice.
+    /// A magnet pair is listed twice.
     #[error("magnet pair {pair:?} of {a:?} and {b:?} is listed twice")]
     RepeatedPair { a: String, b: String, pair: String },
-    /// A type that the inventory does not have.
+    /// The inventory does not have this type.
     #[error("block {block:?} has the unknown type {type_name:?}; the inventory has {known}")]
     UnknownType { block: String, type_name: String, known: String },
-    /// More blocks of a type than the inventory has.
+    /// The file uses more blocks of a type than the inventory has.
     #[error("block {block:?} is one too many of type {type_name}: the inventory has {count}")]
     TooMany { block: String, type_name: String, count: usize },
-    /// Two blocks in one cell; the cell is counted from the structure's lowest corner.
+    /// Two blocks fill one cell, given relative to the structure's lowest corner.
     #[error("blocks {a:?} and {b:?} overlap in cell {cell:?}")]
     Overlap { a: String, b: String, cell: [i32; 3] },
-    /// Like poles face each other; the place is counted from the structure's lowest corner, in units.
+    /// Like poles face each other at a point given in units relative to the structure's lowest corner.
     #[error("blocks {a:?} and {b:?} repel: like poles meet at {place_u:?} u, pair \"{pair}\"")]
     LikePoles { a: String, b: String, pair: String, place_u: [f32; 3] },
-    /// Opposite magnets meet but the file does not say so.
+    /// Opposite magnets meet but the file does not list the pair.
     #[error("blocks {a:?} and {b:?} also meet with the magnets \"{pair}\"; list the pair")]
     MissingPair { a: String, b: String, pair: String },
     /// The file lists a pair that does not meet.
     #[error("the magnets \"{pair}\" of blocks {a:?} and {b:?} do not meet with opposite poles")]
     ExtraPair { a: String, b: String, pair: String },
-    /// Not in one piece.
+    /// The structure is not in one piece.
     #[error("block {block:?} is not connected to {root:?}")]
     Disconnected { block: String, root: String },
-    /// It would tip over.
+    /// The structure would tip over.
     #[error(
         "the center of mass at ({x_u:.2}, {y_u:.2}) u has a support margin of {margin_u:.2} u, less than {min_u} u"
     )]
     Unsupported { x_u: f64, y_u: f64, margin_u: f64, min_u: f64 },
-    /// Too much hangs on one connection.
+    /// A connection carries too much.
     #[error(
         "the connection of {a:?} and {b:?} carries {force_n:.1} N and {torque_nm:.2} N m; {n_pairs} magnet pair(s) may \
          carry {max_force_n} N and {max_torque_nm:.2} N m"
@@ -82,7 +82,7 @@ pub enum BlueprintError {
         max_force_n: f64,
         max_torque_nm: f64,
     },
-    /// Nobody can put it together.
+    /// The structure has no assembly order.
     #[error(
         "whichever side it lies on, it cannot be put together block by block so that all stands and each block has a \
          straight way in: blocks {blocks:?} are never reached"
@@ -90,13 +90,13 @@ pub enum BlueprintError {
     NoAssembly { blocks: Vec<String> },
 }
 
-/// A [`BlueprintError`] with the file it was found in.
+/// A [`BlueprintError`] and the file that has it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{file}: {error}")]
 pub struct BlueprintFileError {
     /// Name of the file.
     pub file: String,
-    /// What is wrong.
+    /// The error.
     #[source]
     pub error: BlueprintError,
 }

@@ -1,4 +1,4 @@
-//! The TOML text of a blueprint, one structure a file.
+//! The TOML format of blueprint files, one structure per file.
 //!
 //! ```toml
 //! id = "2_000"
@@ -27,10 +27,10 @@ use serde::Deserialize;
 use crate::error::BlueprintError;
 use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, Magnet, Placement, Split};
 
-/// Largest coordinate of a cell in a file, either way; it keeps the sums far from overflow.
+/// Largest absolute coordinate of a cell in a file; it prevents overflow in sums.
 pub const MAX_COORDINATE: i32 = 64;
 
-/// A block as written: not yet one of the inventory's.
+/// A block as written in a file, not yet assigned to one of the inventory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct DraftBlock {
     pub(crate) name: String,
@@ -39,17 +39,17 @@ pub(crate) struct DraftBlock {
     pub(crate) rotation: CubeRotation,
 }
 
-/// A magnet by the words of the file: face as a signed axis, cell in the block's own frame.
+/// A magnet as written in a file: face as a signed axis, cell in the block's own frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct MagnetName {
     pub(crate) normal: [i32; 3],
     pub(crate) cell: [i32; 3],
 }
 
-/// A magnet pair as written: two blocks by their position in the file, the first the smaller, and a magnet of each.
+/// A magnet pair as written: two blocks by their index in the file, smaller first, and a magnet of each.
 pub(crate) type NamedPair = (usize, usize, MagnetName, MagnetName);
 
-/// A parsed file whose words are all known but whose structure is not yet checked.
+/// A parsed file with valid values, whose structure is not yet checked.
 #[derive(Clone, Debug)]
 pub(crate) struct Draft {
     pub(crate) id: BlueprintId,
@@ -96,7 +96,7 @@ fn up_is_z() -> String {
 }
 
 impl Draft {
-    /// Reads a file's text; the errors are those of form, not of structure.
+    /// Parses a file's text; it reports errors of form, not of structure.
     pub(crate) fn parse(text: &str) -> Result<Self, BlueprintError> {
         let raw: RawFile = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
         if raw.blocks.len() != raw.id.size() {
@@ -127,7 +127,7 @@ impl Draft {
         Ok(Self { id: raw.id, split: raw.split, title: raw.title, up, blocks, pairs })
     }
 
-    /// A drawing of placed blocks without connections, the blocks named by their number.
+    /// A drawing of placed blocks without connections; block names are numbers.
     pub(crate) fn of_placements(
         id: BlueprintId,
         split: Split,
@@ -148,8 +148,8 @@ impl Draft {
         Self { id, split, title, up: [0, 0, 1], blocks, pairs: BTreeSet::new() }
     }
 
-    /// Gives every block of the file a block of the inventory, the k-th of a type the k-th, and turns the drawing so
-    /// that `up` is +z and its lowest corner lies at the origin. Placements are in the order of the file.
+    /// Assigns a block of the inventory to each block of the file, the k-th of a type to the k-th, and turns the
+    /// drawing so that `up` is +z and its lowest corner lies at the origin. Placements are in file order.
     pub(crate) fn place(&self, inventory: &Inventory) -> Result<Vec<Placement>, BlueprintError> {
         let upright = CubeRotation::all().find(|r| r.apply(self.up) == [0, 0, 1]).unwrap_or(CubeRotation::IDENTITY);
         let mut placements = Vec::with_capacity(self.blocks.len());
@@ -254,7 +254,7 @@ fn parse_axis(text: &str) -> Option<[i32; 3]> {
     }
 }
 
-/// The parser's message on one line, with the line where it stumbled.
+/// The parser's message on one line, with the line number of the error.
 fn syntax_error(text: &str, error: &toml::de::Error) -> BlueprintError {
     let start = error.span().map_or(0, |span| span.start.min(text.len()));
     let line = 1 + text.as_bytes()[..start].iter().filter(|&&b| b == b'\n').count();

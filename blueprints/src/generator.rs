@@ -1,8 +1,8 @@
-//! Structures made by rule and chance instead of by hand, each named by an id that any process can make it from.
+//! Procedural generation of structures; any process can rebuild a structure from its id.
 //!
-//! A structured style draws a shape (a tower, an arch, a letter), fills it with blocks of the inventory and turns them
-//! so that all magnets that meet attract; [`Style::Any`] grows block by block. What fails a check is thrown away and
-//! drawn anew.
+//! A structured style draws a shape (a tower, an arch, a letter), fills it with blocks of the inventory, and rotates
+//! them so that all magnets that meet attract; [`Style::Any`] grows block by block. A structure that fails a check is
+//! discarded and drawn again.
 
 mod brick;
 mod dice;
@@ -29,27 +29,27 @@ use dice::Dice;
 pub use draws::{Draws, MAX_DRAWN_SEED};
 pub use style::{InvalidStyle, Style};
 
-/// Version of the rules, part of every id: the same id names the same structure for ever, so a change in what the
-/// generator makes is a new version, and ids of other versions are unknown.
+/// Version of the generator, part of every id. An id always names the same structure, so a change in the output needs a
+/// new version. Ids of other versions are unknown.
 pub const VERSION: u32 = 1;
 
-/// Number of structures of one style, seed and size: ids have three digits for the index.
+/// Largest index of a structure with one style, seed, and size: ids have three digits for the index.
 pub const MAX_INDEX: u16 = 999;
 
-/// Names one generated structure.
+/// Identifies one generated structure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Request {
-    /// What it looks like.
+    /// The style.
     pub style: Style,
-    /// Any number; other seeds give other structures.
+    /// Seed; other seeds give other structures.
     pub seed: u64,
-    /// How many blocks, within the style's [`sizes`](Style::sizes).
+    /// Number of blocks, within the style's [`sizes`](Style::sizes).
     pub n_blocks: usize,
-    /// Which of the structures of this style, seed and size, 0 to [`MAX_INDEX`].
+    /// Index among the structures of this style, seed, and size, 0 to [`MAX_INDEX`].
     pub index: u16,
 }
 
-/// Why nothing was generated.
+/// Reasons why a structure could not be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GenerateError {
     /// The style needs another number of blocks.
@@ -57,21 +57,21 @@ pub enum GenerateError {
     Size {
         /// The style.
         style: Style,
-        /// The number asked for.
+        /// The requested number of blocks.
         n_blocks: usize,
     },
     /// The index does not fit into an id.
     #[error("index {0} of a generated blueprint is not in 0..=999")]
     Index(u16),
-    /// The bounded search ended without a structure.
+    /// The bounded search found no structure.
     #[error("found no sound structure for {id} in {n_draws} draws; try another seed or index")]
     Exhausted {
         /// The structure's id.
         id: BlueprintId,
-        /// Shapes that were drawn.
+        /// Number of shapes drawn.
         n_draws: usize,
     },
-    /// There are not enough different structures.
+    /// There are too few different structures.
     #[error("seed {seed} gives {n_found} different structures of style {style} and {n_blocks} blocks, not {count}")]
     TooFew {
         /// The style.
@@ -80,17 +80,17 @@ pub enum GenerateError {
         seed: u64,
         /// The number of blocks.
         n_blocks: usize,
-        /// The number asked for.
+        /// The requested number of structures.
         count: usize,
-        /// The number there is.
+        /// The number of structures found.
         n_found: usize,
     },
-    /// A structure that the generator took for sound fails a check of files, which is an error in the generator.
+    /// A structure that the generator accepted fails a file check, which is a bug in the generator.
     #[error("the structure of {id} fails a check")]
     Unsound {
         /// The structure's id.
         id: BlueprintId,
-        /// What is wrong with it.
+        /// The failed check.
         #[source]
         error: BlueprintError,
     },
@@ -110,18 +110,18 @@ impl Request {
         BlueprintId::try_from(text).map_err(|_| GenerateError::Index(index))
     }
 
-    /// The request that an id encodes; `None` if it is not the id of a generated structure of this [`VERSION`].
+    /// The request that an id encodes; `None` unless it is the id of a generated structure of this [`VERSION`].
     pub fn from_id(id: &BlueprintId) -> Option<Self> {
         let (prefix, index) = id.as_str().rsplit_once('_')?;
         let (prefix, _) = prefix.rsplit_once('_')?;
         let (style, seed) = prefix.strip_prefix(&format!("gen{VERSION}-"))?.rsplit_once('-')?;
         let seed = u64::from_str_radix(seed, 16).ok()?;
         let request = Self { style: style.parse().ok()?, seed, n_blocks: id.size(), index: index.parse().ok()? };
-        // Leading zeros of the seed would give one structure two names.
+        // Leading zeros of the seed would give one structure two ids.
         (request.id().as_ref() == Ok(id)).then_some(request)
     }
 
-    /// Where a structure comes from, for its file.
+    /// The origin of the structure, for its file.
     pub fn provenance(&self) -> String {
         let Self { style, seed, index, .. } = self;
         format!("generated: version {VERSION}, style {style}, seed {seed}, index {index}")
@@ -133,7 +133,7 @@ impl Request {
         bytes[8..10].copy_from_slice(&self.index.to_le_bytes());
         bytes[10] = self.n_blocks as u8;
         bytes[11..15].copy_from_slice(&VERSION.to_le_bytes());
-        // By name, so that a new style in the middle of the list changes no other.
+        // By name, so that a new style in the middle of the list does not change the others.
         for (byte, letter) in bytes[16..].iter_mut().zip(self.style.as_str().bytes()) {
             *byte = letter;
         }
@@ -141,13 +141,13 @@ impl Request {
     }
 }
 
-/// Makes one structure. It has passed all checks of a file and there is an order in which it can be put together.
+/// Generates one structure. It passes all file checks and has an assembly order.
 ///
 /// Equal requests give equal blueprints on every machine. The split is [`Split::Train`].
 ///
 /// # Errors
 /// [`GenerateError::Size`] and [`GenerateError::Index`] for a request outside the range, and
-/// [`GenerateError::Exhausted`] for the rare one that comes to nothing.
+/// [`GenerateError::Exhausted`] for the rare request without a structure.
 pub fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
     let id = request.id()?;
     let (found, effort) = search::search(request.style, request.n_blocks, &mut request.dice());
@@ -159,15 +159,15 @@ pub fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
         .map_err(|error| GenerateError::Unsound { id, error })
 }
 
-/// Makes the structure that an id names; `None` if it is not the id of a generated structure of this [`VERSION`].
+/// Generates the structure that an id names; `None` unless it is the id of a generated structure of this [`VERSION`].
 pub fn from_id(id: &BlueprintId) -> Option<Result<Blueprint, GenerateError>> {
     Request::from_id(id).map(|request| generate(&request))
 }
 
-/// Structures that are kept by [`made`], of a few kilobytes each: more than the episodes that a process has in hand.
+/// Number of structures, a few kilobytes each, cached by [`made`]; more than the concurrent episodes of a process.
 pub const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
 
-/// Like [`from_id`], of one that was made lately a copy; `None` also if the request comes to nothing.
+/// Like [`from_id`], with a cache of recent structures; `None` also if the request has no structure.
 pub fn made(id: &BlueprintId) -> Option<Blueprint> {
     static MADE: LazyLock<Mutex<LruCache<BlueprintId, Option<Blueprint>>>> =
         LazyLock::new(|| Mutex::new(LruCache::new(MADE_CAPACITY)));
@@ -176,20 +176,20 @@ pub fn made(id: &BlueprintId) -> Option<Blueprint> {
     if let Some(known) = lock().get(id) {
         return known.clone();
     }
-    // Made without the lock, so that others need not wait.
+    // Generate without the lock, so that other threads need not wait.
     let blueprint = generate(&request).ok();
     lock().put(id.clone(), blueprint.clone());
     blueprint
 }
 
-/// Makes `count` structures that differ as much as possible from each other, by increasing index.
+/// Generates `count` structures that differ from each other as much as possible, by increasing index.
 ///
-/// They are chosen from a pool of about four times as many by what they are made of and how they look. No two have the
-/// same [canonical hash](Blueprint::canonical_hash), and none has one of `exclude`, so that goals of training never
-/// equal a held-out structure.
+/// They are chosen by composition and appearance from a pool of about four times as many. No two have the same
+/// [canonical hash](Blueprint::canonical_hash), and none has one of `exclude`, so that training goals never equal a
+/// held-out structure.
 ///
 /// # Errors
-/// As [`generate`], and [`GenerateError::TooFew`] if the indices are used up first.
+/// Those of [`generate`], and [`GenerateError::TooFew`] if the indices run out first.
 pub fn generate_many(
     style: Style,
     seed: u64,
@@ -205,11 +205,11 @@ pub fn generate_many(
         }
         match generate(&Request { style, seed, n_blocks, index }) {
             Ok(blueprint) if seen.insert(blueprint.canonical_hash()) => pool.push(blueprint),
-            // A request that comes to nothing is one candidate fewer, as is one whose structure is taken.
+            // A request without a structure or with a known one only yields no candidate.
             Ok(_) | Err(GenerateError::Exhausted { .. }) => {}
             Err(error) => return Err(error),
         }
-        // Small sizes have few structures: no use in drawing the same ones again and again.
+        // Small sizes have few structures, so stop before drawing the same ones again and again.
         if pool.len() >= count && usize::from(index) > 8 * count + 64 {
             break;
         }
@@ -220,7 +220,7 @@ pub fn generate_many(
     Ok(features::most_different(pool, count))
 }
 
-/// What the structure shows, of how many blocks, and its characteristic size.
+/// A title with the shape, the number of blocks, and the characteristic size.
 fn title(found: &search::Found, style: Style) -> String {
     let n_blocks = found.placements.len();
     match style {

@@ -3,7 +3,7 @@
 use crate::Split;
 use serde::{Deserialize, Serialize};
 
-/// A column of the paper's table of ablations; the order is the paper's.
+/// A column of the paper's ablation table, in the paper's order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Group {
@@ -19,7 +19,7 @@ pub enum Group {
     TestSpecial,
 }
 
-/// The error of a text that names no group.
+/// A text that is not a group name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16 or test special")]
 pub struct InvalidGroup(pub String);
@@ -43,7 +43,7 @@ impl Group {
     pub const ALL: [Self; 5] =
         [Self::Train2To6, Self::Train7To11, Self::Train12To16, Self::Test12To16, Self::TestSpecial];
 
-    /// The group of a blueprint of `n_blocks` blocks; `None` for a size that the paper does not report.
+    /// The group of a blueprint of `n_blocks` blocks; `None` for a size outside the paper's groups.
     pub fn of(split: Split, n_blocks: usize) -> Option<Self> {
         match (split, n_blocks) {
             (Split::Train, 2..=6) => Some(Self::Train2To6),
@@ -55,7 +55,7 @@ impl Group {
         }
     }
 
-    /// The name as it stands in reports.
+    /// The name used in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Train2To6 => "train 2-6",
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn borders_of_the_groups() {
+    fn group_boundaries() {
         let table = [
             (Split::Train, 1, None),
             (Split::Train, 2, Some(Group::Train2To6)),

@@ -18,7 +18,7 @@ pub const UNIT_M: f32 = 0.1;
 #[serde(try_from = "u8", into = "u8")]
 pub struct BlockIdx(u8);
 
-/// The error of a block index outside 0..16.
+/// A block index outside 0..16.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("block index {0} is not in 0..16")]
 pub struct InvalidBlockIdx(pub u8);
@@ -57,7 +57,7 @@ pub struct BlockType {
     pub name: String,
     /// Size in unit cells along the block's x, y and z.
     pub cells: [u8; 3],
-    /// How many the inventory holds.
+    /// Number of these blocks in the inventory.
     pub count: u8,
 }
 
@@ -81,7 +81,7 @@ pub struct Magnet {
     pub polarity: Polarity,
 }
 
-/// The blocks of a world: types, and the type of each of the 16 blocks.
+/// The block types of a world, and the type of each of its 16 blocks.
 ///
 /// Blocks are numbered in the order of the types in the data file, `count` of each.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -91,19 +91,19 @@ pub struct Inventory {
     magnets: Vec<Vec<Magnet>>,
 }
 
-/// Why an inventory file is refused.
+/// Reasons to reject an inventory file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InventoryError {
-    /// Not TOML, or not of the expected shape.
+    /// The text is not TOML or does not have the expected shape.
     #[error("not an inventory: {0}")]
     Syntax(String),
     /// The counts do not sum to [`N_BLOCKS`].
     #[error("the inventory holds {0} blocks, not 16")]
     WrongTotal(usize),
-    /// Two types of the same name.
+    /// Two types have the same name.
     #[error("block type {0:?} is listed twice")]
     DuplicateType(String),
-    /// A side outside 1..=8 cells.
+    /// A side is outside 1..=8 cells.
     #[error("block type {name:?} has size {cells:?}; each side must be 1 to 8 cells")]
     BadSize {
         /// The type's name.
@@ -117,7 +117,7 @@ impl Inventory {
     /// The inventory of the paper's world, read from `inventory.toml`.
     ///
     /// # Panics
-    /// Never in a build that passes the tests: the file is part of the program.
+    /// Never in a build that passes the tests: the file is compiled in.
     pub fn standard() -> &'static Self {
         static STANDARD: LazyLock<Inventory> =
             LazyLock::new(|| include_str!("../inventory.toml").parse().expect("the embedded inventory.toml is valid"));

@@ -1,4 +1,4 @@
-//! The integer lattice of one unit (0.1 m) that blueprints live on, and its 24 proper rotations.
+//! The integer lattice of blueprints, with a spacing of one unit (0.1 m), and its 24 proper rotations.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +12,7 @@ use crate::{Placement, UNIT_M};
 #[serde(try_from = "u8", into = "u8")]
 pub struct CubeRotation(u8);
 
-/// The error of a rotation index outside 0..24.
+/// A rotation index outside 0..24.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("cube rotation {0} is not in 0..24")]
 pub struct InvalidRotation(pub u8);
@@ -32,7 +32,7 @@ impl From<CubeRotation> for u8 {
 }
 
 impl CubeRotation {
-    /// The rotation that changes nothing.
+    /// The identity.
     pub const IDENTITY: Self = Self(0);
 
     /// All 24 rotations in index order.
@@ -40,7 +40,7 @@ impl CubeRotation {
         (0..24).map(Self)
     }
 
-    /// Builds the rotation that sends x to `x` and y to `y`; `None` unless both are distinct signed unit axes.
+    /// The rotation that maps x to `x` and y to `y`; `None` unless both are distinct signed unit axes.
     pub fn from_images(x: [i32; 3], y: [i32; 3]) -> Option<Self> {
         Self::all().find(|r| {
             let m = r.matrix();
@@ -83,8 +83,8 @@ impl CubeRotation {
 
     /// The rotation nearest to `orientation`, and the angle between the two in radians, 0 to about 1.1.
     ///
-    /// The nearest is the one with the largest trace of `Rᵀ·M`, so no angle is computed for the other 23. Of several
-    /// equally near ones the first is returned.
+    /// The nearest rotation has the largest trace of `Rᵀ·M`, so no angle is computed for the other 23. The first of
+    /// equally near ones is returned.
     pub fn nearest(orientation: &nalgebra::UnitQuaternion<f32>) -> (Self, f32) {
         let wanted = orientation.to_rotation_matrix();
         let trace = |r: Self| {
@@ -98,7 +98,7 @@ impl CubeRotation {
                 best = (rotation, candidate);
             }
         }
-        // The angle comes from the quaternions: acos of the trace loses half the digits near zero.
+        // Compute the angle from the quaternions: acos of the trace loses half the digits near zero.
         (best.0, best.0.quaternion().angle_to(orientation))
     }
 
@@ -148,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_24_rotations_form_a_group() {
+    fn rotations_form_a_group() {
         let all: Vec<_> = CubeRotation::all().collect();
         let matrices: BTreeSet<_> = all.iter().map(|r| r.matrix()).collect();
         assert_eq!(matrices.len(), 24);
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn the_index_order_is_that_of_the_images_of_x_and_y() {
+    fn index_order_follows_the_images_of_x_and_y() {
         let check = |index: u8, x: [i32; 3], y: [i32; 3]| {
             assert_eq!(CubeRotation::from_images(x, y), CubeRotation::try_from(index).ok(), "index {index}");
         };
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_quaternion_turns_like_the_matrix() {
+    fn quaternion_agrees_with_the_matrix() {
         for rotation in CubeRotation::all() {
             let [x, y, z] = rotation.apply([1, 2, 3]).map(|x| x as f32);
             let turned = rotation.quaternion() * Vector3::new(1.0, 2.0, 3.0);

@@ -1,7 +1,7 @@
-//! Blocks, magnets, the inventory and the target structures ("blueprints"), with no physics and no I/O in the math.
+//! Blocks, magnets, the inventory, and target structures ("blueprints"), without physics.
 //!
-//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`] and
-//! [`strength`] → [`checks`] → the writer of files → the canonical hash → [`catalog`].
+//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`]
+//! and [`strength`] → [`checks`] → the file writer → the canonical hash → [`catalog`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

@@ -1,20 +1,20 @@
-//! Whether a structure stands: its center of mass over the convex hull of what touches the ground.
+//! Static stability: the center of mass relative to the convex hull of the ground contacts.
 
 use crate::{Inventory, Placement};
 
-/// Least distance from the center of mass to the edge of the support polygon that a blueprint must have, in units.
+/// Minimum distance of a blueprint from its center of mass to the edge of the support polygon, in units.
 pub const MIN_SUPPORT_MARGIN_U: f64 = 0.1;
 
-/// Where a structure's weight rests.
+/// The support of a structure's weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stance {
     /// Horizontal position of the center of mass from the structure's frame, in units. All blocks have one density.
     pub center_u: [f64; 2],
-    /// Distance from there to the nearest edge of the support polygon in units, negative outside it.
+    /// Distance from the center to the nearest edge of the support polygon in units, negative outside it.
     pub margin_u: f64,
 }
 
-/// Computes where a rigid structure with at least one block rests when its cells at z = 0 touch the ground.
+/// Computes the support of a rigid structure with at least one block whose cells at z = 0 touch the ground.
 pub fn stance(placements: &[Placement], inventory: &Inventory) -> Stance {
     let cells: Vec<[i32; 3]> = placements.iter().flat_map(|p| p.filled_cells(inventory)).collect();
     let mean = |axis: usize| {
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn the_margin_is_the_distance_to_the_nearest_edge() {
+    fn margin_is_the_distance_to_the_nearest_edge() {
         let check = |placements: &[Placement], margin_u: f64| {
             let got = stance(placements, Inventory::standard()).margin_u;
             assert!((got - margin_u).abs() < 1e-12, "{got} is not {margin_u}");

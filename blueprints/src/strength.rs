@@ -1,23 +1,23 @@
-//! Whether the magnets hold what hangs on them: a static estimate, before any physics.
+//! A static estimate of whether the magnets can carry the structure's weight.
 
 use crate::UNIT_M;
 
 /// Weight of one unit cell in newtons: 200 kg/m³ in a cube of 0.1 m at 9.81 m/s², the world's defaults.
 pub const CELL_WEIGHT_N: f64 = 1.962;
 
-/// Force at which the world's default breaks a connection, in newtons per magnet pair.
+/// Force that breaks a connection in the default world, in newtons per magnet pair.
 ///
-/// A copy of the environment's default `break_force_n`, because this crate knows no world: a blueprint must hold in the
-/// world that everybody trains in. The torque at which it breaks is this times one unit (0.1 m).
+/// A copy of the environment's default `break_force_n`: this crate does not depend on the environment, and a blueprint
+/// must hold in the world used for training. The breaking torque is this times one unit (0.1 m).
 pub const BREAK_FORCE_N: f64 = 30.0;
 
-/// Largest number of magnet pairs that add to a connection's strength, as in the world's default.
+/// Maximum number of magnet pairs that add to a connection's strength, as in the default world.
 pub const MAX_STRONG_PAIRS: usize = 3;
 
-/// How many times a connection must hold what rests on it: structures are also shaken, carried and knocked at.
+/// Ratio of breaking load to static load that a connection needs: structures are also shaken, carried, and hit.
 pub const SAFETY_FACTOR: f64 = 2.0;
 
-/// Two touching blocks by position in a list, and the places where their magnets meet, in half units.
+/// Two touching blocks by index in a list, and the points where their magnets meet, in half units.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Joint {
     pub(crate) a: usize,
@@ -25,7 +25,7 @@ pub(crate) struct Joint {
     pub(crate) places: Vec<[i32; 3]>,
 }
 
-/// What one connection carries and what it may carry.
+/// The load on a connection and its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Load {
     pub(crate) force_n: f64,
@@ -40,12 +40,12 @@ impl Load {
     }
 }
 
-/// The first joint that carries more than it may, by its position in `joints`.
+/// The first joint whose load exceeds its limit, by index in `joints`.
 ///
 /// `cells` are the filled cells of each block, `lowest` the height of the ground in units. Only joints whose removal
-/// cuts the structure in two are looked at, and only where one of the parts does not touch the ground: its weight is
-/// the joint's force, that times the horizontal lever from the center of the contact the torque. Where several ways
-/// lead to the ground they share the load, in a proportion that statics alone does not tell.
+/// cuts the structure in two are considered, and only if one part does not touch the ground: its weight is the force on
+/// the joint, and the torque is that force times the horizontal lever from the center of the contact. Parallel paths to
+/// the ground share the load in a proportion that statics alone cannot determine.
 pub(crate) fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32) -> Option<(usize, Load)> {
     let grounded: Vec<bool> = cells.iter().map(|cells| cells.iter().any(|cell| cell[2] == lowest)).collect();
     joints.iter().enumerate().find_map(|(at, joint)| {
@@ -61,7 +61,7 @@ pub(crate) fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32)
     })
 }
 
-/// Which blocks still hang together with the first block of the joint at `without` when that joint is gone.
+/// Which blocks stay connected to the first block of the joint at `without` when that joint is removed.
 fn reached(n_blocks: usize, joints: &[Joint], without: usize) -> Vec<bool> {
     let mut reached = vec![false; n_blocks];
     let mut frontier = vec![joints[without].a];
@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     /// A column of `height` cells as one block, and a bar of `length` cells from its top along +x as another.
-    fn gallows(height: i32, length: i32) -> Option<(usize, Load)> {
+    fn cantilever(height: i32, length: i32) -> Option<(usize, Load)> {
         let column = (0..height).map(|z| [0, 0, z]).collect();
         let bar = (1..=length).map(|x| [x, 0, height - 1]).collect();
         // The magnets meet at x = 1 u, half a unit up in the column's highest cell.
@@ -112,19 +112,19 @@ mod tests {
     }
 
     #[test]
-    fn a_cantilever_is_limited_by_its_moment() {
+    fn cantilever_is_limited_by_its_moment() {
         // Three cells: 5.886 N at 0.15 m = 0.88 N m, below 1.5 N m. Four: 7.848 N at 0.2 m = 1.57 N m.
-        assert_eq!(gallows(3, 3), None);
-        let (at, load) = gallows(3, 4).unwrap();
+        assert_eq!(cantilever(3, 3), None);
+        let (at, load) = cantilever(3, 4).unwrap();
         assert_eq!(at, 0);
         assert!((load.force_n - 7.848).abs() < 1e-9 && (load.torque_nm - 1.5696).abs() < 1e-6, "{load:?}");
         assert!((load.max_force_n - 15.0).abs() < 1e-9 && (load.max_torque_nm - 1.5).abs() < 1e-6, "{load:?}");
         // On the ground it carries nothing.
-        assert_eq!(gallows(1, 4), None);
+        assert_eq!(cantilever(1, 4), None);
     }
 
     #[test]
-    fn a_second_way_to_the_ground_or_more_pairs_relieve_a_joint() {
+    fn second_support_or_more_pairs_relieve_a_joint() {
         let tower = |n: i32| (1..=n).map(|z| [0, 0, z]).collect::<Vec<_>>();
         let foot = vec![[0, 0, 0], [1, 0, 0]];
         let stacked = |n_pairs: i32| Joint { a: 0, b: 1, places: (0..n_pairs).map(|_| [1, 1, 2]).collect() };

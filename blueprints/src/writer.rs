@@ -1,27 +1,27 @@
-//! A blueprint as the text of a file, in the form of the catalog's.
+//! Writes blueprints as TOML, in the style of the catalog.
 
 use std::fmt::Write as _;
 
 use crate::format::MagnetName;
 use crate::{Blueprint, CubeRotation, Inventory};
 
-/// What a block is called in a written file, by its type's name; other types go by that.
+/// Block names in written files, by type name; other types use the type name.
 const NAMES: [(&str, &str); 6] =
     [("1x1x1", "cube"), ("2x1x1", "brick"), ("3x1x1", "bar"), ("4x1x1", "beam"), ("2x2x1", "tile"), ("3x2x1", "slab")];
 
 impl Blueprint {
-    /// The text of the blueprint's file; `provenance` says where the structure comes from.
+    /// The text of the blueprint's file; `provenance` states the origin of the structure.
     ///
-    /// Blocks are named after their types. Reading the text gives an equal blueprint if this one uses the first blocks
-    /// of every type, as every blueprint from a file does; after [`permuted`](Self::permuted) the text reads as the same
-    /// structure on the first blocks.
+    /// Blocks are named after their types. Parsing the text gives an equal blueprint if this one uses the first blocks
+    /// of every type, as every blueprint from a file does. After [`permuted`](Self::permuted), the text parses as the
+    /// same structure on the first blocks.
     pub fn to_toml(&self, provenance: &str) -> String {
         let inventory = Inventory::standard();
         let names = self.block_names(inventory);
         let width = names.iter().map(String::len).max().unwrap_or(0);
         let mut text = format!("id = \"{}\"\nsplit = \"{}\"\n", self.id(), self.split());
         for (key, value) in [("title", self.title()), ("provenance", provenance)] {
-            // TOML's own rules for quotes and controls.
+            // TOML's rules for quotes and control characters apply.
             let _ = writeln!(text, "{key} = {}", toml::Value::from(value));
         }
         text.push_str("up = \"+z\"\n\nblocks = [\n");
@@ -58,7 +58,7 @@ impl Blueprint {
         text
     }
 
-    /// A name for each placement: the type's word, numbered from 1 where there are several of the type.
+    /// A name for each placement: the name of its type, numbered from 1 if the type occurs more than once.
     fn block_names(&self, inventory: &Inventory) -> Vec<String> {
         let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
         let word = |name: &str| NAMES.iter().find(|(of, _)| *of == name).map_or(name, |(_, word)| word).to_owned();
@@ -71,7 +71,7 @@ impl Blueprint {
     }
 }
 
-/// Where the block's own x and y axes point, in a file's words.
+/// Directions of the block's own x and y axes, as written in a file.
 fn axes(rotation: CubeRotation) -> String {
     let matrix = rotation.matrix();
     let image = |column: usize| {
@@ -87,7 +87,7 @@ mod tests {
     use crate::{Blueprint, Catalog};
 
     #[test]
-    fn what_is_written_reads_back() {
+    fn written_blueprints_parse_back() {
         for blueprint in Catalog::builtin().iter() {
             let text = blueprint.to_toml("a \"test\"");
             assert_eq!(check_text("written.toml", &text).blueprint.as_ref(), Ok(blueprint), "{text}");
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn the_text_looks_like_the_catalog() {
+    fn text_matches_the_catalog_style() {
         let text = "id = \"2_001\"\nsplit = \"train\"\ntitle = \"a \\\\ b\"\nprovenance = \"by hand\"\nup = \"+z\"\n\n\
                     blocks = [\n    { name = \"cube\", type = \"1x1x1\", at = [0, 0, 1], axes = \"-x +y\" },\n    \
                     { name = \"beam\", type = \"4x1x1\", at = [0, 0, 0], axes = \"+x -y\" },\n]\n\n\

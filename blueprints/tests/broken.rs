@@ -1,4 +1,4 @@
-//! Every kind of broken file gets its own error, with the culprit in it.
+//! Each kind of invalid file gets its own error, which names the culprit.
 
 use blueprints::checks::{Check, Outcome, check_text};
 use proptest::prelude::*;
@@ -22,13 +22,13 @@ connections = [
 "#;
 
 #[test]
-fn the_unbroken_file_is_valid() {
+fn good_file_is_valid() {
     let report = check_text("corner.toml", GOOD);
     assert!(report.passed(), "{report:#?}");
 }
 
 #[test]
-fn the_drawing_is_turned_so_that_up_is_up() {
+fn drawing_is_rotated_so_that_up_is_positive_z() {
     // The same three blocks drawn with their height along +x.
     let lying = GOOD
         .replace("provenance", "up = \"+x\"\nprovenance")
@@ -56,7 +56,7 @@ fn check(from: &str, to: &str, failing: Check, error: &str) {
 }
 
 #[test]
-fn form_errors_name_the_line_or_the_word() {
+fn form_errors_name_the_line_or_the_value() {
     let form = |from: &str, to: &str, error: &str| check(from, to, Check::Format, error);
     form(
         "title",
@@ -121,14 +121,14 @@ fn structure_errors_name_the_blocks() {
 }
 
 #[test]
-fn loose_and_tipping_structures_are_refused() {
-    // The top cube moved away loses its only pair: take the pair out too.
+fn disconnected_and_tipping_structures_are_refused() {
+    // When the top cube moves away it loses its only pair, so remove the pair too.
     let loose = GOOD
         .replace("at = [2, 0, 2]", "at = [2, 0, 5]")
         .replace("    { a = \"end\", b = \"top\", magnets = [\"+z(0,0,0) -z(0,0,0)\"] },\n", "");
     let error = check_text("loose.toml", &loose).blueprint.expect_err("it is in two pieces").to_string();
     assert_eq!(error, "loose.toml: block \"top\" is not connected to \"bar\"");
-    // The bar as a jib over a cube at its end: center at (2.5 + 1.5·3 + 2.5) / 5 = 1.9 along x, support from 2 to 3.
+    // The bar on a cube at its end: center at (2.5 + 1.5·3 + 2.5) / 5 = 1.9 along x, support from 2 to 3.
     let tipping = GOOD
         .replace("at = [0, 0, 0]", "at = [0, 0, 1]")
         .replace("at = [2, 0, 1]", "at = [2, 0, 0]")
@@ -144,7 +144,7 @@ fn loose_and_tipping_structures_are_refused() {
 }
 
 #[test]
-fn a_connection_that_carries_too_much_is_named() {
+fn overload_error_names_the_connection() {
     let text = r#"
 id = "3_000"
 split = "train"
@@ -177,7 +177,7 @@ connections = [
 }
 
 #[test]
-fn the_inventory_runs_out() {
+fn too_many_blocks_of_a_type_are_refused() {
     let cube = |i: i32| format!("{{ name = \"c{i}\", type = \"3x1x1\", at = [0, 0, {i}], axes = \"+x +y\" }}, ");
     let text = format!(
         "id = \"3_000\"\nsplit = \"train\"\ntitle = \"pile\"\nprovenance = \"test\"\nblocks = [{}]\nconnections = []",
@@ -186,19 +186,19 @@ fn the_inventory_runs_out() {
     let report = check_text("pile.toml", &text);
     let error = report.blueprint.expect_err("there are two bars").to_string();
     assert_eq!(error, "pile.toml: block \"c2\" is one too many of type 3x1x1: the inventory has 2");
-    // What cannot be looked at without blocks is skipped, not passed.
+    // Checks that need the blocks are skipped, not passed.
     let n_skipped = report.results.iter().filter(|r| r.outcome == Outcome::Skipped).count();
     assert_eq!((report.results.len(), n_skipped), (Check::ALL.len() - 1, 7));
 }
 
 proptest! {
     #[test]
-    fn no_text_panics(text in ".{0,200}") {
+    fn arbitrary_text_never_panics(text in ".{0,200}") {
         prop_assert!(!check_text("any.toml", &text).passed());
     }
 
     #[test]
-    fn no_damaged_file_panics(at in 0..GOOD.len(), with in "[ -~]{0,3}") {
+    fn damaged_files_never_panic(at in 0..GOOD.len(), with in "[ -~]{0,3}") {
         let mut text = GOOD.to_owned();
         text.replace_range(at..=at, &with);
         let report = check_text("damaged.toml", &text);

@@ -1,4 +1,4 @@
-//! The starting set, and what the catalog refuses.
+//! The built-in catalog, and the errors of loading one.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,8 +9,8 @@ use blueprints::stance::{MIN_SUPPORT_MARGIN_U, stance};
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, CatalogError, Inventory, RelativePlacement, Split};
 use proptest::prelude::*;
 
-/// Id, number of links and canonical hash of every built-in blueprint, a line each: a change there changes what was
-/// trained on.
+/// Id, number of links, and canonical hash of every built-in blueprint, one per line. A change here changes the
+/// training set.
 const GOLDEN: &str = include_str!("golden/catalog.txt");
 
 fn id(text: &str) -> BlueprintId {
@@ -18,14 +18,14 @@ fn id(text: &str) -> BlueprintId {
 }
 
 #[test]
-fn the_builtin_set_is_the_golden_one() {
+fn builtin_catalog_matches_the_golden_file() {
     let line = |b: &Blueprint| format!("{} {} {:016x}\n", b.id(), b.links().len(), b.canonical_hash());
     let found: String = Catalog::builtin().iter().map(line).collect();
     assert_eq!(found, GOLDEN, "{found}");
 }
 
 #[test]
-fn the_builtin_set_has_the_wanted_sizes() {
+fn builtin_catalog_has_the_expected_sizes() {
     let counts = |split| {
         let mut counts = BTreeMap::new();
         for blueprint in Catalog::builtin().of_split(split) {
@@ -49,7 +49,7 @@ fn the_builtin_set_has_the_wanted_sizes() {
 }
 
 #[test]
-fn every_file_passes_every_check() {
+fn builtin_files_pass_every_check() {
     for report in check_all(BUILTIN_FILES.iter().copied()) {
         assert!(report.passed(), "{report:#?}");
         assert_eq!(report.results.len(), Check::ALL.len());
@@ -57,7 +57,7 @@ fn every_file_passes_every_check() {
 }
 
 #[test]
-fn every_blueprint_stands_on_the_ground_in_one_piece_of_distinct_blocks() {
+fn builtin_blueprints_keep_the_invariants() {
     for blueprint in Catalog::builtin().iter() {
         check_invariants(blueprint);
         assert!(stance(blueprint.placements(), Inventory::standard()).margin_u >= MIN_SUPPORT_MARGIN_U);
@@ -67,7 +67,7 @@ fn every_blueprint_stands_on_the_ground_in_one_piece_of_distinct_blocks() {
 }
 
 #[test]
-fn the_two_block_set_uses_every_type_and_the_whole_set_every_rotation() {
+fn two_block_set_uses_every_type_and_the_catalog_every_rotation() {
     let two: Vec<_> = Catalog::builtin().iter().filter(|b| b.n_blocks() == 2).collect();
     for block_type in Inventory::standard().types() {
         let of_type = |b: BlockIdx| Inventory::standard().block_type(b) == block_type;
@@ -77,7 +77,7 @@ fn the_two_block_set_uses_every_type_and_the_whole_set_every_rotation() {
     assert_eq!(all.map(|p| p.rotation).collect::<std::collections::BTreeSet<_>>().len(), 24);
 }
 
-/// What the type promises: sorted and linked exactly where magnets attract, nothing repelling, no shared cell.
+/// Checks the invariants of the type: sorted, linked exactly where magnets attract, no repulsion, no shared cell.
 fn check_invariants(blueprint: &Blueprint) {
     let inventory = Inventory::standard();
     let placements = blueprint.placements();
@@ -99,7 +99,7 @@ fn check_invariants(blueprint: &Blueprint) {
     }
 }
 
-/// A permutation of the 16 blocks that keeps the types.
+/// A permutation of the 16 blocks that preserves types.
 fn permutation() -> impl Strategy<Value = [BlockIdx; 16]> {
     let shuffled = |name: &str| Just(Inventory::standard().blocks_of_type(name)).prop_shuffle();
     let types: Vec<_> = Inventory::standard().types().iter().map(|t| shuffled(&t.name)).collect();
@@ -108,7 +108,7 @@ fn permutation() -> impl Strategy<Value = [BlockIdx; 16]> {
 
 proptest! {
     #[test]
-    fn permuting_equal_blocks_keeps_a_blueprint_valid(permutation in permutation()) {
+    fn permuting_blocks_of_a_type_keeps_a_blueprint_valid(permutation in permutation()) {
         for blueprint in Catalog::builtin().iter() {
             let permuted = blueprint.permuted(&permutation);
             check_invariants(&permuted);
@@ -126,7 +126,7 @@ fn builtin_text(name: &str) -> &'static str {
 }
 
 #[test]
-fn duplicates_overlaps_of_splits_and_misnamed_files_are_refused() {
+fn duplicates_split_overlaps_and_misnamed_files_are_refused() {
     let post = builtin_text("2_005.toml");
     let renamed = post.replace("2_005", "2_100");
     let held_out = renamed.replace("\"train\"", "\"test\"").replace("2_100", "test_2_000");
@@ -148,7 +148,7 @@ fn duplicates_overlaps_of_splits_and_misnamed_files_are_refused() {
 }
 
 #[test]
-fn a_folder_loads_like_the_builtin_set() {
+fn folder_loads_like_the_builtin_catalog() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("catalog");
     assert_eq!(Catalog::load(&folder).expect("the folder is valid"), *Catalog::builtin());
     let one = Catalog::load(&folder.join("6_005.toml")).expect("the file is valid");
@@ -161,7 +161,7 @@ fn a_folder_loads_like_the_builtin_set() {
 }
 
 #[test]
-fn ids_and_splits_read_back_and_refuse_other_words() {
+fn ids_and_splits_round_trip_and_refuse_other_texts() {
     for good in ["2_000", "16_001", "test_12_000", "test-literal_10_000"] {
         assert_eq!(id(good).to_string(), good);
     }

@@ -1,4 +1,4 @@
-//! Generated structures: valid for every style, size and seed, the same for the same id, and different from each other.
+//! Generated structures: valid for every style, size, and seed; equal for equal ids; different from each other.
 
 use std::collections::BTreeSet;
 
@@ -7,7 +7,7 @@ use blueprints::generator::{GenerateError, MAX_INDEX, Request, Style, from_id, g
 use blueprints::{Assembly, Blueprint, BlueprintId, Catalog, Split};
 use proptest::prelude::*;
 
-/// Canonical hashes of a few structures: a change here changes what every generated id names and needs a new version.
+/// Canonical hashes of a few structures. A change here alters all generated ids and needs a new version.
 const GOLDEN: [(&str, u64); 5] = [
     ("gen1-any-0_6_000", 0xdf8b_a3cf_f900_3ea0),
     ("gen1-any-0_16_000", 0x626e_e54d_5842_a2d3),
@@ -20,7 +20,7 @@ fn id(text: &str) -> BlueprintId {
     text.parse().expect("tests name valid ids")
 }
 
-/// What every generated blueprint promises.
+/// Checks the guarantees of every generated blueprint.
 fn check(request: &Request) -> Blueprint {
     let blueprint = generate(request).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!((blueprint.n_blocks(), blueprint.split()), (request.n_blocks, Split::Train));
@@ -32,7 +32,7 @@ fn check(request: &Request) -> Blueprint {
 }
 
 #[test]
-fn every_style_and_size_is_valid_and_mostly_new_with_another_seed() {
+fn every_style_and_size_is_valid_and_varies_with_the_seed() {
     let (mut n_same, mut n_all) = (0, 0);
     for style in Style::ALL {
         for n_blocks in style.sizes() {
@@ -48,7 +48,7 @@ fn every_style_and_size_is_valid_and_mostly_new_with_another_seed() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
-    fn any_request_gives_the_same_valid_blueprint_again(
+    fn equal_requests_give_equal_valid_blueprints(
         style in prop::sample::select(Style::ALL.to_vec()),
         seed in any::<u64>(),
         n_blocks in 2_usize..=16,
@@ -61,14 +61,14 @@ proptest! {
 }
 
 #[test]
-fn what_an_id_names_is_pinned() {
+fn generated_structures_are_pinned() {
     let found: Vec<_> =
         GOLDEN.iter().map(|&(name, _)| (name, from_id(&id(name)).expect(name).expect(name).canonical_hash())).collect();
     assert_eq!(found, GOLDEN, "{found:#x?}");
 }
 
 #[test]
-fn the_catalog_s_records_are_what_their_provenance_names() {
+fn catalog_records_match_their_provenance() {
     for (file, generated) in [
         ("longest_12_000", "gen1-longest-3_12_003"),
         ("longest_13_000", "gen1-longest-3_13_000"),
@@ -90,7 +90,7 @@ fn the_catalog_s_records_are_what_their_provenance_names() {
 }
 
 #[test]
-fn ids_that_name_nothing_generated_are_left_alone() {
+fn other_ids_are_not_generated() {
     for other in
         ["2_000", "test_12_000", "gen2-any-0_4_000", "gen1-any-00_4_000", "gen1-any-x_4_000", "gen1-nose-0_4_000"]
     {
@@ -103,7 +103,7 @@ fn ids_that_name_nothing_generated_are_left_alone() {
 }
 
 #[test]
-fn impossible_requests_say_what_is_possible() {
+fn impossible_requests_name_the_valid_range() {
     let error = |style, n_blocks, index| {
         generate(&Request { style, seed: 0, n_blocks, index }).expect_err("it is impossible").to_string()
     };
@@ -118,17 +118,17 @@ fn impossible_requests_say_what_is_possible() {
 }
 
 #[test]
-fn many_are_distinct_and_none_is_excluded() {
+fn generate_many_is_distinct_and_respects_exclusions() {
     let builtin: BTreeSet<u64> = Catalog::builtin().iter().map(Blueprint::canonical_hash).collect();
     let first = generate_many(Style::Any, 3, 2, 20, &builtin).expect("there are enough pairs");
     let hashes: BTreeSet<u64> = first.iter().map(Blueprint::canonical_hash).collect();
     assert_eq!((first.len(), hashes.len()), (20, 20));
     assert!(hashes.is_disjoint(&builtin));
-    // Excluding them too gives others.
+    // Excluding these as well gives others.
     let exclude: BTreeSet<u64> = builtin.union(&hashes).copied().collect();
     let second = generate_many(Style::Any, 3, 2, 20, &exclude).expect("there are enough pairs");
     assert!(second.iter().all(|blueprint| !exclude.contains(&blueprint.canonical_hash())));
-    // Every one is what its id names.
+    // Each blueprint equals the one generated from its id.
     for blueprint in first.iter().chain(&second) {
         assert_eq!(from_id(blueprint.id()), Some(Ok(blueprint.clone())));
     }

@@ -7,7 +7,7 @@ fn block(index: u8) -> BlockIdx {
 }
 
 #[test]
-fn the_standard_inventory_has_16_blocks_of_6_types_in_order() {
+fn standard_inventory_has_16_blocks_of_6_types_in_order() {
     let names: Vec<_> = BlockIdx::all().map(|b| Inventory::standard().block_type(b).name.as_str()).collect();
     let expected = [
         "1x1x1", "1x1x1", "1x1x1", "1x1x1", "2x1x1", "2x1x1", "2x1x1", "2x1x1", "3x1x1", "3x1x1", "4x1x1", "4x1x1",
@@ -22,7 +22,7 @@ fn the_standard_inventory_has_16_blocks_of_6_types_in_order() {
 }
 
 #[test]
-fn every_cell_of_every_face_has_a_magnet() {
+fn every_face_cell_has_a_magnet() {
     // A cuboid a × b × c has 2(ab + bc + ca) unit faces: 6, 10, 14, 18, 16 and 22.
     let n_magnets = |index| Inventory::standard().magnets(block(index)).len();
     assert_eq!([0, 4, 8, 10, 12, 14].map(n_magnets), [6, 10, 14, 18, 16, 22]);
@@ -39,7 +39,7 @@ fn every_cell_of_every_face_has_a_magnet() {
 }
 
 #[test]
-fn touching_faces_pair_cell_by_cell() {
+fn magnets_of_touching_faces_pair_by_cell() {
     let inventory = Inventory::standard();
     let check = |a: u8, b: u8, offset_half_units, rotation, n_attract: usize, n_repel: usize| {
         let (a, b, relative) = (block(a), block(b), RelativePlacement { offset_half_units, rotation });
@@ -48,7 +48,7 @@ fn touching_faces_pair_cell_by_cell() {
         assert_eq!(inventory.magnet_pairs(b, a, relative.inverse()).len(), n_attract, "{relative:?} inverse");
     };
     let same = CubeRotation::IDENTITY;
-    // A turn about x by π points b's +z face down.
+    // A rotation about x by π points b's +z face down.
     let upside_down = CubeRotation::from_images([1, 0, 0], [0, -1, 0]).expect("x and −y are axes");
     check(12, 13, [0, 0, 2], same, 4, 0);
     check(12, 13, [0, 0, 2], upside_down, 0, 4);
@@ -61,7 +61,7 @@ fn touching_faces_pair_cell_by_cell() {
 }
 
 #[test]
-fn a_bad_inventory_is_refused() {
+fn invalid_inventories_are_refused() {
     let check = |text: &str, part: &str| {
         let error = text.parse::<Inventory>().expect_err(text).to_string();
         assert!(error.contains(part), "{error:?} does not contain {part:?}");

@@ -1,26 +1,26 @@
-//! What each role may do on a router with keys.
+//! The access rules of each role on a router with keys.
 
 use serde_json::{Value, json};
 
 use super::security::ROLES;
 use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_UNIT_BYTES, MAX_WEIGHTS_BYTES};
 
-/// Largest metrics and history, in bytes; a history of 400 evaluations of all blueprints has 2 MB.
+/// Maximum size of metrics and history, in bytes; a history of 400 evaluations of all blueprints has 2 MB.
 const MAX_METRICS_BYTES: usize = 8 << 20;
 
-/// Largest notice, in bytes.
+/// Maximum size of a notice, in bytes.
 const MAX_NOTICE_BYTES: usize = 4096;
 
-/// A role's grants: what may come from it (`sends`), and what it is given (`gets`). Each is a kind of message with the keys
-/// after `lodestone/<run>/`.
+/// The grants of a role: the messages it may send (`sends`) and receive (`gets`), each with the keys after
+/// `lodestone/<run>/`.
 struct Grants {
     role: &'static str,
     sends: &'static [(&'static str, &'static [&'static str])],
     gets: &'static [(&'static str, &'static [&'static str])],
 }
 
-/// The table. A publisher or querier learns who is at the other end by declarations that it is given, so these are granted
-/// wherever somebody waits for a learner or makes copies only while somebody watches.
+/// The table of grants. A publisher or querier detects its counterpart through declarations that it receives, so these
+/// are granted to every role that waits for a learner or sends copies only to present viewers.
 const GRANTS: [Grants; 4] = [
     Grants {
         role: "learner",
@@ -104,7 +104,7 @@ pub(super) fn rules() -> Value {
         for (flow, granted) in [("ingress", grants.sends), ("egress", grants.gets)] {
             for (message, keys) in granted {
                 let id = format!("{}-{flow}-{message}", grants.role);
-                // A star for the run: a router serves all runs that share its keys.
+                // `*` for the run: a router serves all runs that share its keys.
                 let keys: Vec<String> = keys.iter().map(|key| format!("lodestone/*/{key}")).collect();
                 let rule = json!({ "id": id, "messages": [message], "flows": [flow], "permission": "allow", "key_exprs": keys });
                 rules.push(rule);
@@ -113,7 +113,7 @@ pub(super) fn rules() -> Value {
         }
         policies.push(json!({ "rules": ids, "subjects": [grants.role] }));
     }
-    // Routers pass on what others were allowed; what they are sent was checked where it came in.
+    // Routers forward messages that were allowed elsewhere; these were checked where they entered.
     let everything = [
         "put",
         "delete",
@@ -134,7 +134,7 @@ pub(super) fn rules() -> Value {
     json!({ "enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies })
 }
 
-/// Zenoh's `low_pass_filter`: nothing larger than what its receivers accept goes through a router.
+/// Zenoh's `low_pass_filter`: a router forwards no message larger than its receivers accept.
 pub(super) fn size_limits() -> Value {
     let limit = |id: &str, messages: &[&str], keys: &[&str], bytes: usize| {
         let keys: Vec<String> = keys.iter().map(|key| format!("lodestone/*/{key}")).collect();

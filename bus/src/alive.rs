@@ -1,4 +1,4 @@
-//! Who is there: liveliness tokens.
+//! Liveliness tokens: which processes are alive.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -11,23 +11,23 @@ use zenoh::sample::SampleKind;
 use super::{Bus, BusError};
 use proto::keys::{self, Role};
 
-/// Names of a role that are followed; more than a router has sessions.
+/// Maximum number of names followed per role; more than a router has sessions.
 const MAX_NAMES: usize = 16_384;
 
-/// Pause before it is asked again whether somebody of a name is still there.
+/// Interval between checks whether a name is still alive.
 const LOOK_PERIOD: Duration = Duration::from_millis(250);
 
-/// Time that the answer may take.
+/// Timeout of one check.
 const LOOK_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Says that a process is alive until it is dropped, the session is closed or the process is gone.
+/// Declares that a process is alive until it is dropped, the session closes, or the process ends.
 #[derive(Debug)]
 pub struct AliveToken {
     _token: LivelinessToken,
     _open: Bus,
 }
 
-/// Follows who of a role is alive.
+/// Follows the live processes of a role.
 #[derive(Debug)]
 pub struct AliveWatch {
     names: watch::Receiver<BTreeSet<String>>,
@@ -36,7 +36,7 @@ pub struct AliveWatch {
 }
 
 impl Bus {
-    /// Says from now on that the process `id` (1 to 64 characters of `a-z`, `0-9`, `-`) is alive in `role`.
+    /// Declares that the process `id` (1 to 64 characters of `a-z`, `0-9`, `-`) is alive in `role`.
     ///
     /// # Errors
     /// If the name breaks the rule or the session is closed.
@@ -49,12 +49,12 @@ impl Bus {
         Ok(AliveToken { _token: token, _open: self.clone() })
     }
 
-    /// As [`Self::declare_alive`], after nobody else of the name is there any more: a process that was killed seems to be for up
-    /// to 6 s, so this waits for up to `patience`. Two that begin at the same moment may both succeed; of actors the
-    /// learner then takes one.
+    /// Like [`Self::declare_alive`], but first waits until no other process has the name. A killed process still
+    /// appears alive for up to 6 s, so this waits for up to `patience`. Two processes that start at the same moment may
+    /// both succeed; of two actors, the learner then accepts one.
     ///
     /// # Errors
-    /// [`BusError::NameTaken`] if the other stays, or as for [`Self::declare_alive`].
+    /// [`BusError::NameTaken`] if the other process stays, and the errors of [`Self::declare_alive`].
     pub async fn declare_alive_alone(&self, role: Role, id: &str, patience: Duration) -> Result<AliveToken, BusError> {
         let deadline = Instant::now() + patience;
         let mut told = false;
@@ -67,14 +67,19 @@ impl Bus {
                 return Err(BusError::NameTaken { role: role.as_str(), name: id.to_owned(), advice });
             }
             if !std::mem::replace(&mut told, true) {
-                tracing::warn!(role = role.as_str(), id, ?patience, "one of this name is there; waiting for it to go");
+                tracing::warn!(
+                    role = role.as_str(),
+                    id,
+                    ?patience,
+                    "the name is in use; waiting for the other process to end"
+                );
             }
             tokio::time::sleep(LOOK_PERIOD).await;
         }
         self.declare_alive(role, id).await
     }
 
-    /// Whether somebody of this name is there.
+    /// Whether a process of this name is alive.
     async fn is_alive(&self, role: Role, id: &str) -> Result<bool, BusError> {
         if !keys::is_valid_run(id) {
             return Err(BusError::Name(id.to_owned()));
@@ -82,7 +87,7 @@ impl Bus {
         let key = keys::live(role, id);
         let asked = self.session.liveliness().get(&key).timeout(LOOK_TIMEOUT).await;
         let replies = asked.map_err(BusError::during(format!("looking for {key}")))?;
-        // All who answer have the token; zenoh's own errors say that nobody could be asked in time.
+        // Every process that answers has the token; zenoh's error replies mean a timeout.
         while let Ok(reply) = replies.recv_async().await {
             if reply.result().is_ok() {
                 return Ok(true);
@@ -91,7 +96,7 @@ impl Bus {
         Ok(false)
     }
 
-    /// Follows who is alive in `role`, those included who were there before.
+    /// Follows the live processes of `role`, including those that were alive before.
     ///
     /// # Errors
     /// If the session is closed.
@@ -125,7 +130,7 @@ impl Bus {
 }
 
 impl AliveWatch {
-    /// The names alive now, and every change of them.
+    /// The names alive now, and every change.
     pub fn watch(&self) -> watch::Receiver<BTreeSet<String>> {
         self.names.clone()
     }

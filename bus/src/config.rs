@@ -1,4 +1,4 @@
-//! How a process joins the bus.
+//! Configuration of a process's bus session.
 
 use std::path::Path;
 
@@ -11,50 +11,50 @@ use proto::InvalidSetting;
 use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
 use proto::keys;
 
-/// How a process joins the bus.
+/// Configuration of a process's bus session.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BusConfig {
     /// Name of the run, 1 to 64 characters of `a-z`, `0-9`, `-`; runs on one router do not see each other.
     /// Default `default`.
     pub run: String,
-    /// Default [`BusMode::Router`]: everything in one process, no other process needed.
+    /// Role in the network. Default [`BusMode::Router`]: everything in one process, no other process needed.
     pub mode: BusMode,
-    /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with keys,
-    /// `quic/0.0.0.0:7447`. Default none: nobody can join from outside the process.
+    /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with
+    /// keys, `quic/0.0.0.0:7447`. Default none: no other process can join.
     pub listen: Vec<String>,
     /// Endpoints to connect to: of the router for a client, of other routers for a router. Default none.
     pub connect: Vec<String>,
-    /// Time that the learner has to answer a trajectory, in milliseconds, 100 to 600 000. Default 10 000.
+    /// Timeout of the learner's answer to a trajectory, in milliseconds, 100 to 600 000. Default 10 000.
     pub ack_timeout_ms: u64,
-    /// Time that a pull of the weights may take, in milliseconds, 100 to 600 000. Default 15 000.
+    /// Timeout of a pull of the weights, in milliseconds, 100 to 600 000. Default 15 000.
     pub pull_timeout_ms: u64,
-    /// Trajectories that may wait to be decoded at the learner, 1 to 65 536; more are refused as `Full`. Default 256.
+    /// Trajectories that can wait for decoding at the learner, 1 to 65 536; more are refused as `Full`. Default 256.
     pub ingest_queue: usize,
     /// Largest message that this process receives, in bytes; at least the largest trajectory and weights that the
     /// codec allows. Default 72 MiB.
     pub max_message_bytes: usize,
-    /// Who this process is to others. Listening where other machines can connect needs keys.
+    /// Credentials of this process. Listening where other machines can connect needs keys.
     pub security: SecurityConfig,
 }
 
-/// What a process is in the network.
+/// A process's role in the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BusMode {
-    /// Carries the messages of others besides its own.
+    /// Routes the messages of other processes in addition to its own.
     Router,
-    /// Talks to one router.
+    /// Connects to one router.
     Client,
 }
 
-/// The error of a bus configuration.
+/// An invalid bus configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BusConfigError {
-    /// A value out of its range.
+    /// A value is out of range.
     #[error(transparent)]
     Invalid(#[from] InvalidSetting),
-    /// Text that names no place.
+    /// A text is not an endpoint.
     #[error(
         "bus.{field}: `{endpoint}` is no endpoint, expected `tcp/HOST:PORT`, `quic/HOST:PORT` with keys, or \
          `unixsock-stream/PATH`"
@@ -62,16 +62,16 @@ pub enum BusConfigError {
     Endpoint {
         /// `listen` or `connect`.
         field: &'static str,
-        /// As given.
+        /// The given text.
         endpoint: String,
     },
-    /// Others could reach the listener, and nothing would keep them out.
+    /// Other machines could reach a listener that has no access control.
     #[error(
         "bus.listen: anybody who reaches {0} could replace the weights; run `lodestone keys new DIR --host NAME` once, then \
          listen on `quic/ADDRESS:PORT` with `--keys DIR`, or listen on 127.0.0.1"
     )]
     OpenListener(String),
-    /// Keys protect encrypted connections only.
+    /// An endpoint is not encrypted although the process has keys.
     #[error("bus.{field}: with keys every endpoint is `quic/ADDRESS:PORT`, and {endpoint} is not")]
     NotEncrypted {
         /// `listen` or `connect`.
@@ -79,7 +79,7 @@ pub enum BusConfigError {
         /// The endpoint.
         endpoint: String,
     },
-    /// An encrypted endpoint without keys.
+    /// An encrypted endpoint has no keys.
     #[error("bus.{field}: {endpoint} needs keys; name their folder with `--keys DIR`")]
     NoKeys {
         /// `listen` or `connect`.
@@ -106,7 +106,7 @@ impl Default for BusConfig {
 }
 
 impl BusConfig {
-    /// A router that only processes with access to the folder `dir` can join, through a unix socket in it.
+    /// A router that only processes with access to the folder `dir` can join, through a Unix socket in it.
     pub fn isolated_router(dir: &Path) -> Self {
         Self { listen: vec![isolated_endpoint(dir)], ..Self::default() }
     }
@@ -173,34 +173,35 @@ impl BusConfig {
         !self.listen.is_empty()
     }
 
-    /// The keys of this process, read and checked.
+    /// Reads and checks the keys of this process.
     ///
     /// # Errors
-    /// Names the file that is missing, is not what it should be, or is out of date.
+    /// Names the file that is missing, malformed, or expired.
     pub(super) fn read_keys(&self) -> Result<Option<Keys>, KeysError> {
         self.security.keys.as_deref().map(|folder| Keys::read(folder, self.is_listening())).transpose()
     }
 
-    /// The same as zenoh's configuration.
+    /// Converts the configuration to zenoh's.
     pub(super) fn to_zenoh(&self, keys: Option<&Keys>) -> Result<zenoh::Config, zenoh::Error> {
         let retry = json!({ "period_init_ms": 500, "period_max_ms": 8000, "period_increase_factor": 2 });
         let mut config = json!({
             "mode": match self.mode { BusMode::Router => "router", BusMode::Client => "client" },
             "namespace": keys::namespace(&self.run),
-            // Without a time limit a process may start before the router that it needs.
+            // No time limit: a process may start before its router.
             "connect": { "endpoints": self.connect, "timeout_ms": -1, "exit_on_failure": false, "retry": retry },
-            // A port that is taken is a mistake to be told at once.
+            // Report a port that is in use at once.
             "listen": { "endpoints": self.listen, "timeout_ms": 0, "exit_on_failure": true },
-            // Who takes part is configured, never found: any process in the network could overwrite any key.
+            // Peers are configured, never discovered: any process in the network could overwrite any key.
             "scouting": { "delay": 0, "multicast": { "enabled": false }, "gossip": { "enabled": false } },
             "transport": {
                 "unicast": { "max_sessions": 8192, "accept_pending": 1024 },
                 "link": {
                     "tx": {
                         "lease": 6000,
-                        // The default closes the whole transport when a peer is slow for 5 s; −1 makes zenoh panic. A connection
-                        // that is lost under a sender who waits is not given up before this time is over, and until then
-                        // nothing leaves the process: so little more than the lease, after which a peer counts as gone.
+                        // The default closes the whole transport if a peer is slow for 5 s; −1 makes zenoh panic. If a
+                        // connection is lost while a sender waits, the sender gives up only after this time, and until
+                        // then nothing leaves the process. So use little more than the lease, after which a peer counts
+                        // as gone.
                         "queue": { "congestion_control": { "block": { "wait_before_close": 8_000_000 } } },
                     },
                     "rx": { "buffer_size": 1 << 20, "max_message_size": self.max_message_bytes },
@@ -228,14 +229,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn defaults_are_valid_and_understood_by_zenoh() {
+    fn default_config_is_valid_and_accepted_by_zenoh() {
         let config = BusConfig::default();
         assert_eq!(config.validate(), Ok(()));
         assert!(config.to_zenoh(None).is_ok());
     }
 
     #[test]
-    fn a_listener_that_others_reach_needs_keys() {
+    fn reachable_listener_needs_keys() {
         let router = |endpoint: &str| BusConfig { listen: vec![endpoint.to_owned()], ..BusConfig::default() };
         let message = router("tcp/0.0.0.0:7447").validate().unwrap_err().to_string();
         assert!(message.contains("tcp/0.0.0.0:7447") && message.contains("lodestone keys new"), "{message}");
@@ -256,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_name_the_field_and_the_value() {
+    fn config_errors_name_the_field_and_the_value() {
         let check = |change: fn(&mut BusConfig), message: &str| {
             let mut config = BusConfig::default();
             change(&mut config);

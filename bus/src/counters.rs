@@ -1,16 +1,16 @@
-//! Counts of all that the bus dropped or refused.
+//! Counters of everything that the bus dropped or refused.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use proto::metrics::{BusCounts, IngestCounts};
 
-/// A number that only grows, shared by callbacks and tasks.
+/// A monotonic counter shared by callbacks and tasks.
 #[derive(Debug, Default)]
 pub(super) struct Counter(AtomicU64);
 
 impl Counter {
     pub(super) fn add_one(&self) {
-        // Nothing else is ordered by a count.
+        // Relaxed: the count orders no other memory accesses.
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 

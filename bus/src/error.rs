@@ -3,7 +3,7 @@
 use super::{BusConfigError, KeysError};
 use proto::codec::{DecodeError, Refusal};
 
-/// The error of an operation on the session.
+/// An error of a session.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
     /// The configuration breaks a rule.
@@ -12,36 +12,36 @@ pub enum BusError {
     /// The keys cannot be used.
     #[error(transparent)]
     Keys(#[from] KeysError),
-    /// Zenoh refused.
+    /// Zenoh returned an error.
     #[error("{action}: {source}")]
     Zenoh {
-        /// What was being done.
+        /// The failed operation.
         action: String,
-        /// What zenoh says.
+        /// Zenoh's error.
         source: zenoh::Error,
     },
-    /// A name that cannot be part of a key.
+    /// A name is not valid in a key.
     #[error("name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
     Name(String),
-    /// Somebody of this name and role is there.
+    /// Another live process has this name and role.
     #[error("another live {role} of this run is called {name:?}; {advice}")]
     NameTaken {
-        /// What it is.
+        /// The role.
         role: &'static str,
-        /// The name of both.
+        /// The name.
         name: String,
-        /// What to do.
+        /// Advice for the user.
         advice: &'static str,
     },
-    /// Metrics that cannot be JSON.
+    /// Metrics cannot be serialized as JSON.
     #[error("metrics {key} cannot be written as JSON: {source}")]
     Json {
         /// Their key.
         key: String,
-        /// What the serializer says.
+        /// The serializer's error.
         source: serde_json::Error,
     },
-    /// Weights larger than what receivers accept.
+    /// Weights exceed the size that receivers accept.
     #[error("weights of {bytes} bytes are larger than the limit of {limit} bytes")]
     TooLarge {
         /// Encoded size.
@@ -52,27 +52,26 @@ pub enum BusError {
 }
 
 impl BusError {
-    /// For `map_err`: says what was being done when zenoh refused.
+    /// For `map_err`: names the operation that failed in zenoh.
     pub(super) fn during(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
         let action = action.into();
         move |source| Self::Zenoh { action, source }
     }
 }
 
-/// Why a trajectory is not with the learner.
+/// Reasons why the learner does not have, or may not have, a trajectory.
 #[derive(Debug, thiserror::Error)]
 pub enum SendError {
-    /// The learner did not want it.
+    /// The learner refused it.
     #[error("the learner refused the trajectory: {0}")]
     Refused(Refusal),
-    /// No learner is there; wait for one.
+    /// No learner is present; wait for one.
     #[error("no learner is there")]
     NoLearner,
-    /// A learner is or was there but gave no answer in time: it may have the trajectory or not. Sending the same one
-    /// again is safe.
+    /// A learner gave no answer in time and may or may not have the trajectory. Sending the same one again is safe.
     #[error("the learner gave no answer")]
     NoReply,
-    /// Larger than what the learner accepts.
+    /// It exceeds the size that the learner accepts.
     #[error("a trajectory of {bytes} bytes is larger than the limit of {limit} bytes")]
     TooLarge {
         /// Encoded size.
@@ -80,7 +79,7 @@ pub enum SendError {
         /// Largest size allowed.
         limit: usize,
     },
-    /// The answer makes no sense.
+    /// The answer is invalid.
     #[error("the learner's answer cannot be read: {0}")]
     BadReply(#[from] DecodeError),
     /// The session is closed or broken.

@@ -1,4 +1,4 @@
-//! The history of evaluations, for whoever asks.
+//! Queries for the history of evaluations.
 
 use serde::Serialize;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -12,7 +12,7 @@ use proto::keys;
 pub struct HistoryAnswer(Latest);
 
 impl Bus {
-    /// Answers queries for the history from now on; says nothing before the first [`HistoryAnswer::set`].
+    /// Answers queries for the history from now on; gives no reply before the first [`HistoryAnswer::set`].
     ///
     /// # Errors
     /// If the session is closed.
@@ -22,10 +22,10 @@ impl Bus {
 }
 
 impl HistoryAnswer {
-    /// Makes this the answer.
+    /// Sets the answer.
     ///
     /// # Errors
-    /// If it cannot be JSON.
+    /// If the history cannot be serialized as JSON.
     pub fn set(&self, history: &impl Serialize) -> Result<(), BusError> {
         let json = serde_json::to_vec(history);
         let json = json.map_err(|source| BusError::Json { key: keys::HISTORY_EVAL.to_owned(), source })?;

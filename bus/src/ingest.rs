@@ -1,4 +1,4 @@
-//! The learner's end of the trajectories: decodes, drops repeats, asks the handler, answers.
+//! The learner's side of trajectories: decodes, drops duplicates, calls the handler, and answers.
 
 mod names;
 mod repeats;
@@ -20,7 +20,7 @@ use proto::metrics::IngestCounts;
 use proto::{Trajectory, WeightsVersion, keys};
 use tokio_util::task::AbortOnDropHandle;
 
-/// Takes the trajectories of all actors until it is dropped.
+/// Serves the trajectories of all actors until dropped.
 #[derive(Debug)]
 pub struct TrajectoryServer {
     counters: Arc<IngestCounters>,
@@ -30,9 +30,10 @@ pub struct TrajectoryServer {
 }
 
 impl Bus {
-    /// Takes trajectories from now on. A name belongs to the process whose trajectory is taken first, for as long as a
-    /// liveliness token of the name stands; others of the name are refused. `handler` is asked once for each valid one; it must not block, since all
-    /// actors wait for it (try to put the trajectory into a bounded mailbox). `current_version` goes into each answer.
+    /// Serves trajectories from now on. A name belongs to the process whose trajectory is taken first, for as long as a
+    /// liveliness token of the name exists; other processes with the name are refused. `handler` is called once for
+    /// each valid trajectory. It must not block, because all actors wait for it (use `try_send` on a bounded mailbox).
+    /// Each answer contains `current_version`.
     ///
     /// # Errors
     /// If the session is closed.
@@ -66,9 +67,9 @@ impl Bus {
             .map_err(BusError::during("declaring the learner's ingest"))?;
         let worker = AbortOnDropHandle::new(tokio::spawn(async move {
             while let Some(query) = queries.recv().await {
-                let verdict = server.judge(&query);
+                let decision = server.decide(&query);
                 let version = *server.current_version.borrow();
-                answer(&query, verdict, version);
+                answer(&query, decision, version);
             }
         }));
         Ok(TrajectoryServer { counters, queryable, _worker: worker, _open: self.clone() })
@@ -76,12 +77,12 @@ impl Bus {
 }
 
 impl TrajectoryServer {
-    /// What became of the trajectories so far.
+    /// Trajectories so far, by result.
     pub fn counts(&self) -> IngestCounts {
         self.counters.counts()
     }
 
-    /// Stops: actors see at once that no learner is there.
+    /// Stops the server: actors see at once that no learner is present.
     ///
     /// # Errors
     /// If the session is closed.
@@ -100,9 +101,9 @@ struct Server<F> {
 
 impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
     /// Decides on one message and counts the decision.
-    fn judge(&mut self, query: &Query) -> Result<(), Refusal> {
-        let verdict = self.consider(query);
-        match &verdict {
+    fn decide(&mut self, query: &Query) -> Result<(), Refusal> {
+        let decision = self.accept(query);
+        match &decision {
             Ok(Taken::Now) => self.counters.accepted.add_one(),
             Ok(Taken::Before) => self.counters.duplicates.add_one(),
             Err(Refusal::Stale) => self.counters.stale.add_one(),
@@ -113,15 +114,15 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
                 self.counters.invalid.add_one();
             }
         }
-        verdict.map(drop)
+        decision.map(drop)
     }
 
-    fn consider(&mut self, query: &Query) -> Result<Taken, Refusal> {
+    fn accept(&mut self, query: &Query) -> Result<Taken, Refusal> {
         let payload = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
         let trajectory = decode_trajectory(&payload).map_err(|error| Refusal::Invalid(error.to_string()))?;
         let key = query.key_expr().as_str();
         if key.strip_prefix(keys::INGEST_PREFIX) != Some(trajectory.actor.as_str()) {
-            // The router grants keys to actors: a message must not speak for another actor than its key does.
+            // The router grants keys by actor, so a message must not come from a different actor than its key.
             return Err(Refusal::Invalid(format!("actor {} may not send to {key}", trajectory.actor)));
         }
         if self.names.is_taken(&trajectory.actor, trajectory.epoch) {
@@ -131,13 +132,13 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
         let seq = trajectory.seq;
         match self.repeats.look_up(&id, seq) {
             Seen::Taken => return Ok(Taken::Before),
-            Seen::TooOldToTell => return Err(Refusal::Stale),
+            Seen::Forgotten => return Err(Refusal::Stale),
             Seen::New => {}
         }
         (self.handler)(trajectory)?;
         let (actor, epoch) = &id;
         self.names.claim(actor, *epoch);
-        // Only what was taken is remembered, so that a retry after `Full` is a first attempt again.
+        // Remember only accepted trajectories, so that a retry after `Full` counts as a first attempt.
         self.repeats.remember(id, seq);
         Ok(Taken::Now)
     }
@@ -148,10 +149,10 @@ enum Taken {
     Before,
 }
 
-/// Answers; an actor that is gone meanwhile needs none.
-fn answer(query: &Query, verdict: Result<(), Refusal>, weights_version: WeightsVersion) {
+/// Sends the answer. Nothing happens if the actor is gone.
+fn answer(query: &Query, decision: Result<(), Refusal>, weights_version: WeightsVersion) {
     let protobuf = |schema: &str| Encoding::APPLICATION_PROTOBUF.with_schema(schema);
-    let sent = match verdict {
+    let sent = match decision {
         Ok(()) => {
             let ack = encode_ack(Ack { weights_version });
             query.reply(query.key_expr().clone(), ack).encoding(protobuf(ACK_SCHEMA)).wait()

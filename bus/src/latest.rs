@@ -1,4 +1,4 @@
-//! A key whose newest value anybody can ask for.
+//! A key that serves its newest value to queries.
 
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use proto::WeightsVersion;
 use proto::codec::{Refusal, Refused, encode_refused};
 use tokio_util::task::AbortOnDropHandle;
 
-/// Queries that may wait for their answer.
+/// Maximum number of waiting queries.
 const QUEUE: usize = 1024;
 
-/// Answers queries on one key with the newest value; says nothing before there is one.
+/// Answers queries on one key with the newest value; gives no reply before there is one.
 #[derive(Debug)]
 pub(super) struct Latest {
     value: Arc<Mutex<Option<ZBytes>>>,
@@ -35,7 +35,7 @@ impl Latest {
             .declare_queryable(key.clone())
             .complete(true)
             .callback(move |query| {
-                // A query that is dropped ends without a reply for the one who asks.
+                // Dropping a query ends it without a reply.
                 if queue.try_send(query).is_err() {
                     counters.queries_dropped.add_one();
                 }
@@ -53,7 +53,7 @@ impl Latest {
                 }
                 let Some(value) = lock(&shared).clone() else { continue };
                 let (key, encoding) = (key.clone(), encoding.clone());
-                // Megabytes to a slow reader can block, which must not hold up the answers to others.
+                // Sending megabytes to a slow reader can block, and must not delay other answers.
                 tokio::task::spawn_blocking(move || {
                     if let Err(error) = query.reply(&key, value).encoding(encoding).wait() {
                         tracing::debug!(key, %error, "an answer was not sent");
@@ -79,6 +79,6 @@ fn refuse(query: &Query) {
 }
 
 fn lock(value: &Mutex<Option<ZBytes>>) -> parking_lot::MutexGuard<'_, Option<ZBytes>> {
-    // The lock is held only to copy or to replace the value, so a poisoned one is still whole.
+    // The lock is held only to copy or replace the value, so a panic elsewhere cannot leave it inconsistent.
     value.lock()
 }

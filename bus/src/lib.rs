@@ -1,13 +1,13 @@
-//! The bus: zenoh sessions that carry [`proto`]'s messages between actors, learner, evaluator and viewers.
+//! The bus: zenoh sessions that carry [`proto`]'s messages between actors, learner, evaluator, and viewers.
 //!
-//! Reading order: `config` and [`security`] (who may join) → `session` → `sender` and `ingest` (trajectories) → `weights` →
-//! `metrics`, `history` and `viewer` → `units` (shared evaluations) → `alive` and `pulse`.
+//! Reading order: `config` and [`security`] (authentication) → `session` → `sender` and `ingest` (trajectories) →
+//! `weights` → `metrics`, `history`, and `viewer` → `units` (distributed evaluation) → `alive` and `pulse`.
 //!
 //! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
-//! liveliness tokens say who is there. The services see the types of this module only, never zenoh's.
+//! liveliness tokens show which processes are alive. The services use only the types of this crate, never zenoh's.
 //!
-//! Nothing here blocks in a zenoh callback: a slow callback would stall every peer of the session. Work goes to
-//! tokio tasks through bounded channels, and what does not fit is counted.
+//! Nothing here blocks in a zenoh callback: a slow callback would stall every peer of the session. Callbacks hand work
+//! to tokio tasks through bounded channels; overflow is dropped and counted.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

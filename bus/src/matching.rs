@@ -1,4 +1,4 @@
-//! Whether somebody is at the other end of a key.
+//! Whether a key has a matching subscriber or queryable.
 
 use std::sync::Arc;
 
@@ -17,13 +17,13 @@ pub(super) struct Matching {
     _task: AbortOnDropHandle<()>,
 }
 
-/// Makes the same task for the two zenoh types that have a matching status but no common trait.
+/// Defines the same task for the two zenoh types that have a matching status but no common trait.
 macro_rules! follow {
     ($name:ident, $type:ty) => {
         pub(super) async fn $name(entity: Arc<$type>) -> Result<Self, BusError> {
             let failed = || BusError::during(format!("watching who is at {}", entity.key_expr()));
-            // A notification says only that something changed; the status is read again, so that a late
-            // notification cannot overwrite a newer status.
+            // A notification only means that the status changed. Read it again, so that a late notification cannot
+            // overwrite a newer status.
             let changes = entity.matching_listener().with(RingChannel::new(1)).await.map_err(failed())?;
             let now = entity.matching_status().await.map_err(failed())?.matching();
             let (sender, status) = watch::channel(now);

@@ -15,17 +15,17 @@ use super::latest::Latest;
 use super::{Bus, BusError};
 use proto::keys;
 
-/// Samples that a reader may leave waiting.
+/// Maximum number of samples that wait for a reader.
 const QUEUE: usize = 4096;
 
-/// Puts the metrics of one key and answers queries for the latest.
+/// Publishes the metrics of one key and answers queries for the latest.
 #[derive(Debug)]
 pub struct MetricsPublisher {
     latest: Latest,
     publisher: Publisher<'static>,
 }
 
-/// Metrics of some keys as they come.
+/// Receives the metrics of some keys.
 #[derive(Debug)]
 pub struct MetricsSubscriber {
     samples: mpsc::Receiver<MetricsSample>,
@@ -33,12 +33,12 @@ pub struct MetricsSubscriber {
     _open: Bus,
 }
 
-/// One value of metrics.
+/// One metrics value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MetricsSample {
     /// Key after `metrics/`, for example `learner`.
     pub suffix: String,
-    /// What was put.
+    /// The published value.
     pub value: serde_json::Value,
 }
 
@@ -46,7 +46,7 @@ impl Bus {
     /// Publishes metrics under `metrics/<suffix>`; see [`keys`] for the suffixes.
     ///
     /// # Errors
-    /// If the suffix is no key or the session is closed.
+    /// If the suffix is not a valid key or the session is closed.
     pub async fn metrics_publisher(&self, suffix: &str) -> Result<MetricsPublisher, BusError> {
         let key = keys::metrics(suffix);
         let latest = Latest::declare(self, key.clone(), Encoding::APPLICATION_JSON).await?;
@@ -61,11 +61,11 @@ impl Bus {
         Ok(MetricsPublisher { latest, publisher })
     }
 
-    /// Reads metrics from now on, and the latest of each key that is there already. `suffix` may have wildcards:
-    /// `**` for all, `actor/*` for all actors.
+    /// Receives the latest metrics of each existing key and all metrics from now on. `suffix` may have wildcards: `**`
+    /// for all, `actor/*` for all actors.
     ///
     /// # Errors
-    /// If the suffix is no key expression or the session is closed.
+    /// If the suffix is not a valid key expression or the session is closed.
     pub async fn metrics_subscriber(&self, suffix: &str) -> Result<MetricsSubscriber, BusError> {
         let key = keys::metrics(suffix);
         let failed = || BusError::during(format!("subscribing to {key}"));
@@ -78,7 +78,7 @@ impl Bus {
             .callback(move |sample| live.push(&sample))
             .await
             .map_err(failed())?;
-        // Asked after the subscription, so that nothing falls between the two; a value may then come twice.
+        // Query after subscribing, so that no value is missed; a value may arrive twice.
         self.session
             .get(key.clone())
             .target(QueryTarget::All)
@@ -94,10 +94,10 @@ impl Bus {
 }
 
 impl MetricsPublisher {
-    /// Puts `metrics`; when nobody listens they are kept as the latest all the same.
+    /// Publishes `metrics` and keeps them as the latest, even without subscribers.
     ///
     /// # Errors
-    /// If they cannot be JSON or the session is closed.
+    /// If they cannot be serialized as JSON or the session is closed.
     pub async fn put(&self, metrics: &impl Serialize) -> Result<(), BusError> {
         let key = || self.publisher.key_expr().to_string();
         let json = serde_json::to_vec(metrics).map_err(|source| BusError::Json { key: key(), source })?;
@@ -113,8 +113,8 @@ impl MetricsSubscriber {
         self.samples.recv().await
     }
 
-    /// Appends what has come to `samples`, at least one and at most `limit`, and says how many; 0 after the session is
-    /// closed.
+    /// Appends the received samples to `samples`, at least one and at most `limit`, and returns their number; 0 after
+    /// the session is closed.
     pub async fn recv_many(&mut self, samples: &mut Vec<MetricsSample>, limit: usize) -> usize {
         self.samples.recv_many(samples, limit).await
     }

@@ -1,14 +1,14 @@
-//! Whether the work of a service goes on, for whoever asks about its health.
+//! Heartbeat of a service's main loop, for health checks.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// Beats with every turn of a service's main loop; clones share it.
+/// A heartbeat for every iteration of a service's main loop; clones share it.
 ///
-/// A loop that waits for somebody else says so with [`Pulse::waiting`], so that a learner without actors is not taken for one
-/// that hangs.
+/// A loop that waits for another process declares it with [`Pulse::waiting`], so that a learner without actors does not
+/// look like one that hangs.
 #[derive(Clone, Debug)]
 pub struct Pulse(Arc<Inner>);
 
@@ -18,7 +18,7 @@ struct Inner {
     n_waiting: AtomicUsize,
 }
 
-/// The service waits for others until this is dropped.
+/// Marks the service as waiting for others until dropped.
 #[derive(Debug)]
 pub struct Waiting(Pulse);
 
@@ -29,12 +29,12 @@ impl Default for Pulse {
 }
 
 impl Pulse {
-    /// The loop has turned.
+    /// Records an iteration of the loop.
     pub fn beat(&self) {
         *self.last() = Instant::now();
     }
 
-    /// From now on the loop waits for others.
+    /// Marks the loop as waiting for others from now on.
     pub fn waiting(&self) -> Waiting {
         self.0.n_waiting.fetch_add(1, Ordering::Relaxed);
         Waiting(self.clone())
@@ -46,7 +46,7 @@ impl Pulse {
     }
 
     fn last(&self) -> MutexGuard<'_, Instant> {
-        // A time is whole after every statement.
+        // Every statement leaves the time consistent.
         self.0.last.lock()
     }
 }

@@ -1,7 +1,8 @@
-//! Who may join a bus that others can reach, and what each role may do there.
+//! Authentication and roles on a bus that other machines can reach.
 //!
-//! A router with keys takes QUIC connections only, which are encrypted by TLS 1.3. A client shows a certificate of the run's own authority and a password, both
-//! of one role, and may then do what `access` grants that role. Everything else is denied.
+//! A router with keys accepts only QUIC connections, which are encrypted by TLS 1.3. A client presents a certificate of
+//! the run's own authority and a password, both of the same role, and gets the rights that `access` grants that role.
+//! Everything else is denied.
 
 use std::fs;
 use std::net::IpAddr;
@@ -13,7 +14,7 @@ use serde_json::{Value, json};
 use x509_parser::parse_x509_certificate;
 use x509_parser::pem::parse_x509_pem;
 
-/// The roles that have keys; each is the common name of a certificate and the name of a user.
+/// The roles that have keys. Each is the common name of a certificate and a user name.
 pub const ROLES: [&str; 5] = ["router", "learner", "actor", "evaluator", "viewer"];
 
 /// The authority's certificate, which both ends trust.
@@ -22,53 +23,53 @@ pub const AUTHORITY_FILE: &str = "ca.pem";
 pub const CERTIFICATE_FILE: &str = "cert.pem";
 /// The private key of that certificate.
 pub const KEY_FILE: &str = "key.pem";
-/// The role and its password, as `role:password` in one line.
+/// The role and its password, as one line `role:password`.
 pub const PASSWORD_FILE: &str = "password";
-/// A router's list of all roles and their passwords, one `role:password` a line.
+/// A router's list of all roles and their passwords, one `role:password` per line.
 pub const USERS_FILE: &str = "users";
 
 /// Keys of a process on the bus.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SecurityConfig {
-    /// Folder with the keys of this process's role, as `lodestone keys new` makes it. Default none: the process joins
-    /// without credentials and may listen on loopback addresses and unix sockets only.
+    /// Folder with the keys of this process's role, as created by `lodestone keys new`. Default none: the process joins
+    /// without credentials and can listen only on loopback addresses and Unix sockets.
     pub keys: Option<PathBuf>,
 }
 
-/// Keys that cannot be used.
+/// Errors of reading keys.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KeysError {
     /// A file is missing or cannot be read.
     #[error("cannot read the key file {}: {reason}; `lodestone keys new DIR` makes a folder of keys for each role", path.display())]
     Unreadable {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
-    /// A file is not what its name says.
+    /// A file does not have the expected content.
     #[error("the key file {} {reason}", path.display())]
     Malformed {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The error.
         reason: String,
     },
-    /// A certificate whose time is over, or has not come.
+    /// A certificate has expired or is not yet valid.
     #[error("the certificate {} is valid {validity}, which is not now; make new keys with `lodestone keys new`, or check the clock", path.display())]
     Expired {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// From when to when.
+        /// The period of validity.
         validity: String,
     },
-    /// A router needs the passwords of all roles, and this is another role's folder.
+    /// A router needs the passwords of all roles, but the folder belongs to another role.
     #[error("{} has no file `users`: a process that others connect to needs the keys of the role `router`", .0.display())]
     NotARouter(PathBuf),
 }
 
-/// The keys of one role, found to be complete and in date.
+/// The keys of one role, checked to be complete and valid now.
 #[derive(Clone, Debug)]
 pub(super) struct Keys {
     folder: PathBuf,
@@ -77,7 +78,7 @@ pub(super) struct Keys {
 }
 
 impl Keys {
-    /// Reads and checks the folder of a role; `listens` asks for what a router needs besides.
+    /// Reads and checks the folder of a role; `listens` requires the files that only a router needs.
     pub(super) fn read(folder: &Path, listens: bool) -> Result<Self, KeysError> {
         for name in [AUTHORITY_FILE, CERTIFICATE_FILE] {
             check_validity(&folder.join(name))?;
@@ -100,13 +101,13 @@ impl Keys {
         self.folder.join(name).display().to_string()
     }
 
-    /// Zenoh's settings of `transport.link.tls`, which QUIC shares.
+    /// Zenoh's settings in `transport.link.tls`, which also apply to QUIC.
     pub(super) fn tls(&self) -> Value {
         let (certificate, key) = (self.path(CERTIFICATE_FILE), self.path(KEY_FILE));
         json!({
             "root_ca_certificate": self.path(AUTHORITY_FILE),
             "enable_mtls": true,
-            // Zenoh trusts public authorities besides ours, so only the name tells our router from anybody's server.
+            // Zenoh also trusts public authorities, so only the name distinguishes our router from any other server.
             "verify_name_on_connect": true,
             "close_link_on_expiration": true,
             "listen_certificate": certificate,
@@ -116,14 +117,14 @@ impl Keys {
         })
     }
 
-    /// Zenoh's settings of `transport.auth.usrpwd`; a router knows everybody's password.
+    /// Zenoh's settings in `transport.auth.usrpwd`; a router has the passwords of all roles.
     pub(super) fn passwords(&self, listens: bool) -> Value {
         let users = listens.then(|| self.path(USERS_FILE));
         json!({ "user": self.user, "password": self.password, "dictionary_file": users })
     }
 }
 
-/// Whether others than this machine's processes can reach the endpoint, for example `tcp/0.0.0.0:7447`.
+/// Whether other machines can reach the endpoint, for example `tcp/0.0.0.0:7447`.
 pub(super) fn is_reachable(endpoint: &str) -> bool {
     let (protocol, address) = endpoint.split_once('/').unwrap_or((endpoint, ""));
     if protocol == "unixsock-stream" {
@@ -136,7 +137,7 @@ pub(super) fn is_reachable(endpoint: &str) -> bool {
     !is_loopback
 }
 
-/// Whether the text is an endpoint of a kind that is built in.
+/// Whether the text is an endpoint with a supported protocol.
 pub(super) fn is_endpoint(text: &str) -> bool {
     match text.split_once('/') {
         Some(("tcp" | "quic", address)) => address.contains(':'),
@@ -147,8 +148,8 @@ pub(super) fn is_endpoint(text: &str) -> bool {
 
 /// Whether the endpoint is encrypted.
 ///
-/// Zenoh's TLS over TCP is left out: it reads and writes one stream from two tasks at once (zenoh issue 2557), and under load
-/// connections broke every few seconds.
+/// Zenoh's TLS over TCP is excluded: it reads and writes one stream from two tasks at once (zenoh issue 2557), and
+/// under load connections broke every few seconds.
 pub(super) fn is_quic(endpoint: &str) -> bool {
     endpoint.starts_with("quic/")
 }
@@ -157,7 +158,7 @@ fn read(path: &Path) -> Result<String, KeysError> {
     fs::read_to_string(path).map_err(|error| KeysError::Unreadable { path: path.to_owned(), reason: error.to_string() })
 }
 
-/// Zenoh would retry for ever, and silently, with a certificate that nobody accepts.
+/// Checks the certificate here because zenoh would silently retry forever with an invalid one.
 fn check_validity(path: &Path) -> Result<(), KeysError> {
     let malformed = |reason: &str| KeysError::Malformed { path: path.to_owned(), reason: reason.to_owned() };
     let text = read(path)?;
@@ -179,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_loopback_and_unix_sockets_are_out_of_reach() {
+    fn only_loopback_and_unix_sockets_are_unreachable() {
         for endpoint in [
             "tcp/127.0.0.1:7447",
             "tcp/127.8.0.1:0",
@@ -203,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_without_keys_is_named() {
+    fn folder_without_keys_is_named_in_the_error() {
         let folder = tempfile::tempdir().unwrap();
         let message = Keys::read(folder.path(), false).unwrap_err().to_string();
         assert!(message.contains("ca.pem") && message.contains("lodestone keys new"), "{message}");

@@ -1,4 +1,4 @@
-//! The actor's end: trajectories to the learner, and copies for viewers.
+//! The actor's side of trajectories: queries to the learner, and copies for viewers.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,16 +14,16 @@ use super::{Bus, BusError, SendError};
 use proto::codec::{Ack, MAX_TRAJECTORY_BYTES, decode_ack, decode_refused, encode_trajectory};
 use proto::{ActorId, Trajectory, keys};
 
-/// Schema of a trajectory's encoding.
+/// Encoding schema of a trajectory.
 pub(super) const TRAJECTORY_SCHEMA: &str = "lodestone.v1.Trajectory";
-/// Schema of an accepting reply's encoding.
+/// Encoding schema of an acknowledgement.
 pub(super) const ACK_SCHEMA: &str = "lodestone.v1.Ack";
-/// Schema of a refusing reply's encoding: tells the learner's refusals from zenoh's own error replies.
+/// Encoding schema of a refusal; it distinguishes the learner's refusals from zenoh's error replies.
 pub(super) const REFUSAL_SCHEMA: &str = "lodestone.v1.Refusal";
 
 /// Sends the trajectories of one actor; clones share it.
 ///
-/// How many are under way at a time is the caller's affair (2 are a good number).
+/// The caller limits the number of trajectories in flight (2 is a good number).
 #[derive(Clone, Debug)]
 pub struct TrajectorySender(Arc<Inner>);
 
@@ -37,7 +37,7 @@ struct Inner {
 }
 
 impl Bus {
-    /// The sender of the actor's trajectories.
+    /// Declares the sender of an actor's trajectories.
     ///
     /// # Errors
     /// If the session is closed.
@@ -72,13 +72,13 @@ impl Bus {
 }
 
 impl TrajectorySender {
-    /// Sends a trajectory and waits for the learner's answer, at most for the configured time.
+    /// Sends a trajectory and waits for the learner's answer, up to the configured timeout.
     ///
-    /// While somebody watches, a copy goes to the viewers too, also at a second attempt.
+    /// While there are viewers, every attempt also sends them a copy.
     ///
     /// # Errors
-    /// If the learner has not, or may not have, the trajectory. After [`SendError::NoReply`] the same trajectory may
-    /// be sent again: the learner takes it once.
+    /// If the learner does not have the trajectory, or may not have it. After [`SendError::NoReply`] the same
+    /// trajectory can be sent again: the learner takes it only once.
     pub async fn send(&self, trajectory: &Trajectory) -> Result<Ack, SendError> {
         let bytes = encode_trajectory(trajectory);
         if bytes.len() > MAX_TRAJECTORY_BYTES {
@@ -105,33 +105,33 @@ impl TrajectorySender {
             Err(error) if *error.encoding() == Encoding::APPLICATION_PROTOBUF.with_schema(REFUSAL_SCHEMA) => {
                 Err(SendError::Refused(decode_refused(&error.payload().to_bytes())?.refusal))
             }
-            // Zenoh's own error replies: the time is over or the way to the learner is lost.
+            // Zenoh's error replies: a timeout, or a lost route to the learner.
             Err(_) => Err(SendError::NoReply),
         }
     }
 
-    /// Whether a learner is there.
+    /// Whether a learner is present.
     pub fn learner_is_there(&self) -> bool {
         self.0.learner_there.is_matching()
     }
 
-    /// Follows whether a learner is there.
+    /// Watches whether a learner is present.
     pub fn watch_learner(&self) -> watch::Receiver<bool> {
         self.0.learner_there.watch()
     }
 
-    /// Waits until a learner is there; returns at once when one is. Never returns after the session is closed: give
-    /// up by dropping the future.
+    /// Waits until a learner is present; returns at once if one is. Never returns after the session is closed; drop the
+    /// future to cancel.
     pub async fn wait_for_learner(&self) {
         wait_for(self.0.learner_there.watch()).await;
     }
 
-    /// Whether somebody watches the actor's trajectories.
+    /// Whether the actor's trajectories have viewers.
     pub fn viewers_are_there(&self) -> bool {
         self.0.viewers_there.is_matching()
     }
 
-    /// Waits until somebody watches, like [`Self::wait_for_learner`].
+    /// Waits until there is a viewer, like [`Self::wait_for_learner`].
     pub async fn wait_for_viewer(&self) {
         wait_for(self.0.viewers_there.watch()).await;
     }

@@ -1,4 +1,4 @@
-//! Evaluators share a pass: a unit of episodes is a query to a remote worker, which answers with what came of them.
+//! Distributed evaluation: a unit of episodes is a query to a remote worker, which answers with the results.
 
 use std::time::Duration;
 
@@ -13,8 +13,8 @@ use proto::codec::{MAX_UNIT_BYTES, decode_answer, decode_unit, encode_answer, en
 use proto::keys;
 use proto::unit::{EvalAnswer, EvalUnit};
 
-/// How long an evaluator waits for a unit; a process that is gone is noticed at once, so this is for one that hangs.
-const PATIENCE: Duration = Duration::from_secs(300);
+/// Timeout of a unit. It only matters for a worker that hangs; a worker that ends is noticed at once.
+const UNIT_TIMEOUT: Duration = Duration::from_secs(300);
 
 /// Sends units to one remote worker.
 #[derive(Debug)]
@@ -23,7 +23,7 @@ pub struct WorkerCaller {
     _open: Bus,
 }
 
-/// Units that come to a remote worker, one at a time.
+/// Receives units at a remote worker, one at a time.
 #[derive(Debug)]
 pub struct UnitServer {
     calls: mpsc::Receiver<Query>,
@@ -31,15 +31,15 @@ pub struct UnitServer {
     open: Bus,
 }
 
-/// A unit that waits for its answer; without one, the evaluator gives it to somebody else.
+/// A unit that waits for its answer; if dropped unanswered, the evaluator assigns it to another worker.
 #[derive(Debug)]
 pub struct UnitCall {
-    /// What is to be run.
+    /// The episodes to run.
     pub unit: EvalUnit,
     query: Query,
 }
 
-/// Why a unit was not run.
+/// Reasons why a unit was not run.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
     /// The remote worker is gone or did not answer in time.
@@ -54,7 +54,7 @@ pub enum CallError {
 }
 
 impl Bus {
-    /// The way to the remote worker of this name.
+    /// Declares the caller of the remote worker with this name.
     ///
     /// # Errors
     /// If the session is closed.
@@ -66,19 +66,19 @@ impl Bus {
             .congestion_control(CongestionControl::Block)
             .priority(Priority::DataLow)
             .consolidation(ConsolidationMode::None)
-            .timeout(PATIENCE)
+            .timeout(UNIT_TIMEOUT)
             .await
             .map_err(BusError::during(format!("declaring {key}")))?;
         Ok(WorkerCaller { querier, _open: self.clone() })
     }
 
-    /// Takes units under this name from now on.
+    /// Receives units under this name from now on.
     ///
     /// # Errors
     /// If the session is closed.
     pub async fn serve_units(&self, worker: &str) -> Result<UnitServer, BusError> {
         let key = keys::worker(worker);
-        // One may wait while one is run, so that two evaluators take turns.
+        // One unit can wait while another runs, so that two evaluators take turns.
         let (queue, calls) = mpsc::channel::<Query>(1);
         let counters = self.counters.clone();
         let queryable = self
@@ -86,7 +86,7 @@ impl Bus {
             .declare_queryable(key.clone())
             .complete(true)
             .callback(move |query| {
-                // A query that is dropped ends without a reply for the one who asks.
+                // Dropping a query ends it without a reply.
                 if queue.try_send(query).is_err() {
                     counters.queries_dropped.add_one();
                 }
@@ -98,10 +98,10 @@ impl Bus {
 }
 
 impl WorkerCaller {
-    /// Has a unit run.
+    /// Sends a unit to be run and waits for the results.
     ///
     /// # Errors
-    /// If there is no answer, or none that can be read.
+    /// If there is no answer, or it is invalid.
     pub async fn run(&self, unit: &EvalUnit) -> Result<EvalAnswer, CallError> {
         let bytes = encode_unit(unit);
         if bytes.len() > MAX_UNIT_BYTES {
@@ -117,7 +117,7 @@ impl WorkerCaller {
 }
 
 impl UnitServer {
-    /// The next unit; `None` after the session is closed. What cannot be read is refused and counted.
+    /// The next unit; `None` after the session is closed. Invalid units are refused and counted.
     pub async fn recv(&mut self) -> Option<UnitCall> {
         loop {
             let query = self.calls.recv().await?;
@@ -135,7 +135,7 @@ impl UnitServer {
 }
 
 impl UnitCall {
-    /// Answers; an evaluator that is gone meanwhile needs none.
+    /// Sends the answer. Nothing happens if the evaluator is gone.
     pub async fn answer(self, reply: EvalAnswer) {
         let query = self.query;
         let sent = tokio::task::spawn_blocking(move || answer(&query, &reply)).await;

@@ -1,4 +1,4 @@
-//! Watching trajectories without taking part.
+//! Passive viewing of trajectories.
 
 use tokio::sync::mpsc;
 use zenoh::pubsub::Subscriber;
@@ -7,10 +7,10 @@ use super::{Bus, BusError};
 use proto::codec::decode_trajectory;
 use proto::{ActorId, Trajectory, keys};
 
-/// Trajectories that a viewer may leave waiting; a slow viewer misses the rest.
+/// Maximum number of trajectories that wait for a viewer; a slow viewer misses the rest.
 const QUEUE: usize = 64;
 
-/// Copies of trajectories as they are sent.
+/// Receives copies of the trajectories that actors send.
 #[derive(Debug)]
 pub struct TrajectoryViewer {
     trajectories: mpsc::Receiver<Trajectory>,
@@ -19,7 +19,7 @@ pub struct TrajectoryViewer {
 }
 
 impl Bus {
-    /// Watches the trajectories of one actor, or of all. Actors make copies only while somebody watches.
+    /// Views the trajectories of one actor, or of all. Actors send copies only while there are viewers.
     ///
     /// # Errors
     /// If the session is closed.
@@ -31,7 +31,7 @@ impl Bus {
             .session
             .declare_subscriber(key.clone())
             .callback(move |sample| {
-                // A slot is taken first: what nobody will read need not be decoded.
+                // Reserve a slot first: a trajectory that will be dropped need not be decoded.
                 let Ok(slot) = sender.try_reserve() else { return counters.viewed_dropped.add_one() };
                 match decode_trajectory(&sample.payload().to_bytes()) {
                     Ok(trajectory) => slot.send(trajectory),

@@ -1,4 +1,4 @@
-//! Weights: the learner says that there are newer ones, the others pull them.
+//! Weights: the learner publishes a notice of newer weights, and the other processes pull them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,10 +24,10 @@ use tokio_util::task::AbortOnDropHandle;
 const WEIGHTS_SCHEMA: &str = "lodestone.v1.Weights";
 const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
 
-/// Pause before a failed pull is tried again.
+/// Pause before a failed pull is retried.
 const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
-/// The learner's end: keeps the newest weights for whoever asks.
+/// The learner's side: holds the newest weights and answers pulls.
 #[derive(Debug)]
 pub struct WeightsPublisher {
     epoch: u64,
@@ -35,7 +35,7 @@ pub struct WeightsPublisher {
     notices: Publisher<'static>,
 }
 
-/// The end of actors and the evaluator: holds the newest weights that it could get, or what is kept of them.
+/// The side of actors and the evaluator: holds the newest weights that were pulled, or a value derived from them.
 #[derive(Debug)]
 pub struct WeightsSubscriber<T = Weights> {
     weights: watch::Receiver<Option<Arc<T>>>,
@@ -44,7 +44,7 @@ pub struct WeightsSubscriber<T = Weights> {
 }
 
 impl Bus {
-    /// Publishes weights under this process's own epoch; there should be one publisher in a run.
+    /// Publishes weights under this process's own epoch. A run should have one publisher.
     ///
     /// # Errors
     /// If the session is closed.
@@ -63,7 +63,7 @@ impl Bus {
         Ok(WeightsPublisher { epoch: process_epoch_ms(), latest, notices })
     }
 
-    /// Follows the newest weights from now on; a late joiner gets those that are there.
+    /// Follows the newest weights from now on; a late joiner gets the current ones.
     ///
     /// # Errors
     /// If the session is closed.
@@ -71,8 +71,8 @@ impl Bus {
         self.weights_subscriber_keeping(|weights| weights).await
     }
 
-    /// As [`Self::weights_subscriber`], but holds only what `keep` makes of the weights: thousands of sessions in one
-    /// process, for measurements, have no room for all of them.
+    /// Like [`Self::weights_subscriber`], but stores only the result of `keep`: benchmarks with thousands of sessions
+    /// in one process cannot hold all weights.
     ///
     /// # Errors
     /// If the session is closed.
@@ -107,7 +107,7 @@ impl Bus {
 }
 
 impl WeightsPublisher {
-    /// Makes these the newest weights and tells everybody.
+    /// Publishes these weights as the newest and sends a notice.
     ///
     /// # Errors
     /// If they are larger than receivers accept, or the session is closed.
@@ -116,7 +116,7 @@ impl WeightsPublisher {
         if bytes.len() > MAX_WEIGHTS_BYTES {
             return Err(BusError::TooLarge { bytes: bytes.len(), limit: MAX_WEIGHTS_BYTES });
         }
-        // Before the notice, so that nobody pulls the old ones after it.
+        // Set the weights before the notice, so that no process pulls the old ones after it.
         self.latest.set(ZBytes::from(bytes));
         let notice = WeightsNotice { epoch: self.epoch, version: weights.version };
         self.notices.put(encode_notice(notice)).await.map_err(BusError::during("giving notice of weights"))
@@ -124,7 +124,7 @@ impl WeightsPublisher {
 }
 
 impl<T> WeightsSubscriber<T> {
-    /// The newest weights that could be got, `None` before the first.
+    /// The newest weights that were pulled, `None` before the first.
     pub fn watch(&self) -> watch::Receiver<Option<Arc<T>>> {
         self.weights.clone()
     }
@@ -136,7 +136,7 @@ struct Puller<T> {
     learner_there: Matching,
     notices: Subscriber<RingChannelHandler<Sample>>,
     counters: Arc<BusCounters>,
-    /// What the held weights are called in a notice.
+    /// The notice that corresponds to the held weights.
     held: Option<WeightsNotice>,
     keep: fn(Weights) -> T,
     sender: watch::Sender<Option<Arc<T>>>,
@@ -156,7 +156,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
                     wanted |= self.is_newer(&notice);
                 }
                 changed = learner_there.changed() => {
-                    // A learner that is back may have given notice while it could not be heard.
+                    // A returning learner may have published a notice while it was unreachable.
                     if changed.is_err() { return }
                     wanted = *learner_there.borrow_and_update();
                 }
@@ -165,7 +165,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
         }
     }
 
-    /// Within an epoch the version must have grown; another epoch is another learner process, whose word counts.
+    /// Within an epoch the version must grow; another epoch is another learner process and always counts as newer.
     fn is_newer(&self, notice: &Sample) -> bool {
         match decode_notice(&notice.payload().to_bytes()) {
             Ok(notice) => self.held.is_none_or(|held| held.epoch != notice.epoch || held.version < notice.version),
@@ -177,8 +177,8 @@ impl<T: Send + Sync + 'static> Puller<T> {
         }
     }
 
-    /// Gets the newest weights; `Err` if it is worth trying again. A learner without weights gives no reply and will
-    /// give notice.
+    /// Pulls the newest weights; `Err` if a retry can help. A learner without weights gives no reply and publishes a
+    /// notice later.
     async fn pull(&mut self) -> Result<(), ()> {
         let failed = |counters: &BusCounters| {
             counters.pulls_failed.add_one();
@@ -197,7 +197,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
                 }
             }
             Err(error) => {
-                // The same bytes would come again: wait for the next notice.
+                // A retry would return the same bytes, so wait for the next notice.
                 self.counters.weights_invalid.add_one();
                 tracing::warn!(%error, "invalid weights");
             }

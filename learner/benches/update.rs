@@ -1,4 +1,4 @@
-//! Time of a PPO update with the paper's network, in milliseconds a sample and epoch.
+//! Time of a PPO update with the paper's network, in milliseconds per sample and epoch.
 //!
 //! `cargo bench -p learner -- [SAMPLES [THREADS]]`, 1024 samples on one thread by default.
 

@@ -1,7 +1,7 @@
-//! Adam, clipping by global norm and the learning rate's rule, on flat vectors.
+//! Adam, clipping by global norm, and the learning rate's rule, on flat vectors.
 //!
-//! The optimizer works on the same flat parameter vector that travels to the actors: its moments are two plain vectors,
-//! so a checkpoint is exact and needs no tree of tensors. The cost is below 1 % of an update.
+//! The optimizer works on the flat parameter vector that is sent to the actors. Its moments are two plain vectors, so a
+//! checkpoint is exact and needs no tree of tensors. It takes less than 1 % of an update's time.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,13 +18,13 @@ pub struct Adam {
     pub n_steps: u64,
 }
 
-/// The learning rate, moved by the KL divergence of the updates.
+/// The learning rate, adapted to the KL divergence of the updates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct LearningRate(pub f32);
 
 impl Adam {
-    /// No steps taken on `n` parameters.
+    /// The initial state for `n` parameters.
     pub fn new(n: usize) -> Self {
         Self { first: vec![0.0; n], second: vec![0.0; n], n_steps: 0 }
     }
@@ -35,11 +35,11 @@ impl Adam {
     /// `parameters` and `gradient` have one entry per parameter of this state.
     ///
     /// # Panics
-    /// When the lengths differ.
+    /// If the lengths differ.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: LearningRate, config: &OptimizerConfig) {
         assert!(parameters.len() == self.first.len() && gradient.len() == self.first.len(), "one entry per parameter");
         self.n_steps += 1;
-        // 1 − β is taken in f64: in f32 it would be off by 1e-5 of itself for β₂.
+        // Compute 1 − β in f64: in f32 its relative error is 1e-5 for β₂.
         let (b1, b2) = (config.beta1 as f32, config.beta2 as f32);
         let (c1, c2) = ((1.0 - config.beta1) as f32, (1.0 - config.beta2) as f32);
         let exponent = self.n_steps as f64;
@@ -56,7 +56,7 @@ impl Adam {
 }
 
 impl LearningRate {
-    /// The rate for the next update after one that moved the policy by `kl` nats.
+    /// The rate of the next update, after an update that moved the policy by `kl` nats.
     pub fn adapted(self, kl: f32, rule: &AdaptiveRate) -> Self {
         if kl > rule.high_kl {
             Self((self.0 / rule.factor).max(rule.min))
@@ -68,9 +68,9 @@ impl LearningRate {
     }
 }
 
-/// Scales `gradient` by `min(1, max_norm / ‖gradient‖)` and returns the norm before.
+/// Scales `gradient` by `min(1, max_norm / ‖gradient‖)` and returns the norm before clipping.
 pub fn clip_global_norm(gradient: &mut [f32], max_norm: f32) -> f32 {
-    // Partial sums in f32 are vectorized; their total in f64 keeps a million squares exact enough.
+    // Partial sums in f32 are vectorized; their total in f64 is accurate enough for a million squares.
     let sum: f64 = gradient.chunks(1024).map(|chunk| f64::from(chunk.iter().map(|g| g * g).sum::<f32>())).sum();
     let norm = sum.sqrt() as f32;
     if norm > max_norm {
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_step_moves_by_the_rate() {
+    fn first_adam_step_moves_by_the_learning_rate() {
         // m̂ = g and v̂ = g², so the step is lr · sign(g) up to ε.
         let mut adam = Adam::new(2);
         let mut w = [1.0, 1.0];
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn the_norm_is_clipped_only_when_larger() {
+    fn norm_is_clipped_only_if_larger() {
         let mut gradient = [3.0, 4.0];
         assert_eq!(clip_global_norm(&mut gradient, 10.0), 5.0);
         assert_eq!(gradient, [3.0, 4.0]);
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_follows_the_kl_within_its_bounds() {
+    fn learning_rate_follows_the_kl_within_bounds() {
         let rule = AdaptiveRate::default();
         for (rate, kl, expected) in
             [(3e-4, 0.03, 2e-4), (3e-4, 0.001, 4.5e-4), (3e-4, 0.01, 3e-4), (1.2e-5, 1.0, 1e-5), (9e-4, 0.0, 1e-3)]

@@ -1,4 +1,4 @@
-//! What a learner takes at all: goals for training, acted in a world such as its own. Nothing here costs more than a look.
+//! Admission rules for trajectories: training goals, in a world like the learner's. Every check is cheap.
 
 use std::collections::BTreeSet;
 
@@ -6,42 +6,42 @@ use blueprints::generator::{Draws, Request};
 use blueprints::{BlueprintId, Catalog, Split};
 use proto::{Action, Label, RewardTerms, Scene, Start, Status, Trajectory};
 
-/// Largest coordinate of a block, m: where the widest world that can be configured gives an episode up.
+/// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
 const MAX_POSITION_M: f32 = 50.0;
 
-/// Largest magnitude of a term of a step's reward: 120 pairs of blocks at the largest weight that can be configured, 10. One
-/// step above it would outweigh the returns of a whole batch.
+/// Largest magnitude of a reward term per step: 120 pairs of blocks with the largest configurable weight, 10. One
+/// larger reward would outweigh the returns of a whole batch.
 const MAX_REWARD: f32 = 1200.0;
 
-/// Largest magnitude of an entry of a move. The world clips them to 1; the widest distributions are 10 wide.
+/// Largest magnitude of an entry of a move. The world clips entries to 1; the widest distributions have width 10.
 const MAX_MOVE: f32 = 1000.0;
 
-/// Logarithm of the least and of the greatest density of an action that was sampled: 96 entries at four deviations each, and
-/// 96 entries at the least deviation that can be configured, 1e-6.
+/// Range of the log-density of a sampled action: 96 entries at four standard deviations each, to 96 entries with the
+/// smallest configurable standard deviation, 1e-6.
 const LOG_PROBS: std::ops::RangeInclusive<f32> = -2000.0..=2000.0;
 
-/// The rules of one run.
+/// The admission rules of one run.
 #[derive(Clone, Debug)]
 pub struct Admission {
     n_grippers: usize,
-    /// What may be a goal or stand at the start.
+    /// Blueprints allowed as goals and start states.
     training: BTreeSet<BlueprintId>,
-    /// What may be a goal besides, if the run generates any.
+    /// Generated structures allowed as goals, if the run generates any.
     generated: Option<Draws>,
 }
 
 impl Admission {
-    /// Admits the training split of `catalog`, the run's own `tasks` and, if there are any, `generated` goals, acted with
+    /// Admits the training split of `catalog`, the run's own `tasks`, and, if given, `generated` goals, with actions of
     /// `n_grippers` grippers.
     pub fn new(catalog: &Catalog, tasks: &[BlueprintId], generated: Option<Draws>, n_grippers: usize) -> Self {
         let split = catalog.of_split(Split::Train).into_iter().map(|blueprint| blueprint.id().clone());
         Self { n_grippers, training: split.chain(tasks.iter().cloned()).collect(), generated }
     }
 
-    /// Why a trajectory cannot be learned from, whatever the weights that acted.
+    /// Checks whether a trajectory can be used for learning, regardless of the acting weights.
     ///
     /// # Errors
-    /// The first rule that it breaks, in words.
+    /// A description of the first broken rule.
     pub fn check(&self, trajectory: &Trajectory) -> Result<(), String> {
         self.check_task(trajectory)?;
         if trajectory.status == Status::Diverged {
@@ -115,12 +115,12 @@ fn check_reward(reward: &RewardTerms) -> Result<(), String> {
     odd.map_or(Ok(()), |term| Err(format!("has a reward of {term}, which no world gives")))
 }
 
-/// Values are not learned from: the learner computes its own. They travel in messages and checkpoints, so they are numbers.
+/// The learner computes its own values. These must still be finite, because checkpoints contain them.
 fn check_value(value: f32) -> Result<(), String> {
     if value.is_finite() { Ok(()) } else { Err(format!("has a value of {value}")) }
 }
 
-/// False for NaN.
+/// Whether `|x| ≤ limit`; false for NaN.
 fn within(x: f32, limit: f32) -> bool {
     x.abs() <= limit
 }
@@ -143,11 +143,11 @@ mod tests {
     }
 
     #[test]
-    fn goals_are_those_of_the_training() {
+    fn only_training_goals_are_admitted() {
         let none = admission(None);
         let some = admission(Some(Draws::new([Style::Tower], 2..=4)));
         let held_out = Catalog::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
-        // Admitted without and with generated goals.
+        // Whether each goal is admitted without and with generated goals.
         for (goal, expected) in [
             ("2_000", [true, true]),
             // One of the run's own tasks.
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn starts_are_those_that_actors_draw() {
+    fn only_starts_that_actors_draw_are_admitted() {
         let prebuilt = |id: &str| Start::Prebuilt(id.parse().unwrap());
         let held_out = Catalog::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
         for (start, is_admitted) in [
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_those_of_a_world() {
+    fn implausible_numbers_are_refused() {
         type Spoil = fn(&mut Trajectory);
         let cases: [(Spoil, &str); 12] = [
             (|t| t.transitions[1].reward.connected = 1e5, "step 1 has a reward of 100000, which no world gives"),

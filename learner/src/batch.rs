@@ -1,4 +1,4 @@
-//! The trajectories of one update, laid out for the network: features are computed once and serve all epochs.
+//! The trajectories of one update as network inputs; the features are computed once for all epochs.
 
 use std::ops::Range;
 
@@ -11,36 +11,36 @@ use crate::mailbox::policy_lag;
 
 /// All samples of an update.
 ///
-/// Rows `0..n_samples` of `features` are the scenes that were acted on, in the order of the segments; the rows after
-/// them are the last scenes of the segments.
+/// Rows `0..n_samples` of `features` are the scenes before the actions, in segment order; the rows after them are the
+/// last scenes of the segments.
 #[derive(Debug)]
 pub struct Batch {
     /// Features of `n_samples + n_segments` scenes.
     pub features: FeatureBatch,
     /// Actions, one per sample.
     pub actions: Vec<Action>,
-    /// Log-probabilities under the weights that acted, one per sample.
+    /// Log-probabilities under the acting weights, one per sample.
     pub behavior_log_probs: Vec<f32>,
     /// Rewards, one per sample.
     pub rewards: Vec<f32>,
-    /// Runs of samples of one episode each.
+    /// Ranges of samples, each of one episode.
     pub segments: Vec<Segment>,
 }
 
 /// Consecutive samples of one episode.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Segment {
-    /// Which samples.
+    /// The range of samples.
     pub samples: Range<usize>,
-    /// How the episode stands after the last one.
+    /// The episode's status after the last sample.
     pub status: Status,
-    /// Versions between the weights that acted and the newest.
+    /// Versions between the acting weights and the newest.
     pub policy_lag: u64,
 }
 
 impl Batch {
-    /// Computes the features of `trajectories` that wait for weights `version` to be updated. One whose blueprint is
-    /// not in the catalog is left out (the mailbox refuses those).
+    /// Computes the features of `trajectories` for an update of weights `version`. Trajectories with a blueprint
+    /// outside the catalog are left out (the mailbox refuses those).
     pub fn new(
         trajectories: Vec<Trajectory>,
         version: WeightsVersion,
@@ -81,7 +81,7 @@ impl Batch {
         self.actions.len()
     }
 
-    /// Advantages of all samples from `values` of all rows (both in reward units).
+    /// Advantages of all samples, given the `values` of all rows (both in reward units).
     pub fn advantages(&self, values: &[f32], gamma: f32, lambda: f32) -> Vec<f32> {
         let n_samples = self.n_samples();
         let mut advantages = vec![0.0; n_samples];
@@ -94,7 +94,7 @@ impl Batch {
         advantages
     }
 
-    /// Samples by policy lag: entry `i` counts those of lag `i`.
+    /// Samples by policy lag: entry `i` counts the samples with lag `i`.
     pub fn lag_histogram(&self) -> Vec<u64> {
         let longest = self.segments.iter().map(|s| s.policy_lag).max().unwrap_or(0);
         let mut histogram = vec![0; longest as usize + 1];
@@ -111,7 +111,7 @@ mod tests {
     use crate::fixtures::trajectory;
 
     #[test]
-    fn segments_keep_to_themselves() {
+    fn advantages_do_not_cross_segments() {
         let mut ended = trajectory(2, 3);
         ended.status = Status::Success;
         ended.transitions[1].reward.connected = 1.0;
@@ -119,7 +119,7 @@ mod tests {
         let batch = Batch::new(vec![ended, trajectory(3, 5)], WeightsVersion(5), Catalog::builtin(), &policy);
         assert_eq!((batch.n_samples(), batch.features.n), (5, 7));
         assert_eq!(batch.lag_histogram(), [3, 0, 2]);
-        // γ = λ = 1, all values 0 but those of the last scenes: 7 (ignored: success) and 4.
+        // γ = λ = 1; all values are 0 except those of the last scenes, 7 (ignored: success) and 4.
         let values = [0.0, 0.0, 0.0, 0.0, 0.0, 7.0, 4.0];
         assert_eq!(batch.advantages(&values, 1.0, 1.0), [1.0, 1.0, 4.0, 4.0, 4.0]);
     }

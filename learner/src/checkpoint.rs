@@ -1,17 +1,17 @@
-//! Checkpoints: everything that a learner needs to go on as if it had never stopped.
+//! Checkpoints: everything that a learner needs to resume exactly.
 //!
 //! A checkpoint is a folder `step-<environment steps>` with
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
-//! - `mailbox.bin`: trajectories that waited, each as a little-endian u64 length and its wire form;
+//! - `mailbox.bin`: waiting trajectories, each as a little-endian u64 length and its wire form;
 //! - `replay.bin`: labeled segments in the same form, and `imitator.safetensors`, of which a run without imitation has
 //!   none;
 //! - `model.json`: the policy's configuration, enough to act with the parameters;
-//! - `state.json`: the rest, and the length and FNV-1a hash of each of the files above.
+//! - `state.json`: the rest, and the length and FNV-1a hash of each file above.
 //!
-//! It is written under a temporary name, flushed to the disk and renamed, so that a folder of that name is whole. What
-//! was cut short all the same (a copy that broke off) is told by the lengths and hashes. A write that fails, as on a full disk,
-//! leaves nothing behind; what a process left that was killed in the midst is cleaned up by the next.
+//! A checkpoint is written under a temporary name, flushed to disk, and renamed, so that a folder with the final name
+//! is complete. The lengths and hashes detect other damage, such as an interrupted copy. A write that fails, as on a
+//! full disk, leaves nothing behind; the next start removes the leftovers of a killed process.
 
 pub(crate) mod files;
 pub(crate) mod tensors;
@@ -30,7 +30,7 @@ use crate::state::LearnerState;
 use files::FileInfo;
 pub use tensors::ParameterInfo;
 
-/// Writes a new file of a folder for good.
+/// Writes a new file durably to a folder.
 pub(crate) type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str, &[u8]) -> Result<FileInfo, CheckpointError>;
 
 const PARAMETERS: &str = "parameters.safetensors";
@@ -41,10 +41,10 @@ const IMITATOR: &str = "imitator.safetensors";
 const MODEL: &str = "model.json";
 const STATE: &str = "state.json";
 
-/// Version of the layout; raised when an older reader could not read it.
+/// Version of the format; raised when older readers cannot read it.
 const FORMAT_VERSION: u32 = 1;
 
-/// All of a learner at rest.
+/// The complete state of a learner.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
     /// Counters, statistics, curriculum, random numbers.
@@ -57,51 +57,51 @@ pub struct Checkpoint {
     pub parameters: Vec<f32>,
     /// The optimizer.
     pub adam: Adam,
-    /// The policy that is not to be forgotten, flat like `parameters`, once there is one.
+    /// The frozen parameters of the imitator, once it is set, flat like `parameters`.
     pub imitator: Option<Vec<f32>>,
-    /// Trajectories that waited, oldest first.
+    /// Waiting trajectories, oldest first.
     pub mailbox: Vec<Trajectory>,
     /// Labeled segments.
     pub replay: Vec<Arc<Trajectory>>,
 }
 
-/// Why a checkpoint could not be written or read.
+/// Errors of writing or reading a checkpoint.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The file system refused.
+    /// The file system returned an error.
     #[error("{action} {path}: {source}")]
     Io {
-        /// What was being done.
+        /// The failed operation.
         action: &'static str,
-        /// With which file or folder.
+        /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// A file is not what was written.
+    /// A file differs from what was written.
     #[error("checkpoint file {path} is damaged: {reason}")]
     Damaged {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The difference.
         reason: String,
     },
-    /// No folder `step-<n>` at all.
+    /// There is no folder `step-<n>`.
     #[error("there is no checkpoint in {0}")]
     Absent(PathBuf),
-    /// The checkpoint is of another network or catalog than this learner's.
+    /// The checkpoint belongs to a different network or catalog.
     #[error("the checkpoint does not fit this learner: {0}")]
     Mismatch(String),
 }
 
-/// A checkpoint that was found, and the newer ones that had to be passed over.
+/// The newest readable checkpoint, with the errors of newer ones.
 #[derive(Debug)]
 pub struct Found {
     /// Its folder.
     pub path: PathBuf,
     /// Its content.
     pub checkpoint: Checkpoint,
-    /// Why each newer one was passed over, newest first.
+    /// The error of each newer checkpoint, newest first.
     pub passed_over: Vec<CheckpointError>,
 }
 
@@ -116,15 +116,15 @@ struct StateFile {
 }
 
 impl Checkpoint {
-    /// Writes the folder `step-<n>` below `dir` and returns its path; one of that name is replaced.
+    /// Writes the folder `step-<n>` in `dir` and returns its path; replaces an existing one.
     ///
     /// # Errors
-    /// When the file system refuses; what was written so far is then gone, and an older checkpoint of the same name still there.
+    /// If the file system returns an error; incomplete files are removed, and an older checkpoint of the name remains.
     pub fn write(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
         self.write_with(dir, &mut files::write)
     }
 
-    /// As [`Checkpoint::write`], each file by `write`.
+    /// Like [`Checkpoint::write`], with `write` for each file.
     pub(crate) fn write_with(&self, dir: &Path, write: WriteFile<'_>) -> Result<PathBuf, CheckpointError> {
         let path = dir.join(format!("{}{}", files::STEP, self.state.n_env_steps));
         let temporary = dir.join(format!("{}{}", files::NEW, self.state.n_env_steps));
@@ -134,15 +134,15 @@ impl Checkpoint {
         if written.is_err()
             && let Err(error) = files::remove(&temporary)
         {
-            // The first error says more; the next start tries again.
-            tracing::warn!(%error, "a checkpoint that was cut short stays on the disk");
+            // Report the first error, which explains more; the next start retries the cleanup.
+            tracing::warn!(%error, "an incomplete checkpoint was not removed");
         }
         written?;
         files::sync_folder(dir)?;
         Ok(path)
     }
 
-    /// Makes the folder with all files of the checkpoint.
+    /// Creates the folder with all files of the checkpoint.
     fn write_files(&self, temporary: &Path, write: WriteFile<'_>) -> Result<(), CheckpointError> {
         fs::create_dir(temporary).map_err(io("creating", temporary))?;
         let mut files = Vec::new();
@@ -172,10 +172,10 @@ impl Checkpoint {
         files::sync_folder(temporary)
     }
 
-    /// Reads the folder `path` as [`Checkpoint::write`] left it.
+    /// Reads a folder written by [`Checkpoint::write`].
     ///
     /// # Errors
-    /// [`CheckpointError::Damaged`] naming the file that is not as it was written, or what the file system says.
+    /// [`CheckpointError::Damaged`] with the name of the damaged file, or a file system error.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let state: StateFile = parse(path, STATE, &files::read(path, STATE)?)?;
         if state.format_version != FORMAT_VERSION {
@@ -200,10 +200,10 @@ impl Checkpoint {
         Ok(Self { state: state.state, model, table: state.table, parameters, adam, imitator, mailbox, replay })
     }
 
-    /// Reads the newest whole checkpoint below `dir`, or `dir` itself when it is one.
+    /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is one.
     ///
     /// # Errors
-    /// [`CheckpointError::Absent`] when there is none; when all are damaged, the newest one's error.
+    /// [`CheckpointError::Absent`] if there is none; if all are damaged, the error of the newest.
     pub fn read_latest(dir: &Path) -> Result<Found, CheckpointError> {
         if dir.join(STATE).exists() {
             return Ok(Found { path: dir.into(), checkpoint: Self::read(dir)?, passed_over: Vec::new() });
@@ -213,7 +213,7 @@ impl Checkpoint {
             match Self::read(&path) {
                 Ok(checkpoint) => return Ok(Found { path, checkpoint, passed_over }),
                 Err(error) => {
-                    tracing::warn!(%error, "a checkpoint is unusable, trying the one before");
+                    tracing::warn!(%error, "a checkpoint is unusable, trying the previous one");
                     passed_over.push(error);
                 }
             }
@@ -221,21 +221,21 @@ impl Checkpoint {
         Err(if passed_over.is_empty() { CheckpointError::Absent(dir.into()) } else { passed_over.swap_remove(0) })
     }
 
-    /// The frozen policy, as it is sent to the actors.
+    /// The frozen policy, as sent to the actors.
     pub fn weights(&self) -> Weights {
         self.state.weights(self.model.hash(), self.parameters.clone())
     }
 }
 
-/// Whether there is a checkpoint below `dir`, whole or not.
+/// Whether `dir` contains a checkpoint, valid or not.
 pub fn exists(dir: &Path) -> bool {
     files::steps(dir).is_ok_and(|steps| !steps.is_empty())
 }
 
-/// Removes all but the `keep` newest checkpoints below `dir`, and what an interrupted write left.
+/// Removes all but the `keep` newest checkpoints in `dir`, and the leftovers of interrupted writes.
 ///
 /// # Errors
-/// When the file system refuses.
+/// If the file system returns an error.
 pub fn prune(dir: &Path, keep: usize) -> Result<(), CheckpointError> {
     clean(dir)?;
     let steps = files::steps(dir)?;
@@ -243,11 +243,11 @@ pub fn prune(dir: &Path, keep: usize) -> Result<(), CheckpointError> {
     steps.into_values().take(n_old).try_for_each(|path| files::remove(&path))
 }
 
-/// Removes what an interrupted write left below `dir`, and puts a checkpoint back that was to be replaced when that was
-/// interrupted. Nobody may be writing there.
+/// Removes the leftovers of interrupted writes in `dir`, and restores a checkpoint whose replacement was interrupted.
+/// No other process may be writing there.
 ///
 /// # Errors
-/// When the file system refuses.
+/// If the file system returns an error.
 pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
     files::leftovers(dir)?.into_iter().try_for_each(|leftover| match leftover.replaced {
         Some(path) if !path.exists() => fs::rename(&leftover.path, &path).map_err(io("renaming", &leftover.path)),
@@ -255,7 +255,7 @@ pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
     })
 }
 
-/// For `map_err`: says what was being done when the file system refused.
+/// For `map_err`: names the operation that failed in the file system.
 fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
     move |source| CheckpointError::Io { action, path: path.into(), source }
 }

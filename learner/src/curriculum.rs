@@ -1,4 +1,4 @@
-//! How likely each training blueprint is to be the next goal.
+//! The curriculum: probabilities of the training blueprints as the next goal.
 
 use std::collections::BTreeMap;
 
@@ -15,17 +15,17 @@ pub struct Curriculum {
     waiting: Vec<(BlueprintId, bool)>,
 }
 
-/// What the curriculum knows of one blueprint.
+/// The curriculum's state of one blueprint.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TaskState {
-    /// Running success rate, 0 for one never tried.
+    /// Running success rate, 0 if never tried.
     pub success_rate: f64,
     /// Probability of being the next goal.
     pub probability: f64,
 }
 
 impl Curriculum {
-    /// All of `tasks` equally likely, with success rates of 0.
+    /// All `tasks` equally likely, with success rates of 0.
     pub fn new(config: CurriculumConfig, tasks: impl IntoIterator<Item = BlueprintId>) -> Self {
         let mut tasks: BTreeMap<_, _> =
             tasks.into_iter().map(|id| (id, TaskState { success_rate: 0.0, probability: 0.0 })).collect();
@@ -36,14 +36,14 @@ impl Curriculum {
         Self { config, tasks, waiting: Vec::new() }
     }
 
-    /// The same success rates under other settings; the probabilities follow with the next batch.
+    /// The same success rates with other settings; the probabilities change with the next batch.
     #[must_use]
     pub fn with_config(self, config: CurriculumConfig) -> Self {
         Self { config, ..self }
     }
 
-    /// Takes in one finished episode; every full batch of them moves the probabilities. Blueprints that are not in
-    /// training (such as those of an evaluation) are ignored.
+    /// Records one finished episode; every full batch updates the probabilities. Blueprints outside the training set
+    /// (such as those of an evaluation) are ignored.
     pub fn record(&mut self, blueprint: &BlueprintId, success: bool) {
         if self.tasks.contains_key(blueprint) {
             self.waiting.push((blueprint.clone(), success));
@@ -54,7 +54,7 @@ impl Curriculum {
         }
     }
 
-    /// One update with a batch of finished episodes, in order.
+    /// Updates the probabilities with a batch of finished episodes, in order.
     pub fn update<'a>(&mut self, batch: impl IntoIterator<Item = (&'a BlueprintId, bool)>) {
         let tau = match &self.config {
             CurriculumConfig::Uniform(_) => 0.05,
@@ -64,7 +64,7 @@ impl Curriculum {
         };
         for (id, success) in batch {
             if let Some(task) = self.tasks.get_mut(id) {
-                // The listing writes success_rates[i] for an undefined i; the blueprint's own rate is meant.
+                // The paper's listing has success_rates[i] with an undefined i, which must be the blueprint's own rate.
                 task.success_rate = (1.0 - tau) * task.success_rate + tau * f64::from(u8::from(success));
             }
         }
@@ -72,13 +72,13 @@ impl Curriculum {
             CurriculumConfig::Uniform(_) => {}
             CurriculumConfig::Paper(paper) => {
                 self.tasks.values_mut().for_each(|task| task.success_rate *= paper.decay);
-                // Exponents are at most 1 / temperature apart from each other and at most 0, so nothing overflows.
+                // Exponents are at most 1 / temperature apart and at most 0, so nothing overflows.
                 set_probabilities(&mut self.tasks, |rate| (-rate / paper.temperature).exp());
             }
             CurriculumConfig::Learnability(learnability) => {
                 let total: f64 = self.tasks.values().map(|t| t.success_rate * (1.0 - t.success_rate)).sum();
                 let uniform = learnability.uniform / self.tasks.len().max(1) as f64;
-                // With nothing learnable yet, all are alike.
+                // If nothing is learnable yet, all blueprints are equally likely.
                 let share = |rate: f64| if total > 1e-9 { rate * (1.0 - rate) / total } else { 1.0 };
                 let weight = if total > 1e-9 { 1.0 - learnability.uniform } else { 0.0 };
                 set_probabilities(&mut self.tasks, |rate| uniform + weight * share(rate));
@@ -103,9 +103,9 @@ fn set_probabilities(tasks: &mut BTreeMap<BlueprintId, TaskState>, weight: impl 
     tasks.values_mut().for_each(|task| task.probability = weight(task.success_rate) / total);
 }
 
-/// Shares the probability out among the numbers of blocks that are in use, and each share among its blueprints.
+/// Distributes the probability over the numbers of blocks in use, and each share over its blueprints.
 fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) {
-    // Sum of the success rates and number of blueprints, by number of blocks.
+    // Sum of the success rates, and number of blueprints, by number of blocks.
     let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
     for (id, task) in tasks.iter() {
         let (sum, n) = sizes.entry(id.size()).or_default();
@@ -139,13 +139,13 @@ mod tests {
     }
 
     #[test]
-    fn learnability_prefers_the_middling() {
+    fn learnability_prefers_medium_success_rates() {
         let ids = ids(3);
         let config = LearnabilityConfig { tau: 0.5, uniform: 0.3, episodes_per_batch: 2 };
         let mut curriculum = Curriculum::new(CurriculumConfig::Learnability(config), ids.clone());
         curriculum.update([]);
         assert_eq!(probabilities(&curriculum), [1.0 / 3.0; 3]);
-        // Rates 0.5, 0 and 0: all learnability sits on the first, which gets 0.1 + 0.7.
+        // Rates 0.5, 0, and 0: all learnability belongs to the first, which gets 0.1 + 0.7.
         curriculum.record(&ids[0], true);
         curriculum.record(&ids[1], false);
         for (p, expected) in probabilities(&curriculum).iter().zip([0.8, 0.1, 0.1]) {
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_widen_with_success_and_share_alike() {
+    fn sizes_widen_with_success_and_share_equally() {
         let ids: Vec<BlueprintId> =
             ["2_000", "2_001", "3_000", "5_000"].map(|id| id.to_owned().try_into().unwrap()).into();
         let config = WideningConfig { tau: 0.5, first_size: 2, gate: 0.6, episodes_per_batch: 2 };
@@ -164,16 +164,16 @@ mod tests {
             ids[..2].iter().zip(success).for_each(|(id, success)| curriculum.record(id, success));
             probabilities(&curriculum)
         };
-        // Rates of 0.5 and 0.5, then of 0.75 and 0.25, then of 0.875 and 0.625, which is 0.75 in the mean.
+        // Rates of 0.5 and 0.5, then 0.75 and 0.25, then 0.875 and 0.625, with a mean of 0.75.
         assert_eq!(both([true, true]), [0.5, 0.5, 0.0, 0.0]);
         assert_eq!(both([true, false]), [0.5, 0.5, 0.0, 0.0]);
         assert_eq!(both([true, true]), [0.25, 0.25, 0.5, 0.0]);
-        // What is forgotten narrows it again: 0.4375 and 0.3125.
+        // Lower rates narrow it again: 0.4375 and 0.3125.
         assert_eq!(both([false, false]), [0.5, 0.5, 0.0, 0.0]);
     }
 
     #[test]
-    fn a_batch_counts_only_when_full_and_only_known_blueprints() {
+    fn only_full_batches_of_known_blueprints_count() {
         let ids = ids(2);
         let config = PaperConfig { episodes_per_batch: 2, ..PaperConfig::default() };
         let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.clone());
@@ -182,13 +182,13 @@ mod tests {
         curriculum.record(&BlueprintId::try_from("9_999".to_owned()).unwrap(), true);
         assert_eq!(curriculum.tasks(), &before);
         curriculum.record(&ids[1], false);
-        // 0.2 · 1 · 0.99 for the one that succeeded.
+        // 0.2 · 1 · 0.99 for the successful episode.
         assert!((curriculum.tasks()[&ids[0]].success_rate - 0.198).abs() < 1e-12);
         assert!(curriculum.tasks()[&ids[0]].probability < 0.5);
     }
 
     #[test]
-    fn every_kind_is_read_from_a_file() {
+    fn every_kind_deserializes() {
         for (text, expected) in [
             (r#"{"kind":"uniform"}"#, CurriculumConfig::Uniform(UniformConfig {})),
             (r#"{"kind":"paper","tau":0.1}"#, CurriculumConfig::Paper(PaperConfig { tau: 0.1, ..Default::default() })),

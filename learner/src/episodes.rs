@@ -1,4 +1,4 @@
-//! Counts of finished episodes between two reports.
+//! Statistics of finished episodes between two reports.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ pub struct EpisodeTally {
 }
 
 impl EpisodeTally {
-    /// Counts the episodes of the policy that end with one of these segments; the expert's are no success of it.
+    /// Counts the policy's episodes that end in these segments, but not the expert's.
     pub fn of(trajectories: &[Trajectory]) -> Self {
         let mut tally = Self::default();
         for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
@@ -41,12 +41,12 @@ impl EpisodeTally {
         *n_episodes += 1;
     }
 
-    /// Episodes counted.
+    /// Number of episodes.
     pub fn n_episodes(&self) -> u64 {
         self.by_blueprint.values().map(|(_, n)| n).sum()
     }
 
-    /// Means and rates.
+    /// The means and rates as metrics.
     pub fn metrics(&self) -> EpisodeMetrics {
         let n_episodes = self.n_episodes();
         let n_successes = self.by_blueprint.values().map(|(n, _)| n).sum();
@@ -77,7 +77,7 @@ mod tests {
     use crate::fixtures::{blueprint_id, trajectory};
 
     #[test]
-    fn only_ended_episodes_count() {
+    fn only_finished_episodes_count() {
         let mut ended = trajectory(2, 0);
         let episode_return = RewardTerms { connected: 1.0, wrong: -0.5, ..RewardTerms::default() };
         ended.outcome = Some(Outcome { success: true, n_steps: 30, episode_return });

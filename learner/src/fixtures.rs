@@ -12,12 +12,12 @@ pub(crate) fn blueprint_id() -> BlueprintId {
     BlueprintId::try_from("2_000".to_owned()).unwrap()
 }
 
-/// A segment of `n_steps` steps that weights `version` acted: each in another scene, with no reward.
+/// A segment of `n_steps` steps, acted with weights `version`: different scenes, no reward.
 pub(crate) fn trajectory(n_steps: usize, version: u64) -> Trajectory {
     random_trajectory(n_steps, version, &mut ChaCha8Rng::seed_from_u64(version))
 }
 
-/// As [`trajectory`], with scenes and actions from `rng`.
+/// Like [`trajectory`], with scenes and actions from `rng`.
 pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
     let transitions = (0..n_steps)
         .map(|_| Transition {
@@ -51,7 +51,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
     }
 }
 
-/// Blocks at random places on the ground, nothing held.
+/// Blocks at random positions on the ground; none is held.
 pub(crate) fn scene(rng: &mut ChaCha8Rng) -> Scene {
     let gripper = Gripper {
         held: None,

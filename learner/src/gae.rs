@@ -5,14 +5,14 @@ use proto::Status;
 /// Advantages of a segment: `A_t = δ_t + γλ A_{t+1}` with `δ_t = r_t + γ v_{t+1} − v_t` and `A = 0` past the end
 /// (Schulman et al., "High-dimensional continuous control using generalized advantage estimation", eq. 16).
 ///
-/// `bootstrap` is the value after the last step, see [`bootstrap_value`]. It alone tells a time limit or a cut from a
-/// true end: treating the limit as an end would teach the critic that long episodes are worthless.
+/// `bootstrap` is the value after the last step, see [`bootstrap_value`]. It alone distinguishes a time limit or a cut
+/// from a true end: treating the limit as an end would teach the critic that long episodes are worthless.
 ///
 /// # Shapes
-/// `rewards`, `values` and `advantages` have one entry per step, all in the same units.
+/// `rewards`, `values`, and `advantages` have one entry per step, all in the same units.
 ///
 /// # Panics
-/// When the lengths differ.
+/// If the lengths differ.
 pub fn advantages(rewards: &[f32], values: &[f32], bootstrap: f32, gamma: f32, lambda: f32, advantages: &mut [f32]) {
     assert!(
         rewards.len() == values.len() && rewards.len() == advantages.len(),
@@ -28,7 +28,7 @@ pub fn advantages(rewards: &[f32], values: &[f32], bootstrap: f32, gamma: f32, l
     }
 }
 
-/// The value that follows a segment's last step: 0 after success, else the critic's value of the last scene.
+/// The value after a segment's last step: 0 after success, otherwise the critic's value of the last scene.
 pub fn bootstrap_value(status: Status, last_value: f32) -> f32 {
     match status {
         Status::Success => 0.0,
@@ -36,7 +36,7 @@ pub fn bootstrap_value(status: Status, last_value: f32) -> f32 {
     }
 }
 
-/// Shifts and scales to mean 0 and deviation 1: `(x − mean) / (population deviation + 1e-8)`.
+/// Normalizes to mean 0 and standard deviation 1: `(x − mean) / (population deviation + 1e-8)`.
 pub fn normalize(values: &mut [f32]) {
     let n = values.len().max(1) as f64;
     let mean = values.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_segment_worked_by_hand() {
+    fn advantages_match_a_hand_worked_segment() {
         // γ = 0.5, λ = 0.5. δ₁ = 2 + 0.5·4 − 2 = 2; δ₀ = 1 + 0.5·2 − 1 = 1; A₁ = 2; A₀ = 1 + 0.25·2 = 1.5.
         let mut out = [0.0; 2];
         advantages(&[1.0, 2.0], &[1.0, 2.0], 4.0, 0.5, 0.5, &mut out);
@@ -63,14 +63,14 @@ mod tests {
     }
 
     #[test]
-    fn only_success_ends_the_value() {
+    fn bootstrap_value_is_zero_only_after_success() {
         for (status, expected) in [(Status::Success, 0.0), (Status::TimeLimit, 3.0), (Status::Running, 3.0)] {
             assert_eq!(bootstrap_value(status, 3.0), expected, "{status:?}");
         }
     }
 
     #[test]
-    fn normalized_values_have_mean_zero_and_deviation_one() {
+    fn normalized_values_have_zero_mean_and_unit_deviation() {
         // Mean 2, population deviation 1.
         let mut values = [1.0, 3.0, 1.0, 3.0];
         normalize(&mut values);

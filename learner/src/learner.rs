@@ -27,38 +27,38 @@ use crate::ppo::{ImitationSource, Ppo, Progress};
 use crate::replay::Replay;
 use crate::state::LearnerState;
 
-/// What a learner is made of.
+/// The inputs of a learner.
 #[derive(Clone, Debug)]
 pub struct LearnerSetup {
-    /// Its own settings.
+    /// The learner's settings.
     pub config: LearnerConfig,
     /// The policy that all services share.
     pub policy: PolicyConfig,
-    /// All blueprints that there are; trajectories may name those of the training split.
+    /// All blueprints; trajectories can refer to those of the training split.
     pub catalog: Arc<Catalog>,
-    /// Blueprints to train on, known to the catalog.
+    /// Blueprints to train on; the catalog or the generator has them.
     pub tasks: Vec<BlueprintId>,
-    /// Structures of the generator that actors draw as goals besides, if any.
+    /// Generated structures that actors also draw as goals, if any.
     pub generated: Option<Draws>,
     /// Determines the untrained parameters and the order of samples.
     pub seed: u64,
-    /// Where gradients are computed.
+    /// The device for gradients.
     pub device: DeviceKind,
 }
 
-/// Why a learner cannot be made.
+/// Errors of creating a learner.
 #[derive(Debug, thiserror::Error)]
 pub enum LearnerError {
     /// A setting is out of range.
     #[error(transparent)]
     Config(#[from] InvalidSetting),
-    /// There is no such device.
+    /// The device does not exist.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// Nothing to train on.
+    /// There is no training blueprint.
     #[error("there is no training blueprint")]
     NoTasks,
-    /// A training blueprint that nobody knows.
+    /// A training blueprint is not in the catalog.
     #[error("training blueprint {0} is not in the catalog")]
     UnknownTask(BlueprintId),
     /// The checkpoint cannot be used.
@@ -66,23 +66,23 @@ pub enum LearnerError {
     Checkpoint(#[from] CheckpointError),
 }
 
-/// Turns trajectories into weights. Synchronous and free of clocks: equal inputs in equal order give equal weights.
+/// Turns trajectories into weights. Synchronous and without a clock: equal inputs in equal order give equal weights.
 #[derive(Debug)]
 pub struct Learner {
     setup: LearnerSetup,
     ppo: Ppo,
     state: LearnerState,
     mailbox: Arc<Mailbox>,
-    /// Labeled scenes, if there is anything to learn from them.
+    /// Labeled scenes, if imitation is on.
     replay: Option<Replay>,
-    /// Trajectories that were dropped because of their generated goals.
+    /// Trajectories dropped because of their generated goals.
     n_unmade: u64,
 }
 
-/// Blocks of the generated goals that one update makes at most, for each of its environment steps. Two grippers build a goal
-/// in no fewer steps than half its blocks, so this leaves room for every update's own; more only an actor sends that
-/// makes the learner work, since making a large one takes up to 30 ms.
-const MADE_BLOCKS_PER_STEP: usize = 2;
+/// Maximum number of blocks of the generated goals that one update generates, per environment step. Two grippers need
+/// at least half as many steps as a goal has blocks, so this suffices for all genuine goals of an update. Only an actor
+/// that tries to overload the learner sends more, since generating a large goal takes up to 30 ms.
+const GENERATED_BLOCKS_PER_STEP: usize = 2;
 
 impl Learner {
     /// An untrained learner.
@@ -125,11 +125,11 @@ impl Learner {
         Ok(Self { ppo, state, mailbox, replay, n_unmade: 0, setup })
     }
 
-    /// A learner that goes on where `checkpoint` was taken. The settings may have changed since, except those of the
-    /// network, its features and the training blueprints.
+    /// Resumes from `checkpoint`. The settings may have changed since, except those of the network, its features, and
+    /// the training blueprints.
     ///
     /// # Errors
-    /// As [`Learner::new`], or [`CheckpointError::Mismatch`].
+    /// Those of [`Learner::new`], and [`CheckpointError::Mismatch`].
     pub fn resume(setup: LearnerSetup, checkpoint: Checkpoint) -> Result<Self, LearnerError> {
         let mut learner = Self::new(setup)?;
         let mismatch = |reason: &str| Err(CheckpointError::Mismatch(reason.to_owned()).into());
@@ -163,26 +163,26 @@ impl Learner {
     /// Puts a trajectory into the mailbox.
     ///
     /// # Errors
-    /// Why it was refused; the mailbox counts it.
+    /// The reason for the refusal, which the mailbox counts.
     pub fn ingest(&self, trajectory: Trajectory) -> Result<(), Refusal> {
         self.mailbox.push(trajectory)
     }
 
-    /// The inbox, to be fed from other threads.
+    /// The mailbox, which other threads fill.
     pub fn mailbox(&self) -> Arc<Mailbox> {
         self.mailbox.clone()
     }
 
-    /// Whether the mailbox holds enough for an update.
+    /// Whether the mailbox holds enough steps for an update.
     pub fn ready(&self) -> bool {
         self.mailbox.n_steps() >= self.setup.config.steps_per_update
     }
 
-    /// One update with the oldest trajectories and, if there is imitation, labeled scenes; `None` when there are not
-    /// enough trajectories. PPO learns from those alone whose actions were sampled.
+    /// Runs one update with the oldest trajectories and, with imitation, labeled scenes; `None` if there are not enough
+    /// trajectories. PPO uses only trajectories with sampled actions.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
         let mut trajectories = self.mailbox.take(self.setup.config.steps_per_update);
-        self.drop_unmade(&mut trajectories);
+        self.drop_unusable_goals(&mut trajectories);
         if trajectories.is_empty() {
             return None;
         }
@@ -201,7 +201,7 @@ impl Learner {
         let (sampled, others): (Vec<_>, Vec<_>) =
             trajectories.into_iter().partition(|trajectory| trajectory.driver == Driver::Sample);
         let own = batch(sampled);
-        // The statistics are taken from raw features and take effect with the next weights.
+        // The statistics come from raw features and take effect with the next weights.
         let moving = self.features_move();
         let next = moving.then(|| self.features_after([&own, &batch(others)]));
         let mut batch = own;
@@ -247,17 +247,17 @@ impl Learner {
         self.state.version
     }
 
-    /// Updates made so far.
+    /// Updates so far.
     pub fn n_updates(&self) -> u64 {
         self.state.n_updates
     }
 
-    /// Environment steps consumed so far.
+    /// Environment steps so far.
     pub fn n_env_steps(&self) -> u64 {
         self.state.n_env_steps
     }
 
-    /// Everything needed to go on later.
+    /// Everything needed to resume.
     pub fn checkpoint(&self) -> Checkpoint {
         let (counts, mailbox) = self.mailbox.snapshot();
         Checkpoint {
@@ -275,34 +275,34 @@ impl Learner {
     /// Writes a checkpoint below `dir` and returns its path; see [`Checkpoint::write`].
     ///
     /// # Errors
-    /// When the file system refuses.
+    /// If the file system returns an error.
     pub fn save(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
         self.checkpoint().write(dir)
     }
 
-    /// Makes the generated goals and drops the trajectories of those that are held out, that come to nothing, or that are
-    /// too many. Only here, of what has passed every other check and away from the bus, does a goal cost anything.
-    fn drop_unmade(&mut self, trajectories: &mut Vec<Trajectory>) {
+    /// Generates the goals and drops the trajectories whose goal is held out, cannot be generated, or exceeds the
+    /// limit. This costs time, so it happens here: after every other check, and away from the bus.
+    fn drop_unusable_goals(&mut self, trajectories: &mut Vec<Trajectory>) {
         let catalog = &self.setup.catalog;
-        let mut n_blocks_left = MADE_BLOCKS_PER_STEP * self.setup.config.steps_per_update;
-        let mut verdicts: BTreeMap<BlueprintId, bool> = BTreeMap::new();
+        let mut n_blocks_left = GENERATED_BLOCKS_PER_STEP * self.setup.config.steps_per_update;
+        let mut usable: BTreeMap<BlueprintId, bool> = BTreeMap::new();
         let n_before = trajectories.len();
         trajectories.retain(|trajectory| {
             let goal = &trajectory.task.blueprint;
             if catalog.get(goal).is_some() {
                 return true;
             }
-            if let Some(&verdict) = verdicts.get(goal) {
-                return verdict;
+            if let Some(&is_usable) = usable.get(goal) {
+                return is_usable;
             }
-            // Those made before are counted too, so that equal trajectories are dropped alike in a run that was resumed.
-            if n_blocks_left < goal.size() || verdicts.len() >= MADE_CAPACITY.get() {
+            // Cached goals count too, so that a resumed run drops the same trajectories.
+            if n_blocks_left < goal.size() || usable.len() >= MADE_CAPACITY.get() {
                 return false;
             }
             n_blocks_left -= goal.size();
-            let verdict = catalog.find(goal).is_some_and(|made| catalog.is_for_training(&made));
-            verdicts.insert(goal.clone(), verdict);
-            verdict
+            let is_usable = catalog.find(goal).is_some_and(|made| catalog.is_for_training(&made));
+            usable.insert(goal.clone(), is_usable);
+            is_usable
         });
         self.n_unmade += (n_before - trajectories.len()) as u64;
     }
@@ -312,20 +312,20 @@ impl Learner {
         specs.map(|spec| ParameterInfo { name: spec.name.clone(), shape: spec.shape.clone() }).collect()
     }
 
-    /// Whether the feature statistics still move.
+    /// Whether the feature statistics are still updated.
     fn features_move(&self) -> bool {
         let config = &self.setup.config.normalization;
         config.features && self.state.n_feature_scenes < config.feature_samples
     }
 
-    /// Feature statistics with batches of raw features taken in, and the number of scenes in those.
+    /// Feature statistics updated with batches of raw features, and the number of scenes in these.
     fn features_after(&self, batches: [&Batch; 2]) -> (FeatureMoments, usize) {
         let mut moments = self.state.features.clone();
         batches.iter().for_each(|batch| moments.push(&batch.features));
         (moments, batches.iter().map(|batch| batch.features.n).sum())
     }
 
-    /// Puts the statistics in force for the weights about to be named.
+    /// Applies the statistics to the next weights.
     fn adopt_features(&mut self, features: FeatureMoments, n_scenes: usize) {
         features.freeze_into(&mut self.state.normalization);
         self.state.features = features;

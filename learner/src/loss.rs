@@ -1,13 +1,13 @@
-//! The PPO objective, on tensors where gradients flow and on slices where only numbers are wanted.
+//! The PPO objective: on tensors for gradients, and on slices for plain numbers.
 
 use burn::tensor::Tensor;
 
 /// Negative clipped surrogate of each sample, `−w · min(r A, clip(r, 1 ± ε) A)` with `r = exp(log_prob − reference)`
-/// (Schulman et al., "Proximal policy optimization algorithms", eq. 7; the weights `w` are those of the decoupled
-/// objective, 1 otherwise).
+/// (Schulman et al., "Proximal policy optimization algorithms", eq. 7). The weights `w` are those of the decoupled
+/// objective, 1 otherwise.
 ///
 /// # Shapes
-/// All `[B]`; the result too.
+/// All `[B]`, including the result.
 pub fn policy_loss(
     log_prob: Tensor<1>,
     reference: Tensor<1>,
@@ -20,10 +20,10 @@ pub fn policy_loss(
     -((ratio * advantage).min_pair(clipped) * weight)
 }
 
-/// Half the squared error of each value; with `clip` the larger of it and that of the value held within `old ± clip`.
+/// Half the squared error of each value; with `clip`, the maximum of it and that of the value clipped to `old ± clip`.
 ///
 /// # Shapes
-/// All `[B]`; the result too.
+/// All `[B]`, including the result.
 pub fn value_loss(value: Tensor<1>, old: Tensor<1>, target: Tensor<1>, clip: Option<f32>) -> Tensor<1> {
     let error = (value.clone() - target.clone()).square();
     let error = match clip {
@@ -36,7 +36,7 @@ pub fn value_loss(value: Tensor<1>, old: Tensor<1>, target: Tensor<1>, clip: Opt
     error * 0.5
 }
 
-/// Means over samples that say how far a policy has moved from its reference.
+/// Statistics of a policy's distance from its reference; means over samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RatioStatistics {
     /// Estimate of KL(reference ‖ policy), `mean((r − 1) − ln r)`, nats; never negative (Schulman's k3).
@@ -46,7 +46,7 @@ pub struct RatioStatistics {
 }
 
 impl RatioStatistics {
-    /// Of log-probabilities `new` and `reference`, one entry per sample.
+    /// Computes the statistics from log-probabilities `new` and `reference`, one entry per sample.
     pub fn new(new: &[f32], reference: &[f32], clip: f32) -> Self {
         let n = new.len().max(1) as f64;
         let mut sums = Self::default();
@@ -68,9 +68,9 @@ pub fn behavior_weights(now: &[f32], acted: &[f32], max: f32) -> Vec<f32> {
     now.iter().zip(acted).map(|(now, acted)| (now - acted).exp().min(max)).collect()
 }
 
-/// `(Σw)² / (n Σw²)` of importance weights: the share of the samples that count; 1 when all weigh alike.
+/// `(Σw)² / (n Σw²)` of importance weights: the effective share of the samples; 1 if all weights are equal.
 pub fn effective_sample_size(now: &[f32], acted: &[f32]) -> f64 {
-    // The largest weight is taken out first, so that nothing overflows.
+    // Factor out the largest weight, so that nothing overflows.
     let log_weights: Vec<f64> = now.iter().zip(acted).map(|(n, a)| f64::from(*n) - f64::from(*a)).collect();
     let max = log_weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let (sum, squares) = log_weights.iter().map(|l| (l - max).exp()).fold((0.0, 0.0), |(s, q), w| (s + w, q + w * w));
@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lag_shows_in_the_effective_sample_size() {
+    fn effective_sample_size_drops_with_lag() {
         assert!((effective_sample_size(&[-1.0, -2.0], &[-1.0, -2.0]) - 1.0).abs() < 1e-12);
         // Weights 1 and 3: 16 / (2 · 10) = 0.8.
         assert!((effective_sample_size(&[0.0, 3.0f32.ln()], &[0.0, 0.0]) - 0.8).abs() < 1e-6);

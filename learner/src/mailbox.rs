@@ -1,4 +1,4 @@
-//! The bounded inbox between the bus and the updates: what does not fit or is too old is refused and counted.
+//! The bounded inbox between the bus and the updates; it refuses and counts what is too old or does not fit.
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 use crate::admission::Admission;
 use crate::config::MailboxConfig;
 
-/// A bounded queue of trajectories, shared by the bus (which pushes) and the learner (which takes).
+/// A bounded queue of trajectories, filled by the bus and drained by the learner.
 ///
-/// Pushing never waits for room: it holds a lock for the time of a queue operation and answers.
+/// A push never waits for space: it holds a lock for one queue operation and returns the answer.
 #[derive(Debug)]
 pub struct Mailbox {
     config: MailboxConfig,
@@ -21,20 +21,20 @@ pub struct Mailbox {
     arrived: Condvar,
 }
 
-/// What became of all trajectories so far. Every one that arrived is in exactly one of `accepted_total`,
-/// `stale_total`, `full_total` and `invalid_total`; `expired_total` are accepted ones that grew too old while waiting.
+/// Trajectories so far, by result. Each one is in exactly one of `accepted_total`, `stale_total`, `full_total`, and
+/// `invalid_total`; `expired_total` counts accepted ones that became too old while waiting.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MailboxCounts {
-    /// Taken in.
+    /// Accepted.
     pub accepted_total: u64,
-    /// Refused: the weights that acted were too old.
+    /// Refused because the acting weights were too old.
     pub stale_total: u64,
-    /// Refused: no room.
+    /// Refused because the mailbox was full.
     pub full_total: u64,
-    /// Refused: a rule of the [`Admission`] was broken.
+    /// Refused because they broke a rule of the [`Admission`].
     pub invalid_total: u64,
-    /// Dropped after acceptance: too old when their turn came.
+    /// Dropped after acceptance because they became too old.
     pub expired_total: u64,
 }
 
@@ -48,7 +48,7 @@ struct State {
 }
 
 impl Mailbox {
-    /// An empty mailbox for weights version 0 that accepts what `admission` admits.
+    /// An empty mailbox at weights version 0 that accepts trajectories according to `admission`.
     pub fn new(config: MailboxConfig, admission: Admission) -> Self {
         Self { config, admission, state: Mutex::default(), arrived: Condvar::new() }
     }
@@ -56,12 +56,12 @@ impl Mailbox {
     /// Puts a trajectory in the queue.
     ///
     /// # Errors
-    /// `Stale` when it is more than `max_policy_lag` versions old, `Full` when as many steps wait as may, `Invalid` when
-    /// this learner cannot use it at all.
+    /// `Stale` if it is more than `max_policy_lag` versions old, `Full` if the mailbox is at capacity, and `Invalid` if
+    /// this learner cannot use it.
     pub fn push(&self, trajectory: Trajectory) -> Result<(), Refusal> {
-        let verdict = self.admission.check(&trajectory);
+        let admitted = self.admission.check(&trajectory);
         let mut state = self.lock();
-        if let Err(reason) = verdict {
+        if let Err(reason) = admitted {
             state.counts.invalid_total += 1;
             return Err(Refusal::Invalid(reason));
         }
@@ -69,7 +69,7 @@ impl Mailbox {
             state.counts.stale_total += 1;
             return Err(Refusal::Stale);
         }
-        // The last one may exceed the capacity: otherwise one that does not quite fit would keep an update waiting for ever.
+        // The last trajectory may exceed the capacity: otherwise one that does not fit could block an update forever.
         if state.is_closed || state.n_steps >= self.config.capacity_steps {
             state.counts.full_total += 1;
             return Err(Refusal::Full);
@@ -81,12 +81,12 @@ impl Mailbox {
         Ok(())
     }
 
-    /// Refuses everything from now on as if it were full, so that nothing is acknowledged that the last checkpoint lacks.
+    /// Refuses every trajectory from now on as if full, so that none is acknowledged that the last checkpoint lacks.
     pub fn close(&self) {
         self.lock().is_closed = true;
     }
 
-    /// Takes the oldest trajectories until they hold `n_steps` steps; empty when there are not that many.
+    /// Takes the oldest trajectories until they have `n_steps` steps; empty if the mailbox holds fewer.
     pub fn take(&self, n_steps: usize) -> Vec<Trajectory> {
         let mut state = self.lock();
         let mut batch = Vec::new();
@@ -103,14 +103,14 @@ impl Mailbox {
         batch
     }
 
-    /// Waits until `n_steps` steps are there or `patience` is over; true when they are there.
-    pub fn wait(&self, n_steps: usize, patience: Duration) -> bool {
+    /// Waits for `n_steps` steps or until the timeout; returns whether the steps are there.
+    pub fn wait(&self, n_steps: usize, timeout: Duration) -> bool {
         let mut state = self.lock();
-        self.arrived.wait_while_for(&mut state, |state| state.n_steps < n_steps, patience);
+        self.arrived.wait_while_for(&mut state, |state| state.n_steps < n_steps, timeout);
         state.n_steps >= n_steps
     }
 
-    /// Names the newest weights, and drops what has become too old for them.
+    /// Sets the newest version, and drops trajectories that are now too old.
     pub fn set_version(&self, version: WeightsVersion) {
         let mut state = self.lock();
         state.version = version;
@@ -120,36 +120,36 @@ impl Mailbox {
         state.n_steps = state.waiting.iter().map(|t| t.transitions.len()).sum();
     }
 
-    /// Steps that wait.
+    /// Waiting steps.
     pub fn n_steps(&self) -> usize {
         self.lock().n_steps
     }
 
-    /// What became of all trajectories so far.
+    /// Trajectories so far, by result.
     pub fn counts(&self) -> MailboxCounts {
         self.lock().counts
     }
 
-    /// The counts and copies of all that wait, oldest first, of one moment.
+    /// A consistent snapshot of the counts and of the waiting trajectories, oldest first.
     pub fn snapshot(&self) -> (MailboxCounts, Vec<Trajectory>) {
         let state = self.lock();
         (state.counts, state.waiting.iter().cloned().collect())
     }
 
-    /// Puts back what a checkpoint holds.
+    /// Restores the state from a checkpoint.
     pub(crate) fn restore(&self, version: WeightsVersion, counts: MailboxCounts, waiting: Vec<Trajectory>) {
         let n_steps = waiting.iter().map(|t| t.transitions.len()).sum();
         *self.lock() = State { waiting: waiting.into(), n_steps, version, counts, is_closed: false };
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // Every critical section leaves the queue whole, so a poisoned lock is still usable.
+        // Every critical section leaves the queue consistent, even if it panics.
         self.state.lock()
     }
 }
 
-/// Versions between the weights that acted and `newest`; 0 for weights newer than that, which a learner sees that was
-/// resumed from a checkpoint older than the actors' weights.
+/// Versions between the acting weights and `newest`; 0 for newer acting weights, which occur when the learner resumed
+/// from an older checkpoint.
 pub fn policy_lag(newest: WeightsVersion, trajectory: &Trajectory) -> u64 {
     newest.0.saturating_sub(trajectory.weights_version.0)
 }
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_mailbox_keeps_what_it_has_and_takes_no_more() {
+    fn closed_mailbox_keeps_its_trajectories_and_refuses_others() {
         let mailbox = mailbox(100);
         mailbox.push(trajectory(2, 5)).unwrap();
         mailbox.close();
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn every_trajectory_is_accounted_for() {
+    fn every_trajectory_is_counted_once() {
         let mailbox = mailbox(8);
         mailbox.set_version(WeightsVersion(5));
         assert_eq!(mailbox.push(trajectory(4, 5)), Ok(()));
@@ -193,7 +193,7 @@ mod tests {
         let mut one_armed = trajectory(1, 5);
         one_armed.transitions[0].action.choices[1] = None;
         assert!(matches!(mailbox.push(one_armed), Err(Refusal::Invalid(_))));
-        // Version 3 is now 3 versions old, one too many.
+        // Version 3 is now 3 versions old, one more than allowed.
         mailbox.set_version(WeightsVersion(6));
         let expected =
             MailboxCounts { accepted_total: 2, stale_total: 1, full_total: 1, invalid_total: 3, expired_total: 1 };
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mailbox_of_one_update_fills_up_to_it() {
+    fn mailbox_with_the_capacity_of_one_update_fills_up() {
         let mailbox = mailbox(10);
         for _ in 0..3 {
             mailbox.push(trajectory(4, 0)).unwrap();
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_batch_is_whole_or_nothing_and_in_order() {
+    fn take_returns_whole_batches_in_order() {
         let mailbox = mailbox(100);
         for version in 0..3 {
             mailbox.push(trajectory(4, version)).unwrap();
@@ -226,12 +226,12 @@ mod tests {
     }
 
     #[test]
-    fn weights_from_the_future_have_no_lag() {
+    fn newer_acting_weights_have_no_lag() {
         assert_eq!(policy_lag(WeightsVersion(3), &trajectory(1, 7)), 0);
     }
 
     #[test]
-    fn a_waiting_learner_wakes_when_the_last_step_arrives() {
+    fn wait_returns_when_the_last_step_arrives() {
         let mailbox = mailbox(100);
         std::thread::scope(|scope| {
             let waiter = scope.spawn(|| mailbox.wait(8, Duration::from_secs(60)));

@@ -1,4 +1,4 @@
-//! What one update reports; [`mod@crate::run`] adds times and the bus's counts.
+//! Metrics of one update; [`mod@crate::run`] adds times and the bus's counts.
 
 use std::collections::BTreeMap;
 
@@ -11,36 +11,36 @@ use crate::batch::Batch;
 use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::state::LearnerState;
 
-/// Numbers of one update.
+/// Metrics of one update.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct UpdateMetrics {
-    /// Weights after the update.
+    /// Weights version after the update.
     pub weights_version: WeightsVersion,
     /// Updates so far.
     pub n_updates: u64,
-    /// Environment steps consumed so far.
+    /// Environment steps so far.
     pub n_env_steps: u64,
-    /// Episodes whose end was seen so far.
+    /// Episodes that ended so far.
     pub n_episodes: u64,
-    /// Mean lag of the batch's samples, versions.
+    /// Mean policy lag of the batch's samples, versions.
     pub policy_lag_mean: f64,
-    /// Largest lag in the batch, versions.
+    /// Largest policy lag in the batch, versions.
     pub policy_lag_max: u64,
-    /// Samples of the batch by lag.
+    /// Samples of the batch by policy lag.
     pub policy_lag_histogram: Vec<u64>,
     /// Environment steps waiting in the mailbox.
     pub n_mailbox: u64,
-    /// What became of the trajectories so far.
+    /// Trajectories so far, by result.
     pub mailbox: MailboxCounts,
-    /// Trajectories that were dropped because of their generated goals, since the start of the process.
+    /// Trajectories dropped because of their generated goals since the start of the process.
     pub unmade_total: u64,
     /// Environment steps of this update.
     pub n_steps: u64,
-    /// Numbers of the PPO update.
+    /// PPO metrics.
     pub ppo: PpoMetrics,
-    /// Numbers of learning from labels, if there was any.
+    /// Imitation metrics; `None` without imitation.
     pub imitation: Option<ImitationMetrics>,
-    /// Of the episodes that ended in the batch.
+    /// Episodes that ended in the batch.
     pub episodes: EpisodeMetrics,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,

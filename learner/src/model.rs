@@ -1,7 +1,7 @@
-//! A policy in one file: all that is needed to act, and nothing of what is needed to learn.
+//! A policy in one file, with everything needed to act and nothing that is only needed to learn.
 //!
-//! The file is a safetensors file with one f32 tensor per parameter, by name. Its metadata has one entry, `lodestone`: JSON
-//! with the policy's configuration, the order of the parameters and the normalization.
+//! The file is a safetensors file with one f32 tensor per parameter, by name. Its metadata has one entry, `lodestone`:
+//! JSON with the policy's configuration, the order of the parameters, and the normalization.
 
 use std::path::Path;
 
@@ -13,18 +13,18 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo, tensors};
 use crate::state::NormalizationFields;
 
-/// Version of the layout; raised when an older reader could not read it.
+/// Version of the format; raised when older readers cannot read it.
 const FORMAT_VERSION: u32 = 1;
 
-/// Name of the entry in the metadata.
+/// Name of the metadata entry.
 const ENTRY: &str = "lodestone";
 
 /// A frozen policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// What the parameters mean.
+    /// The configuration of the policy.
     pub policy: PolicyConfig,
-    /// The parameters; without task probabilities.
+    /// The parameters, without task probabilities.
     pub weights: Weights,
     /// Names and shapes in the order of the flat parameters.
     table: Vec<ParameterInfo>,
@@ -38,7 +38,7 @@ struct Header {
     n_env_steps: u64,
     policy: PolicyConfig,
     table: Vec<ParameterInfo>,
-    // As version 1 of the format spells it.
+    // The spelling of format version 1.
     #[serde(rename = "normalisation", with = "NormalizationFields")]
     normalization: Normalization,
 }
@@ -51,10 +51,10 @@ impl From<&Checkpoint> for Model {
 }
 
 impl Model {
-    /// The content of the file.
+    /// Serializes the model to the file's bytes.
     ///
     /// # Errors
-    /// [`CheckpointError::Mismatch`] when the parameters are not those of the table.
+    /// [`CheckpointError::Mismatch`] if the parameters do not match the table.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CheckpointError> {
         let header = Header {
             format_version: FORMAT_VERSION,
@@ -68,10 +68,10 @@ impl Model {
         tensors::write(&self.table, &[("", &self.weights.parameters)], Some((ENTRY, header)))
     }
 
-    /// Reads the content of a file; `path` names it in errors.
+    /// Parses the file's bytes; `path` names the file in errors.
     ///
     /// # Errors
-    /// [`CheckpointError::Damaged`] when it is not what [`Model::to_bytes`] made.
+    /// [`CheckpointError::Damaged`] if the bytes are not a model file.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
         let damaged = |reason: String| CheckpointError::Damaged { path: path.into(), reason };
         let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|error| damaged(error.to_string()))?;

@@ -1,19 +1,19 @@
-//! Running statistics of the value targets; those of the features are [`policy::normalization`]'s.
+//! Running statistics of the value targets. [`policy::normalization`] has those of the features.
 //!
-//! Feature statistics move only *after* an update, so a batch is learned from with the statistics that were in force
-//! when its newest steps were acted; they freeze after a set number of scenes. Value statistics move *before* the
-//! gradient steps, and the value head is rescaled so that its output in reward units stays what it was (PopArt: van
-//! Hasselt et al., "Learning values across many orders of magnitude", proposition 1).
+//! Feature statistics change only *after* an update, so a batch is learned with the statistics that were in force when
+//! its newest steps were acted. They freeze after a configured number of scenes. Value statistics change *before* the
+//! gradient steps, and the value head is rescaled to keep its output in reward units unchanged (PopArt: van Hasselt et
+//! al., "Learning values across many orders of magnitude", proposition 1).
 
 use serde::{Deserialize, Serialize};
 
-/// Running mean and deviation of value targets, in reward units.
+/// Running mean and standard deviation of the value targets, in reward units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ValueStatistics {
     /// Mean.
     pub mean: f64,
-    /// Deviation.
+    /// Standard deviation.
     pub std: f64,
     mean_square: f64,
     n_batches: u64,
@@ -26,7 +26,7 @@ impl Default for ValueStatistics {
 }
 
 impl ValueStatistics {
-    /// The statistics after a batch of targets, which weighs `rate`, or more while few batches were seen.
+    /// The statistics after a batch of targets, which has weight `rate`, or more while few batches were seen.
     pub fn after(&self, targets: &[f32], rate: f64, floor: f32) -> Self {
         if targets.is_empty() {
             return *self;
@@ -41,7 +41,7 @@ impl ValueStatistics {
         Self { mean, std, mean_square, n_batches: self.n_batches + 1 }
     }
 
-    /// Rescales the last layer of the value head so that `std · output + mean` is the same under `next` as it was.
+    /// Rescales the last layer of the value head so that `std · output + mean` is the same under `next` as before.
     pub fn rescale_head(&self, next: &Self, weights: &mut [f32], bias: &mut f32) {
         let scale = self.std / next.std;
         for w in weights {
@@ -56,9 +56,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rescaled_head_says_the_same_in_reward_units() {
+    fn rescaled_head_keeps_its_output_in_reward_units() {
         let before = ValueStatistics::default();
-        // The first batch is adopted whole: mean 3, deviation 1.
+        // The first batch is taken completely: mean 3, standard deviation 1.
         let after = before.after(&[2.0, 4.0], 0.1, 0.01);
         assert!((after.mean - 3.0).abs() < 1e-12 && (after.std - 1.0).abs() < 1e-12);
         let later = after.after(&[20.0, 40.0], 0.9, 0.01);
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_targets_keep_the_floor() {
+    fn constant_targets_have_the_minimum_deviation() {
         let statistics = ValueStatistics::default().after(&[5.0; 4], 0.1, 0.25);
         assert_eq!((statistics.mean, statistics.std), (5.0, 0.25));
     }

@@ -24,31 +24,31 @@ use imitation_update::ImitationUpdate;
 use passes::{Evaluation, LossSums, Targets};
 use workers::{Workers, pieces};
 
-/// The network in training and its optimizer.
+/// The trained network and its optimizer.
 #[derive(Debug)]
 pub(crate) struct Ppo {
     workers: Workers,
-    /// What the workers' networks hold, flat.
+    /// The parameters of the workers' networks, flat.
     parameters: Vec<f32>,
     adam: Adam,
     value_head: ValueHead,
-    /// The policy that is not to be forgotten, once there is one.
+    /// The frozen parameters of the imitator, once it is set.
     imitator: Option<Vec<f32>>,
 }
 
-/// What an update moves besides the network.
+/// The state that an update changes in addition to the network.
 pub(crate) struct Progress<'a> {
-    /// Shuffles the samples.
+    /// Random number generator that shuffles the samples.
     pub(crate) rng: &'a mut ChaCha8Rng,
-    /// Follows the KL divergence.
+    /// Learning rate, adapted to the KL divergence.
     pub(crate) learning_rate: &'a mut LearningRate,
-    /// Follows the value targets.
+    /// Running statistics of the value targets.
     pub(crate) values: &'a mut ValueStatistics,
     /// Environment steps consumed before this update.
     pub(crate) n_env_steps: u64,
 }
 
-/// Where the last layer of the value head lies in the flat vector.
+/// Position of the last layer of the value head in the flat vector.
 #[derive(Clone, Debug)]
 struct ValueHead {
     weights: Range<usize>,
@@ -72,7 +72,7 @@ impl Steps {
 }
 
 impl Ppo {
-    /// An untrained network, passed through by `n_threads` threads.
+    /// An untrained network, evaluated by `n_threads` threads.
     pub(crate) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n_threads: usize) -> Self {
         let workers = Workers::new(policy, seed, device, n_threads);
         let parameters = policy::parameters::flatten(workers.network());
@@ -81,7 +81,7 @@ impl Ppo {
         Self { workers, parameters, adam, value_head, imitator: None }
     }
 
-    /// Takes on the parameters and moments of a checkpoint.
+    /// Restores the parameters and moments of a checkpoint.
     pub(crate) fn restore(
         &mut self,
         parameters: Vec<f32>,
@@ -96,7 +96,7 @@ impl Ppo {
         Ok(())
     }
 
-    /// The policy that is not to be forgotten, once there is one.
+    /// The frozen parameters of the imitator, once it is set.
     pub(crate) fn imitator(&self) -> Option<&[f32]> {
         self.imitator.as_deref()
     }
@@ -116,7 +116,7 @@ impl Ppo {
         self.workers.network().table()
     }
 
-    /// Learns from a batch whose features are normalized, and from a imitation_source.
+    /// Learns from a batch with normalized features, and from `imitation_source`.
     pub(crate) fn update(
         &mut self,
         batch: &Batch,
@@ -154,7 +154,7 @@ impl Ppo {
         (metrics, Some(imitation_update.metrics()))
     }
 
-    /// PPO, with the imitation_source in every gradient step for as long as it lasts.
+    /// PPO, with the imitation gradient added to every gradient step while any are left.
     fn update_with(
         &mut self,
         batch: &Batch,
@@ -197,8 +197,8 @@ impl Ppo {
         let mut n_epochs = 0;
         for epoch in 0..config.n_epochs {
             if epoch > 0 {
-                // The critic has changed, so the advantages are stale (Andrychowicz et al., "What matters in on-policy
-                // reinforcement learning", section 3.5).
+                // The critic has changed, so recompute the stale advantages (Andrychowicz et al., "What matters in
+                // on-policy reinforcement learning", section 3.5).
                 self.refresh(batch, config, progress.values, &mut targets);
             }
             moved =
@@ -235,7 +235,7 @@ impl Ppo {
         }
     }
 
-    /// Goes over all samples once in random order.
+    /// Visits all samples once in random order.
     #[allow(clippy::too_many_arguments, reason = "an update in pieces")]
     fn epoch(
         &mut self,
@@ -274,8 +274,8 @@ impl Ppo {
     fn step(&mut self, gradient: &mut [f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
         let norm = clip_global_norm(gradient, config.optimizer.max_grad_norm);
         if !norm.is_finite() {
-            // One bad gradient would spoil the moments for good.
-            tracing::warn!(norm, "a gradient is not finite, its step is left out");
+            // One gradient that is not finite would corrupt the moments permanently.
+            tracing::warn!(norm, "a gradient is not finite, skipping its step");
             steps.n_skipped += 1;
             return;
         }
@@ -285,7 +285,7 @@ impl Ppo {
         self.load();
     }
 
-    /// Brings advantages and value targets up to date with the network.
+    /// Recomputes advantages and value targets with the current network.
     fn refresh(
         &mut self,
         batch: &Batch,
@@ -309,14 +309,14 @@ impl Ppo {
         self.load();
     }
 
-    /// Puts the flat parameters into the networks.
+    /// Loads the flat parameters into the networks.
     fn load(&mut self) {
         self.workers.load(&self.parameters).expect("a finite step from finite parameters of the same number");
     }
 }
 
 impl ValueHead {
-    /// The last kernel named `value.mlp.*` and its bias.
+    /// Finds the last kernel named `value.mlp.*` and its bias.
     fn find(table: &[ParameterSpec]) -> Self {
         let mut found = Self { weights: 0..0, bias: 0 };
         let mut at = 0;

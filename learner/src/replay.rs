@@ -1,4 +1,4 @@
-//! Labeled scenes, kept for many updates: bounded, and balanced over the sizes of goals.
+//! The replay buffer of labeled scenes: bounded, and balanced by goal size.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -11,36 +11,36 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::ReplayConfig;
 
-/// Segments with labels by the number of blocks of their goals.
+/// A replay buffer of labeled segments, grouped by the number of blocks of their goals.
 ///
-/// When it is full the oldest of the size with the most scenes goes, so that no size pushes out another.
+/// If it is full, the oldest segment of the size with the most scenes is removed, so that no size displaces the others.
 #[derive(Clone, Debug)]
 pub struct Replay {
     config: ReplayConfig,
-    shelves: BTreeMap<usize, Shelf>,
+    groups: BTreeMap<usize, SizeGroup>,
     n_steps: usize,
 }
 
 #[derive(Clone, Debug, Default)]
-struct Shelf {
+struct SizeGroup {
     segments: VecDeque<Segment>,
     n_steps: usize,
 }
 
 #[derive(Clone, Debug)]
 struct Segment {
-    /// With the blocks of the episode's assignment.
+    /// The goal, with the blocks of the episode's assignment.
     blueprint: Arc<Blueprint>,
     trajectory: Arc<Trajectory>,
 }
 
 impl Replay {
-    /// An empty store.
+    /// An empty replay buffer.
     pub fn new(config: ReplayConfig) -> Self {
-        Self { config, shelves: BTreeMap::new(), n_steps: 0 }
+        Self { config, groups: BTreeMap::new(), n_steps: 0 }
     }
 
-    /// Keeps the labeled steps of a segment, if it has any and the catalog knows its goal.
+    /// Adds the labeled steps of a segment, if it has any and the catalog has its goal.
     pub fn push(&mut self, mut trajectory: Trajectory, catalog: &Catalog) {
         trajectory.transitions.retain(|transition| transition.label.is_some());
         let Some(blueprint) = catalog.find(&trajectory.task.blueprint) else { return };
@@ -49,45 +49,45 @@ impl Replay {
             return;
         }
         let blueprint = Arc::new(blueprint.permuted(&trajectory.task.assignment));
-        let shelf = self.shelves.entry(blueprint.n_blocks()).or_default();
-        shelf.segments.push_back(Segment { blueprint, trajectory: Arc::new(trajectory) });
-        shelf.n_steps += n_steps;
+        let group = self.groups.entry(blueprint.n_blocks()).or_default();
+        group.segments.push_back(Segment { blueprint, trajectory: Arc::new(trajectory) });
+        group.n_steps += n_steps;
         self.n_steps += n_steps;
         while self.n_steps > self.config.capacity_steps {
-            let Some(fullest) = self.shelves.values_mut().max_by_key(|shelf| shelf.n_steps) else { break };
+            let Some(fullest) = self.groups.values_mut().max_by_key(|group| group.n_steps) else { break };
             let Some(oldest) = fullest.segments.pop_front() else { break };
             fullest.n_steps -= oldest.trajectory.transitions.len();
             self.n_steps -= oldest.trajectory.transitions.len();
         }
     }
 
-    /// Labeled scenes that are kept.
+    /// Number of labeled scenes.
     pub fn n_steps(&self) -> usize {
         self.n_steps
     }
 
-    /// Adds `n` random scenes to `features` and returns their labels; none if there are no scenes.
+    /// Appends `n` random scenes to `features` and returns their labels; empty if there are no scenes.
     pub fn draw(&self, n: usize, rng: &mut ChaCha8Rng, features: &mut FeatureBatch) -> Vec<Label> {
-        let shelves: Vec<(f64, &Shelf, usize)> = self
-            .shelves
+        let groups: Vec<(f64, &SizeGroup, usize)> = self
+            .groups
             .iter()
-            .filter_map(|(&n_blocks, shelf)| {
-                let longest = shelf.segments.iter().map(|segment| segment.trajectory.transitions.len()).max()?;
-                Some(((n_blocks as f64).powf(self.config.size_power), shelf, longest))
+            .filter_map(|(&n_blocks, group)| {
+                let longest = group.segments.iter().map(|segment| segment.trajectory.transitions.len()).max()?;
+                Some(((n_blocks as f64).powf(self.config.size_power), group, longest))
             })
             .collect();
-        let total: f64 = shelves.iter().map(|(weight, ..)| weight).sum();
+        let total: f64 = groups.iter().map(|(weight, ..)| weight).sum();
         let mut labels = Vec::with_capacity(n);
         while labels.len() < n {
             let mut rest = rng.random::<f64>() * total;
-            let drawn = shelves.iter().find(|(weight, ..)| {
+            let drawn = groups.iter().find(|(weight, ..)| {
                 rest -= weight;
                 rest < 0.0
             });
-            let Some(&(_, shelf, longest)) = drawn.or(shelves.last()) else { break };
-            // Short segments are drawn as often as long ones and then often miss, so that all steps are equally likely.
+            let Some(&(_, group, longest)) = drawn.or(groups.last()) else { break };
+            // Sample segments uniformly and reject steps beyond their end, so that all steps are equally likely.
             let (segment, step) = loop {
-                let segment = &shelf.segments[rng.random_range(0..shelf.segments.len())];
+                let segment = &group.segments[rng.random_range(0..group.segments.len())];
                 if let Some(step) = segment.trajectory.transitions.get(rng.random_range(0..longest)) {
                     break (segment, step);
                 }
@@ -100,13 +100,13 @@ impl Replay {
         labels
     }
 
-    /// All segments, those of one size together, oldest first.
+    /// All segments, grouped by size, oldest first.
     pub(crate) fn segments(&self) -> Vec<Arc<Trajectory>> {
-        let segments = self.shelves.values().flat_map(|shelf| &shelf.segments);
+        let segments = self.groups.values().flat_map(|group| &group.segments);
         segments.map(|segment| segment.trajectory.clone()).collect()
     }
 
-    /// Puts back what [`Self::segments`] gave; what is too much for this capacity goes.
+    /// Restores the result of [`Self::segments`]; drops segments beyond the capacity.
     pub(crate) fn restore(&mut self, segments: Vec<Arc<Trajectory>>, catalog: &Catalog) {
         for trajectory in segments {
             self.push(Arc::unwrap_or_clone(trajectory), catalog);
@@ -137,7 +137,7 @@ mod tests {
         Replay::new(ReplayConfig { capacity_steps, size_power })
     }
 
-    /// How often each mark is drawn.
+    /// Number of times that each mark is drawn.
     fn counts(replay: &Replay, n: usize) -> [usize; 16] {
         let mut features = FeatureBatch::new(&PolicyConfig::default().features);
         let labels = replay.draw(n, &mut ChaCha8Rng::seed_from_u64(2), &mut features);
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_drawn_by_their_weight_and_steps_alike() {
+    fn sizes_are_drawn_by_weight_and_steps_uniformly() {
         let catalog = Catalog::builtin();
         let six = catalog.of_split(Split::Train).into_iter().find(|b| b.n_blocks() == 6).unwrap().id().clone();
         let mut replay = replay(100_000, 1.0);
@@ -156,14 +156,14 @@ mod tests {
             replay.push(labeled(goal, n_steps, mark), catalog);
         }
         let counts = counts(&replay, 8000);
-        // Sizes 2 : 6, and 30 : 10 steps within the first: 1500, 500 and 6000.
+        // Sizes 2 : 6, and 30 : 10 steps within the first: 1500, 500, and 6000.
         for (count, expected) in counts.into_iter().zip([1500, 500, 6000]) {
             assert!(count.abs_diff(expected) < 150, "{counts:?}");
         }
     }
 
     #[test]
-    fn the_fullest_size_makes_room() {
+    fn largest_size_group_is_evicted_first() {
         let catalog = Catalog::builtin();
         let mut replay = replay(50, 0.0);
         replay.push(labeled("3_000", 20, 9), catalog);
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_comes_of_scenes_without_labels() {
+    fn scenes_without_labels_are_not_kept() {
         let mut replay = replay(50, 0.0);
         replay.push(random_trajectory(5, 0, &mut ChaCha8Rng::seed_from_u64(1)), Catalog::builtin());
         assert_eq!((replay.n_steps(), counts(&replay, 10)), (0, [0; 16]));

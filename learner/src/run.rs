@@ -1,4 +1,4 @@
-//! The learner as a service: trajectories from the bus, updates on a thread of their own, weights and metrics to the bus.
+//! The learner as a service: trajectories from the bus, updates on a separate thread, weights and metrics to the bus.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,63 +18,63 @@ use tokio_util::sync::CancellationToken;
 use crate::checkpoint::{self, Checkpoint};
 use crate::{Learner, LearnerSetup, MailboxCounts, UpdateMetrics};
 
-/// Metrics that TensorBoard is not told: no measure of anything, or one curve for each blueprint.
+/// Metrics without TensorBoard curves: constants, and those with one curve per blueprint.
 const UNPLOTTED: [&str; 3] = ["schema_version", "task_probabilities", "success_by_blueprint"];
 
-/// How long a learner waits for another one to go: a process that was killed seems to live for up to 6 s, and one that takes its
-/// place must come through.
-const NAME_PATIENCE: Duration = Duration::from_secs(15);
+/// Time that a learner waits for another one to end. A killed process appears alive for up to 6 s, and its replacement
+/// must succeed.
+const NAME_TIMEOUT: Duration = Duration::from_secs(15);
 
-/// How long the updating thread waits for trajectories before it looks whether it should stop.
-const PATIENCE: Duration = Duration::from_millis(100);
+/// Interval at which the updating thread checks for shutdown while it waits for trajectories.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// What a run of the learner is told.
+/// Options of a run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
-    /// What the learner is made of.
+    /// The inputs of the learner.
     pub setup: LearnerSetup,
     /// Folder of the run, for `checkpoints/`, `metrics.jsonl` and `tb/`.
     pub run_dir: RunPaths,
-    /// A run's folder, its `checkpoints` or one checkpoint to go on from.
+    /// Where to resume: a run's folder, its `checkpoints`, or one checkpoint.
     pub resume: Option<PathBuf>,
-    /// Environment steps after which the run is over; `None` runs until it is told to stop.
+    /// Environment steps after which the run ends; `None` runs until shutdown.
     pub max_env_steps: Option<u64>,
 }
 
-/// Steps worlds with the given weights and returns what that finished; true asks for new episodes that depend on the
-/// version alone.
+/// Steps worlds with the given weights and returns the finished trajectories; true requests new episodes that depend
+/// only on the version.
 pub type Feed = Box<dyn FnMut(&Weights, bool) -> anyhow::Result<Vec<Trajectory>> + Send>;
 
-/// How a run of the learner ended.
+/// The result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LearnerReport {
     /// The newest weights.
     pub weights_version: WeightsVersion,
-    /// Updates made, with those before a resumption.
+    /// Updates, including those before a resume.
     pub n_updates: u64,
-    /// Environment steps consumed, with those before a resumption.
+    /// Environment steps, including those before a resume.
     pub n_env_steps: u64,
-    /// What became of the trajectories.
+    /// Trajectories by result.
     pub mailbox: MailboxCounts,
     /// The last checkpoint.
     pub checkpoint: PathBuf,
 }
 
-/// What the updating thread hands to the bus.
-struct News {
+/// A message from the updating thread to the bus.
+struct Publication {
     weights: Arc<Weights>,
-    /// None for the weights that a run begins with.
+    /// `None` for the initial weights of the run.
     metrics: Option<LearnerMetrics>,
 }
 
-/// Learns until `shutdown` or the configured number of steps, and saves.
+/// Learns until `shutdown` or the configured number of steps, then saves a checkpoint.
 ///
-/// With a `feed` the updating thread asks it for trajectories in turns with the updates, and nothing depends on time: equal
-/// seeds give equal weights, also after going on from one of the periodic checkpoints.
+/// With a `feed`, the updating thread requests trajectories between updates, and nothing depends on time: equal seeds
+/// give equal weights, even after resuming from one of the periodic checkpoints.
 ///
 /// # Errors
-/// When the feed fails, a setting is invalid, the checkpoint to go on from is unusable, the session fails, or the last checkpoint cannot
-/// be written.
+/// If the feed fails, a setting is invalid, the checkpoint cannot be resumed, the session fails, or the last checkpoint
+/// cannot be written.
 pub async fn run(
     options: RunOptions,
     feed: Option<Feed>,
@@ -83,8 +83,8 @@ pub async fn run(
 ) -> anyhow::Result<LearnerReport> {
     let folder = options.run_dir.folder();
     fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
-    // Before anything is cleaned up, which may be what the other is writing.
-    let _alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_PATIENCE).await?;
+    // Wait before any cleanup, because another learner may be writing there.
+    let _alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_TIMEOUT).await?;
     let (setup, resume, checkpoints) = (options.setup.clone(), options.resume.clone(), options.run_dir.checkpoints());
     let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref(), &checkpoints)).await??;
 
@@ -94,7 +94,7 @@ pub async fn run(
     let mailbox = learner.mailbox();
     let server = Arc::new(bus.serve_trajectories(move |trajectory| mailbox.push(trajectory), current_version).await?);
 
-    let (news, mut arrivals) = mpsc::channel(2);
+    let (publications, mut arrivals) = mpsc::channel(2);
     let (result, ended) = oneshot::channel();
     let (counted, session) = (server.clone(), bus.clone());
     let worker = Worker {
@@ -104,18 +104,18 @@ pub async fn run(
         records: MetricsWriter::open(&options.run_dir, Role::Learner)?,
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
-        news,
+        publications,
         shutdown,
         pulse: bus.pulse().clone(),
         start: Instant::now(),
     };
-    // A thread of its own, because an update computes for seconds and tokio's workers must stay free for the bus.
+    // A separate thread, because an update computes for seconds and must not block tokio's workers.
     std::thread::Builder::new()
         .name("learner".to_owned())
         .spawn(move || result.send(worker.work()))
         .context("starting the learner's thread")?;
 
-    while let Some(News { weights, metrics: numbers }) = arrivals.recv().await {
+    while let Some(Publication { weights, metrics: numbers }) = arrivals.recv().await {
         publish(&publisher, &version, weights).await?;
         if let Some(numbers) = numbers {
             metrics.put(&numbers).await?;
@@ -139,8 +139,8 @@ async fn publish(
     Ok(())
 }
 
-/// A new learner, or one that goes on from the newest whole checkpoint of `resume`. In `checkpoints` nothing stays that a
-/// process left which was killed while it wrote.
+/// Creates a learner, or resumes from the newest valid checkpoint of `resume`. Removes incomplete checkpoints of killed
+/// processes from `checkpoints`.
 fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyhow::Result<Learner> {
     checkpoint::clean(checkpoints)?;
     let Some(path) = resume else { return Ok(Learner::new(setup)?) };
@@ -151,16 +151,16 @@ fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyh
     Ok(Learner::resume(setup, found.checkpoint)?)
 }
 
-/// The updating thread.
+/// The state of the updating thread.
 struct Worker {
     learner: Learner,
-    /// The learner's weights.
+    /// The learner's newest weights.
     newest: Arc<Weights>,
     feed: Option<Feed>,
     options: RunOptions,
     records: MetricsWriter,
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
-    news: mpsc::Sender<News>,
+    publications: mpsc::Sender<Publication>,
     shutdown: CancellationToken,
     pulse: Pulse,
     start: Instant,
@@ -173,16 +173,16 @@ impl Worker {
         let mailbox = self.learner.mailbox();
         let mut last_report = Instant::now();
         let mut restart = true;
-        // A closed channel means that the session failed; the run then ends with a checkpoint like any other.
-        let mut open = self.tell(None);
+        // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
+        let mut open = self.send(None);
         while open && !self.is_over() {
             self.pulse.beat();
             let enough = match &mut self.feed {
-                None => mailbox.wait(settings.steps_per_update, PATIENCE),
+                None => mailbox.wait(settings.steps_per_update, POLL_INTERVAL),
                 Some(_) if self.learner.ready() => true,
                 Some(feed) => {
                     for trajectory in feed(&self.newest, std::mem::take(&mut restart))? {
-                        // What is refused is counted.
+                        // The mailbox counts refusals.
                         let _ = self.learner.ingest(trajectory);
                     }
                     false
@@ -200,16 +200,16 @@ impl Worker {
             if let Err(error) = self.write(&metrics) {
                 tracing::warn!(%error, "metrics were not written");
             }
-            open = self.tell(Some(metrics));
+            open = self.send(Some(metrics));
             if self.learner.n_updates().is_multiple_of(settings.checkpoints.every_updates) {
                 restart = true;
-                // A full disk must not end a run that could still be watched; the last checkpoint must succeed.
+                // A full disk should not end a run that still makes progress; only the last checkpoint must succeed.
                 if let Err(error) = self.save(&checkpoints) {
                     tracing::error!(%error, "no checkpoint was written");
                 }
             }
         }
-        // What is acknowledged after the checkpoint was written would be lost.
+        // Trajectories acknowledged after the checkpoint would be lost.
         mailbox.close();
         let checkpoint = self.save(&checkpoints).map_err(|error| self.lost(error, &checkpoints))?;
         let weights_version = self.learner.version();
@@ -227,8 +227,8 @@ impl Worker {
         reached || self.shutdown.is_cancelled()
     }
 
-    fn tell(&self, metrics: Option<LearnerMetrics>) -> bool {
-        self.news.blocking_send(News { weights: self.newest.clone(), metrics }).is_ok()
+    fn send(&self, metrics: Option<LearnerMetrics>) -> bool {
+        self.publications.blocking_send(Publication { weights: self.newest.clone(), metrics }).is_ok()
     }
 
     fn save(&self, checkpoints: &Path) -> Result<PathBuf, checkpoint::CheckpointError> {
@@ -240,7 +240,7 @@ impl Worker {
         Ok(path)
     }
 
-    /// Says with which loss the run ends that could not save in the end.
+    /// The error of a run whose last checkpoint was not saved, with the newest valid one.
     fn lost(&self, error: checkpoint::CheckpointError, checkpoints: &Path) -> anyhow::Error {
         let newest = match Checkpoint::read_latest(checkpoints) {
             Ok(found) => format!("the newest whole one is {}", found.path.display()),

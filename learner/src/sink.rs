@@ -1,5 +1,5 @@
-//! A learner's end of the bus without its arithmetic: takes trajectories through a real mailbox, drains that by batches as
-//! updates would, and publishes weights at intervals. It measures what bus and ingest can carry.
+//! A learner without computation: takes trajectories through a real mailbox, drains it in batches as updates would, and
+//! publishes weights at intervals. It measures the throughput of bus and ingest.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,54 +16,54 @@ use tokio_util::sync::CancellationToken;
 
 use crate::{Learner, Mailbox, MailboxCounts};
 
-/// How long the draining thread waits for a batch before it looks whether it should stop.
-const PATIENCE: Duration = Duration::from_millis(100);
+/// Interval at which the draining thread checks for shutdown while it waits for a batch.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// What a sink is told.
+/// The settings of a sink.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SinkPlan {
-    /// Steps that an update takes.
+    /// Steps per update.
     pub steps_per_update: usize,
-    /// Parameters of the published weights; `None` for as many as the network has.
+    /// Number of parameters of the published weights; `None` for the size of the network.
     pub n_parameters: Option<usize>,
-    /// Time between two publications, milliseconds; 0 publishes the first weights only.
+    /// Interval between publications, milliseconds; 0 publishes only the first weights.
     pub publish_every_ms: u64,
 }
 
-/// What a sink took and published.
+/// The result of a sink.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SinkReport {
-    /// What became of all messages.
+    /// All messages, by result.
     pub ingest: IngestCounts,
-    /// What became of the valid ones.
+    /// Valid messages, by result.
     pub mailbox: MailboxCounts,
-    /// Trajectories that updates took out.
+    /// Trajectories taken by updates.
     pub taken_total: u64,
-    /// Trajectories that no update has taken.
+    /// Trajectories not taken by any update.
     pub waiting_total: u64,
-    /// Updates.
+    /// Number of updates.
     pub updates_total: u64,
-    /// Wrapping sum of [`proto::Trajectory::fingerprint`] of the accepted ones.
+    /// Wrapping sum of the [`proto::Trajectory::fingerprint`]s of the accepted trajectories.
     pub accepted_fingerprints: u64,
     /// The published weights.
     pub published: Vec<Publication>,
-    /// Queries for weights that found too many others waiting.
+    /// Queries for weights dropped because too many were waiting.
     pub queries_dropped_total: u64,
 }
 
-/// When weights were published.
+/// A publication of weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Publication {
     /// The version.
     pub version: u64,
-    /// Microseconds since 1970, before they were encoded.
+    /// Time before encoding, microseconds since 1970.
     pub unix_us: u64,
 }
 
-/// A sink that takes trajectories.
+/// A running sink.
 #[derive(Debug)]
 pub struct Sink {
     plan: SinkPlan,
@@ -80,10 +80,10 @@ pub struct Sink {
 }
 
 impl Sink {
-    /// Takes trajectories from now on, as `learner` would, and publishes its weights once.
+    /// Starts taking trajectories as `learner` would, and publishes its weights once.
     ///
     /// # Errors
-    /// When the session fails or the thread cannot be started.
+    /// If the session fails or the thread cannot be started.
     pub async fn open(learner: &Learner, plan: SinkPlan, bus: &Bus) -> anyhow::Result<Self> {
         let mut weights = learner.weights();
         if let Some(n_parameters) = plan.n_parameters {
@@ -118,7 +118,7 @@ impl Sink {
     /// Publishes newer weights at intervals until `stop`.
     ///
     /// # Errors
-    /// When the session fails.
+    /// If the session fails.
     pub async fn publish_until(&mut self, stop: &CancellationToken) -> anyhow::Result<()> {
         let period = Duration::from_millis(self.plan.publish_every_ms);
         loop {
@@ -134,10 +134,10 @@ impl Sink {
         }
     }
 
-    /// Stops, and says what was taken.
+    /// Stops and returns the result.
     ///
     /// # Errors
-    /// When the session fails or the draining thread panicked.
+    /// If the session fails or the draining thread panicked.
     pub async fn close(self) -> anyhow::Result<SinkReport> {
         let ingest = self.server.counts();
         self.server.close().await?;
@@ -161,7 +161,7 @@ impl Sink {
     }
 }
 
-/// The thread that takes batches out of the mailbox.
+/// The thread that drains the mailbox in batches.
 #[derive(Debug)]
 struct Drain {
     stop: CancellationToken,
@@ -175,7 +175,7 @@ impl Drain {
         let drain = move || {
             let (mut n_taken, mut n_updates) = (0, 0);
             while !stopped.is_cancelled() {
-                if mailbox.wait(n_steps, PATIENCE) {
+                if mailbox.wait(n_steps, POLL_INTERVAL) {
                     n_taken += mailbox.take(n_steps).len() as u64;
                     n_updates += 1;
                 }

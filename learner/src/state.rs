@@ -1,4 +1,4 @@
-//! The part of a learner that is neither network nor optimizer, and goes into `state.json`.
+//! The state of a learner without network and optimizer, stored in `state.json`.
 
 use policy::normalization::FeatureMoments;
 use proto::{Normalization, Weights, WeightsVersion};
@@ -10,40 +10,40 @@ use crate::curriculum::Curriculum;
 use crate::mailbox::MailboxCounts;
 use crate::normalization::ValueStatistics;
 
-/// Counters, statistics, curriculum and random numbers.
+/// Counters, statistics, curriculum, and random number generator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LearnerState {
-    /// Weights that the parameters are.
+    /// Version of the parameters.
     pub version: WeightsVersion,
-    /// Environment steps consumed.
+    /// Environment steps so far.
     pub n_env_steps: u64,
-    /// Updates made.
+    /// Updates so far.
     pub n_updates: u64,
-    /// Episodes whose end was seen.
+    /// Episodes that ended so far.
     pub n_episodes: u64,
     /// Learning rate of the next update.
     pub learning_rate: LearningRate,
-    /// Shuffles the minibatches.
+    /// Random number generator that shuffles the minibatches.
     pub rng: ChaCha8Rng,
     /// Task probabilities.
     pub curriculum: Curriculum,
-    /// Statistics of node, edge and global features.
+    /// Statistics of node, edge, and global features.
     pub features: FeatureMoments,
     /// Scenes in `features`.
     pub n_feature_scenes: u64,
     /// Statistics of the value targets.
     pub values: ValueStatistics,
-    /// What became of the trajectories.
+    /// Trajectories by result.
     pub mailbox: MailboxCounts,
-    /// Normalization that goes with the parameters.
-    // As version 1 of the format spells it.
+    /// Normalization that belongs to the parameters.
+    // The spelling of format version 1.
     #[serde(rename = "normalisation", with = "NormalizationFields")]
     pub normalization: Normalization,
 }
 
 impl LearnerState {
-    /// The frozen policy of these `parameters`.
+    /// The frozen policy with these `parameters`.
     pub(crate) fn weights(&self, network_hash: u64, parameters: Vec<f32>) -> Weights {
         Weights {
             version: self.version,
@@ -56,7 +56,7 @@ impl LearnerState {
     }
 }
 
-/// Serializes [`Normalization`], which has a wire form of its own and no serde form.
+/// The serde form of [`Normalization`], which itself only has a wire form.
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Normalization", deny_unknown_fields)]
 pub(crate) struct NormalizationFields {

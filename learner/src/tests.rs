@@ -1,4 +1,4 @@
-//! The learner as a whole, on synthetic trajectories.
+//! Tests of the whole learner with synthetic trajectories.
 
 mod checkpoints;
 mod goals;

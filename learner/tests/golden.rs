@@ -1,4 +1,4 @@
-//! Golden vectors of GAE, PPO losses, Adam and the curriculum, computed in float64 by an independent implementation.
+//! Golden vectors of GAE, PPO losses, Adam, and the curriculum, computed in float64 by an independent implementation.
 
 #![allow(clippy::unwrap_used)]
 
@@ -38,7 +38,7 @@ fn close(name: &str, found: &[f32], expected: &[f32], tolerance: f32) {
 }
 
 #[test]
-fn gae_tells_a_time_limit_from_an_end() {
+fn gae_distinguishes_time_limit_from_termination() {
     let golden = &golden("ppo.json")["gae"];
     let (gamma, lambda) = (golden["gamma"].as_f64().unwrap() as f32, golden["lam"].as_f64().unwrap() as f32);
     let (n_steps, n) = (golden["T"].as_u64().unwrap() as usize, golden["N"].as_u64().unwrap() as usize);
@@ -49,7 +49,7 @@ fn gae_tells_a_time_limit_from_an_end() {
         let mut advantages = vec![0.0; n_steps];
         let mut first = 0;
         for (t, &final_value) in final_values.iter().enumerate() {
-            // The golden rule lets a true end win over a simultaneous time limit.
+            // In the golden data, a true end takes precedence over a simultaneous time limit.
             let status = match (bit("terminated", t, j), bit("truncated", t, j)) {
                 (true, _) => Status::Success,
                 (false, true) => Status::TimeLimit,
@@ -124,7 +124,7 @@ fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 }
 
 #[test]
-fn policy_loss_and_its_gradients_in_the_forms_whose_move_is_shared() {
+fn policy_loss_and_gradients_match_in_forms_with_a_shared_move() {
     let ppo = Ppo::new();
     let clip = ppo.golden["clip_eps"].as_f64().unwrap() as f32;
     let mut advantages = flat(&ppo.golden["advantages"]);
@@ -153,7 +153,7 @@ fn policy_loss_and_its_gradients_in_the_forms_whose_move_is_shared() {
 }
 
 #[test]
-fn policy_loss_from_log_probabilities_in_every_form() {
+fn policy_loss_matches_in_every_form() {
     let ppo = Ppo::new();
     for name in ["chosen_per_gripper", "chosen_unique", "matrix_all"] {
         let expected = &ppo.golden["variants"][name];
@@ -167,7 +167,7 @@ fn policy_loss_from_log_probabilities_in_every_form() {
 }
 
 #[test]
-fn value_loss_with_and_without_clip() {
+fn value_loss_matches_with_and_without_clip() {
     let ppo = Ppo::new();
     let expected = &ppo.golden["value_loss"];
     let (old, target) = (ppo.vector(&ppo.golden["old"]["value"]), ppo.vector(&ppo.golden["returns"]));
@@ -181,7 +181,7 @@ fn value_loss_with_and_without_clip() {
 }
 
 #[test]
-fn entropies_of_old_and_new() {
+fn entropies_match() {
     let ppo = Ppo::new();
     for (which, name) in [("new", "entropy"), ("old", "old_entropy")] {
         let (output, expected) = (ppo.output(which), &ppo.golden[name]);
@@ -198,7 +198,7 @@ fn entropies_of_old_and_new() {
 }
 
 #[test]
-fn adam_after_clipping_by_global_norm() {
+fn adam_matches_after_global_norm_clipping() {
     let golden = &golden("ppo.json")["adam_clip"];
     let number = |name: &str| golden[name].as_f64().unwrap() as f32;
     let config = OptimizerConfig {
@@ -220,7 +220,7 @@ fn adam_after_clipping_by_global_norm() {
 }
 
 #[test]
-fn the_papers_curriculum() {
+fn paper_curriculum_matches() {
     let golden = golden("curriculum.json");
     let number = |name: &str| golden[name].as_f64().unwrap();
     let ids: Vec<BlueprintId> =

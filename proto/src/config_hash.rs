@@ -1,18 +1,17 @@
-//! One number for a configuration, by which two processes find out whether theirs are alike.
+//! A hash that tells whether two processes have the same configuration.
 
 use blueprints::hash::fnv1a;
 use serde::Serialize;
 use serde_json::Value;
 
-/// Hash of the configuration's canonical form: its JSON without spaces, keys in alphabetical order, keys that are `null` left
-/// out.
+/// Hash of the configuration's canonical form: JSON without spaces, with sorted keys and without `null` values.
 ///
-/// What counts are the keys and values of the configuration file. The names of types, variants and fields in the program do
-/// not, nor does their order, and a new key that may be absent changes nothing while it is. A key that is renamed gives
-/// another hash; tests pin those of the presets, so that nobody does that unawares.
+/// Only the keys and values of the configuration file matter, not the names or order of types, variants, and fields in
+/// the program. An optional key that is absent does not change the hash. Renaming a key does; tests pin the hashes of
+/// the presets to detect it.
 ///
 /// # Panics
-/// For what is no JSON, such as a map whose keys are no strings; no configuration has that.
+/// If `config` has no JSON form, such as a map with keys that are not strings; no configuration does.
 pub fn config_hash(config: &impl Serialize) -> u64 {
     let value = serde_json::to_value(config).expect("a configuration is JSON");
     let mut text = String::new();
@@ -42,7 +41,7 @@ fn write(value: &Value, text: &mut String) {
             }
             text.push(']');
         }
-        // Numbers are written with the fewest digits that are exact.
+        // Numbers have the fewest digits that are exact.
         leaf => text.push_str(&leaf.to_string()),
     }
 }
@@ -54,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_canonical_form_is_sorted_and_has_no_nulls() {
+    fn canonical_form_is_sorted_and_omits_nulls() {
         let mut text = String::new();
         write(&json!({ "b": [1, 0.5, null, "x\"y"], "a": { "d": true, "c": null } }), &mut text);
         assert_eq!(text, r#"{"a":{"d":true},"b":[1,0.5,null,"x\"y"]}"#);

@@ -1,12 +1,12 @@
-//! All that two processes must agree on: plain validated types, their wire form and the key expressions. No I/O.
+//! The interface between processes: validated plain types, their wire format, and key expressions. No I/O.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`], [`mod@unit`] of shared evaluations →
-//! [`codec`] → [`keys`].
+//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`],
+//! [`mod@unit`] of distributed evaluations → [`codec`] → [`keys`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 #[cfg(test)]
-extern crate self as proto; // The samples of the integration tests serve the unit tests too.
+extern crate self as proto; // The unit tests share the samples of the integration tests.
 
 pub mod codec;
 mod config_hash;

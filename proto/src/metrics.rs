@@ -1,6 +1,6 @@
-//! What services report about themselves, as JSON on `metrics/…` and as lines of `metrics.jsonl`.
+//! Reports of the services, as JSON on `metrics/…` and as lines of `metrics.jsonl`.
 //!
-//! Fields are only ever added within a schema version, and a reader ignores those that it does not know.
+//! A schema version only gains fields, and readers ignore unknown fields.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::wilson::SuccessRate;
 use crate::{ActorId, RewardTerms, WeightsVersion};
 
-/// Version of all structs here.
+/// Version of all structs in this module.
 pub const METRICS_SCHEMA_VERSION: u32 = 1;
 
 /// The learner's state after an update; key `metrics/learner`.
@@ -18,13 +18,13 @@ pub const METRICS_SCHEMA_VERSION: u32 = 1;
 pub struct LearnerMetrics {
     /// [`METRICS_SCHEMA_VERSION`].
     pub schema_version: u32,
-    /// Weights after the update.
+    /// Weights version after the update.
     pub weights_version: WeightsVersion,
     /// PPO updates so far.
     pub n_updates: u64,
     /// Environment steps consumed so far.
     pub n_env_steps: u64,
-    /// Episodes whose end was seen so far.
+    /// Episodes that ended so far.
     pub n_episodes: u64,
     /// Time since the learner's start, seconds.
     pub elapsed_s: f64,
@@ -34,34 +34,34 @@ pub struct LearnerMetrics {
     pub update_s: f64,
     /// Mean of (current version − acting version) over the batch, versions.
     pub policy_lag_mean: f64,
-    /// Largest such lag in the batch, versions.
+    /// Largest policy lag in the batch, versions.
     pub policy_lag_max: u64,
-    /// Environment steps of the batch by lag: entry `i` counts those of lag `i`.
+    /// Environment steps of the batch by lag: entry `i` counts the steps with lag `i`.
     pub policy_lag_histogram: Vec<u64>,
     /// Environment steps waiting in the mailbox.
     pub n_mailbox: u64,
-    /// Trajectories that grew too old while waiting in the mailbox, so far.
+    /// Trajectories that became too old in the mailbox, so far.
     pub expired_total: u64,
-    /// Trajectories that were dropped after they had been taken, since the start of the process, because their generated goal
-    /// is one of the held-out structures, comes to nothing, or was one too many to be made for an update.
+    /// Accepted trajectories that were dropped since the start of the process because their generated goal is a
+    /// held-out structure, cannot be generated, or exceeded the number of goals generated per update.
     #[serde(default)]
     pub unmade_total: u64,
-    /// Numbers of the PPO update.
+    /// PPO metrics of the update.
     pub ppo: PpoMetrics,
-    /// Learning from the expert; `null` without.
+    /// Imitation metrics; `null` without imitation.
     #[serde(default)]
     pub imitation: Option<ImitationMetrics>,
-    /// Of the episodes that ended since the last report.
+    /// Episodes that ended since the last report.
     pub episodes: EpisodeMetrics,
-    /// What became of the trajectories that arrived.
+    /// Trajectories that arrived, by result.
     pub ingest: IngestCounts,
-    /// What the bus dropped.
+    /// Messages dropped by the bus.
     pub bus: BusCounts,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
 }
 
-/// Means over the minibatches of one PPO update, by their usual names.
+/// Means over the minibatches of one PPO update, under their usual names.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PpoMetrics {
     /// Weighted sum of the losses that was minimized.
@@ -72,33 +72,33 @@ pub struct PpoMetrics {
     pub value_loss: f64,
     /// Entropy of the action distribution, nats.
     pub entropy: f64,
-    /// Its part from the choice of blocks, nats.
+    /// Part of the entropy from the choice of blocks, nats.
     pub entropy_blocks: f64,
-    /// Its part from the moves of the chosen blocks (expected over the choice), nats.
+    /// Part of the entropy from the moves of the chosen blocks (expected over the choice), nats.
     pub entropy_moves: f64,
-    /// Estimate of KL(reference ‖ current) over the last epoch, nats; see the learner's objective for the reference.
+    /// Estimate of KL(reference ‖ current) over the last epoch, nats; the learner's objective defines the reference.
     pub approx_kl: f64,
     /// Fraction of samples whose ratio was clipped in the last epoch, 0 to 1.
     pub clip_fraction: f64,
-    /// (Σw)² / (n Σw²) of the importance weights of the policy before the update against those that acted, 0 to 1;
-    /// 1 without policy lag.
+    /// (Σw)² / (n Σw²) of the importance weights between the policy before the update and the acting policy, 0 to 1; 1
+    /// without policy lag.
     pub effective_sample_size: f64,
-    /// 1 − Var(target − value) / Var(target) before the update; at most 1, 0 for a constant guess.
+    /// 1 − Var(target − value) / Var(target) before the update; at most 1, 0 for a constant prediction.
     pub explained_variance: f64,
-    /// Mean KL(imitator ‖ policy), nats; 0 while nothing holds the policy to the imitator.
+    /// Mean KL(imitator ‖ policy), nats; 0 without a constraint to the imitator.
     #[serde(default)]
     pub imitator_kl: f64,
     /// Norm of the gradient before clipping.
     pub grad_norm: f64,
-    /// Learning rate used.
+    /// Learning rate of the update.
     pub learning_rate: f64,
     /// Samples in the batch.
     pub n_samples: u64,
     /// Gradient steps taken.
     pub n_gradient_steps: u64,
-    /// Gradient steps left out because the gradient was not finite.
+    /// Gradient steps skipped because the gradient was not finite.
     pub n_skipped_steps: u64,
-    /// Epochs made; fewer than configured when the KL divergence grew too large.
+    /// Epochs run; fewer than configured if the KL divergence exceeded its limit.
     pub n_epochs: u64,
     /// Mean of the value targets, reward units.
     pub value_mean: f64,
@@ -106,33 +106,33 @@ pub struct PpoMetrics {
     pub value_std: f64,
 }
 
-/// One update's learning from the expert's labels; means over scenes.
+/// Imitation of the expert's labels in one update; means over scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ImitationMetrics {
-    /// Weight in the loss.
+    /// Weight of the imitation loss.
     pub weight: f64,
     /// Σ over grippers of the cross-entropy of the block choice, nats.
     pub block_loss: f64,
     /// Σ over labeled blocks of the mean smooth L1 distance of the move, fractions of the speed limits.
     pub move_loss: f64,
-    /// Fraction of the scenes in which the likeliest block is the expert's for all grippers, 0 to 1.
+    /// Fraction of scenes in which the most probable block equals the expert's for all grippers, 0 to 1.
     pub block_accuracy: f64,
     /// Gradient steps with labels.
     pub n_gradient_steps: u64,
-    /// Labeled scenes that are kept.
+    /// Labeled scenes in the replay buffer.
     pub n_replay: u64,
 }
 
-/// Of finished episodes.
+/// Statistics of finished episodes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeMetrics {
-    /// All episodes together.
+    /// All episodes.
     pub success: SuccessRate,
     /// Mean steps per episode, 0 without episodes.
     pub mean_steps: f64,
     /// Mean undiscounted return by term, 0 without episodes.
     pub mean_return: RewardTerms,
-    /// By blueprint; those without episodes are absent.
+    /// Success rate by blueprint; blueprints without episodes are absent.
     pub success_by_blueprint: BTreeMap<BlueprintId, SuccessRate>,
 }
 
@@ -141,85 +141,85 @@ pub struct EpisodeMetrics {
 pub struct ActorMetrics {
     /// [`METRICS_SCHEMA_VERSION`].
     pub schema_version: u32,
-    /// Who.
+    /// The actor's name.
     pub actor: ActorId,
     /// Start time of the process, ms since 1970.
     pub epoch: u64,
-    /// Weights that act.
+    /// Version of the acting weights.
     pub weights_version: WeightsVersion,
     /// Time since the actor's start, seconds.
     pub elapsed_s: f64,
     /// Worlds stepped in parallel.
     pub n_worlds: u64,
-    /// Environment steps made so far.
+    /// Environment steps so far.
     pub n_env_steps: u64,
     /// Environment steps per second since the last report.
     pub env_steps_per_s: f64,
-    /// Episodes ended so far.
+    /// Episodes finished so far.
     pub n_episodes: u64,
-    /// Learner's version in the last answer − acting version, versions.
+    /// Learner's version in the last answer − version of the acting weights, versions.
     pub policy_lag: u64,
-    /// Trajectories that the learner took so far.
+    /// Trajectories accepted by the learner so far.
     pub n_trajectories_acked: u64,
     /// Trajectories dropped so far, by reason.
     pub dropped: ActorDrops,
-    /// Whether a learner is there.
+    /// Whether a learner is present.
     pub learner_is_there: bool,
-    /// What the bus dropped.
+    /// Messages dropped by the bus.
     pub bus: BusCounts,
 }
 
-/// Trajectories that an actor dropped.
+/// Trajectories that an actor dropped, by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActorDrops {
-    /// The learner called them stale.
+    /// Refused by the learner as stale.
     pub stale_total: u64,
-    /// The learner's mailbox was full.
+    /// Refused because the learner's mailbox was full.
     pub full_total: u64,
-    /// The learner called them invalid.
+    /// Refused by the learner as invalid.
     pub invalid_total: u64,
-    /// The learner took another live process for the owner of the actor's name, and the actor ended.
+    /// Refused because another live process owns the actor's name; the actor then ends.
     #[serde(default)]
     pub name_taken_total: u64,
-    /// The learner was away and newer ones took their place, or the actor ended.
+    /// Replaced by newer ones while no learner was present, or dropped when the actor ended.
     pub no_learner_total: u64,
-    /// No answer, after the last attempt.
+    /// No answer after the last attempt.
     pub no_reply_total: u64,
-    /// Larger than allowed.
+    /// Larger than the limit.
     pub too_large_total: u64,
-    /// Their episode diverged.
+    /// The episode diverged.
     pub diverged_total: u64,
     /// The session failed.
     pub failed_total: u64,
 }
 
-/// One frozen policy on one blueprint; key `metrics/eval/<split>/<blueprint>`.
+/// The evaluation of one policy on one blueprint; key `metrics/eval/<split>/<blueprint>`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalBlueprint {
     /// [`METRICS_SCHEMA_VERSION`].
     pub schema_version: u32,
-    /// Weights that were judged.
+    /// Version of the evaluated weights.
     pub weights_version: WeightsVersion,
-    /// Environment steps that the learner had consumed for them.
+    /// Environment steps that the learner had consumed when it published the weights.
     pub n_env_steps: u64,
     /// The goal.
     pub blueprint: BlueprintId,
-    /// Its part of the catalog.
+    /// The goal's split.
     pub split: Split,
-    /// Its number of blocks.
+    /// The goal's number of blocks.
     pub n_blocks: u64,
-    /// With actions sampled from the policy.
+    /// Results with actions sampled from the policy.
     pub sampled: EvalOutcome,
-    /// With the most probable action.
+    /// Results with the most probable action.
     pub mode: EvalOutcome,
 }
 
-/// Episodes of one kind.
+/// Results of episodes with one action mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvalOutcome {
     /// Success rate and interval; diverged episodes count as failures.
     pub success: SuccessRate,
-    /// The same for successes that lasted: held for some steps in a row at low speed.
+    /// Rate of stable successes, which held for several steps in a row at low speed; the same convention.
     pub stable_success: SuccessRate,
     /// Mean steps of all episodes, 0 without any.
     pub mean_steps: f64,
@@ -231,103 +231,103 @@ pub struct EvalOutcome {
     pub n_diverged: u64,
 }
 
-/// One frozen policy on all blueprints judged; key `metrics/eval/summary`.
+/// The evaluation of one policy on all evaluated blueprints; key `metrics/eval/summary`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalSummary {
     /// [`METRICS_SCHEMA_VERSION`].
     pub schema_version: u32,
-    /// Weights that were judged.
+    /// Version of the evaluated weights.
     pub weights_version: WeightsVersion,
-    /// Environment steps that the learner had consumed for them.
+    /// Environment steps that the learner had consumed when it published the weights.
     pub n_env_steps: u64,
     /// Duration of the evaluation so far, seconds.
     pub elapsed_s: f64,
-    /// Whether the pass has ended. Before that, numbers of some of its episodes are reported, spread over all blueprints.
+    /// Whether the evaluation is complete; if not, the results cover some episodes, spread over all blueprints.
     #[serde(default = "complete")]
     pub is_complete: bool,
-    /// Episodes of the whole pass with each way of acting, without the reset-free runs.
+    /// Episodes of the whole evaluation per action mode, without the reset-free runs.
     #[serde(default)]
     pub n_planned: u64,
-    /// Episodes, or reset-free runs, that other processes ran for the evaluator, in both ways of acting.
+    /// Episodes, or reset-free runs, that remote workers ran, in both action modes.
     #[serde(default)]
     pub n_assisted: u64,
-    /// Seed of the start states; passes with the same seed start from the same states.
+    /// Seed of the start states; evaluations with the same seed have the same start states.
     pub seed: u64,
-    /// All blueprints together.
+    /// All blueprints.
     pub all: EvalGroup,
-    /// The paper's groups in its order; those of which no blueprint was judged are left out.
+    /// The paper's groups in its order, without groups in which no blueprint was evaluated.
     pub groups: Vec<EvalGroup>,
-    /// Several goals in a row without a reset; `null` when that was not asked for.
+    /// Several goals in a row without a reset; `null` if not requested.
     pub reset_free: Option<EvalResetFree>,
-    /// What the bus dropped.
+    /// Messages dropped by the bus.
     pub bus: BusCounts,
-    /// Films of episodes; `null` when none are asked for.
+    /// Films of episodes; `null` if not requested.
     #[serde(default)]
     pub films: Option<FilmCounts>,
 }
 
-/// What became of the films of an evaluator since its start. Those of a pass are mostly made after its summary.
+/// Films of an evaluator since its start. Most films of an evaluation are made after its summary.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FilmCounts {
     /// Files written.
     pub written_total: u64,
-    /// Episodes that wait to be made into films.
+    /// Episodes waiting to be rendered.
     pub n_waiting: u64,
-    /// Episodes left out because too many waited, or the evaluator ended before their turn.
+    /// Episodes dropped because too many waited, or because the evaluator ended first.
     pub dropped_total: u64,
-    /// Episodes that could not be drawn, or files that could not be written or removed.
+    /// Episodes that could not be rendered, or files that could not be written or removed.
     pub failed_total: u64,
-    /// Episodes that were not recorded, though one like them was wanted, because too many were being recorded.
+    /// Episodes that were requested but not recorded, because too many recordings were in progress.
     pub unrecorded_total: u64,
-    /// Small films that TensorBoard was not given because they were too large.
+    /// Small films omitted from TensorBoard because they were too large.
     pub oversized_total: u64,
 }
 
-/// What a summary is that does not say: early ones were only made at the end of a pass.
+/// Default of `is_complete`: early versions only wrote a summary at the end of an evaluation.
 fn complete() -> bool {
     true
 }
 
-/// Blueprints that are reported together.
+/// Results of a group of blueprints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvalGroup {
     /// `train 2-6`, `train 7-11`, `train 12-16`, `test 12-16`, `test special` or `all`.
     pub name: String,
-    /// How many blueprints.
+    /// Number of blueprints.
     pub n_blueprints: u64,
-    /// With actions sampled from the policy.
+    /// Results with actions sampled from the policy.
     pub sampled: EvalOutcome,
-    /// With the most probable action.
+    /// Results with the most probable action.
     pub mode: EvalOutcome,
 }
 
-/// Goals one after the other in worlds that are not reset in between (paper, section "Reset-Free Evaluation").
+/// Goals evaluated one after the other without resets in between (paper, section "Reset-Free Evaluation").
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvalResetFree {
-    /// Worlds.
+    /// Number of worlds.
     pub n_runs: u64,
-    /// Goals in each.
+    /// Number of goals in each world.
     pub n_goals: u64,
-    /// With actions sampled from the policy.
+    /// Results with actions sampled from the policy.
     pub sampled: EvalRuns,
-    /// With the most probable action.
+    /// Results with the most probable action.
     pub mode: EvalRuns,
 }
 
-/// Reset-free runs of one kind.
+/// Results of reset-free runs with one action mode.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvalRuns {
     /// All goals of all runs.
     pub outcome: EvalOutcome,
-    /// Successes at the first goal of a run, at the second, and so on; empty when these actions were not judged.
+    /// Successes at the first goal of a run, at the second, and so on; empty if this action mode was not evaluated.
     pub n_successes_by_goal: Vec<u64>,
-    /// Standard deviation over the runs of a run's success rate.
+    /// Standard deviation of the success rate between runs.
     pub run_rate_std: f64,
-    /// Times that a world diverged and had to be reset after all.
+    /// Resets of worlds that had diverged.
     pub n_forced_resets: u64,
 }
 
-/// What one pass over frozen weights found.
+/// The results of one evaluation of frozen weights.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalReport {
     /// All blueprints, groups and reset-free runs.
@@ -336,31 +336,31 @@ pub struct EvalReport {
     pub blueprints: Vec<EvalBlueprint>,
 }
 
-/// What a session dropped so far.
+/// Messages that a session dropped so far, by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BusCounts {
-    /// Notices of weights that could not be read.
+    /// Invalid notices of weights.
     pub notices_invalid_total: u64,
-    /// Weights that could not be read or broke a rule.
+    /// Weights that could not be decoded or broke a rule.
     pub weights_invalid_total: u64,
-    /// Weights that could be read but not acted by, because they give no distribution over actions or do not fit the network.
+    /// Valid weights that were not used because they give no distribution over actions or do not fit the network.
     #[serde(default)]
     pub weights_refused_total: u64,
-    /// Pulls of weights that failed and were tried again.
+    /// Pulls of weights that failed and were retried.
     pub pulls_failed_total: u64,
     /// Queries for weights or metrics that carried a payload.
     pub queries_invalid_total: u64,
-    /// Queries for weights or metrics that found too many others waiting.
+    /// Queries for weights or metrics dropped because too many were waiting.
     pub queries_dropped_total: u64,
     /// Metrics that were not JSON.
     pub metrics_invalid_total: u64,
-    /// Metrics that a slow reader left no room for.
+    /// Metrics dropped because a reader was too slow.
     pub metrics_dropped_total: u64,
-    /// Trajectories that a viewer could not read.
+    /// Trajectories that a viewer could not decode.
     pub viewed_invalid_total: u64,
-    /// Trajectories that a viewer was too slow for.
+    /// Trajectories dropped because a viewer was too slow.
     pub viewed_dropped_total: u64,
-    /// Copies for viewers that could not be put.
+    /// Copies for viewers that could not be sent.
     pub views_failed_total: u64,
     /// Liveliness keys without a valid name, or of more names than are followed.
     pub tokens_invalid_total: u64,

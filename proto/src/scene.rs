@@ -1,4 +1,4 @@
-//! What a world looks like after a step: plain data, all that features, rewards, replays and videos need.
+//! The state of a world after a step: plain data for features, rewards, replays, and videos.
 
 use blueprints::{BlockIdx, Blueprint, N_BLOCKS, RelativePlacement};
 
@@ -21,16 +21,16 @@ pub struct Joint {
     pub a: BlockIdx,
     /// The higher block index.
     pub b: BlockIdx,
-    /// Nominal pose of `b` seen from `a`; equal to a [`blueprints::Link`]'s when the connection is the wanted one.
+    /// Nominal pose of `b` seen from `a`; equal to that of a [`blueprints::Link`] if the connection is correct.
     pub relative: RelativePlacement,
 }
 
 /// State of one gripper after a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gripper {
-    /// Block held during the last step; `None` before the first step and while a switch is delayed.
+    /// Block held during the last step; `None` before the first step and during a delayed switch.
     pub held: Option<BlockIdx>,
-    /// Orientation of the held block (the last one held when none is), unit quaternion x, y, z, w.
+    /// Orientation of the held block (or of the last one held), unit quaternion x, y, z, w.
     pub orientation: [f32; 4],
     /// Commanded linear velocity of the last step, world frame, m/s.
     pub linear_velocity: [f32; 3],
@@ -49,13 +49,13 @@ pub struct Scene {
     pub joints: Vec<Joint>,
     /// Grippers; the second is `None` in single-gripper worlds.
     pub grippers: [Option<Gripper>; N_GRIPPERS],
-    /// Contacts heavier than the threshold during the last step.
+    /// Contacts with more force than the threshold during the last step.
     pub n_heavy_contacts: u8,
 }
 
 impl Scene {
-    /// For each block the lowest index among those that hang together with it by connections that `goal` has, itself
-    /// included: blocks of one piece have the same.
+    /// For each block, the lowest block index in its component, where blocks are joined by connections that `goal`
+    /// requires. Blocks of one component have the same value.
     pub fn pieces(&self, goal: &Blueprint) -> [usize; N_BLOCKS] {
         let mut pieces: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
         for joint in &self.joints {

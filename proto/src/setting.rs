@@ -1,4 +1,4 @@
-//! A setting that cannot be used: one wording for all sections of the configuration.
+//! The error of an invalid setting, with the same wording for all configuration sections.
 
 use std::fmt::Display;
 
@@ -6,19 +6,19 @@ use std::fmt::Display;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{key} = {value}: expected {expected}")]
 pub struct InvalidSetting {
-    /// The key with its sections, for example `actor.n_threads`.
+    /// The key including its sections, for example `actor.n_threads`.
     pub key: String,
-    /// The value that was given.
+    /// The given value.
     pub value: String,
-    /// What may be given.
+    /// The expected values.
     pub expected: String,
 }
 
 impl InvalidSetting {
-    /// Turns `ok` into an error that names the key. A value that is not a number must make `ok` false.
+    /// Checks `ok` and names the key if it is false. A value that is not a number must make `ok` false.
     ///
     /// # Errors
-    /// When `ok` is false.
+    /// If `ok` is false.
     pub fn check(key: impl Display, value: impl Display, ok: bool, expected: impl Display) -> Result<(), Self> {
         if ok {
             return Ok(());
@@ -32,7 +32,7 @@ mod tests {
     use super::InvalidSetting;
 
     #[test]
-    fn the_error_names_key_value_and_range() {
+    fn invalid_setting_names_key_value_and_range() {
         assert_eq!(InvalidSetting::check("actor.n_threads", 1, true, "1..=64"), Ok(()));
         let error = InvalidSetting::check("actor.n_threads", 0, false, "1..=64").unwrap_err();
         assert_eq!(error.to_string(), "actor.n_threads = 0: expected 1..=64");

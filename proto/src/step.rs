@@ -1,4 +1,4 @@
-//! One control step: the action, the reward by term, and how an episode stands.
+//! One control step: the action, the reward by term, and the episode's status.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use serde::{Deserialize, Serialize};
@@ -7,51 +7,51 @@ use crate::N_GRIPPERS;
 
 /// Linear (first three) and angular velocity in the block's own frame, as a fraction of the world's v_max and ω_max.
 ///
-/// Unbounded here (a Gaussian sample); the world clips each entry to [−1, 1].
+/// Not clipped (a Gaussian sample); the world clips each entry to [−1, 1].
 pub type Move = [f32; 6];
 
-/// What the grippers do for one step (paper, appendix "Action Space").
+/// The grippers' commands for one step (paper, appendix "Action Space").
 #[derive(Clone, Debug, PartialEq)]
 pub struct Action {
-    /// The block that each gripper moves; `None` only for a gripper the world does not have.
+    /// The block that each gripper moves; `None` only for an absent gripper.
     pub choices: [Option<BlockIdx>; N_GRIPPERS],
-    /// A move for every block; only the rows of chosen blocks have an effect.
+    /// A move for each block; only the rows of chosen blocks have an effect.
     pub moves: [Move; N_BLOCKS],
 }
 
 /// The reward of a step, or a potential, by term (paper, appendix "Rewards").
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RewardTerms {
-    /// +1 for each required block pair that is connected as the blueprint says.
+    /// +1 for each required block pair that is correctly connected.
     pub connected: f32,
-    /// −1 (configurable) for each connection that the blueprint does not have.
+    /// −1 (configurable) for each connection that is not in the blueprint.
     pub wrong: f32,
-    /// Dense part from the poses of the magnets that should meet.
+    /// Dense term from the poses of the magnets that should meet.
     pub magnets: f32,
-    /// Dense part from the poses of the blocks that should meet.
+    /// Dense term from the poses of the blocks that should meet.
     pub blocks: f32,
     /// Penalty for heavy contacts.
     pub force: f32,
 }
 
-/// How actions are taken from the policy's distribution.
+/// The choice of actions from the policy's distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActionMode {
-    /// The likeliest block and the mean move: what the policy can do.
+    /// Greedy: the most probable block and the mean move.
     #[serde(rename = "mode", alias = "greedy")]
     Greedy,
-    /// A sample, as in training: its noise alone can undo a snap, so this understates a policy.
+    /// Sampled, as in training. The noise alone can undo a snap, so this underestimates a policy.
     Sampled,
 }
 
-/// The error of a text that is no way of acting.
+/// A text that is not an action mode.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a way of acting: mode or sampled")]
 pub struct InvalidActionMode(pub String);
 
 impl ActionMode {
-    /// The name as it stands in reports: `mode` or `sampled`.
+    /// The name used in reports: `mode` or `sampled`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Greedy => "mode",
@@ -69,17 +69,17 @@ impl std::str::FromStr for ActionMode {
     }
 }
 
-/// How an episode stands after a step.
+/// The status of an episode after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
-    /// It goes on.
+    /// The episode continues.
     Running,
-    /// The blueprint stands; the value of what follows is 0.
+    /// The blueprint stands; the value of the next state is 0.
     Success,
-    /// The step limit was reached; the value of what follows is V(s_T).
+    /// The step limit was reached; the value of the next state is V(s_T).
     TimeLimit,
-    /// The physics left the rails; the episode is discarded and counted.
+    /// The physics diverged; the episode is discarded and counted.
     Diverged,
 }
 

@@ -23,29 +23,29 @@ use crate::{Action, Move, N_GRIPPERS, RewardTerms, Scene, Status, WeightsVersion
 #[serde(try_from = "String", into = "String")]
 pub struct ActorId(String);
 
-/// How an episode begins (paper, section "Initial State").
+/// The start state of an episode (paper, section "Initial State").
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Start {
     /// All blocks scattered on the ground.
     Scattered,
-    /// Another blueprint stands, the other blocks are scattered.
+    /// Another blueprint stands, and the other blocks are scattered.
     Prebuilt(BlueprintId),
-    /// The goal stands but for its last `undone` connections (an extension for learning).
+    /// The goal stands except for its last `undone` connections (an extension for learning).
     NearGoal {
-        /// Number of blocks taken off, at least 1.
+        /// Number of blocks removed, at least 1.
         undone: u8,
     },
-    /// The world is as the previous episode left it (paper, section "Reset-Free Evaluation").
+    /// The world stays as the previous episode left it (paper, section "Reset-Free Evaluation").
     AsItIs,
 }
 
-/// One episode's goal and start: with the seed it determines the whole initial world.
+/// An episode's goal and start. Together with the seed they determine the initial world.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Task {
     /// The goal.
     pub blueprint: BlueprintId,
-    /// `assignment[i]` is the block that plays the catalog's block `i`; it permutes blocks of one type only.
+    /// `assignment[i]` is the block used for the catalog's block `i`; it permutes only blocks of the same type.
     pub assignment: [BlockIdx; N_BLOCKS],
     /// How the episode begins.
     pub start: Start,
@@ -53,7 +53,7 @@ pub struct Task {
     pub seed: u64,
 }
 
-/// One step of a trajectory: the scene seen, what was done, what came of it.
+/// One step of a trajectory: the scene, the action, and the reward.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transition {
     /// Scene before the action.
@@ -66,11 +66,11 @@ pub struct Transition {
     pub value: f32,
     /// Reward by term.
     pub reward: RewardTerms,
-    /// What the expert would have done in `scene`; `None` without DAgger, or if the expert knows nothing.
+    /// The expert's action in `scene`; `None` without DAgger, or if the expert has no action.
     pub label: Option<Label>,
 }
 
-/// What the expert does in a scene.
+/// The expert's action in a scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Label {
     /// The block of each gripper; `Some` for exactly the grippers of the world.
@@ -79,10 +79,10 @@ pub struct Label {
     pub moves: [Move; N_GRIPPERS],
 }
 
-/// Who chose the actions of an episode.
+/// The source of an episode's actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Driver {
-    /// The policy's distribution: the one case from which policy gradients can be taken.
+    /// A sample of the policy's distribution, the only source suited to policy gradients.
     #[default]
     Sample,
     /// The policy's most probable action, with noise.
@@ -92,7 +92,7 @@ pub enum Driver {
 }
 
 impl Label {
-    /// The label that an expert's action is; `None` if a gripper of the world has no block.
+    /// The label of an expert's action; `None` if a gripper of the world has no block.
     pub fn new(action: &Action, n_grippers: usize) -> Option<Self> {
         let mut label = Self { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_GRIPPERS] };
         for gripper in 0..n_grippers.min(N_GRIPPERS) {
@@ -104,7 +104,7 @@ impl Label {
     }
 }
 
-/// How an ended episode went; rides on its last segment.
+/// The result of a finished episode; part of its last segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
     /// All success conditions held at the last step.
@@ -118,17 +118,17 @@ pub struct Outcome {
 /// Consecutive steps of one episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
-    /// Who acted.
+    /// The actor.
     pub actor: ActorId,
-    /// Start time of the actor process, so that a restarted actor's numbers do not collide; ms since 1970.
+    /// Start time of the actor process, ms since 1970; it distinguishes the sequence numbers of a restarted actor.
     pub epoch: u64,
-    /// Counts the actor's trajectories from 0; with `actor` and `epoch` it identifies the message.
+    /// Sequence number of the actor's trajectories, from 0; with `actor` and `epoch` it identifies the message.
     pub seq: u64,
-    /// Weights that acted (the oldest, if they changed inside the segment).
+    /// Version of the weights that acted (the oldest, if they changed within the segment).
     pub weights_version: WeightsVersion,
     /// Goal and start of the episode.
     pub task: Task,
-    /// Who acted. `behavior_log_prob` is 0 unless actions were sampled.
+    /// Source of the actions. `behavior_log_prob` is 0 unless actions were sampled.
     pub driver: Driver,
     /// Index of the first transition in its episode.
     pub first_step: u16,
@@ -136,27 +136,27 @@ pub struct Trajectory {
     pub transitions: Vec<Transition>,
     /// Scene after the last action.
     pub last_scene: Scene,
-    /// `Running` when the segment was cut before the episode's end; never `Diverged`.
+    /// `Running` if the segment was cut before the episode's end; never `Diverged`.
     pub status: Status,
     /// Value of `last_scene` for bootstrapping: 0 after success, V(last_scene) otherwise, in reward units.
     pub bootstrap_value: f32,
-    /// Present exactly when the episode ended.
+    /// Present if and only if the episode ended.
     pub outcome: Option<Outcome>,
 }
 
 impl Trajectory {
-    /// A number for who sent it and which of theirs it is. The sums over what two processes counted are equal, wrapping,
-    /// if they counted the same trajectories.
+    /// A hash of the sender and the sequence number. If two processes counted the same trajectories, their wrapping
+    /// sums of fingerprints are equal.
     pub fn fingerprint(&self) -> u64 {
         let text = self.actor.as_str().bytes();
         let bytes = text.chain(self.epoch.to_le_bytes()).chain(self.seq.to_le_bytes());
-        // A last mix, since sums of the hash alone are too regular.
+        // A final mix, because sums of the plain hash are too regular.
         let hash = fnv1a(bytes);
         (hash ^ (hash >> 32)).wrapping_mul(0x9e37_79b9_7f4a_7c15)
     }
 }
 
-/// The error of a name that no actor can have.
+/// A text that is not an actor name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("actor name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
 pub struct InvalidActorId(pub String);

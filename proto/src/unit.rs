@@ -1,55 +1,55 @@
-//! Episodes of an evaluation that another process runs.
+//! Evaluation episodes that another process runs.
 
 use crate::{RewardTerms, Task, Weights};
 
-/// Most sequences of a unit, and most tasks of a sequence.
+/// Maximum number of sequences per unit, and of tasks per sequence.
 pub const MAX_UNIT_SEQUENCES: usize = 1000;
 
-/// Episodes to be run with frozen weights.
+/// Episodes to run with frozen weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvalUnit {
-    /// Hash of everything besides weights and tasks that decides what comes of an episode.
+    /// Hash of everything other than weights and tasks that affects an episode's result.
     pub setup_hash: u64,
-    /// The pass, whose weights are frozen.
+    /// The evaluation, which fixes the weights.
     pub pass: PassId,
-    /// The weights, for a remote worker that does not have them.
+    /// The weights, if the remote worker lacks them.
     pub weights: Option<Weights>,
-    /// Whether actions are sampled; otherwise the most probable ones are taken.
+    /// Whether actions are sampled; otherwise the most probable action is taken.
     pub is_sampled: bool,
-    /// 1 to [`MAX_UNIT_SEQUENCES`] sequences of as many tasks; the tasks of a sequence are run one after the other in one world.
+    /// 1 to [`MAX_UNIT_SEQUENCES`] sequences of as many tasks; the tasks of a sequence run in turn in one world.
     pub sequences: Vec<Vec<Task>>,
 }
 
-/// Names a pass over frozen weights.
+/// Identifies an evaluation of frozen weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PassId {
     /// Start time of the evaluator process, ms since 1970.
     pub epoch: u64,
-    /// Counts the passes of that process from 0.
+    /// Index of the evaluation in that process, from 0.
     pub number: u64,
 }
 
-/// What a remote worker says to a unit.
+/// A remote worker's answer to a unit.
 #[derive(Clone, Debug, PartialEq)]
 pub enum EvalAnswer {
     /// The episodes, in the shape of the unit's sequences.
     Episodes(Vec<Vec<EvalEpisode>>),
-    /// It does not have the weights of the pass.
+    /// The remote worker does not have the weights of the evaluation.
     NeedsWeights,
-    /// It will not run units of this evaluator; why, for people.
+    /// The remote worker does not run units of this evaluator, for a human-readable reason.
     Refused(String),
 }
 
-/// An episode that a remote worker has run.
+/// An episode run by a remote worker.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EvalEpisode {
-    /// How it ended.
+    /// The end of the episode.
     pub end: End,
     /// Steps until it ended, 1 to 65535.
     pub n_steps: u16,
     /// Undiscounted return by term.
     pub episode_return: RewardTerms,
-    /// It should have begun in the world as it was, but that had diverged.
+    /// Whether the world was reset because it had diverged, although the episode should have started without a reset.
     pub forced_reset: bool,
 }
 
@@ -61,8 +61,8 @@ pub enum End {
         /// Whether it still stood some steps later.
         stable: bool,
     },
-    /// The time limit came first.
+    /// The episode reached the time limit.
     TimeLimit,
-    /// The physics left the rails.
+    /// The physics diverged.
     Diverged,
 }

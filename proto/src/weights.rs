@@ -1,15 +1,15 @@
-//! What the learner broadcasts: parameters, the statistics that belong to them, and the task probabilities.
+//! Published policies: parameters, normalization statistics, and task probabilities.
 
 use std::collections::BTreeMap;
 
 use blueprints::BlueprintId;
 
-/// Counts the learner's published weights from 0 (untrained).
+/// Version of published weights, counted from 0 (untrained).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct WeightsVersion(pub u64);
 
-/// Running statistics that are frozen with a weights version.
+/// Running statistics frozen with a weights version.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normalization {
     /// Mean of each node, edge and global feature, in the order of the feature vectors; empty means none.
@@ -18,18 +18,18 @@ pub struct Normalization {
     pub feature_std: [Vec<f32>; 3],
     /// Mean of the value targets, in reward units.
     pub value_mean: f32,
-    /// Standard deviation of the value targets, in reward units, above 0; 1 before there are any.
+    /// Standard deviation of the value targets, in reward units, above 0; 1 before there are any targets.
     pub value_std: f32,
 }
 
 /// A frozen policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
-    /// Which one.
+    /// The version.
     pub version: WeightsVersion,
-    /// Environment steps that the learner had consumed.
+    /// Environment steps consumed by the learner.
     pub n_env_steps: u64,
-    /// Hash of the network configuration; a process with another network refuses the weights.
+    /// Hash of the network configuration; a process with a different network refuses the weights.
     pub network_hash: u64,
     /// All parameters as one flat vector, in the order of `policy`'s parameter table.
     pub parameters: Vec<f32>,
@@ -40,7 +40,7 @@ pub struct Weights {
 }
 
 impl Default for Normalization {
-    /// No feature statistics, and values as they are.
+    /// No feature statistics; values stay unchanged.
     fn default() -> Self {
         Self { feature_mean: Default::default(), feature_std: Default::default(), value_mean: 0.0, value_std: 1.0 }
     }

@@ -1,11 +1,11 @@
-//! The interval in which a success rate lies.
+//! Confidence intervals of success rates.
 
 use serde::{Deserialize, Serialize};
 
 /// The quantile of the normal distribution for 95 %, two-sided.
 const Z_95: f64 = 1.959_963_984_540_054;
 
-/// Successes among episodes, with the 95 % Wilson score interval of the rate.
+/// A success rate with its 95 % Wilson score interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SuccessRate {
     /// Episodes that succeeded.
@@ -21,7 +21,7 @@ pub struct SuccessRate {
 }
 
 impl SuccessRate {
-    /// The rate of these counts.
+    /// The rate and interval of these counts.
     ///
     /// # Panics
     /// If there are more successes than episodes.
@@ -34,8 +34,8 @@ impl SuccessRate {
 
 /// The 95 % Wilson score interval of a success probability (E. B. Wilson, 1927, doi:10.1080/01621459.1927.10502953).
 ///
-/// Chosen over the normal approximation because it is sound at 0 and at all successes, where evaluations begin and
-/// end. Without episodes nothing is known: (0, 1).
+/// Unlike the normal approximation, it is valid for no success and for all successes, which is where evaluations begin
+/// and end. Without episodes it is (0, 1).
 ///
 /// # Panics
 /// If there are more successes than episodes.
@@ -49,7 +49,7 @@ pub fn wilson_interval(n_successes: u64, n_episodes: u64) -> (f64, f64) {
     let z2 = Z_95 * Z_95;
     let center = (p + z2 / (2.0 * n)) / (1.0 + z2 / n);
     let half_width = Z_95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
-    // Exactly 0 and 1 at the ends, where rounding would leave a trace.
+    // Set the ends to exactly 0 and 1, which rounding would miss.
     let low = if n_successes == 0 { 0.0 } else { center - half_width };
     let high = if n_successes == n_episodes { 1.0 } else { center + half_width };
     (low, high)
@@ -67,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn hand_worked_intervals() {
+    fn wilson_interval_matches_hand_worked_values() {
         // z² = 3.841459. With n = 40 and p = 1: high is 1 and low = n / (n + z²) = 40 / 43.841459.
         check(40, 40, 0.9124, 1.0);
         // p = 0 mirrors it: z² / (n + z²) = 3.841459 / 43.841459.
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_lies_in_its_interval() {
+    fn success_rate_lies_in_its_interval() {
         for n_episodes in 1..50 {
             for n_successes in 0..=n_episodes {
                 let s = SuccessRate::new(n_successes, n_episodes);

@@ -1,4 +1,4 @@
-//! The prost types generated from `proto/lodestone.proto`; only the codec may see them.
+//! The prost types generated from `proto/lodestone.proto`; only the codec uses them.
 
 #![allow(missing_docs, unreachable_pub, clippy::all)]
 

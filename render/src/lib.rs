@@ -1,7 +1,7 @@
-//! Pictures: functions from scenes, recordings and histories to SVG, PNG, GIF and MP4. No I/O, no clock.
+//! Rendering: functions from scenes, recordings, and histories to SVG, PNG, GIF, and MP4. No I/O, no clock.
 //!
-//! Reading order: [`picture`] (blocks in a world) → [`video`] (episodes, and what a policy attends to in them) → [`plot`]
-//! (trainings).
+//! Reading order: [`picture`] (blocks in a world) → [`video`] (episodes, and a policy's attention in them) → [`plot`]
+//! (training runs).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

@@ -1,8 +1,8 @@
-//! Pictures of blocks, by a small software rasteriser: pixels as a function of poses, with no I/O and no clock.
+//! Pictures of blocks by a small software rasterizer: pixels as a function of poses, with no I/O and no clock.
 //!
-//! Reading order: `model` (what is drawn) → `camera` (from where) → `raster` (surfaces → samples, the nearest wins) →
-//! `texture` (what a side looks like) → `ground` → `painter` (all of it) → `text` and `sheet` (pictures with words) →
-//! `palette` and `png` (bytes).
+//! Reading order: `model` (blocks) → `camera` → `raster` (surfaces → samples with a depth test) → `texture` (sides of
+//! blocks) → `ground` → `painter` (the whole picture) → `text` and `sheet` (pictures with text) → `palette` and `png`
+//! (encoding).
 
 mod camera;
 mod ground;

@@ -1,8 +1,8 @@
-//! The pictures of a training that the paper shows, from the passes of a history, as SVG and PNG.
+//! The paper's plots of a training run, from the evaluations of a history, as SVG and PNG.
 //!
-//! Reading order: [`runlog::series`] (what is shown) → `heat` and `curves` (where it stands) → `drawing` (shapes) → `svg` and
-//! `raster`; [`groups`] makes tables. No plotting library: of those at hand none draws a heat map with labeled rows, and
-//! their texts need fonts that the system may lack. The letters are those of [`crate::picture`].
+//! Reading order: [`runlog::series`] (data) → `heat` and `curves` (layout) → `drawing` (shapes) → `svg` and `raster`;
+//! [`groups`] makes tables. No plotting library is used: none of the available ones draws a heat map with labeled rows,
+//! and their text needs fonts that the system may lack. The font is that of [`crate::picture`].
 
 mod axis;
 mod color;

@@ -1,8 +1,9 @@
 //! Films of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
 //!
-//! Reading order: `collect` (segments as they come) → `episode` (segments → one episode) → `stage` (an episode from one place, at any time) → `film` (frames
-//! with the goal and the score beside the world) → `mp4` and `gif` (frames → bytes) → `miniature` (a small GIF of
-//! bounded length) → `strip` (an episode as one picture) → `attention` and `heads` (what a policy attends to in it).
+//! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode from a fixed
+//! camera, at any time) → `film` (frames with the goal and the score next to the world) → `mp4` and `gif` (frames →
+//! bytes) → `miniature` (a small GIF of bounded size) → `strip` (an episode as one picture) → `attention` and `heads`
+//! (a policy's attention in an episode).
 
 mod attention;
 mod collect;
@@ -27,24 +28,24 @@ pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, Miniature, miniature};
 pub use mp4::mp4;
 pub use strip::strip;
 
-/// Most frames a second of a film.
+/// Maximum frame rate of a film, frames per second.
 pub const MAX_FPS: u32 = 60;
 
-/// Why frames make no file.
+/// Errors of encoding a film.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// There is nothing to show.
+    /// There are no frames.
     #[error("a film needs at least one frame")]
     NoFrames,
-    /// Not a rate that the format can say.
+    /// The format does not support the frame rate.
     #[error("{fps} frames a second is not in 1..={most}")]
     Rate {
-        /// Frames a second.
+        /// Frames per second.
         fps: u32,
-        /// Most frames a second of the format.
+        /// Maximum frame rate of the format.
         most: u32,
     },
-    /// Colors are coded for squares of four pixels.
+    /// Frames have odd or different sizes; chroma is coded for squares of four pixels.
     #[error("frames of {width} × {height} pixels; both must be even and the same in all frames")]
     Size {
         /// Width in pixels.
@@ -55,13 +56,13 @@ pub enum VideoError {
     /// The encoder refused a frame.
     #[error("encoding H.264: {0}")]
     Encoder(#[from] openh264::Error),
-    /// The encoder left a frame out.
+    /// The encoder skipped a frame.
     #[error("the encoder gave nothing for frame {0}")]
     Dropped(usize),
-    /// The frames fit into no container.
+    /// The frames could not be written as MP4.
     #[error("writing MP4: {0}")]
     Container(#[from] muxide::api::MuxerError),
-    /// The frames fit into no GIF.
+    /// The frames could not be written as GIF.
     #[error("writing GIF: {0}")]
     Gif(#[from] ::gif::EncodingError),
 }

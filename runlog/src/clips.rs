@@ -1,4 +1,4 @@
-//! Where video clips and their recordings lie: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
+//! Video clips and their recordings: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
 
 use std::fs;
 use std::io;
@@ -7,20 +7,20 @@ use std::path::{Path, PathBuf};
 use blueprints::BlueprintId;
 use proto::WeightsVersion;
 
-/// How the episode of a clip ended.
+/// The end of a clip's episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Ending {
-    /// The blueprint stood.
+    /// The blueprint stands.
     Success,
-    /// It did not.
+    /// The blueprint does not stand.
     Failure,
 }
 
 impl Ending {
-    /// Both.
+    /// Both endings.
     pub const ALL: [Self; 2] = [Self::Success, Self::Failure];
 
-    /// `success` or `failure`.
+    /// The name in file names: `success` or `failure`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Success => "success",
@@ -29,33 +29,33 @@ impl Ending {
     }
 }
 
-/// Ending of the names of recordings.
+/// File extension of recordings.
 pub const RECORDING: &str = "trajectory";
 
-/// Files of one kind.
+/// A store for clip files of one kind.
 #[derive(Clone, Debug)]
 pub struct ClipStore {
-    /// The folder of all blueprints' folders.
+    /// The folder with one folder per blueprint.
     pub folder: PathBuf,
-    /// Ending of the files' names.
+    /// File extension of the clips.
     pub kind: &'static str,
-    /// How many of each blueprint and ending stay.
+    /// Number of files kept per blueprint and ending.
     pub keep: usize,
 }
 
-/// What a file's name says.
+/// The fields of a file name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct ClipName {
-    /// The weights that acted.
+    /// Version of the acting weights.
     pub version: WeightsVersion,
-    /// How the episode ended.
+    /// The end of the episode.
     pub ending: Ending,
-    /// From 1; only later ones are in the name.
+    /// Number among clips of the same version and ending, from 1; the file name omits a 1.
     pub number: u32,
 }
 
 impl ClipName {
-    /// The name without the kind: those of a blueprint sort by version.
+    /// The file name without the extension; the names of a blueprint sort by version.
     pub fn name(&self) -> String {
         let (version, ending) = (self.version.0, self.ending.name());
         match self.number {
@@ -64,7 +64,7 @@ impl ClipName {
         }
     }
 
-    /// The label of which this is exactly the name; files that others put there have none.
+    /// Parses a name written by [`name`](Self::name); foreign files give `None`.
     fn of(name: &str) -> Option<Self> {
         let mut parts = name.splitn(3, '-');
         let version = WeightsVersion(parts.next()?.parse().ok()?);
@@ -77,10 +77,10 @@ impl ClipName {
 }
 
 impl ClipStore {
-    /// Writes a file under another name first, so that none is ever seen half, and removes the oldest ones too many.
+    /// Writes a file atomically through a temporary name, and removes the oldest files beyond the limit.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// If writing fails.
     pub fn put(&self, blueprint: &BlueprintId, label: ClipName, bytes: &[u8]) -> io::Result<PathBuf> {
         let folder = self.folder.join(blueprint.as_str());
         fs::create_dir_all(&folder)?;
@@ -110,19 +110,19 @@ impl ClipStore {
 /// A clip in a folder of clips.
 #[derive(Clone, Debug)]
 pub struct Clip {
-    /// The file.
+    /// The file's path.
     pub path: PathBuf,
     /// The goal.
     pub blueprint: BlueprintId,
-    /// The weights that acted.
+    /// Version of the acting weights.
     pub version: WeightsVersion,
     /// `success` or `failure`.
     pub ending: &'static str,
-    /// From 1.
+    /// Number from 1, as in [`ClipName`].
     pub number: u32,
 }
 
-/// The clips of a folder, newest first, those that others put there left out; none if it cannot be read.
+/// The clips of a folder, newest first, without foreign files; empty if the folder cannot be read.
 pub fn clips(folder: &Path) -> Vec<Clip> {
     let names = |folder: &Path| {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_is_read_as_it_was_written_and_no_other_is() {
+    fn clip_name_round_trips_and_foreign_names_are_rejected() {
         for expected in [label(7, Ending::Success, 1), label(123_456_789, Ending::Failure, 3)] {
             assert_eq!(ClipName::of(&expected.name()), Some(expected));
         }
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_of_each_ending_stay_and_foreign_files_too() {
+    fn newest_clips_of_each_ending_and_foreign_files_stay() {
         let dir = tempfile::tempdir().unwrap();
         let store = ClipStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
         let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
@@ -181,7 +181,7 @@ mod tests {
         names.sort();
         let kept = ["00000001-failure.mp4", "00000001-success.txt", "00000002-success.mp4", "00000003-success.mp4"];
         assert_eq!(names, [&kept[..], &["1-success.mp4", "mine.mp4"]].concat());
-        // Of those, the page shows what is a film of ours, newest first.
+        // The page shows only our own clips, newest first.
         let shown: Vec<_> = clips(dir.path()).into_iter().map(|film| (film.version.0, film.ending)).collect();
         assert_eq!(shown, [(3, "success"), (2, "success"), (1, "failure")]);
         assert!(clips(&dir.path().join("nowhere")).is_empty());

@@ -1,8 +1,8 @@
-//! All evaluations of a run in an SQLite database: `eval.db` in the run's folder.
+//! The evaluations of a run in an SQLite database, `eval.db` in the run's folder.
 //!
-//! A pass is one transaction over a rollback journal, so a reader sees it whole or not at all, also after the writer was
-//! killed in the middle. Not a write-ahead log: that is for many small writes, leaves two more files that a copy must not
-//! forget, and does not work on the network file systems of clusters. A pass comes once in minutes.
+//! An evaluation is one transaction with a rollback journal, so a reader sees all of it or nothing, even after the
+//! writer was killed. A write-ahead log suits many small writes, but it leaves two more files that a copy must include,
+//! and it does not work on the network file systems of clusters. Evaluations are written only every few minutes.
 
 mod rows;
 mod schema;
@@ -17,30 +17,30 @@ use rusqlite::{Connection, OpenFlags};
 
 pub use schema::SCHEMA_VERSION;
 
-/// How long the one who writes waits for those who read, and the other way round.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Time that a writer waits for readers, and readers for a writer.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// One evaluation of frozen weights, as the history keeps it.
+/// One evaluation of frozen weights, as stored in the history.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pass {
-    /// When it ended, milliseconds since 1970.
+    /// End time, milliseconds since 1970.
     pub ended_unix_ms: u64,
-    /// How long it took, seconds.
+    /// Duration, seconds.
     pub elapsed_s: f64,
-    /// Weights that were judged.
+    /// Version of the evaluated weights.
     pub weights_version: WeightsVersion,
-    /// Environment steps that the learner had consumed for them.
+    /// Environment steps that the learner had consumed when it published the weights.
     pub n_env_steps: u64,
     /// Seed of the start states.
     pub seed: u64,
     /// Each blueprint, ordered by split, size and id.
     pub blueprints: Vec<EvalBlueprint>,
-    /// Runs without resets, if there were any.
+    /// Reset-free runs, if there were any.
     pub reset_free: Option<EvalResetFree>,
 }
 
 impl Pass {
-    /// What the history keeps of a report; `ended_unix_ms` in milliseconds since 1970.
+    /// Selects the stored parts of a report; `ended_unix_ms` is in milliseconds since 1970.
     pub fn new(report: &EvalReport, ended_unix_ms: u64) -> Self {
         Self {
             ended_unix_ms,
@@ -54,16 +54,16 @@ impl Pass {
     }
 }
 
-/// Why a history cannot be used.
+/// Errors of the history.
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
-    /// There is none.
+    /// The file does not exist.
     #[error(
         "there is no history {}: `train` and `evaluator --run-dir` make one with the first evaluation",
         .0.display()
     )]
     Missing(PathBuf),
-    /// Made by a later program.
+    /// A newer program version wrote it.
     #[error(
         "the history {} has schema version {found}, this program knows {SCHEMA_VERSION}: use the newer program",
         path.display()
@@ -71,51 +71,51 @@ pub enum HistoryError {
     Newer {
         /// The file.
         path: PathBuf,
-        /// Its version.
+        /// Its schema version.
         found: i64,
     },
-    /// A database with other tables.
+    /// It is a database with other tables.
     #[error("{} is a database of something else, not a history of evaluations: move it away", path.display())]
     Foreign {
         /// The file.
         path: PathBuf,
     },
-    /// A second writer.
+    /// Another writer has it open.
     #[error("another evaluator writes the history {}: give this one another run directory", .0.display())]
     Taken(PathBuf),
-    /// The file that keeps a second writer away cannot be made.
+    /// The lock file cannot be created.
     #[error("cannot lock {}", path.display())]
     Lock {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
-    /// SQLite refuses, or the file is damaged.
+    /// SQLite returned an error, or the file is damaged.
     #[error("the history {} cannot be used: {source}", path.display())]
     Database {
         /// The file.
         path: PathBuf,
-        /// What SQLite says.
+        /// SQLite's error.
         source: rusqlite::Error,
     },
 }
 
-/// A history that is open for writing; there is one such at a time.
+/// A history open for writing; there is at most one writer at a time.
 #[derive(Debug)]
 pub struct History {
     path: PathBuf,
     db: Connection,
-    /// Locked for as long as it is open. A file beside the database, because closing a second handle of the database itself
-    /// would take SQLite's own locks away.
+    /// Locked while the history is open. It is a separate file, because closing a second handle of the database itself
+    /// would release SQLite's own locks.
     _lock: File,
 }
 
 impl History {
-    /// Opens the history at `path` for writing, and makes it and its folder if there is none.
+    /// Opens the history at `path` for writing, and creates it and its folder if needed.
     ///
     /// # Errors
-    /// When another writer has it, it is of a newer program or no history, or cannot be written.
+    /// If another writer has it open, it has a newer version or is not a history, or it cannot be written.
     pub fn open(path: &Path) -> Result<Self, HistoryError> {
         let lock = lock(path)?;
         let failed = |source| HistoryError::Database { path: path.to_owned(), source };
@@ -125,25 +125,25 @@ impl History {
         Ok(Self { path: path.to_owned(), db, _lock: lock })
     }
 
-    /// Adds a pass; it is on the disk when this returns. Waits up to 10 s for readers.
+    /// Appends an evaluation; it is on disk when this returns. Waits up to 10 s for readers.
     ///
     /// # Errors
-    /// When it cannot be written; then nothing of it is.
+    /// If it cannot be written; the history then stays unchanged.
     pub fn append(&mut self, pass: &Pass) -> Result<(), HistoryError> {
         let path = &self.path;
         rows::append(&mut self.db, pass).map_err(|source| HistoryError::Database { path: path.clone(), source })
     }
 
-    /// All passes of the history at `path` in the order in which they were written. A writer may be at work.
+    /// Reads all evaluations of the history at `path` in writing order, also while a writer has it open.
     ///
     /// # Errors
-    /// When there is none, it is of a newer program or no history, or cannot be read.
+    /// If it does not exist, has a newer version, is not a history, or cannot be read.
     pub fn read(path: &Path) -> Result<Vec<Pass>, HistoryError> {
         if !path.is_file() {
             return Err(HistoryError::Missing(path.to_owned()));
         }
         let failed = |source| HistoryError::Database { path: path.to_owned(), source };
-        // Not read-only: a reader may have to undo what a killed writer left half done.
+        // Not read-only: a reader may have to roll back a transaction of a killed writer.
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let db = Connection::open_with_flags(path, flags).map_err(failed)?;
         configure(&db).map_err(failed)?;
@@ -153,11 +153,11 @@ impl History {
 }
 
 fn configure(db: &Connection) -> rusqlite::Result<()> {
-    db.busy_timeout(PATIENCE)?;
+    db.busy_timeout(BUSY_TIMEOUT)?;
     db.pragma_update(None, "foreign_keys", true)
 }
 
-/// Makes the folder and takes the lock, which the system gives back when the process ends, however it ends.
+/// Creates the folder and takes the lock. The system releases the lock when the process ends, however it ends.
 fn lock(history: &Path) -> Result<File, HistoryError> {
     let mut path = history.as_os_str().to_owned();
     path.push(".lock");

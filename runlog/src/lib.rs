@@ -1,13 +1,13 @@
-//! What a run leaves in its folder: where each file lies, how it is written, and how it is read again.
+//! The files of a run: their paths, writers, and readers.
 //!
-//! Reading order: [`paths`] → [`writer`] (`metrics.jsonl`, and [`tensorboard`] behind it) → [`history`] (`eval.db`) → [`series`] and
-//! [`overview`] (numbers of a history by blueprint, by group, and in short) → [`clips`] (names of videos and recordings).
-//! Checkpoints are the learner's own.
+//! Reading order: [`paths`] → [`writer`] (`metrics.jsonl`, and [`tensorboard`] event files) → [`history`] (`eval.db`) →
+//! [`series`] and [`overview`] (summaries of a history by blueprint, by group, and as JSON) → [`clips`] (names of
+//! videos and recordings). The learner manages its own checkpoints.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 #[cfg(test)]
-extern crate self as runlog; // The samples of the tests serve other crates too.
+extern crate self as runlog; // Tests of other crates use the samples.
 
 pub mod clips;
 pub mod history;

@@ -1,4 +1,4 @@
-//! The passes of a training in short: small enough to be kept in memory and sent whole, to the page and over the bus.
+//! An overview of a run's evaluations, small enough to keep in memory and to send to the page and over the bus.
 
 use std::collections::BTreeMap;
 
@@ -11,20 +11,20 @@ use crate::series::{Row, group_of, group_rates, outcome_of};
 use blueprints::Group;
 use proto::ActionMode;
 
-/// Version of the overview. Fields are only ever added within a version.
+/// Version of the overview's schema. A version only gains fields.
 pub const SCHEMA_VERSION: u32 = 1;
 
-/// Most passes that are kept. Beyond, every second one goes, and the newest always stays.
+/// Maximum number of evaluations kept. Above it, every second one is dropped; the newest always stays.
 const MAX_PASSES: usize = 400;
 
-/// The passes of a training with rising environment steps.
+/// The evaluations of a run, with increasing environment steps.
 #[derive(Debug, Default)]
 pub struct Passes {
     kept: Vec<Kept>,
     n_left_out: u64,
 }
 
-/// The answer to a query for the history on the bus.
+/// The reply to a history query on the bus.
 #[derive(Debug, Serialize)]
 pub struct Overview<'p> {
     schema_version: u32,
@@ -32,41 +32,41 @@ pub struct Overview<'p> {
     passes: PassesView<'p>,
 }
 
-/// Successes and episodes.
+/// Number of successes and of episodes.
 type Counts = [u64; 2];
 
-/// A pass without what the overview does not show.
+/// The parts of an evaluation that the overview shows.
 #[derive(Debug)]
 struct Kept {
     head: Head,
     rates: BTreeMap<Row, [Option<Counts>; 2]>,
 }
 
-/// What a pass is about, and its groups.
+/// Metadata and group results of an evaluation.
 #[derive(Clone, Debug, Serialize)]
 pub struct Head {
     ended_unix_ms: u64,
     elapsed_s: f64,
-    /// Weights that were judged.
+    /// Version of the evaluated weights.
     pub weights_version: u64,
-    /// Environment steps that the learner had consumed for them.
+    /// Environment steps that the learner had consumed when it published the weights.
     pub n_env_steps: u64,
     seed: u64,
     /// The paper's groups in its order.
     pub groups: Vec<GroupView>,
-    /// All blueprints together.
+    /// All blueprints.
     pub all: GroupView,
 }
 
-/// A group of blueprints in one pass.
+/// Results of a group of blueprints in one evaluation.
 #[derive(Clone, Debug, Serialize)]
 pub struct GroupView {
     /// `all`, or the group's name.
     pub name: &'static str,
     n_blueprints: usize,
-    /// `None` if the most probable actions were not judged.
+    /// Success rate with the most probable actions; `None` if not evaluated.
     pub mode: Option<SuccessRate>,
-    /// `None` if sampled actions were not judged.
+    /// Success rate with sampled actions; `None` if not evaluated.
     pub sampled: Option<SuccessRate>,
 }
 
@@ -79,7 +79,7 @@ struct BlueprintView<'p> {
     group: Option<&'static str>,
 }
 
-/// A pass as it is sent; counts stand in the order of the table of blueprints.
+/// An evaluation as serialized; the counts are in the order of the blueprint table.
 #[derive(Debug, Serialize)]
 struct PassView<'p> {
     #[serde(flatten)]
@@ -88,7 +88,7 @@ struct PassView<'p> {
     sampled: Vec<Option<Counts>>,
 }
 
-/// All passes as they are sent.
+/// All evaluations as serialized.
 #[derive(Debug, Serialize)]
 pub struct PassesView<'p> {
     blueprints: Vec<BlueprintView<'p>>,
@@ -97,8 +97,8 @@ pub struct PassesView<'p> {
 }
 
 impl Passes {
-    /// Adds a pass. Those that it makes obsolete go, as in [`lineage`](crate::series::lineage): a run that was resumed from
-    /// an older checkpoint passes the same steps twice.
+    /// Adds an evaluation and removes those that it makes obsolete, as in [`lineage`](crate::series::lineage): a run
+    /// resumed from an older checkpoint repeats some steps.
     pub fn push(&mut self, pass: &Pass) {
         while self.kept.last().is_some_and(|last| last.head.n_env_steps >= pass.n_env_steps) {
             self.kept.pop();
@@ -115,12 +115,12 @@ impl Passes {
         }
     }
 
-    /// The newest pass.
+    /// The newest evaluation.
     pub fn last(&self) -> Option<&Head> {
         Some(&self.kept.last()?.head)
     }
 
-    /// Successes and episodes of the newest pass by blueprint, as `(blueprint, way of acting, counts)`.
+    /// Successes and episodes of the newest evaluation, as `(blueprint, action mode, counts)`.
     pub fn newest(&self) -> impl Iterator<Item = (&Row, ActionMode, Counts)> {
         let rates = self.kept.last().into_iter().flat_map(|pass| &pass.rates);
         rates.flat_map(|(row, [mode, sampled])| {
@@ -129,12 +129,12 @@ impl Passes {
         })
     }
 
-    /// All that is kept, as the bus tells it.
+    /// The overview with its schema version, for the bus.
     pub fn overview(&self) -> Overview<'_> {
         Overview { schema_version: SCHEMA_VERSION, passes: self.view() }
     }
 
-    /// All that is kept.
+    /// The overview.
     pub fn view(&self) -> PassesView<'_> {
         let mut rows: Vec<&Row> = self.kept.iter().flat_map(|pass| pass.rates.keys()).collect();
         rows.sort();
@@ -212,7 +212,7 @@ mod tests {
     use crate::history::samples::pass;
 
     #[test]
-    fn a_hand_worked_history() {
+    fn overview_matches_a_hand_worked_history() {
         let mut passes = Passes::default();
         passes.push(&pass(100, &[("2_003", Split::Train, 2, 0)]));
         passes.push(&pass(
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_run_replaces_what_it_passes_again() {
+    fn resumed_run_replaces_repeated_evaluations() {
         let mut passes = Passes::default();
         for steps in [100, 200, 300, 200] {
             passes.push(&pass(steps, &[]));
@@ -255,12 +255,12 @@ mod tests {
     }
 
     #[test]
-    fn many_passes_are_thinned_out_and_the_newest_stays() {
+    fn many_evaluations_are_thinned_and_the_newest_stays() {
         let mut passes = Passes::default();
         for steps in 0..=MAX_PASSES as u64 {
             passes.push(&pass(steps, &[]));
         }
-        // Of 401, those at even distances from the newest: 400, 398 and so on to 0, which are 201.
+        // Of 401 evaluations, every second one counted from the newest stays: 400, 398, and so on to 0, which are 201.
         assert_eq!((passes.kept.len(), passes.n_left_out), (201, 200));
         assert_eq!(passes.last().map(|head| head.n_env_steps), Some(400));
     }

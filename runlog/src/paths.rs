@@ -1,10 +1,10 @@
-//! Where each file of a run lies.
+//! Paths of a run's files.
 
 use std::path::{Path, PathBuf};
 
 use proto::Role;
 
-/// The folder of a run, `runs/<run>/`, and the names of what is in it. Making one touches no disk.
+/// The folder of a run, `runs/<run>/`, and its file names. Creating one does not access the disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunPaths(PathBuf);
 
@@ -29,7 +29,7 @@ impl RunPaths {
         self.0.join("meta.json")
     }
 
-    /// Locked by the process that learns here.
+    /// Lock file held by the learner of this run.
     pub fn lock(&self) -> PathBuf {
         self.0.join("run.lock")
     }
@@ -59,7 +59,7 @@ impl RunPaths {
         self.0.join("videos")
     }
 
-    /// Folder of the recordings that clips are made of, likewise.
+    /// Folder of the recordings that clips are made of, organized in the same way.
     pub fn replays(&self) -> PathBuf {
         self.0.join("replays")
     }

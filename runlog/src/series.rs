@@ -1,4 +1,4 @@
-//! What of a history is shown: which passes, and numbers by blueprint or group.
+//! Selects evaluations of a history, and computes numbers by blueprint or group.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,10 @@ use crate::Pass;
 use blueprints::Group;
 use proto::ActionMode;
 
-/// A row's blueprint; the order of rows is that of these.
+/// A blueprint as a table row; rows sort by split, size, and id.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Row {
-    /// Part of the catalog.
+    /// Split of the catalog.
     pub split: Split,
     /// Number of blocks.
     pub n_blocks: u64,
@@ -21,30 +21,30 @@ pub struct Row {
     pub id: BlueprintId,
 }
 
-/// A number for some blueprints at some times of a training.
+/// Values by blueprint and environment steps of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
     /// The blueprints, sorted.
     pub rows: Vec<Row>,
-    /// Environment steps, rising.
+    /// Environment steps, increasing.
     pub steps: Vec<u64>,
-    /// For each row a value for each of the steps; `None` where nothing was judged.
+    /// For each row, a value for each step; `None` if not evaluated.
     pub values: Vec<Vec<Option<f64>>>,
 }
 
-/// The success of one run less that of another.
+/// The success rate of one run minus that of another.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Differences of success rates, −1 to 1, at the steps of the first run.
     pub grid: Grid,
-    /// Farthest that the two passes of a column are apart, environment steps.
+    /// Maximum distance between the two evaluations of a column, in environment steps.
     pub max_apart: u64,
 }
 
-/// The passes of the training that led to the last of them, with rising environment steps.
+/// The evaluations that led to the last one, with increasing environment steps.
 ///
-/// A run that was resumed from an older checkpoint passes the same steps twice; what came of the abandoned weights is left
-/// out, and of weights that were judged twice the first time.
+/// A run resumed from an older checkpoint repeats some steps. The evaluations of the abandoned weights are left out,
+/// and of weights that were evaluated twice, the first evaluation.
 pub fn lineage(passes: &[Pass]) -> Vec<&Pass> {
     let mut kept: Vec<&Pass> = Vec::new();
     for pass in passes {
@@ -56,7 +56,7 @@ pub fn lineage(passes: &[Pass]) -> Vec<&Pass> {
     kept
 }
 
-/// What came of one way of acting; `None` if it was not judged.
+/// The outcome for one action mode; `None` if it was not evaluated.
 pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutcome> {
     let outcome = match acting {
         ActionMode::Greedy => &score.mode,
@@ -65,7 +65,7 @@ pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutc
     (outcome.success.n_episodes > 0).then_some(outcome)
 }
 
-/// Success of a pass by blueprint.
+/// Success rates of an evaluation by blueprint.
 fn rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
     let rate = |score: &EvalBlueprint| {
         let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
@@ -74,12 +74,12 @@ fn rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
     pass.blueprints.iter().filter_map(rate).collect()
 }
 
-/// The group of a blueprint; `None` for a size that the paper does not report.
+/// The group of a blueprint; `None` for a size outside the paper's groups.
 pub fn group_of(score: &EvalBlueprint) -> Option<Group> {
     Group::of(score.split, usize::try_from(score.n_blocks).ok()?)
 }
 
-/// Success of a pass by group, with the number of blueprints.
+/// Success rates of an evaluation by group, with the number of blueprints.
 pub fn group_rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Group, (SuccessRate, usize)> {
     let mut counts: BTreeMap<Group, (u64, u64, usize)> = BTreeMap::new();
     for score in &pass.blueprints {
@@ -93,18 +93,18 @@ pub fn group_rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Group, (SuccessR
     counts.into_iter().map(|(group, (hits, all, n))| (group, (SuccessRate::new(hits, all), n))).collect()
 }
 
-/// Success of several runs on the blueprints that every pass of each of them judged.
+/// Success rates of several runs on the blueprints that all their evaluations share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Common {
-    /// How many blueprints these are, at least 1.
+    /// Number of shared blueprints, at least 1.
     pub n_blueprints: usize,
-    /// For each run its passes: environment steps and success.
+    /// Environment steps and success rate of each run's evaluations.
     pub of_runs: Vec<Vec<(u64, SuccessRate)>>,
 }
 
-/// Success of runs, each with rising steps, on what all judged; `None` if that is nothing.
+/// Success rates of runs, each with increasing steps, on their shared blueprints; `None` if they share none.
 pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: ActionMode) -> Option<Common> {
-    let runs: Vec<Vec<Judged>> = runs.map(|passes| judged(passes, acting)).collect();
+    let runs: Vec<Vec<Evaluated>> = runs.map(|passes| evaluated(passes, acting)).collect();
     let mut passes = runs.iter().flatten();
     let first = passes.next()?;
     if runs.iter().any(Vec::is_empty) {
@@ -122,7 +122,7 @@ pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: Acti
 }
 
 impl Grid {
-    /// Success rates of passes with rising steps; `None` if none of them judged these actions.
+    /// Success rates of evaluations with increasing steps; `None` if none of them used this action mode.
     pub fn success(passes: &[&Pass], acting: ActionMode) -> Option<Self> {
         let columns = passes.iter().map(|pass| {
             let rates = rates(pass, acting).into_iter().map(|(row, rate)| (row, rate.rate)).collect();
@@ -131,7 +131,7 @@ impl Grid {
         Self::of_columns(columns)
     }
 
-    /// Columns without any value are left out.
+    /// Builds a grid without the columns that have no value.
     fn of_columns(columns: impl Iterator<Item = (u64, BTreeMap<Row, f64>)>) -> Option<Self> {
         let columns: Vec<_> = columns.filter(|(_, values)| !values.is_empty()).collect();
         let mut rows: Vec<Row> = columns.iter().flat_map(|(_, values)| values.keys().cloned()).collect();
@@ -145,12 +145,12 @@ impl Grid {
 }
 
 impl Difference {
-    /// Success of `run` less that of `other`, both with rising steps; `None` if they judged no blueprint in common.
+    /// The success rate of `run` minus that of `other`, both with increasing steps; `None` without a shared blueprint.
     ///
-    /// Two passes make a column if each is the other's nearest in environment steps. So no pass is shown twice, and where
-    /// one run went on alone there is nothing.
+    /// Two evaluations form a column if each is the other's nearest in environment steps. So no evaluation appears
+    /// twice, and steps that only one run reached have no column.
     pub fn new(run: &[&Pass], other: &[&Pass], acting: ActionMode) -> Option<Self> {
-        let (run, other) = (judged(run, acting), judged(other, acting));
+        let (run, other) = (evaluated(run, acting), evaluated(other, acting));
         let mut max_apart = 0;
         let mut columns = Vec::new();
         for (steps, rates) in &run {
@@ -172,16 +172,16 @@ impl Difference {
     }
 }
 
-type Judged = (u64, BTreeMap<Row, SuccessRate>);
+type Evaluated = (u64, BTreeMap<Row, SuccessRate>);
 
-/// Steps and rates of the passes that judged these actions.
-fn judged(passes: &[&Pass], acting: ActionMode) -> Vec<Judged> {
+/// Steps and success rates of the evaluations with this action mode.
+fn evaluated(passes: &[&Pass], acting: ActionMode) -> Vec<Evaluated> {
     let all = passes.iter().map(|pass| (pass.n_env_steps, rates(pass, acting)));
     all.filter(|(_, rates)| !rates.is_empty()).collect()
 }
 
-/// The earlier one of two that are equally near.
-fn nearest(passes: &[Judged], steps: u64) -> Option<&Judged> {
+/// The evaluation nearest to `steps`; the earlier one if two are equally near.
+fn nearest(passes: &[Evaluated], steps: u64) -> Option<&Evaluated> {
     passes.iter().min_by_key(|(their_steps, _)| their_steps.abs_diff(steps))
 }
 
@@ -202,8 +202,8 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_run_shows_what_it_continued_from() {
-        // Judged at 0, 100, 200, 300; resumed from a checkpoint at 150, which passes 200 again.
+    fn lineage_of_a_resumed_run_skips_abandoned_evaluations() {
+        // Evaluated at 0, 100, 200, 300; resumed from a checkpoint at 150, which repeats 200.
         let all =
             passes(&[(0, 0, None), (100, 1, None), (200, 2, None), (300, 3, None), (150, 4, None), (200, 5, None)]);
         let kept: Vec<(u64, u64)> =
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_are_sorted_by_size_and_gaps_stay_gaps() {
+    fn grid_rows_are_sorted_and_gaps_are_none() {
         let all = passes(&[(0, 0, None), (100, 10, Some(5))]);
         let grid = Grid::success(&lineage(&all), ActionMode::Greedy).unwrap();
         assert_eq!(grid.rows.iter().map(|row| row.id.as_str()).collect::<Vec<_>>(), ["2_000", "10_000"]);
@@ -223,22 +223,22 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_pairs_passes_that_are_nearest_to_each_other() {
+    fn difference_pairs_mutually_nearest_evaluations() {
         let run = passes(&[(0, 0, None), (100, 6, Some(9)), (190, 8, None), (210, 9, None), (900, 9, None)]);
         let other = passes(&[(5, 1, None), (110, 2, None), (200, 4, Some(0))]);
         let found = Difference::new(&lineage(&run), &lineage(&other), ActionMode::Greedy).unwrap();
-        // 0 with 5, 100 with 110, 190 with 200; 210 is as near to 200 but later, 900 goes on alone.
+        // 0 pairs with 5, 100 with 110, and 190 with 200; 210 is as near to 200 but later, and 900 has no partner.
         assert_eq!((found.grid.steps, found.max_apart), (vec![0, 100, 190], 10));
         let values: Vec<f64> = found.grid.values[0].iter().map(|value| (10.0 * value.unwrap()).round()).collect();
         assert_eq!(values, [-1.0, 4.0, 4.0]);
-        // 10_000 was never judged in both passes of a column.
+        // 10_000 was never evaluated on both sides of a column.
         assert_eq!(found.grid.rows.len(), 1);
         let strange = vec![pass(0, &[("3_000", Split::Train, 3, 0)])];
         assert_eq!(Difference::new(&lineage(&run), &lineage(&strange), ActionMode::Greedy), None);
     }
 
     #[test]
-    fn runs_are_compared_on_what_all_of_them_judged() {
+    fn common_rates_use_the_shared_blueprints() {
         let run = passes(&[(0, 0, None), (100, 6, Some(9))]);
         let other = passes(&[(5, 1, Some(2)), (110, 2, Some(3))]);
         let (run, other) = (lineage(&run), lineage(&other));
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_add_up_their_blueprints() {
+    fn group_rates_sum_their_blueprints() {
         let all =
             [pass(0, &[("2_000", Split::Train, 2, 4), ("3_000", Split::Train, 3, 9), ("10_000", Split::Train, 10, 1)])];
         let found = group_rates(&all[0], ActionMode::Greedy);

@@ -1,8 +1,8 @@
-//! Metrics as event files of TensorBoard, which shows every file below the folder that it is given.
+//! Metrics as TensorBoard event files. TensorBoard reads every file below a given folder.
 //!
-//! A file is a row of records (length, its checksum, data, its checksum), each an `Event` message in protobuf; see
-//! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Of the message only what
-//! scalars and pictures need is here.
+//! A file is a sequence of records (length, checksum, data, checksum), each an `Event` message in protobuf; see
+//! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Only the parts of the
+//! message for scalars and images are defined here.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -35,26 +35,26 @@ struct Summary {
 struct Tagged {
     #[prost(string, tag = "1")]
     tag: String,
-    /// Optional, or a 0 would not be written and readers would find no value.
+    /// Optional: a plain 0 would not be written, and readers would find no value.
     #[prost(float, optional, tag = "2")]
     simple_value: Option<f32>,
     #[prost(message, optional, tag = "4")]
     image: Option<Picture>,
 }
 
-/// A picture as TensorBoard shows it: the bytes of a file whose format browsers know. A GIF moves.
+/// An image in TensorBoard: the bytes of a file in a format that browsers support. A GIF is animated.
 #[derive(Clone, PartialEq, Message)]
 pub struct Picture {
-    /// Pixels.
+    /// Height in pixels.
     #[prost(int32, tag = "1")]
     pub height: i32,
-    /// Pixels.
+    /// Width in pixels.
     #[prost(int32, tag = "2")]
     pub width: i32,
-    /// Numbers per pixel: 3 for red, green and blue.
+    /// Channels: 3 for red, green, and blue.
     #[prost(int32, tag = "3")]
     pub colorspace: i32,
-    /// The file.
+    /// The encoded file.
     #[prost(bytes = "vec", tag = "4")]
     pub encoded: Vec<u8>,
 }
@@ -67,14 +67,14 @@ pub struct EventWriter {
 }
 
 impl EventWriter {
-    /// Begins a file of its own in `folder`, which is made if there is none.
+    /// Creates a new file in `folder`, which is created if needed.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// If the file cannot be created.
     pub fn create(folder: &Path) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let now = since_1970();
-        // The reader asks for this prefix and takes files in the order of their names.
+        // Readers require this prefix and read files in name order.
         let name = format!("events.out.tfevents.{now:017.6}.{}", std::process::id());
         let path = folder.join(name);
         let mut writer = Self { file: File::create_new(&path)?, path };
@@ -83,25 +83,25 @@ impl EventWriter {
         Ok(writer)
     }
 
-    /// Adds numbers by tag at `step`, in one write.
+    /// Appends scalars by tag at `step`, in one write.
     ///
     /// # Errors
-    /// When they cannot be written.
+    /// If writing fails.
     pub fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
         let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), image: None };
         self.summary(step, scalars.into_iter().map(number).collect())
     }
 
-    /// Adds a picture under each of the tags at `step`, in one write.
+    /// Appends an image under each of the tags at `step`, in one write.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If writing fails.
     pub fn picture(&mut self, step: u64, tags: &[String], picture: &Picture) -> io::Result<()> {
         let tagged = |tag: &String| Tagged { tag: tag.clone(), simple_value: None, image: Some(picture.clone()) };
         self.summary(step, tags.iter().map(tagged).collect())
     }
 
-    /// Where the file is.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -116,8 +116,8 @@ impl EventWriter {
     }
 }
 
-/// All numbers of metrics with tags made of the names that lead to them: those at the top as `<root>/<name>`, others as
-/// `<name>/…/<name>`. Lists and what stands under a name of `skipped` are left out.
+/// Flattens metrics to numbers tagged by the path of names: `<root>/<name>` at the top level, `<name>/…/<name>` below.
+/// Lists and the values of names in `skipped` are left out.
 pub fn flatten(root: &str, metrics: &Value, skipped: &[&str]) -> Vec<(String, f64)> {
     let mut scalars = Vec::new();
     for (name, value) in fields(metrics, skipped) {
@@ -145,7 +145,7 @@ fn record(data: &[u8]) -> Vec<u8> {
     [&length[..], &masked_checksum(&length), data, &masked_checksum(data)].concat()
 }
 
-/// The checksum as the format stores it: turned and shifted, so that a checksum of data with checksums stays good.
+/// The checksum as stored: rotated and offset, so that it stays robust for data that contains checksums.
 fn masked_checksum(data: &[u8]) -> [u8; 4] {
     crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
@@ -161,18 +161,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_record_is_framed_as_upstream_does() {
-        // CRC-32C of eight zero bytes is 0x8c28b28a (RFC 3720's polynomial); turned right by 15 and shifted it is this.
+    fn record_framing_matches_upstream() {
+        // CRC-32C of eight zero bytes is 0x8c28b28a (RFC 3720's polynomial), here rotated right by 15 and offset.
         let checksum = 0x8c28_b28a_u32.rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
         let empty = record(&[]);
         assert_eq!(empty[..8], [0; 8]);
         assert_eq!(empty[8..12], checksum);
-        // The checksum of nothing is 0.
+        // The checksum of empty data is 0.
         assert_eq!(empty[12..], 0xa282_ead8_u32.to_le_bytes());
     }
 
     #[test]
-    fn a_file_begins_with_its_version_and_goes_on_with_scalars_and_pictures() {
+    fn event_file_has_version_scalars_and_images() {
         let dir = tempfile::tempdir().unwrap();
         let mut writer = EventWriter::create(&dir.path().join("learner")).unwrap();
         writer.scalars(4096, [("ppo/entropy".to_owned(), 1.5), ("learner/n_updates".to_owned(), 0.0)]).unwrap();
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_get_the_names_that_lead_to_them() {
+    fn flatten_tags_numbers_by_path() {
         let metrics = json!({
             "n_updates": 3, "who": "x", "none": null, "lags": [1, 2], "schema_version": 1,
             "ppo": { "entropy": 0.5 }, "episodes": { "success": { "rate": 0.25 }, "by": { "2_000": 1 } },

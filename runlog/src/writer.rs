@@ -1,4 +1,4 @@
-//! Metrics of one service on the disk: lines in `metrics.jsonl`, curves for TensorBoard.
+//! Writes the metrics of one service: lines of `metrics.jsonl` and TensorBoard curves.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -10,30 +10,30 @@ use serde::Serialize;
 use crate::RunPaths;
 use crate::tensorboard::EventWriter;
 
-/// Writes the metrics of one service; others may write to the same `metrics.jsonl`.
+/// Writes the metrics of one service; other services may append to the same `metrics.jsonl`.
 #[derive(Debug)]
 pub struct MetricsWriter {
     path: PathBuf,
     tensorboard: EventWriter,
 }
 
-/// Why metrics cannot be written.
+/// Errors of writing metrics.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// The disk refuses.
+    /// Writing fails.
     #[error("cannot write {}: {source}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
-    /// The metrics are no JSON.
+    /// The metrics cannot be serialized as JSON.
     #[error("metrics are no JSON: {0}")]
     Json(#[from] serde_json::Error),
 }
 
-/// Lines for `metrics.jsonl` that are written together.
+/// Lines for `metrics.jsonl` that are appended together.
 #[derive(Debug, Default)]
 pub struct Lines(Vec<u8>);
 
@@ -47,10 +47,10 @@ struct Line<'a, M> {
 }
 
 impl Lines {
-    /// Adds metrics, which are known on the bus as `metrics/<key>`.
+    /// Adds metrics that are published on the bus as `metrics/<key>`.
     ///
     /// # Errors
-    /// When they are no JSON object.
+    /// If they are not a JSON object.
     pub fn push(&mut self, key: &str, metrics: &impl Serialize) -> Result<(), WriteError> {
         self.0.extend(serde_json::to_vec(&Line { key, metrics })?);
         self.0.push(b'\n');
@@ -59,23 +59,23 @@ impl Lines {
 }
 
 impl MetricsWriter {
-    /// Makes the folder and the event file of `role` in it.
+    /// Creates the folder and the event file of `role` in it.
     ///
     /// # Errors
-    /// When they cannot be made.
+    /// If they cannot be created.
     pub fn open(paths: &RunPaths, role: Role) -> Result<Self, WriteError> {
         let folder = paths.tensorboard(role);
         let tensorboard = EventWriter::create(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
         let writer = Self { path: paths.metrics(), tensorboard };
-        // Found out now and not after the first hour.
+        // Detect an error now rather than at the first update.
         writer.append(&Lines::default())?;
         Ok(writer)
     }
 
-    /// Appends lines in one write, so that other writers of the file cannot come between.
+    /// Appends lines in one write, so that lines of other writers cannot interleave.
     ///
     /// # Errors
-    /// When the disk refuses; part of the lines may be there then.
+    /// If writing fails; some of the lines may have been written.
     pub fn append(&self, lines: &Lines) -> Result<(), WriteError> {
         let write = || {
             if let Some(folder) = self.path.parent() {
@@ -86,10 +86,10 @@ impl MetricsWriter {
         write().map_err(|source| WriteError::Io { path: self.path.clone(), source })
     }
 
-    /// Adds a point to the curve of each of these names at a number of environment steps.
+    /// Adds a point to each named curve at a number of environment steps.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// If writing fails.
     pub fn scalars(
         &mut self,
         n_env_steps: u64,

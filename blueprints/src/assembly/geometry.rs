@@ -1,25 +1,25 @@
-//! Boxes on the lattice: contacts, ways in, support.
+//! Contacts, approach paths, and support of boxes on the lattice.
 
 use crate::stance::support_margin;
 use crate::{Inventory, N_BLOCKS, Placement};
 
-/// Shortest way in, in half units: far enough that no magnet but the wanted ones is in reach at its beginning.
+/// Minimum approach length in half units: it starts outside the reach of every magnet but the wanted ones.
 const MIN_APPROACH: i32 = 3;
-/// Longest way in, in half units.
+/// Maximum approach length in half units.
 const MAX_APPROACH: i32 = 14;
-/// How far above the way's beginning must be free, in half units; more than the tallest structure of 16 blocks.
+/// Free height required above the start of the approach, in half units; more than the tallest structure of 16 blocks.
 const SKY: i32 = 80;
 
-/// A set of parts; a part is a placement's position in the blueprint.
+/// A set of parts. A part is a placement's index in the blueprint.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Parts(u16);
 
-/// A straight way in, from its beginning to the part's place.
+/// A straight approach path to a part's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Approach {
-    /// Direction from the place to the beginning, blueprint frame; entries −1, 0 and 1.
+    /// Direction from the place to the start of the path, blueprint frame; entries −1, 0, and 1.
     pub direction: [i32; 3],
-    /// How many times the direction, in half units (0.05 m).
+    /// Path length as a multiple of `direction`, in half units (0.05 m).
     pub length_half_units: i32,
 }
 
@@ -50,7 +50,7 @@ impl Parts {
         Self(((1_u32 << n) - 1) as u16)
     }
 
-    /// Whether there are none.
+    /// Whether the set is empty.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -60,12 +60,12 @@ impl Parts {
         self.0.count_ones() as usize
     }
 
-    /// Whether the part is in the set.
+    /// Whether the set contains the part.
     pub fn contains(self, part: usize) -> bool {
         self.0 & (1 << part) != 0
     }
 
-    /// The set and one part more.
+    /// The set with one more part.
     #[must_use]
     pub fn with(self, part: usize) -> Self {
         Self(self.0 | (1 << part))
@@ -77,13 +77,13 @@ impl Parts {
         Self(self.0 | other.0)
     }
 
-    /// Those of both sets.
+    /// Intersection.
     #[must_use]
     pub fn intersection(self, other: Self) -> Self {
         Self(self.0 & other.0)
     }
 
-    /// Those that are not in `other`.
+    /// The parts that are not in `other`.
     #[must_use]
     pub fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
@@ -138,8 +138,8 @@ impl Geometry {
         (top - self.ground(up)) / 2
     }
 
-    /// Support margin in units of the parts `placed`, as one piece on the plane of the finished structure; negative if
-    /// they would tip, −∞ if none touches the plane.
+    /// Support margin in units of the parts `placed`, as one rigid body on the ground plane of the finished structure;
+    /// negative if they would tip, −∞ if none touches the plane.
     pub(super) fn margin_u(&self, placed: Parts, up: [i32; 3]) -> f64 {
         let ground = self.ground(up);
         let axis = axis_of(up);
@@ -149,7 +149,7 @@ impl Geometry {
         for part in placed.iter() {
             let b = &self.boxes[part];
             volume += b.volume();
-            // Twice the moment, so that it is whole.
+            // Twice the moment, to keep it an integer.
             moment[0] += b.volume() * (b.low[u] + b.high[u]);
             moment[1] += b.volume() * (b.low[v] + b.high[v]);
             if b.bottom(up) == ground {
@@ -166,18 +166,18 @@ impl Geometry {
         support_margin(corners, center) / 2.0
     }
 
-    /// Straight ways in for `group`, moved as one piece, while `placed` stands, the best first.
+    /// Straight approach paths for `group`, moved as one rigid body, while `placed` stands, best first.
     ///
-    /// A way leaves every face that the group touches, so no two of them may face each other, and it does not come from
-    /// below. At its beginning the sky above the group is free.
+    /// The group leaves every face that it touches, so no two of them may face each other, and it does not approach
+    /// from below. Above the start of the path the space over the group is free.
     pub(super) fn approaches(&self, placed: Parts, group: Parts, up: [i32; 3]) -> impl Iterator<Item = Approach> {
         self.directions(placed, group, up).into_iter().filter_map(move |direction| {
-            let length_half_units = self.free_way(placed, group, direction, up)?;
+            let length_half_units = self.free_path(placed, group, direction, up)?;
             Some(Approach { direction, length_half_units })
         })
     }
 
-    /// The directions in which a group can leave all faces that it touches.
+    /// The directions in which a group can leave every face that it touches.
     fn directions(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Vec<[i32; 3]> {
         let mut sides = [false; 6];
         for part in group.iter() {
@@ -208,11 +208,11 @@ impl Geometry {
         ways
     }
 
-    /// Length after which a group that moves off along `direction` is clear of everything and has the sky above it.
+    /// Path length after which a group moved along `direction` is clear of everything and has free space above it.
     ///
-    /// All along, nothing comes nearer than a half unit but the faces that the group touches: a face that slides along
-    /// another one would be caught by the wrong magnets.
-    fn free_way(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3]) -> Option<i32> {
+    /// Along the path, nothing but the faces that the group touches comes closer than a half unit: the wrong magnets
+    /// would catch a face that slides along another one.
+    fn free_path(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3]) -> Option<i32> {
         let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
         for t in 1..=MAX_APPROACH {
             let moved = |part: usize| self.boxes[part].moved(direction.map(|x| x * t));
@@ -253,7 +253,7 @@ impl Box3 {
         Self { low: self.low.map(|x| x - by), high: self.high.map(|x| x + by) }
     }
 
-    /// Longer by `length` in a direction.
+    /// Extends the box by `length` in a direction.
     fn stretched(&self, direction: [i32; 3], length: i32) -> Self {
         let by = direction.map(|x| x * length);
         Self { low: add(self.low, by.map(|x| x.min(0))), high: add(self.high, by.map(|x| x.max(0))) }
@@ -263,7 +263,7 @@ impl Box3 {
         (0..3).all(|k| self.low[k] < other.high[k] && other.low[k] < self.high[k])
     }
 
-    /// The direction in which this box lies from `other` if they share a piece of a face.
+    /// The direction from `other` to this box if they share part of a face.
     fn side_of(&self, other: &Self) -> Option<usize> {
         let overlap = |k: usize| self.high[k].min(other.high[k]) - self.low[k].max(other.low[k]);
         let axis = (0..3).find(|&k| overlap(k) == 0)?;

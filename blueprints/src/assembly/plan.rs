@@ -1,37 +1,37 @@
-//! The assembly that goes with a blueprint, worked out once for all its copies.
+//! A blueprint's assembly plan, computed once and shared by all its copies.
 
 use std::sync::{Arc, OnceLock};
 
 use super::{Assembly, NoAssembly, Parts};
 use crate::{BlockIdx, Placement, UNIT_M};
 
-/// How a blueprint is built: on which side and in which order. It depends on the structure alone, not on which of several
-/// blocks of one type play its parts.
+/// The side and order in which a blueprint is built. They depend on the structure alone, not on which of several blocks
+/// of one type is used for a part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// The direction of the blueprint's frame that points up.
     pub up: [i32; 3],
     /// Height in half units, along `up`, of the plane on which the structure lies.
     pub ground_half_units: i32,
-    /// The middle of all blocks, m, blueprint frame, and the distance from it, across `up`, of the block that is furthest.
+    /// Center of all blocks in meters, blueprint frame.
     pub middle_m: [f32; 3],
-    /// See `middle_m`.
+    /// Distance across `up` from `middle_m` to the furthest block, m.
     pub radius_m: f32,
-    /// By part.
+    /// Steps by part.
     steps: Vec<PlanStep>,
 }
 
-/// What a plan has for one block.
+/// The plan for one block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlanStep {
-    /// How many blocks are placed before it.
+    /// Number of blocks placed before it.
     pub rank: usize,
-    /// From its place to the beginning of its way in, half units, blueprint frame; zeros for the first block.
+    /// Vector from its place to the start of its approach path, half units, blueprint frame; zeros for the first block.
     pub way_half_units: [i32; 3],
 }
 
-/// The middle of a structure's blocks, m, blueprint frame, and the distance from it, across `up`, of the block that is
-/// furthest, m.
+/// Returns the center of a structure's blocks in meters, blueprint frame, and the distance in meters, across `up`, to
+/// the block furthest from it.
 pub fn extent_m(placements: &[Placement], up: [i32; 3]) -> ([f32; 3], f32) {
     let n = placements.len().max(1) as f32;
     let half_unit_m = UNIT_M / 2.0;
@@ -45,20 +45,20 @@ pub fn extent_m(placements: &[Placement], up: [i32; 3]) -> ([f32; 3], f32) {
 }
 
 #[derive(Debug)]
-struct Worked {
+struct Computed {
     assembly: Assembly,
     plan: Plan,
 }
 
-/// The assembly of a blueprint, shared by all copies on whatever blocks.
+/// The assembly of a blueprint, shared by all its copies.
 #[derive(Clone, Debug)]
 pub(crate) struct Shared {
-    worked: Arc<OnceLock<Option<Worked>>>,
-    /// The block that plays each part.
+    computed: Arc<OnceLock<Option<Computed>>>,
+    /// The block used for each part.
     parts: Vec<BlockIdx>,
 }
 
-/// What is worked out from a blueprint is not part of it.
+/// The cache is not part of the blueprint's value.
 impl PartialEq for Shared {
     fn eq(&self, _: &Self) -> bool {
         true
@@ -68,40 +68,40 @@ impl PartialEq for Shared {
 impl Eq for Shared {}
 
 impl Shared {
-    /// Nothing worked out yet.
+    /// An empty cache.
     pub(crate) fn new(placements: &[Placement]) -> Self {
-        Self { worked: Arc::default(), parts: placements.iter().map(|placement| placement.block).collect() }
+        Self { computed: Arc::default(), parts: placements.iter().map(|placement| placement.block).collect() }
     }
 
-    /// The same with other blocks of the same types.
+    /// The same cache with other blocks of the same types.
     pub(crate) fn replaced(&self, new: impl Fn(BlockIdx) -> BlockIdx) -> Self {
-        Self { worked: self.worked.clone(), parts: self.parts.iter().map(|&block| new(block)).collect() }
+        Self { computed: self.computed.clone(), parts: self.parts.iter().map(|&block| new(block)).collect() }
     }
 
-    /// A copy to work with; `placements` are those of the blueprint, in any order.
+    /// Returns a copy to query; `placements` are those of the blueprint, in any order.
     ///
     /// # Errors
-    /// When the blueprint has no order of assembly.
+    /// If the blueprint has no assembly order.
     pub(crate) fn assembly(&self, placements: &[Placement]) -> Result<Assembly, NoAssembly> {
-        match self.worked(placements) {
-            Some(worked) => Ok(Assembly { blocks: self.parts.clone(), ..worked.assembly.clone() }),
-            // Worked out again, so that the error names these blocks.
+        match self.computed(placements) {
+            Some(computed) => Ok(Assembly { blocks: self.parts.clone(), ..computed.assembly.clone() }),
+            // Search again, so that the error names these blocks.
             None => Assembly::of_placements(&self.ordered(placements)),
         }
     }
 
-    /// The plan; `None` without an order of assembly.
+    /// The plan; `None` without an assembly order.
     pub(crate) fn plan(&self, placements: &[Placement]) -> Option<&Plan> {
-        Some(&self.worked(placements)?.plan)
+        Some(&self.computed(placements)?.plan)
     }
 
-    /// What the plan has for `block`; `None` if that plays no part.
+    /// The plan's step for `block`; `None` if the block is not used.
     pub(crate) fn step(&self, plan: &Plan, block: BlockIdx) -> Option<PlanStep> {
         plan.steps.get(self.parts.iter().position(|&part| part == block)?).copied()
     }
 
-    fn worked(&self, placements: &[Placement]) -> Option<&Worked> {
-        self.worked.get_or_init(|| Worked::new(&self.ordered(placements)).ok()).as_ref()
+    fn computed(&self, placements: &[Placement]) -> Option<&Computed> {
+        self.computed.get_or_init(|| Computed::new(&self.ordered(placements)).ok()).as_ref()
     }
 
     /// The placements by part.
@@ -111,7 +111,7 @@ impl Shared {
     }
 }
 
-impl Worked {
+impl Computed {
     fn new(placements: &[Placement]) -> Result<Self, NoAssembly> {
         let mut assembly = Assembly::of_placements(placements)?;
         let (mut placed, mut rank) = (Parts::default(), 0);

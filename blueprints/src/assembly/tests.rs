@@ -1,4 +1,4 @@
-//! Orders of assembly of structures worked out by hand, and of the whole catalog.
+//! Assembly orders of hand-made structures and of the whole catalog.
 
 use super::*;
 use crate::{Catalog, CubeRotation};
@@ -17,7 +17,7 @@ fn cube(k: usize, at: [i32; 3]) -> Placement {
 }
 
 #[test]
-fn a_tower_grows_from_below_and_each_cube_comes_from_above() {
+fn tower_is_built_upward_with_each_cube_from_above() {
     let tower = [cube(2, [0, 0, 2]), cube(0, [0, 0, 0]), cube(1, [0, 0, 1])];
     let mut assembly = Assembly::of_placements(&tower).unwrap();
     let upright = (0..assembly.n_sides()).find(|&side| assembly.up(side) == [0, 0, 1]).unwrap();
@@ -26,13 +26,13 @@ fn a_tower_grows_from_below_and_each_cube_comes_from_above() {
     let ground = Parts::one(1);
     let way = assembly.approach(upright, ground, Parts::one(2)).unwrap();
     assert_eq!((way.direction, way.length_half_units), ([0, 0, 1], 3));
-    // The upper one has no place as long as the middle one is missing, and nothing goes under what stands.
+    // The upper cube cannot be placed before the middle one, and nothing goes under a standing cube.
     assert_eq!(assembly.approach(upright, ground, Parts::one(0)), None);
     assert_eq!(assembly.approach(upright, Parts::one(0), Parts::one(2)), None);
 }
 
 #[test]
-fn nothing_is_squeezed_between_two_faces() {
+fn part_between_two_faces_cannot_come_last() {
     // Three cubes in a row on a bar: the middle one cannot come last.
     let row = [block("3x1x1", 0, [0, 0, 0], [3, 1, 1]), cube(0, [0, 0, 1]), cube(1, [1, 0, 1]), cube(2, [2, 0, 1])];
     let mut assembly = Assembly::of_placements(&row).unwrap();
@@ -45,7 +45,7 @@ fn nothing_is_squeezed_between_two_faces() {
     assert!(assembly.is_safe(upright, Parts::one(0)));
 }
 
-/// Six arms about a cube, with no order of assembly.
+/// Six arms around a cube, without an assembly order.
 pub(crate) fn jack() -> Vec<Placement> {
     vec![
         cube(0, [0, 0, 0]),
@@ -59,16 +59,16 @@ pub(crate) fn jack() -> Vec<Placement> {
 }
 
 #[test]
-fn a_jack_with_long_arms_has_no_order() {
-    // Whichever arm it stands on, the first long arm to the side tips it. On an arm of 4, with the cube and the other arm of
-    // 4 and both arms of 2, an arm of 3 moves the center by 3 · 2 / 16 = 0.375, which leaves 0.125.
+fn jack_with_long_arms_has_no_order() {
+    // On whichever arm it stands, the first long arm to the side tips it. On an arm of 4, with the cube and the other
+    // arm of 4 and both arms of 2, an arm of 3 moves the center by 3 · 2 / 16 = 0.375, which leaves 0.125.
     let NoAssembly { missing } = Assembly::of_placements(&jack()).unwrap_err();
     assert!(!missing.is_empty() && missing.len() < jack().len(), "{missing:?}");
 }
 
 #[test]
-fn an_overhang_is_not_built_upright() {
-    // A bar of 4 across the end of a post tips it whatever comes later; lying, nothing tips.
+fn overhanging_structure_is_not_built_upright() {
+    // A bar of 4 across the end of a post always tips it. Lying down, the structure cannot tip.
     let crane = [
         block("2x1x1", 0, [0, 0, 0], [1, 1, 2]),
         block("4x1x1", 0, [0, 0, 2], [4, 1, 1]),
@@ -81,7 +81,7 @@ fn an_overhang_is_not_built_upright() {
 }
 
 #[test]
-fn every_built_in_blueprint_has_an_order_of_all_its_blocks() {
+fn builtin_blueprints_have_complete_orders() {
     for blueprint in Catalog::builtin().iter() {
         let mut assembly = Assembly::new(blueprint).unwrap_or_else(|error| panic!("{}: {error}", blueprint.id()));
         let mut order = assembly.order();
@@ -92,7 +92,7 @@ fn every_built_in_blueprint_has_an_order_of_all_its_blocks() {
 }
 
 #[test]
-fn every_step_of_an_order_stands_and_has_a_way_in() {
+fn every_step_of_an_order_stands_and_has_an_approach() {
     for blueprint in Catalog::builtin().iter() {
         let mut assembly = Assembly::new(blueprint).unwrap();
         for side in 0..assembly.n_sides() {
@@ -108,7 +108,7 @@ fn every_step_of_an_order_stands_and_has_a_way_in() {
 }
 
 #[test]
-fn copies_on_other_blocks_are_built_alike() {
+fn copies_on_other_blocks_have_the_same_plan() {
     for blueprint in Catalog::builtin().iter().step_by(11) {
         // Blocks of one type in reversed order.
         let mut swapped: [BlockIdx; crate::N_BLOCKS] = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());

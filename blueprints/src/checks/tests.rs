@@ -1,11 +1,11 @@
-//! What single checks say of blueprints made for them.
+//! Tests of single checks on blueprints made for them.
 
 use super::*;
 use crate::assembly::tests::jack;
 
 #[test]
-fn what_cannot_be_put_together_names_the_blocks_that_are_left() {
-    // No file can show this alone: a structure that nobody can build is also too weak for its magnets.
+fn assembly_error_names_the_unplaced_blocks() {
+    // No file can isolate this failure: a structure that cannot be assembled is also too weak for its magnets.
     let placements = jack();
     let inventory = Inventory::standard();
     let id: BlueprintId = "7_999".parse().unwrap();

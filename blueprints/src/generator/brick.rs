@@ -1,4 +1,4 @@
-//! Blocks as boxes of cells whose magnets are not turned yet, and the stock to take them from.
+//! Blocks as boxes of cells without magnet polarity, and the stock of available blocks.
 
 use crate::strength::Joint;
 use crate::{BlockIdx, CubeRotation, Inventory, Placement};
@@ -6,7 +6,7 @@ use crate::{BlockIdx, CubeRotation, Inventory, Placement};
 /// A unit cell by its lowest corner, in units.
 pub(super) type Cell = [i32; 3];
 
-/// A block of a type, lying along given axes at a given place.
+/// A block of a type with given extents at a given place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Brick {
     /// Position in [`Inventory::types`].
@@ -17,10 +17,10 @@ pub(super) struct Brick {
     pub(super) size: [i32; 3],
 }
 
-/// How many blocks of each type are left.
+/// The remaining blocks of each type.
 #[derive(Clone, Debug)]
 pub(super) struct Stock {
-    /// Volume in cells and number, by type.
+    /// Volume in cells and remaining number, by type.
     types: Vec<(i32, usize)>,
     /// The types by increasing volume.
     by_volume: Vec<usize>,
@@ -35,7 +35,7 @@ impl Brick {
         self.low[axis] + self.size[axis]
     }
 
-    /// Whether `wanted` holds for every cell; it is called up to the first for which it does not.
+    /// Whether `wanted` holds for every cell; evaluation stops at the first cell for which it does not.
     pub(super) fn all_cells(&self, mut wanted: impl FnMut(Cell) -> bool) -> bool {
         let [x, y, z] = self.low;
         (x..self.high(0)).all(|i| (y..self.high(1)).all(|j| (z..self.high(2)).all(|k| wanted([i, j, k]))))
@@ -54,13 +54,13 @@ impl Brick {
         (0..3).all(|k| self.low[k] < other.high(k) && other.low[k] < self.high(k))
     }
 
-    /// The axis along which the two share a piece of a face, and the magnets' places there in half units.
+    /// The axis along which two faces touch, and the positions of the shared magnets in half units.
     pub(super) fn contact(&self, other: &Self) -> Option<(usize, Vec<[i32; 3]>)> {
         let axis = (0..3).find(|&k| self.high(k) == other.low[k] || other.high(k) == self.low[k])?;
         let low: [i32; 3] = std::array::from_fn(|k| self.low[k].max(other.low[k]));
         let high: [i32; 3] = std::array::from_fn(|k| self.high(k).min(other.high(k)));
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        // Two boxes that meet at an edge touch along two axes and share no area.
+        // Two boxes that meet at an edge touch along two axes but share no area.
         if high[u] <= low[u] || high[v] <= low[v] {
             return None;
         }
@@ -75,7 +75,7 @@ impl Brick {
         Some((axis, places))
     }
 
-    /// The same box seen in a mirror: `plane` is the sum of a cell's and its image's coordinate along `axis`.
+    /// The mirror image of the box: `plane` is the sum of a cell's and its image's coordinate along `axis`.
     pub(super) fn mirrored(&self, axis: usize, plane: i32) -> Self {
         let mut mirrored = *self;
         mirrored.low[axis] = plane + 1 - self.high(axis);
@@ -83,7 +83,7 @@ impl Brick {
     }
 }
 
-/// All pairs of bricks that touch, with the axis along which they do.
+/// All pairs of bricks that touch, with the axis of contact.
 pub(super) fn joints(bricks: &[Brick]) -> Vec<(usize, Joint)> {
     let mut joints = Vec::new();
     for (a, brick) in bricks.iter().enumerate() {
@@ -94,9 +94,9 @@ pub(super) fn joints(bricks: &[Brick]) -> Vec<(usize, Joint)> {
     joints
 }
 
-/// The bricks as placements: sorted by type, then height, then place, each type from its first block on.
+/// The bricks as placements sorted by type, height, and position; blocks of each type are numbered from its first one.
 ///
-/// `rotations` belong to `bricks` one by one. The stock never gives more blocks than there are.
+/// `rotations[i]` belongs to `bricks[i]`. The stock never provides more blocks than the inventory has.
 pub(super) fn placements(bricks: &[Brick], rotations: &[CubeRotation]) -> Vec<Placement> {
     let inventory = Inventory::standard();
     let mut sorted: Vec<(&Brick, CubeRotation)> = bricks.iter().zip(rotations.iter().copied()).collect();
@@ -137,7 +137,7 @@ impl Stock {
         self.types[type_idx].1 += n;
     }
 
-    /// Least and greatest volume of `n` of the blocks left, in cells.
+    /// Minimum and maximum volume of `n` of the remaining blocks, in cells.
     pub(super) fn volume_range(&self, n: usize) -> (i32, i32) {
         let sum = |order: &mut dyn Iterator<Item = &usize>| {
             let mut wanted = n;

@@ -1,9 +1,9 @@
-//! Random choices that depend on a request alone.
+//! Random choices that depend only on a request.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// A stream of choices; the same seed gives the same stream on every machine and in every release.
+/// A random stream; the same seed gives the same stream on every machine and in every release.
 pub(super) struct Dice(ChaCha8Rng);
 
 impl Dice {
@@ -11,18 +11,18 @@ impl Dice {
         Self(ChaCha8Rng::from_seed(seed))
     }
 
-    /// A number of `0..n`; 0 if `n` is 0.
+    /// A number in `0..n`; 0 if `n` is 0.
     pub(super) fn below(&mut self, n: usize) -> usize {
-        // The bias of 2⁻⁶⁴·n is far below what anybody can see, and the rule is simple enough to stay for ever.
+        // The bias of 2⁻⁶⁴·n is negligible, and the simple rule can stay unchanged in all releases.
         ((u128::from(self.0.next_u64()) * n as u128) >> 64) as usize
     }
 
-    /// A number of `low..=high`; `low` if `high` is less.
+    /// A number in `low..=high`; `low` if `high` is less.
     pub(super) fn between(&mut self, low: i32, high: i32) -> i32 {
         low + self.below(usize::try_from(high - low + 1).unwrap_or(0)) as i32
     }
 
-    /// True in `percent` of 100 cases.
+    /// True with a probability of `percent` %.
     pub(super) fn chance(&mut self, percent: usize) -> bool {
         self.below(100) < percent
     }
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_stream_is_pinned() {
+    fn random_stream_is_pinned() {
         let mut dice = Dice::new([7; 32]);
         let numbers: Vec<usize> = (0..8).map(|_| dice.below(1000)).collect();
         assert_eq!(numbers, [223, 831, 290, 353, 704, 110, 649, 587]);

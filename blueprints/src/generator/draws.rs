@@ -1,13 +1,13 @@
-//! Which structures of the generator are goals of a training: known to whoever draws them and to whoever is sent them.
+//! The generated structures that may be training goals; actors and the learner share this rule.
 
 use std::collections::BTreeSet;
 
 use super::{Request, Style};
 
-/// Largest seed of a structure that is drawn as a goal; the generator itself takes any.
+/// Largest seed of a structure drawn as a goal; the generator itself accepts any seed.
 pub const MAX_DRAWN_SEED: u32 = u32::MAX;
 
-/// Styles and sizes of the structures that are drawn as goals.
+/// Styles and sizes of the structures drawn as goals.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Draws {
     styles: BTreeSet<Style>,
@@ -15,13 +15,13 @@ pub struct Draws {
 }
 
 impl Draws {
-    /// Structures of these styles and numbers of blocks, as far as a style has the size.
+    /// Structures of these styles and numbers of blocks, limited to the sizes that each style supports.
     pub fn new(styles: impl IntoIterator<Item = Style>, sizes: impl IntoIterator<Item = usize>) -> Self {
         Self { styles: styles.into_iter().collect(), sizes: sizes.into_iter().collect() }
     }
 
-    /// Whether such a structure can be drawn. This looks at the request alone and makes nothing; whether the structure is one
-    /// of the held-out ones shows only when it is made.
+    /// Whether such a structure can be drawn. This only checks the request and generates nothing. Whether the structure
+    /// equals a held-out one is known only after generation.
     pub fn admit(&self, request: &Request) -> bool {
         self.styles.contains(&request.style)
             && self.sizes.contains(&request.n_blocks)
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn style_size_and_seed_must_be_among_those_drawn() {
+    fn requests_outside_the_draws_are_refused() {
         let draws = Draws::new([Style::Tower, Style::Arch], [3, 4, 6]);
         let request = Request { style: Style::Tower, seed: u64::from(MAX_DRAWN_SEED), n_blocks: 4, index: 999 };
         assert!(draws.admit(&request));

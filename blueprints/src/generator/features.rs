@@ -1,8 +1,8 @@
-//! How different two structures are, and which of many differ most.
+//! Distances between structures, and a selection of the most different ones.
 
 use crate::{Blueprint, Inventory};
 
-/// What a structure is made of and how it looks, each entry of about the same scale.
+/// Features of a structure's composition and appearance, each of about the same scale.
 fn features(blueprint: &Blueprint) -> Vec<f64> {
     let inventory = Inventory::standard();
     let n_blocks = blueprint.n_blocks() as f64;
@@ -30,9 +30,9 @@ fn features(blueprint: &Blueprint) -> Vec<f64> {
     features
 }
 
-/// `count` of the structures, chosen one by one as the one whose nearest chosen neighbor is farthest; in their order.
+/// Selects `count` structures, each the farthest from its nearest selected neighbor; the result is in pool order.
 ///
-/// Of equally far ones the first is taken, and the first of all begins.
+/// Selection begins with the first structure; ties go to the first.
 pub(super) fn most_different(pool: Vec<Blueprint>, count: usize) -> Vec<Blueprint> {
     let features: Vec<Vec<f64>> = pool.iter().map(features).collect();
     let distance = |i: usize, j: usize| features[i].iter().zip(&features[j]).map(|(a, b)| (a - b).abs()).sum::<f64>();

@@ -1,27 +1,27 @@
-//! Free growth: block by block onto magnets, with a taste of its own for every structure.
+//! Unconstrained growth: blocks are attached to magnets one at a time, with random preferences for each structure.
 
 use super::brick::{Brick, Stock};
 use super::dice::Dice;
 use super::tiling::shapes;
 
-/// Places that are compared for every block.
-const N_OFFERS: usize = 20;
+/// Number of candidate places for each block.
+const N_CANDIDATE_PLACES: usize = 20;
 
-/// What a structure likes.
-struct Taste {
-    /// Weight of touching much.
+/// Random preferences of one structure.
+struct Preferences {
+    /// Weight of contact area.
     close: i32,
-    /// Weight of getting higher.
+    /// Weight of height.
     upward: i32,
-    /// Weight of big blocks.
+    /// Weight of block size.
     big: i32,
-    /// Mirrored across x: blocks come in pairs or sit in the middle.
+    /// Whether the structure is symmetric across x: blocks come in pairs or lie in the middle.
     mirrored: bool,
 }
 
-/// Grows `n_blocks` blocks from the ground; `None` if they found no place.
+/// Grows `n_blocks` blocks from the ground; `None` if a block does not fit anywhere.
 pub(super) fn grow(n_blocks: usize, dice: &mut Dice) -> Option<Vec<Brick>> {
-    let taste = Taste {
+    let preferences = Preferences {
         close: dice.between(1, 5),
         upward: dice.between(-1, 3),
         big: dice.between(0, 2),
@@ -35,15 +35,15 @@ pub(super) fn grow(n_blocks: usize, dice: &mut Dice) -> Option<Vec<Brick>> {
     let mut bricks = vec![first];
     while bricks.len() < n_blocks {
         let mut best: Option<(i32, Vec<Brick>)> = None;
-        for _ in 0..N_OFFERS {
-            let Some(brick) = offer(&bricks, dice) else { continue };
+        for _ in 0..N_CANDIDATE_PLACES {
+            let Some(brick) = candidate(&bricks, dice) else { continue };
             let image = brick.mirrored(0, plane);
-            let group = if !taste.mirrored || image == brick { vec![brick] } else { vec![brick, image] };
+            let group = if !preferences.mirrored || image == brick { vec![brick] } else { vec![brick, image] };
             let apart = group.len() == 1 || !brick.overlaps(&image);
             if !apart || bricks.len() + group.len() > n_blocks || stock.left(brick.type_idx) < group.len() {
                 continue;
             }
-            let score = score(&brick, &bricks, &taste) + dice.between(0, 3);
+            let score = score(&brick, &bricks, &preferences) + dice.between(0, 3);
             if best.as_ref().is_none_or(|(most, _)| score > *most) {
                 best = Some((score, group));
             }
@@ -55,14 +55,14 @@ pub(super) fn grow(n_blocks: usize, dice: &mut Dice) -> Option<Vec<Brick>> {
     Some(bricks)
 }
 
-/// A block somewhere on a face of another, above the ground and in nobody's way.
-fn offer(bricks: &[Brick], dice: &mut Dice) -> Option<Brick> {
+/// A random block on a face of another one, above the ground and without overlap.
+fn candidate(bricks: &[Brick], dice: &mut Dice) -> Option<Brick> {
     let &(type_idx, size) = &shapes()[dice.below(shapes().len())];
     let anchor = bricks[dice.below(bricks.len())];
     let axis = dice.below(3);
     let low = std::array::from_fn(|k| {
         if k != axis {
-            // Edges in line look deliberate.
+            // Aligned edges look deliberate.
             match dice.below(4) {
                 0 => anchor.low[k],
                 1 => anchor.high(k) - size[k],
@@ -78,12 +78,14 @@ fn offer(bricks: &[Brick], dice: &mut Dice) -> Option<Brick> {
     (low[2] >= 0 && bricks.iter().all(|other| !brick.overlaps(other))).then_some(brick)
 }
 
-fn score(brick: &Brick, bricks: &[Brick], taste: &Taste) -> i32 {
+fn score(brick: &Brick, bricks: &[Brick], preferences: &Preferences) -> i32 {
     let touching: Vec<usize> =
         bricks.iter().filter_map(|other| brick.contact(other)).map(|(_, places)| places.len()).collect();
     let n_neighbors = touching.len() as i32;
     let n_pairs = touching.iter().sum::<usize>() as i32;
     let top = bricks.iter().map(|other| other.high(2)).max().unwrap_or(0);
     let rise = (brick.high(2) - top).max(0);
-    taste.close * (2 * n_neighbors + n_pairs) / 2 + 2 * taste.upward * rise + taste.big * brick.volume()
+    preferences.close * (2 * n_neighbors + n_pairs) / 2
+        + 2 * preferences.upward * rise
+        + preferences.big * brick.volume()
 }

@@ -1,18 +1,18 @@
-//! Turning blocks so that all magnets that meet attract.
+//! Rotates blocks so that all magnets that meet attract.
 //!
-//! For a block turned by `R` let `s_k` be the sign of the magnets on the face that points along +k in the drawing; those
-//! on the opposite face have the sign −s_k. Two blocks that touch along axis k attract exactly if their `s_k` are
-//! equal. So every piece of the structure that hangs together by contacts along k shares one sign, and any choice of
-//! these signs works, but for one thing: the product of a block's three signs is the determinant of the axes'
-//! permutation. A block with two equal sides can be turned to swap them and reaches all eight combinations; one with
-//! three different sides (3x2x1) cannot, which leaves one equation for each such block.
+//! For a block rotated by `R`, let `s_k` be the sign of the magnets on the face that points along +k in the drawing;
+//! the magnets on the opposite face have the sign −s_k. Two blocks that touch along axis k attract exactly if their
+//! `s_k` are equal. So each component connected by contacts along k shares one sign, and these signs are free, with one
+//! exception: the product of a block's three signs is the determinant of the axis permutation. A block with two equal
+//! sides can swap them and reaches all eight combinations. A block with three different sides (3x2x1) cannot, which
+//! leaves one equation for each such block.
 
 use super::brick::{Brick, Cell};
 use super::dice::Dice;
 use crate::strength::Joint;
 use crate::{CubeRotation, Inventory};
 
-/// A rotation for every brick, or `None` where the equations contradict each other.
+/// A rotation for every brick, or `None` if the equations contradict each other.
 pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dice) -> Option<Vec<CubeRotation>> {
     let pieces: [Vec<usize>; 3] = std::array::from_fn(|axis| {
         let along = joints.iter().filter(|(k, _)| *k == axis).map(|(_, joint)| (joint.a, joint.b));
@@ -20,7 +20,7 @@ pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dic
     });
     let mut signs: [Vec<i32>; 3] =
         std::array::from_fn(|_| (0..bricks.len()).map(|_| if dice.chance(50) { 1 } else { -1 }).collect());
-    // What the blocks with three different sides have already settled.
+    // Equations already fixed by blocks with three different sides.
     let mut settled: Vec<[usize; 3]> = Vec::new();
     for (i, brick) in bricks.iter().enumerate() {
         let Some(parity) = parity(brick) else { continue };
@@ -36,7 +36,7 @@ pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dic
     bricks.iter().enumerate().map(|(i, brick)| rotation(brick, sign(i), dice)).collect()
 }
 
-/// For each of `n` nodes the lowest node of its connected piece.
+/// The lowest node of its connected component, for each of `n` nodes.
 fn pieces(n: usize, edges: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
     let mut piece: Vec<usize> = (0..n).collect();
     for (a, b) in edges {
@@ -50,7 +50,7 @@ fn own_size(brick: &Brick) -> Cell {
     Inventory::standard().types()[brick.type_idx].cells.map(i32::from)
 }
 
-/// The product of the three signs where it is fixed: the determinant of the permutation of three different sides.
+/// The product of the three signs if it is fixed: the determinant of the permutation of three different sides.
 fn parity(brick: &Brick) -> Option<i32> {
     let own = own_size(brick);
     if own[0] == own[1] || own[1] == own[2] || own[0] == own[2] {
@@ -61,7 +61,7 @@ fn parity(brick: &Brick) -> Option<i32> {
     Some(if is_cyclic { 1 } else { -1 })
 }
 
-/// A rotation that gives the brick's size and signs, any of them where several do.
+/// A random rotation among those that give the brick's size and signs.
 fn rotation(brick: &Brick, signs: [i32; 3], dice: &mut Dice) -> Option<CubeRotation> {
     let own = own_size(brick);
     let fits = |rotation: &CubeRotation| {
@@ -77,7 +77,7 @@ mod tests {
     use crate::Inventory;
 
     #[test]
-    fn only_blocks_with_three_different_sides_are_bound() {
+    fn only_blocks_with_three_different_sides_have_fixed_parity() {
         let mut dice = Dice::new([0; 32]);
         for (type_idx, block_type) in Inventory::standard().types().iter().enumerate() {
             for turn in CubeRotation::all() {
@@ -94,11 +94,11 @@ mod tests {
     }
 
     #[test]
-    fn two_slabs_that_share_all_signs_must_be_permuted_alike() {
+    fn slabs_that_share_all_signs_need_the_same_permutation() {
         let slab = |low, size| Brick { type_idx: 5, low, size };
         let cube = |low| Brick { type_idx: 0, low, size: [1, 1, 1] };
         let check = |second: Brick, possible: bool| {
-            // The two touch along z, and cubes beside them tie their signs along x and y.
+            // The two touch along z, and adjacent cubes couple their signs along x and y.
             let bricks = [
                 slab([0, 0, 0], [3, 2, 1]),
                 second,

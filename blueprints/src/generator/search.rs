@@ -1,4 +1,4 @@
-//! From a style to a structure that passes every check: draw, fill, turn, judge, and again.
+//! The generator's search: draw, fill, rotate, check, and repeat.
 
 use super::brick::{Brick, joints, placements};
 use super::dice::Dice;
@@ -10,37 +10,37 @@ use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
 use crate::strength::overloaded;
 use crate::{Inventory, N_BLOCKS, Placement};
 
-/// Draws before the search gives up.
+/// Maximum number of draws.
 const MAX_DRAWS: usize = 20_000;
-/// Sound structures among which the most appealing is taken.
+/// Number of valid structures among which the most appealing is chosen.
 const N_CANDIDATES: usize = 3;
-/// The same for styles that ask for a record.
+/// The same for record styles (longest and tallest).
 const N_RECORD_CANDIDATES: usize = 8;
-/// Draws after which an idea for a record is given up for the next.
+/// Draws after which the search moves to the next variant of a record.
 const DRAWS_PER_IDEA: usize = 500;
-/// Draws after which one sound structure is enough.
+/// Draws after which one valid structure is enough.
 const PATIENCE: usize = 3_000;
-/// Ways to fill one sketch that are tried.
+/// Number of attempts to fill one sketch.
 const N_FILLS: usize = 4;
 
 /// A structure that passes the checks.
 #[derive(Clone, Debug)]
 pub(super) struct Found {
     pub(super) placements: Vec<Placement>,
-    /// What it shows.
+    /// Description of the shape.
     pub(super) words: String,
-    /// How much there is to look at; larger is better.
+    /// Visual interest; larger is better.
     appeal: i32,
 }
 
-/// What a search has cost.
+/// The cost of a search.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Effort {
     /// Shapes drawn or grown.
     pub(super) n_draws: usize,
-    /// Structures of blocks that were judged.
-    pub(super) n_judged: usize,
-    /// Those that passed.
+    /// Structures checked.
+    pub(super) n_checked: usize,
+    /// Structures that passed.
     pub(super) n_sound: usize,
 }
 
@@ -54,7 +54,7 @@ impl Found {
     }
 }
 
-/// The most appealing of the first few sound structures; `None` if there was none.
+/// The most appealing of the first few valid structures; `None` if there was none.
 pub(super) fn search(style: Style, n_blocks: usize, dice: &mut Dice) -> (Option<Found>, Effort) {
     let mut best: Option<Found> = None;
     let mut effort = Effort::default();
@@ -63,7 +63,7 @@ pub(super) fn search(style: Style, n_blocks: usize, dice: &mut Dice) -> (Option<
         Style::Tallest => Some(2),
         _ => None,
     };
-    // One idea for all candidates, else the one that goes farthest would be all that is ever seen.
+    // Use one idea for all candidates, otherwise the most extreme idea would always win.
     let mut idea = dice.below(N_BLOCKS);
     let n_candidates = if record.is_some() { N_RECORD_CANDIDATES } else { N_CANDIDATES };
     while effort.n_draws < MAX_DRAWS && effort.n_sound < n_candidates {
@@ -76,14 +76,14 @@ pub(super) fn search(style: Style, n_blocks: usize, dice: &mut Dice) -> (Option<
         }
         let found = match style {
             Style::Any => growth::grow(n_blocks, dice).and_then(|bricks| {
-                effort.n_judged += 1;
-                judge(&bricks, "structure", dice)
+                effort.n_checked += 1;
+                check_bricks(&bricks, "structure", dice)
             }),
             _ => drawn(style, n_blocks, idea, &mut effort, dice),
         };
         if let Some(mut found) = found {
             if let Some(axis) = record {
-                // The record first, whatever else there is to see.
+                // The record outweighs visual interest.
                 found.appeal += 100 * found.extent(axis);
             }
             effort.n_sound += 1;
@@ -99,19 +99,19 @@ fn drawn(style: Style, n_blocks: usize, idea: usize, effort: &mut Effort, dice: 
     let sketch = sketch(style, n_blocks, idea, dice)?;
     let planes: Vec<_> = [0, 1].into_iter().filter_map(|axis| mirror(&sketch.cells, axis)).collect();
     (0..N_FILLS).find_map(|attempt| {
-        // A symmetric shape first asks for a symmetric bond.
+        // For a symmetric shape, try symmetric fills first.
         let plane = if attempt + 1 < N_FILLS && !planes.is_empty() { Some(dice.pick(&planes)) } else { None };
         let bricks = fill(&sketch.cells, n_blocks, plane, dice)?;
-        effort.n_judged += 1;
-        judge(&bricks, &sketch.words, dice)
+        effort.n_checked += 1;
+        check_bricks(&bricks, &sketch.words, dice)
     })
 }
 
-/// The bricks with their magnets turned, if they pass the checks.
-fn judge(bricks: &[Brick], words: &str, dice: &mut Dice) -> Option<Found> {
+/// Rotates the bricks' magnets and returns the structure if it passes the checks.
+fn check_bricks(bricks: &[Brick], words: &str, dice: &mut Dice) -> Option<Found> {
     let inventory = Inventory::standard();
     let joints = joints(bricks);
-    // Cheap checks first; the order changes no verdict.
+    // Cheap checks come first; the order does not change the result.
     let cells: Vec<_> = bricks.iter().map(Brick::cells).collect();
     let lowest = bricks.iter().map(|brick| brick.low[2]).min()?;
     let rotations = poles::turned(bricks, &joints, dice)?;
@@ -135,7 +135,7 @@ fn judge(bricks: &[Brick], words: &str, dice: &mut Dice) -> Option<Found> {
     Some(Found { placements, words: words.to_owned(), appeal })
 }
 
-/// Whether the structure can be put together part by part.
+/// Whether the structure has an assembly order.
 fn assemblable(placements: &[Placement]) -> bool {
     Assembly::is_possible(placements)
 }

@@ -1,4 +1,4 @@
-//! Shapes drawn by rule, to be filled with blocks: what makes a structure of a style look designed.
+//! Shapes drawn by rule, to be filled with blocks.
 
 mod buildings;
 mod furniture;
@@ -11,7 +11,7 @@ use super::Style;
 use super::brick::{Brick, Cell, Stock};
 use super::dice::Dice;
 
-/// A shape and what it shows.
+/// A shape and its description.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Sketch {
     pub(super) cells: BTreeSet<Cell>,
@@ -23,7 +23,7 @@ impl Sketch {
         Self { cells: BTreeSet::new(), words: words.to_owned() }
     }
 
-    /// Adds a cuboid; nothing if a side is not positive.
+    /// Adds a cuboid; does nothing if a side is not positive.
     fn add(&mut self, low: Cell, size: [i32; 3]) {
         self.cells.extend(Brick { type_idx: 0, low, size }.cells());
     }
@@ -33,20 +33,20 @@ impl Sketch {
         along().max().unwrap_or(0) - along().min().unwrap_or(0) + 1
     }
 
-    /// The sketch if it has exactly that volume: a rule that misses its volume has drawn nothing.
+    /// The sketch if it has exactly that volume, otherwise `None`.
     fn of_volume(self, volume: i32) -> Option<Self> {
         (self.cells.len() as i32 == volume).then_some(self)
     }
 }
 
-/// Draws a shape of the style for `n_blocks` blocks; `None` if this draw came to nothing.
+/// Draws a shape of the style for `n_blocks` blocks; `None` if this draw failed.
 ///
-/// `idea` is any number; styles that ask for a record have several ideas and draw by the one it stands for.
+/// `idea` is any number; it selects one of the variants of a record style.
 pub(super) fn sketch(style: Style, n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<Sketch> {
     let (least, most) = Stock::full().volume_range(n_blocks);
     let volume = dice.between(least, most);
     match style {
-        // Grown, not drawn.
+        // Grown block by block instead.
         Style::Any => None,
         Style::Tower => buildings::tower(volume, dice),
         Style::Wall => buildings::wall(volume, dice),

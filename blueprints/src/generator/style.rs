@@ -1,4 +1,4 @@
-//! What a generated structure is to look like.
+//! Styles of generated structures.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -8,15 +8,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::N_BLOCKS;
 
-/// What a generated structure is to look like.
+/// The style of a generated structure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Style {
     /// Grown block by block, often mirrored.
     Any,
-    /// Higher than broad, in tiers.
+    /// A tapering tower, higher than wide.
     Tower,
-    /// Longer than high and thin, with battlements or a gate.
+    /// A thin wall, longer than high, with battlements or a gate.
     Wall,
     /// Piers under a lintel.
     Arch,
@@ -40,7 +40,7 @@ pub enum Style {
     Tallest,
 }
 
-/// The error of an unknown style name.
+/// An unknown style name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a style; the styles are {list}", list = Style::ALL.map(Style::as_str).join(", "))]
 pub struct InvalidStyle(pub String);
@@ -82,7 +82,7 @@ impl Style {
         }
     }
 
-    /// The numbers of blocks with which the style can be told from others.
+    /// The numbers of blocks for which the style is recognizable.
     pub fn sizes(self) -> RangeInclusive<usize> {
         let least = match self {
             Self::Any | Self::Tower | Self::Wall | Self::Stairs | Self::Pyramid | Self::Table => 2,

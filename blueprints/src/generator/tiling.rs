@@ -1,4 +1,4 @@
-//! Filling a drawn shape with blocks: a random exact cover with a given number of pieces from the stock.
+//! Fills a shape with blocks: a random exact cover with a given number of pieces from the stock.
 
 use std::collections::BTreeSet;
 
@@ -6,9 +6,9 @@ use super::brick::{Brick, Cell, Stock};
 use super::dice::Dice;
 use crate::Inventory;
 
-/// Pieces that a search places before it gives up; more searches find more than longer ones.
+/// Maximum number of pieces that a search places; more searches find more than longer ones.
 const MAX_NODES: usize = 600;
-/// Places that are tried for a broad block before the search.
+/// Number of places tried for a broad block before the search.
 const TRIES_PER_PLATE: usize = 24;
 
 /// A plane that maps a shape onto itself: an axis, and the sum of a cell's and its image's coordinate along it.
@@ -25,17 +25,17 @@ pub(super) fn mirror(cells: &BTreeSet<Cell>, axis: usize) -> Option<Mirror> {
     cells.iter().all(|&cell| cells.contains(&image(cell))).then_some((axis, plane))
 }
 
-/// `n_blocks` blocks that fill `cells` exactly, each half the image of the other if there is a mirror.
+/// `n_blocks` blocks that fill `cells` exactly, in mirrored pairs if there is a mirror.
 ///
-/// `None` says that this search found none, not that there is none.
+/// `None` means that this search found none, not that there is none.
 pub(super) fn fill(
     cells: &BTreeSet<Cell>,
     n_blocks: usize,
     mirror: Option<Mirror>,
     dice: &mut Dice,
 ) -> Option<Vec<Brick>> {
-    // The piece at the first free cell has its lowest corner there in whatever order of the axes; each order gives
-    // another bond.
+    // The piece at the first free cell has its lowest corner there for any order of the axes; each order gives another
+    // bond.
     let mut axes = [0, 1, 2];
     dice.shuffle(&mut axes);
     let mut order: Vec<Cell> = cells.iter().copied().collect();
@@ -58,7 +58,7 @@ pub(super) fn fill(
     search.run(0, dice).then_some(search.bricks)
 }
 
-/// Which cells of a cuboid are free.
+/// The free cells of a cuboid.
 struct Grid {
     low: Cell,
     size: [i32; 3],
@@ -110,7 +110,7 @@ struct Search {
 }
 
 impl Search {
-    /// Puts blocks that are broad both ways where they fit, before others take their places: a thin shape has few.
+    /// Places blocks that are broad along two axes before others take their places: a thin shape has few.
     fn place_plates(&mut self, dice: &mut Dice) {
         for type_idx in (0..Inventory::standard().types().len()).rev() {
             let ways: Vec<[i32; 3]> = shapes().iter().filter(|(t, _)| *t == type_idx).map(|(_, size)| *size).collect();
@@ -156,7 +156,7 @@ impl Search {
         false
     }
 
-    /// What can be placed at a cell, in random order with pieces of about the mean volume first.
+    /// The groups that can be placed at a cell, in random order with pieces of about the mean volume first.
     fn groups(&self, first: usize, mean: f64, dice: &mut Dice) -> Vec<Vec<Brick>> {
         let mut groups: Vec<(f64, Vec<Brick>)> = Vec::new();
         for &(type_idx, size) in shapes() {
@@ -174,7 +174,7 @@ impl Search {
         groups.into_iter().map(|(_, group)| group).collect()
     }
 
-    /// A brick and its image; `None` if they are neither one nor apart.
+    /// A brick and its image, or the brick alone if it is its own image; `None` if they partly overlap.
     fn group(&self, brick: Brick) -> Option<Vec<Brick>> {
         let Some((axis, plane)) = self.mirror else { return Some(vec![brick]) };
         let image = brick.mirrored(axis, plane);
@@ -197,7 +197,7 @@ impl Search {
     }
 }
 
-/// Every type with every way to lie along the axes.
+/// Every type in every axis-aligned orientation.
 pub(super) fn shapes() -> &'static [(usize, [i32; 3])] {
     static SHAPES: std::sync::LazyLock<Vec<(usize, [i32; 3])>> = std::sync::LazyLock::new(|| {
         let mut shapes = BTreeSet::new();
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fill_covers_every_cell_once_with_the_wanted_number() {
+    fn fill_covers_every_cell_once_with_the_requested_number_of_blocks() {
         let cells = cuboid([6, 1, 4]);
         let plane = mirror(&cells, 0);
         assert_eq!(plane, Some((0, 5)));

@@ -1,4 +1,4 @@
-//! Which process a name belongs to: of two live ones that call themselves alike, the one whose trajectory was taken first.
+//! Ownership of actor names: of two live processes with one name, the one whose trajectory was taken first.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,10 +11,10 @@ use crate::{Bus, BusError};
 use proto::ActorId;
 use proto::keys::{self, Role};
 
-/// Names that are followed; more than a router has sessions. Those beyond are nobody's, so whoever has one is taken.
+/// Maximum number of names followed; more than a router has sessions. Further names are always accepted.
 const MAX_NAMES: usize = 16_384;
 
-/// Who has which name, for as long as the name's liveliness token stands.
+/// The owners of names, for as long as the name's liveliness token exists.
 #[derive(Debug)]
 pub(super) struct Names {
     register: Arc<Mutex<Register>>,
@@ -24,12 +24,12 @@ pub(super) struct Names {
 #[derive(Debug, Default)]
 struct Register {
     alive: BTreeSet<String>,
-    /// Start time of the process that has the name; only names that are alive.
+    /// Start time of the process that owns each live name.
     owners: BTreeMap<String, u64>,
 }
 
 impl Names {
-    /// Follows the actors' tokens from now on, those included that are there.
+    /// Follows the actors' tokens, including the existing ones.
     pub(super) async fn follow(bus: &Bus) -> Result<Self, BusError> {
         let register: Arc<Mutex<Register>> = Arc::default();
         let (prefix, shared) = (keys::live(Role::Actor, ""), register.clone());
@@ -37,11 +37,11 @@ impl Names {
         let subscriber = tokens
             .callback(move |sample| {
                 let name = sample.key_expr().as_str().strip_prefix(&prefix).filter(|name| keys::is_valid_run(name));
-                // Who follows the living counts what is no name.
+                // The watch on live processes counts invalid names.
                 let Some(name) = name else { return };
                 match sample.kind() {
-                    SampleKind::Put => lock(&shared).appear(name),
-                    SampleKind::Delete => lock(&shared).vanish(name),
+                    SampleKind::Put => lock(&shared).add(name),
+                    SampleKind::Delete => lock(&shared).remove(name),
                 }
             })
             .await
@@ -49,25 +49,25 @@ impl Names {
         Ok(Self { register, _subscriber: subscriber })
     }
 
-    /// Whether another live process has the name.
+    /// Whether another live process owns the name.
     pub(super) fn is_taken(&self, actor: &ActorId, epoch: u64) -> bool {
         lock(&self.register).is_taken(actor, epoch)
     }
 
-    /// The process has the name from now on, if nobody has it.
+    /// Assigns the name to the process if it has no owner.
     pub(super) fn claim(&self, actor: &ActorId, epoch: u64) {
         lock(&self.register).claim(actor, epoch);
     }
 }
 
 impl Register {
-    fn appear(&mut self, name: &str) {
+    fn add(&mut self, name: &str) {
         if self.alive.len() < MAX_NAMES {
             self.alive.insert(name.to_owned());
         }
     }
 
-    fn vanish(&mut self, name: &str) {
+    fn remove(&mut self, name: &str) {
         self.alive.remove(name);
         self.owners.remove(name);
     }
@@ -84,7 +84,7 @@ impl Register {
 }
 
 fn lock(register: &Mutex<Register>) -> MutexGuard<'_, Register> {
-    // Every statement leaves it consistent, so a panic elsewhere does not spoil it.
+    // Every statement leaves it consistent, so a panic elsewhere does no harm.
     register.lock()
 }
 
@@ -97,22 +97,22 @@ mod tests {
     }
 
     #[test]
-    fn a_name_is_the_first_one_s_until_its_token_vanishes() {
+    fn name_belongs_to_the_first_process_until_its_token_is_removed() {
         let mut register = Register::default();
-        register.appear("a");
+        register.add("a");
         register.claim(&actor("a"), 1);
         register.claim(&actor("a"), 2);
         assert_eq!([1, 2].map(|epoch| register.is_taken(&actor("a"), epoch)), [false, true]);
         assert!(!register.is_taken(&actor("b"), 2));
-        register.vanish("a");
-        register.appear("a");
+        register.remove("a");
+        register.add("a");
         assert!(!register.is_taken(&actor("a"), 2));
         register.claim(&actor("a"), 2);
         assert!(register.is_taken(&actor("a"), 1));
     }
 
     #[test]
-    fn a_name_without_a_token_is_nobody_s() {
+    fn name_without_a_token_has_no_owner() {
         let mut register = Register::default();
         register.claim(&actor("a"), 1);
         assert!(!register.is_taken(&actor("a"), 2));
@@ -120,10 +120,10 @@ mod tests {
     }
 
     #[test]
-    fn there_is_room_for_a_bounded_number_of_names() {
+    fn number_of_names_is_bounded() {
         let mut register = Register::default();
         for i in 0..=MAX_NAMES {
-            register.appear(&format!("a-{i}"));
+            register.add(&format!("a-{i}"));
             register.claim(&actor(&format!("a-{i}")), 1);
         }
         assert_eq!((register.alive.len(), register.owners.len()), (MAX_NAMES, MAX_NAMES));

@@ -1,4 +1,4 @@
-//! Tells a retry from a first attempt.
+//! Distinguishes retries from first attempts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,28 +7,28 @@ use proto::ActorId;
 /// One process of an actor: its name and start time.
 pub(super) type Sender = (ActorId, u64);
 
-/// Numbers remembered of each sender. An actor has a few messages under way, so a retry is never this far behind.
+/// Sequence numbers remembered per sender. An actor has few messages in flight, so a retry is never this far behind.
 const WINDOW: u64 = 1024;
 
-/// Senders remembered; far more than a router's sessions, so that only long-gone processes are forgotten.
+/// Senders remembered; far more than a router's sessions, so that only processes that ended long ago are forgotten.
 const MAX_SENDERS: usize = 16_384;
 
-/// What is known of a number.
+/// The state of a sequence number.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Seen {
     /// It was not taken before.
     New,
     /// It was taken.
     Taken,
-    /// It is so far behind the sender's newest that it is forgotten.
-    TooOldToTell,
+    /// It is too far behind the sender's newest number to be remembered.
+    Forgotten,
 }
 
-/// The numbers taken lately from each sender, in bounded memory.
+/// The sequence numbers recently taken from each sender, in bounded memory.
 #[derive(Debug, Default)]
 pub(super) struct Repeats {
     senders: BTreeMap<Sender, Taken>,
-    /// Counts `remember`; orders the senders by their latest use.
+    /// Counts calls of `remember`; orders the senders by their latest use.
     clock: u64,
 }
 
@@ -45,7 +45,7 @@ impl Repeats {
             return Seen::Taken;
         }
         let newest = taken.numbers.last().copied().unwrap_or_default();
-        if newest.saturating_sub(seq) >= WINDOW { Seen::TooOldToTell } else { Seen::New }
+        if newest.saturating_sub(seq) >= WINDOW { Seen::Forgotten } else { Seen::New }
     }
 
     pub(super) fn remember(&mut self, sender: Sender, seq: u64) {
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_is_taken_once_for_each_process_of_each_actor() {
+    fn sequence_number_is_taken_once_per_actor_process() {
         let mut repeats = Repeats::default();
         repeats.remember(sender("a", 1), 7);
         assert_eq!(repeats.look_up(&sender("a", 1), 7), Seen::Taken);
@@ -84,20 +84,20 @@ mod tests {
     }
 
     #[test]
-    fn numbers_out_of_order_are_taken_within_the_window() {
+    fn numbers_out_of_order_are_accepted_within_the_window() {
         let mut repeats = Repeats::default();
         repeats.remember(sender("a", 1), 2000);
         // The window holds 2000 − 1023 = 977 and everything after it.
         assert_eq!(repeats.look_up(&sender("a", 1), 977), Seen::New);
-        assert_eq!(repeats.look_up(&sender("a", 1), 976), Seen::TooOldToTell);
+        assert_eq!(repeats.look_up(&sender("a", 1), 976), Seen::Forgotten);
         repeats.remember(sender("a", 1), 977);
         assert_eq!(repeats.look_up(&sender("a", 1), 977), Seen::Taken);
         repeats.remember(sender("a", 1), 2001);
-        assert_eq!(repeats.look_up(&sender("a", 1), 977), Seen::TooOldToTell);
+        assert_eq!(repeats.look_up(&sender("a", 1), 977), Seen::Forgotten);
     }
 
     #[test]
-    fn the_sender_unused_for_longest_is_forgotten() {
+    fn least_recently_used_sender_is_forgotten() {
         let mut repeats = Repeats::default();
         for epoch in 0..=MAX_SENDERS as u64 {
             repeats.remember(sender("a", epoch), 0);
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_number_is_no_trap() {
+    fn largest_sequence_number_does_not_overflow() {
         let mut repeats = Repeats::default();
         repeats.remember(sender("a", 1), u64::MAX);
         assert_eq!(repeats.look_up(&sender("a", 1), u64::MAX), Seen::Taken);

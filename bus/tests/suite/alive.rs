@@ -1,4 +1,4 @@
-//! Who is there.
+//! Tests of liveliness tokens.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -12,14 +12,14 @@ fn names(names: &[&str]) -> BTreeSet<String> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn those_who_come_and_go_are_seen() {
+async fn alive_watch_follows_tokens() {
     let cluster = Cluster::start().await;
     let (first, second) = (cluster.client().await, cluster.client().await);
     let _first = first.declare_alive(Role::Actor, "a-1").await.unwrap();
     let token = second.declare_alive(Role::Actor, "a-2").await.unwrap();
     let _learner = second.declare_alive(Role::Learner, "main").await.unwrap();
 
-    // The watch begins after two of them came, and sees them.
+    // The watch begins after two of them are declared, and sees them.
     let watch = cluster.client().await.alive(Role::Actor).await.unwrap();
     let mut alive = watch.watch();
     until("both actors", &mut alive, |a| *a == names(&["a-1", "a-2"])).await;
@@ -32,7 +32,7 @@ async fn those_who_come_and_go_are_seen() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_process_sees_its_own_parts() {
+async fn alive_watch_includes_its_own_session() {
     let cluster = Cluster::start().await;
     let _token = cluster.router.declare_alive(Role::Evaluator, "e").await.unwrap();
     let watch = cluster.router.alive(Role::Evaluator).await.unwrap();
@@ -40,19 +40,19 @@ async fn a_process_sees_its_own_parts() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_second_one_of_a_name_waits_and_then_says_whose_it_is() {
+async fn second_process_of_a_name_waits_and_then_fails() {
     let cluster = Cluster::start().await;
     let (first, second) = (cluster.client().await, cluster.client().await);
     let watch = second.alive(Role::Actor).await.unwrap();
     let token = first.declare_alive_alone(Role::Actor, "a", Duration::ZERO).await.unwrap();
-    // What it declares takes a moment to the router.
+    // The declaration takes a moment to reach the router.
     until("the first", &mut watch.watch(), |alive| *alive == names(&["a"])).await;
     let error = second.declare_alive_alone(Role::Actor, "a", Duration::ZERO).await.unwrap_err().to_string();
     assert_eq!(error, r#"another live actor of this run is called "a"; choose another --id"#);
     // The same name in another role, and another name.
     let _learner = second.declare_alive_alone(Role::Learner, "a", Duration::ZERO).await.unwrap();
     let _other = second.declare_alive_alone(Role::Actor, "b", Duration::ZERO).await.unwrap();
-    // One that waits comes through when the first has gone.
+    // A waiting process succeeds when the first has gone.
     let waiting = tokio::spawn({
         let second = second.clone();
         async move { second.declare_alive_alone(Role::Actor, "a", Duration::from_secs(60)).await }
@@ -63,7 +63,7 @@ async fn a_second_one_of_a_name_waits_and_then_says_whose_it_is() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_name_must_fit_into_a_key() {
+async fn name_invalid_in_a_key_is_refused() {
     let cluster = Cluster::start().await;
     let error = cluster.router.declare_alive(Role::Actor, "a/b").await.unwrap_err().to_string();
     assert_eq!(error, r#"name "a/b" is not 1 to 64 characters of a-z, 0-9 and -"#);

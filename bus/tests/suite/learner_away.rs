@@ -1,4 +1,4 @@
-//! A learner or a router that goes away and comes back.
+//! A learner or a router that disappears and returns.
 
 use bus::{Bus, BusConfig, SendError};
 
@@ -7,7 +7,7 @@ use crate::samples;
 use crate::trajectories::sender;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_actor_waits_for_a_learner() {
+async fn actor_waits_for_a_learner() {
     let cluster = Cluster::start().await;
     let actor = cluster.client().await;
     let sender = actor.trajectory_sender(&"a".parse().unwrap()).await.unwrap();
@@ -33,7 +33,7 @@ async fn an_actor_waits_for_a_learner() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn everybody_comes_back_after_a_router_restart() {
+async fn sessions_reconnect_after_a_router_restart() {
     let cluster = Cluster::start().await;
     let (learner_bus, actor_bus) = (cluster.client().await, cluster.client().await);
     let learner = Learner::start(&learner_bus, |_| Ok(())).await;
@@ -52,7 +52,7 @@ async fn everybody_comes_back_after_a_router_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_may_start_before_its_router() {
+async fn client_starts_before_its_router() {
     let dir = tempfile::tempdir().unwrap();
     let config = BusConfig::isolated_client(dir.path());
     let client = tokio::spawn(async move { Bus::open(&config).await });
@@ -63,7 +63,7 @@ async fn a_client_may_start_before_its_router() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_that_lost_its_router_leaves_all_the_same() {
+async fn client_without_its_router_closes_in_time() {
     let cluster = Cluster::start().await;
     let (learner_bus, actor_bus) = (cluster.client().await, cluster.client().await);
     let _learner = Learner::start(&learner_bus, |_| Ok(())).await;

@@ -1,4 +1,4 @@
-//! Metrics are plain JSON for anybody, live and afterwards.
+//! Metrics are plain JSON for any client, live and on request.
 
 use bus::MetricsSample;
 use proto::keys;
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use crate::cluster::{Cluster, within};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_session_without_our_schema_reads_metrics() {
+async fn plain_zenoh_session_reads_metrics() {
     let cluster = Cluster::start().await;
     let evaluator = cluster.client().await;
     let publisher = evaluator.metrics_publisher(keys::METRICS_EVAL_SUMMARY).await.unwrap();
@@ -17,9 +17,9 @@ async fn a_session_without_our_schema_reads_metrics() {
     let group = EvalGroup { n_blueprints: 1, mode, ..EvalGroup::default() };
     publisher.put(&group).await.unwrap();
 
-    // Asked for: the latest, although nobody listened when it was put.
-    let stranger = cluster.stranger().await;
-    let replies = stranger.get("lodestone/default/metrics/**").await.unwrap();
+    // A query returns the latest value, although there was no subscriber when it was published.
+    let script = cluster.script().await;
+    let replies = script.get("lodestone/default/metrics/**").await.unwrap();
     let reply = within("the latest", replies.recv_async()).await.unwrap();
     let sample = reply.result().unwrap();
     assert_eq!(sample.encoding().to_string(), "application/json");
@@ -31,7 +31,7 @@ async fn a_session_without_our_schema_reads_metrics() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_reader_gets_the_latest_and_then_what_comes() {
+async fn metrics_subscriber_gets_the_latest_and_then_new_values() {
     let cluster = Cluster::start().await;
     let bus = cluster.client().await;
     let publisher = bus.metrics_publisher("actor/a").await.unwrap();
@@ -40,8 +40,8 @@ async fn a_reader_gets_the_latest_and_then_what_comes() {
 
     let mut reader = cluster.client().await.metrics_subscriber("actor/*").await.unwrap();
     let sample = |n: u64| MetricsSample { suffix: "actor/a".into(), value: json!({ "n": n }) };
-    // Values still on their way when the reader subscribes reach it too, so the query's answer may be neither the first
-    // nor the only one of its kind.
+    // Values in flight when the reader subscribes reach it too, so the answer to the query may be neither the first nor
+    // the only one of its kind.
     let in_flight = [sample(1), sample(2)];
     let mut latest = within("the latest", reader.recv()).await.unwrap();
     while latest != sample(2) {
@@ -57,12 +57,12 @@ async fn a_reader_gets_the_latest_and_then_what_comes() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_not_json_is_counted() {
+async fn metrics_that_are_not_json_are_counted() {
     let cluster = Cluster::start().await;
     let mut reader = cluster.router.metrics_subscriber("**").await.unwrap();
-    let stranger = cluster.stranger().await;
-    stranger.put("lodestone/default/metrics/learner", "not { json").await.unwrap();
-    stranger.put("lodestone/default/metrics/learner", "[1]").await.unwrap();
+    let script = cluster.script().await;
+    script.put("lodestone/default/metrics/learner", "not { json").await.unwrap();
+    script.put("lodestone/default/metrics/learner", "[1]").await.unwrap();
     let sample = within("the valid one", reader.recv()).await.unwrap();
     assert_eq!((sample.suffix.as_str(), sample.value), ("learner", json!([1])));
     assert_eq!(cluster.router.counts().metrics_invalid_total, 1);

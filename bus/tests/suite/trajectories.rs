@@ -15,7 +15,7 @@ pub(crate) async fn sender(bus: &Bus, actor: &str) -> TrajectorySender {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_trajectory_arrives_whole_and_is_acknowledged() {
+async fn trajectory_arrives_whole_and_is_acknowledged() {
     let cluster = Cluster::start().await;
     let learner = Learner::start(&cluster.client().await, |_| Ok(())).await;
     let sender = sender(&cluster.client().await, "a").await;
@@ -28,7 +28,7 @@ async fn a_trajectory_arrives_whole_and_is_acknowledged() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_process_needs_no_network() {
+async fn trajectories_work_within_one_process() {
     let bus = Bus::open(&BusConfig::default()).await.unwrap();
     let learner = Learner::start(&bus, |_| Ok(())).await;
     let sender = sender(&bus, "a").await;
@@ -38,7 +38,7 @@ async fn one_process_needs_no_network() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_refusal_says_why() {
+async fn refusal_has_its_reason() {
     let cluster = Cluster::start().await;
     let learner = Learner::start(&cluster.router, |t| match t.seq {
         0 => Err(Refusal::Stale),
@@ -61,7 +61,7 @@ async fn a_refusal_says_why() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_invalid_trajectory_is_refused_before_the_handler() {
+async fn invalid_trajectory_is_refused_before_the_handler() {
     let cluster = Cluster::start().await;
     let learner = Learner::start(&cluster.router, |_| Ok(())).await;
     let sender = sender(&cluster.client().await, "a").await;
@@ -83,10 +83,10 @@ async fn an_invalid_trajectory_is_refused_before_the_handler() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_retry_is_taken_once() {
+async fn retried_trajectory_is_taken_once() {
     let cluster = Cluster::start().await;
     let full = AtomicBool::new(true);
-    // The mailbox is full at the first attempt only.
+    // The mailbox is full only at the first attempt.
     let learner = Learner::start(&cluster.router, move |_| match full.swap(false, Ordering::Relaxed) {
         true => Err(Refusal::Full),
         false => Ok(()),
@@ -99,7 +99,7 @@ async fn a_retry_is_taken_once() {
         within("an ack", sender.send(&trajectory)).await.unwrap();
     }
     assert_eq!(learner.seqs(), [7]);
-    // The same number from the actor's next process is another trajectory.
+    // The same number from a restarted actor is a new trajectory.
     within("an ack", sender.send(&proto::Trajectory { epoch: trajectory.epoch + 1, ..trajectory })).await.unwrap();
     assert_eq!(learner.seqs(), [7, 7]);
     let counts = learner.server.counts();
@@ -107,7 +107,7 @@ async fn a_retry_is_taken_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_live_ones_of_a_name_the_first_is_taken() {
+async fn first_of_two_live_processes_of_a_name_is_accepted() {
     let cluster = Cluster::start().await;
     let bus = cluster.client().await;
     let watch = bus.alive(Role::Actor).await.unwrap();
@@ -121,7 +121,7 @@ async fn of_two_live_ones_of_a_name_the_first_is_taken() {
     let answer = within("a refusal", senders[1].send(&of(0, 2))).await;
     assert!(matches!(answer, Err(SendError::Refused(Refusal::NameTaken))), "{answer:?}");
     within("an ack", senders[0].send(&of(1, 1))).await.unwrap();
-    // A process that was started anew under the name, after the token has gone.
+    // A restarted process with the name, after the token has gone.
     drop(token);
     until("nobody", &mut watch.watch(), |alive| alive.is_empty()).await;
     let _token = second.declare_alive(Role::Actor, "a").await.unwrap();
@@ -134,11 +134,11 @@ async fn of_two_live_ones_of_a_name_the_first_is_taken() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn many_actors_at_once_lose_nothing() {
+async fn concurrent_actors_lose_nothing() {
     const N_ACTORS: u64 = 6;
     const N_EACH: u64 = 20;
     let cluster = Cluster::start().await;
-    // A third is refused, so that both kinds of answer are under way together.
+    // A third is refused, so that both kinds of answer are in flight together.
     let learner = Learner::start(&cluster.client().await, |t| match t.seq % 3 {
         0 => Err(Refusal::Full),
         _ => Ok(()),
@@ -169,12 +169,12 @@ async fn many_actors_at_once_lose_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_no_learner_would_accept_is_not_sent() {
+async fn oversized_trajectory_is_not_sent() {
     let cluster = Cluster::start().await;
     let learner = Learner::start(&cluster.router, |_| Ok(())).await;
     let sender = sender(&cluster.client().await, "a").await;
     let mut huge = samples::running("a", 0);
-    // About 1.1 kB a step.
+    // About 1.1 kB per step.
     huge.transitions = vec![huge.transitions[0].clone(); 9000];
     let answer = sender.send(&huge).await;
     assert!(matches!(answer, Err(SendError::TooLarge { limit: 8_388_608, .. })), "{answer:?}");

@@ -1,4 +1,4 @@
-//! Units of an evaluation and their answers across the bus, and nonsense in their place.
+//! Evaluation units and their answers across the bus, and invalid ones.
 
 use proto::codec::{decode_answer, encode_unit};
 use proto::unit::{EvalAnswer, EvalUnit};
@@ -7,7 +7,7 @@ use crate::cluster::{Cluster, within};
 use crate::samples;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_unit_is_answered() {
+async fn unit_is_answered() {
     let cluster = Cluster::start().await;
     let mut server = cluster.client().await.serve_units("helper").await.unwrap();
     let caller = cluster.client().await.worker_caller("helper").await.unwrap();
@@ -26,18 +26,18 @@ async fn a_unit_is_answered() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn garbage_is_refused_and_counted() {
+async fn garbage_unit_is_refused_and_counted() {
     let cluster = Cluster::start().await;
     let bus = cluster.client().await;
     let mut server = bus.serve_units("helper").await.unwrap();
-    let stranger = cluster.stranger().await;
+    let script = cluster.script().await;
     let bytes = encode_unit(&samples::unit());
     let serving = tokio::spawn(async move { server.recv().await.map(|call| call.unit) });
     for payload in [b"".as_slice(), b"\xff\xff", &bytes[..bytes.len() / 2]] {
-        // Nobody answers before the router knows of the helper.
+        // There is no answer before the router knows of the worker.
         let asked = async {
             loop {
-                let replies = stranger.get("lodestone/default/worker/helper").payload(payload).await.unwrap();
+                let replies = script.get("lodestone/default/worker/helper").payload(payload).await.unwrap();
                 if let Ok(reply) = replies.recv_async().await {
                     return reply;
                 }
@@ -48,6 +48,6 @@ async fn garbage_is_refused_and_counted() {
         assert!(matches!(answer, EvalAnswer::Refused(_)), "{answer:?}");
     }
     assert_eq!(bus.counts().queries_invalid_total, 3);
-    let _reply = stranger.get("lodestone/default/worker/helper").payload(bytes).await.unwrap();
+    let _reply = script.get("lodestone/default/worker/helper").payload(bytes).await.unwrap();
     assert_eq!(within("the unit", serving).await.unwrap(), Some(samples::unit()));
 }

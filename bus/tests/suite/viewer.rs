@@ -1,4 +1,4 @@
-//! Watching costs nothing while nobody does.
+//! Actors send copies only while there are viewers.
 
 use proto::ActorId;
 
@@ -7,7 +7,7 @@ use crate::samples;
 use crate::trajectories::sender;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_viewer_gets_copies_while_it_watches() {
+async fn viewer_gets_copies() {
     let cluster = Cluster::start().await;
     let _learner = Learner::start(&cluster.router, |_| Ok(())).await;
     let sender = sender(&cluster.client().await, "a").await;

@@ -1,4 +1,4 @@
-//! Weights reach everybody: those who were there, those who come late, those of a restarted learner.
+//! Weights reach all subscribers: early ones, late ones, and those of a restarted learner.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ pub(crate) async fn until_version(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_newest_weights_arrive_after_several_publications() {
+async fn newest_weights_arrive_after_several_publications() {
     let cluster = Cluster::start().await;
     let learner = cluster.client().await;
     let subscribers = [cluster.client().await, cluster.client().await, cluster.router.clone(), learner.clone()];
@@ -43,11 +43,11 @@ async fn the_newest_weights_arrive_after_several_publications() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_late_joiner_gets_the_newest_at_once() {
+async fn late_joiner_gets_the_newest_weights() {
     let cluster = Cluster::start().await;
     let publisher = cluster.client().await.weights_publisher().await.unwrap();
     for version in 0..3 {
-        // As many parameters as the real network has, which is many fragments on the wire.
+        // As many parameters as the real network, so that the message has many fragments on the wire.
         let weights = Weights { parameters: vec![version as f32; 1_000_000], ..samples::weights(version) };
         publisher.publish(Arc::new(weights)).await.unwrap();
     }
@@ -57,7 +57,7 @@ async fn a_late_joiner_gets_the_newest_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_learner_that_resumed_an_older_version_is_followed() {
+async fn restarted_learner_with_an_older_version_is_followed() {
     let cluster = Cluster::start().await;
     let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
     let mut weights = subscriber.watch();
@@ -74,7 +74,7 @@ async fn a_learner_that_resumed_an_older_version_is_followed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn weights_come_again_after_a_router_restart() {
+async fn weights_arrive_after_a_router_restart() {
     let cluster = Cluster::start().await;
     let publisher = cluster.client().await.weights_publisher().await.unwrap();
     let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
@@ -82,7 +82,7 @@ async fn weights_come_again_after_a_router_restart() {
     publisher.publish(Arc::new(samples::weights(1))).await.unwrap();
     until_version(&mut weights, 1).await;
     cluster.router.close().await;
-    // Nobody hears this notice.
+    // No subscriber receives this notice.
     publisher.publish(Arc::new(samples::weights(2))).await.unwrap();
     let router = Bus::isolated(cluster.dir.path()).await.unwrap();
     until_version(&mut weights, 2).await;

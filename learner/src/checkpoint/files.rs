@@ -1,4 +1,4 @@
-//! The files of a checkpoint: written to the disk for good, and verified when read.
+//! The files of a checkpoint: durable writes and verified reads.
 
 use blueprints::hash::fnv1a;
 use std::collections::BTreeMap;
@@ -10,26 +10,26 @@ use serde::{Deserialize, Serialize};
 
 use super::{CheckpointError, damaged, io};
 
-/// Beginning of the name of a checkpoint, before its number of environment steps.
+/// Prefix of a checkpoint's name, before its number of environment steps.
 pub(super) const STEP: &str = "step-";
 
-/// Beginning of the name of a checkpoint that is being written, before its number of environment steps.
+/// Prefix of the name of a checkpoint during writing, before its number of environment steps.
 pub(super) const NEW: &str = ".new-";
 
-/// Beginning of the name of a checkpoint that is being replaced, before its own name.
+/// Prefix of the name of a checkpoint during its replacement, before its own name.
 const OLD: &str = ".old-";
 
-/// What a file must be to be whole.
+/// The expected length and hash of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct FileInfo {
     pub(super) name: String,
     n_bytes: u64,
-    /// FNV-1a over the bytes, as 16 hexadecimal digits.
+    /// FNV-1a hash of the bytes, as 16 hexadecimal digits.
     fnv1a: String,
 }
 
-/// Writes a new file and waits until the disk has it.
+/// Writes a new file and flushes it to disk.
 pub(crate) fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<FileInfo, CheckpointError> {
     let path = folder.join(name);
     let mut file = File::create_new(&path).map_err(io("creating", &path))?;
@@ -44,7 +44,7 @@ pub(super) fn read(folder: &Path, name: &str) -> Result<Vec<u8>, CheckpointError
     fs::read(&path).map_err(io("reading", &path))
 }
 
-/// Reads a file and holds it against its entry in `infos`.
+/// Reads a file and compares it with its entry in `infos`.
 pub(super) fn read_verified(folder: &Path, name: &str, infos: &[FileInfo]) -> Result<Vec<u8>, CheckpointError> {
     let Some(info) = infos.iter().find(|info| info.name == name) else {
         return Err(damaged(folder, name, "the state file does not list it"));
@@ -60,12 +60,12 @@ pub(super) fn read_verified(folder: &Path, name: &str, infos: &[FileInfo]) -> Re
     Ok(bytes)
 }
 
-/// Renames `new` to `path`, where a folder may stand; if that fails, it stands there still.
+/// Renames `new` to `path`, replacing an existing folder; if that fails, the existing folder remains.
 pub(super) fn replace(new: &Path, path: &Path) -> Result<(), CheckpointError> {
     if !path.exists() {
         return fs::rename(new, path).map_err(io("renaming", new));
     }
-    // A folder cannot be renamed onto a full one; the old one is moved aside first, never removed first.
+    // A folder cannot be renamed to a folder that is not empty. Move the old one aside first, and remove it last.
     let old = path.with_file_name(format!("{OLD}{}", path.file_name().unwrap_or_default().to_string_lossy()));
     remove(&old)?;
     fs::rename(path, &old).map_err(io("renaming", path))?;
@@ -74,18 +74,18 @@ pub(super) fn replace(new: &Path, path: &Path) -> Result<(), CheckpointError> {
         return Err(io("renaming", new)(error));
     }
     if let Err(error) = remove(&old) {
-        // What was asked for is done; the old one goes when the next write or start cleans up.
-        tracing::warn!(%error, "a checkpoint that was replaced stays on the disk");
+        // The replacement is complete; the next write or start removes the old one.
+        tracing::warn!(%error, "a replaced checkpoint was not removed");
     }
     Ok(())
 }
 
-/// Waits until the disk has the entries of a folder.
+/// Flushes a folder's entries to disk.
 pub(super) fn sync_folder(folder: &Path) -> Result<(), CheckpointError> {
     File::open(folder).and_then(|file| file.sync_all()).map_err(io("flushing", folder))
 }
 
-/// Removes a folder if it is there.
+/// Removes a folder if it exists.
 pub(super) fn remove(folder: &Path) -> Result<(), CheckpointError> {
     match fs::remove_dir_all(folder) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(io("removing", folder)(error)),
@@ -93,20 +93,20 @@ pub(super) fn remove(folder: &Path) -> Result<(), CheckpointError> {
     }
 }
 
-/// The folders `step-<n>` of `dir` by `n`; none when there is no `dir`.
+/// The folders `step-<n>` of `dir` by `n`; empty if `dir` does not exist.
 pub(super) fn steps(dir: &Path) -> Result<BTreeMap<u64, PathBuf>, CheckpointError> {
     let step = |name: &str| name.strip_prefix(STEP)?.parse().ok();
     Ok(names(dir)?.into_iter().filter_map(|(name, path)| Some((step(&name)?, path))).collect())
 }
 
-/// A folder that an interrupted write left.
+/// A folder left by an interrupted write.
 pub(super) struct Leftover {
     pub(super) path: PathBuf,
-    /// The whole checkpoint that it was, if it is one that was moved aside.
+    /// The path of the original checkpoint, if this one was moved aside.
     pub(super) replaced: Option<PathBuf>,
 }
 
-/// The folders that an interrupted write left in `dir`.
+/// The folders in `dir` left by interrupted writes.
 pub(super) fn leftovers(dir: &Path) -> Result<Vec<Leftover>, CheckpointError> {
     let leftover = |(name, path): (String, PathBuf)| {
         let replaced = name.strip_prefix(OLD).filter(|of| of.starts_with(STEP)).map(|of| dir.join(of));
@@ -128,7 +128,7 @@ fn names(dir: &Path) -> Result<Vec<(String, PathBuf)>, CheckpointError> {
     Ok(names)
 }
 
-/// As 16 hexadecimal digits.
+/// The FNV-1a hash as 16 hexadecimal digits.
 fn hash(bytes: &[u8]) -> String {
     format!("{:016x}", fnv1a(bytes.iter().copied()))
 }

@@ -1,4 +1,4 @@
-//! Flat vectors ↔ safetensors files with one tensor per parameter.
+//! Converts flat vectors to safetensors files with one tensor per parameter, and back.
 
 use std::path::Path;
 
@@ -25,7 +25,7 @@ impl ParameterInfo {
     }
 }
 
-/// Writes flat vectors that all follow `table`, each under its name prefix; an entry of the metadata may go with them.
+/// Writes flat vectors in the order of `table`, each with its name prefix, and optionally a metadata entry.
 pub(crate) fn write(
     table: &[ParameterInfo],
     vectors: &[(&str, &[f32])],
@@ -50,7 +50,7 @@ pub(crate) fn write(
     serialize(views, metadata).map_err(mismatch)
 }
 
-/// Reads the flat vectors of the given name prefixes; `path` names the file in errors.
+/// Reads the flat vectors with the given name prefixes; `path` names the file in errors.
 pub(crate) fn read<const N: usize>(
     path: &Path,
     bytes: &[u8],

@@ -1,4 +1,4 @@
-//! The part of an update that learns from the expert's labels.
+//! The imitation part of an update, which learns from the expert's labels.
 
 use policy::normalization::normalize;
 use policy::{FeatureBatch, FeatureConfig};
@@ -11,20 +11,20 @@ use super::workers::Workers;
 use crate::config::ImitationConfig;
 use crate::replay::Replay;
 
-/// Where labels come from.
+/// The labeled scenes and their settings.
 #[derive(Clone, Copy)]
 pub(crate) struct ImitationSource<'a> {
-    /// Its settings.
+    /// Settings of imitation.
     pub(crate) config: &'a ImitationConfig,
     /// Labeled scenes.
     pub(crate) replay: &'a Replay,
-    /// What the network sees of a scene.
+    /// Configuration of the features.
     pub(crate) features: &'a FeatureConfig,
-    /// Of the features.
+    /// Normalization of the features.
     pub(crate) normalization: &'a Normalization,
 }
 
-/// ImitationSource in one update.
+/// The imitation part of one update.
 pub(super) struct ImitationUpdate<'a> {
     imitation_source: ImitationSource<'a>,
     weight: f32,
@@ -34,15 +34,15 @@ pub(super) struct ImitationUpdate<'a> {
 }
 
 impl<'a> ImitationUpdate<'a> {
-    /// None if there is nothing to learn, or it has no weight.
+    /// `None` without labeled scenes, or with a weight of 0.
     pub(super) fn new(imitation_source: ImitationSource<'a>, n_env_steps: u64) -> Option<Self> {
         let weight = imitation_source.config.weight.at(n_env_steps);
         let n_left = imitation_source.config.steps_per_update;
-        let of_use = weight > 0.0 && imitation_source.replay.n_steps() > 0;
-        of_use.then(|| Self { imitation_source, weight, n_left, n_steps: 0, sums: ImitationSums::default() })
+        let is_active = weight > 0.0 && imitation_source.replay.n_steps() > 0;
+        is_active.then(|| Self { imitation_source, weight, n_left, n_steps: 0, sums: ImitationSums::default() })
     }
 
-    /// Gradient steps that are to follow those of PPO.
+    /// Gradient steps that remain after those of PPO.
     pub(super) fn n_left(&self) -> usize {
         self.n_left
     }
@@ -69,13 +69,13 @@ impl<'a> ImitationUpdate<'a> {
 
     /// Means over the scenes.
     pub(super) fn metrics(&self) -> ImitationMetrics {
-        let ImitationSums { blocks, moves, n_right, n_scenes } = self.sums;
+        let ImitationSums { blocks, moves, n_hits, n_scenes } = self.sums;
         let n = n_scenes.max(1) as f64;
         ImitationMetrics {
             weight: f64::from(self.weight),
             block_loss: blocks / n,
             move_loss: moves / n,
-            block_accuracy: n_right as f64 / n,
+            block_accuracy: n_hits as f64 / n,
             n_gradient_steps: self.n_steps,
             n_replay: self.imitation_source.replay.n_steps() as u64,
         }

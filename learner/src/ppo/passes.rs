@@ -1,4 +1,4 @@
-//! Passes through the network: one that looks, one that computes gradients.
+//! Forward passes through the network, with and without gradients.
 
 use std::ops::AddAssign;
 
@@ -15,7 +15,7 @@ use crate::batch::Batch;
 use crate::config::{ImitationConfig, LossTerms};
 use crate::loss::{policy_loss, value_loss};
 
-/// Networks for passes on one thread.
+/// The networks of one thread.
 #[derive(Debug)]
 pub(super) struct Passes {
     policy: PolicyConfig,
@@ -25,11 +25,11 @@ pub(super) struct Passes {
     plain: Network,
     /// On the differentiating device, for gradients.
     tracked: Network,
-    /// On the plain device: the policy that is not to be forgotten.
+    /// The imitator, on the plain device.
     imitator: Option<Network>,
 }
 
-/// What the network says about rows of a batch, without gradients.
+/// The network's output for rows of a batch, without gradients.
 #[derive(Default)]
 pub(super) struct Evaluation {
     /// Normalized values of all rows.
@@ -38,11 +38,11 @@ pub(super) struct Evaluation {
     pub(super) log_probs: Vec<f32>,
 }
 
-/// What the network is pulled toward, one entry per sample.
+/// The targets of the loss; the vectors have one entry per sample.
 pub(super) struct Targets<'a> {
-    /// How the parts of the loss weigh.
+    /// Weights of the loss terms.
     pub(super) loss: LossTerms,
-    /// Log-probabilities that the ratio is taken against.
+    /// Reference log-probabilities of the ratio.
     pub(super) reference: &'a [f32],
     /// Weights of the samples in the policy loss.
     pub(super) weights: Vec<f32>,
@@ -56,7 +56,7 @@ pub(super) struct Targets<'a> {
 
 /// Result of a forward and backward pass.
 pub(super) struct GradientPass {
-    /// Of the loss, in the order of the flat parameters.
+    /// Gradient of the loss, in the order of the flat parameters.
     pub(super) gradient: Vec<f32>,
     /// Log-probabilities of the samples' actions, before the step.
     pub(super) log_probs: Vec<f32>,
@@ -66,15 +66,15 @@ pub(super) struct GradientPass {
 
 /// Scenes with the expert's labels.
 pub(super) struct ImitationBatch {
-    /// Normalized.
+    /// Normalized features.
     pub(super) features: FeatureBatch,
-    /// One for each scene.
+    /// One label per scene.
     pub(super) labels: Vec<Label>,
 }
 
 /// Result of a forward and backward pass over labeled scenes.
 pub(super) struct ImitationPass {
-    /// Of the loss, in the order of the flat parameters.
+    /// Gradient of the loss, in the order of the flat parameters.
     pub(super) gradient: Vec<f32>,
     pub(super) sums: ImitationSums,
 }
@@ -84,11 +84,11 @@ pub(super) struct ImitationPass {
 pub(super) struct ImitationSums {
     pub(super) blocks: f64,
     pub(super) moves: f64,
-    pub(super) n_right: usize,
+    pub(super) n_hits: usize,
     pub(super) n_scenes: usize,
 }
 
-/// Sums of the parts of the loss over samples.
+/// Sums of the loss terms over samples.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LossSums {
     pub(super) policy: f64,
@@ -123,7 +123,7 @@ impl AddAssign for ImitationSums {
     fn add_assign(&mut self, other: Self) {
         self.blocks += other.blocks;
         self.moves += other.moves;
-        self.n_right += other.n_right;
+        self.n_hits += other.n_hits;
         self.n_scenes += other.n_scenes;
     }
 }
@@ -142,26 +142,26 @@ impl Passes {
         &self.plain
     }
 
-    /// Puts `parameters` into both networks.
+    /// Loads `parameters` into both networks.
     ///
     /// # Errors
-    /// When their number is wrong or one is not finite.
+    /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         self.plain = parameters::load(self.plain.clone(), parameters)?;
         self.tracked = parameters::load(self.tracked.clone(), parameters)?;
         Ok(())
     }
 
-    /// Puts `parameters` into the network that is not to be forgotten.
+    /// Loads `parameters` into the imitator.
     ///
     /// # Errors
-    /// When their number is wrong or one is not finite.
+    /// If their number is wrong or one is not finite.
     pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         self.imitator = Some(parameters::load(self.plain.clone(), parameters)?);
         Ok(())
     }
 
-    /// Gradient of `share` × the summed imitation loss of a piece of normalized scenes.
+    /// Gradient of `share` × the summed imitation loss of normalized scenes.
     pub(super) fn imitate(
         &self,
         batch: &ImitationBatch,
@@ -171,7 +171,7 @@ impl Passes {
     ) -> ImitationPass {
         let device = &self.tracked_device;
         let features = batch.features.select(rows);
-        // Not masked: the expert may clear a block out of the way that a mask would forbid.
+        // Not masked: the expert may move an obstructing block that a mask would forbid.
         let output = self.tracked.forward(&BatchTensors::new(&features, self.tracked.edge_layout(), device));
         let labels: Vec<Label> = rows.iter().map(|&row| batch.labels[row]).collect();
         let tensors = LabelTensors::new(&labels, usize::from(self.policy.network.n_grippers), device);
@@ -181,14 +181,14 @@ impl Passes {
         let gradient = parameters::flatten_gradients(&self.tracked, &mut gradients);
         let sums = to_vec(Tensor::cat(vec![blocks, moves], 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
-        let n_right = n_right(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);
-        ImitationPass { gradient, sums: ImitationSums { blocks: sum(0), moves: sum(1), n_right, n_scenes: rows.len() } }
+        let n_hits = n_hits(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);
+        ImitationPass { gradient, sums: ImitationSums { blocks: sum(0), moves: sum(1), n_hits, n_scenes: rows.len() } }
     }
 
-    /// Values of `rows` and log-probabilities of the actions of those that are samples; `rows` must ascend.
+    /// Values of `rows`, and log-probabilities of the actions of the rows that are samples; `rows` must ascend.
     pub(super) fn evaluate(&self, batch: &Batch, rows: &[usize]) -> Evaluation {
         let output = self.forward(&self.plain, &self.device, &batch.features.select(rows));
-        // Samples come first in a batch, so those of this piece are a prefix of it.
+        // Samples come first in a batch, so those of these rows are a prefix.
         let n_samples = rows.partition_point(|&row| row < batch.n_samples());
         let log_probs = if n_samples == 0 {
             Vec::new()
@@ -260,7 +260,7 @@ fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
     }
 }
 
-/// The same numbers on another device, without a way back for gradients.
+/// Copies the output to another device, detached from the graph.
 fn onto(output: NetworkOutput, device: &Device) -> NetworkOutput {
     let copy = |tensor: Tensor<3>| Tensor::from_data(tensor.into_data(), device);
     NetworkOutput {
@@ -271,8 +271,8 @@ fn onto(output: NetworkOutput, device: &Device) -> NetworkOutput {
     }
 }
 
-/// Scenes in which the likeliest block is the label's for all grippers; logits `[B, G, 16]`.
-fn n_right(logits: &[f32], labels: &[Label]) -> usize {
+/// Number of scenes in which the most probable block equals the label's for all grippers; logits `[B, G, 16]`.
+fn n_hits(logits: &[f32], labels: &[Label]) -> usize {
     let rows = logits.chunks_exact(logits.len() / labels.len().max(1));
     let right = |(row, label): (&[f32], &Label)| {
         row.chunks_exact(N_BLOCKS)

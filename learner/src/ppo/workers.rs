@@ -1,4 +1,4 @@
-//! Threads that pass the pieces of a batch through networks of their own.
+//! Worker threads that run the pieces of a batch through their own networks.
 
 use burn::tensor::Device;
 use policy::parameters::ParameterError;
@@ -8,10 +8,10 @@ use super::passes::{Evaluation, GradientPass, ImitationBatch, ImitationPass, Pas
 use crate::batch::Batch;
 use crate::config::ImitationConfig;
 
-/// One set of networks for each thread: gradients of graphs that share a tensor would wait for each other.
+/// One set of networks per thread: gradients of graphs that share a tensor would block each other.
 ///
-/// How a batch is cut into pieces does not depend on the number of workers, and results are put together in the order
-/// of the pieces, so neither do the sums.
+/// The split into pieces does not depend on the number of workers, and results are combined in piece order, so the sums
+/// do not depend on it either.
 #[derive(Debug)]
 pub(super) struct Workers(Vec<Passes>);
 
@@ -26,19 +26,19 @@ impl Workers {
         self.0[0].network()
     }
 
-    /// Puts `parameters` into all networks.
+    /// Loads `parameters` into all networks.
     ///
     /// # Errors
-    /// When their number is wrong or one is not finite.
+    /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         let loaded = self.each(|_, passes| passes.load(parameters));
         loaded.into_iter().collect()
     }
 
-    /// Puts `parameters` into the networks that are not to be forgotten.
+    /// Loads `parameters` into all imitators.
     ///
     /// # Errors
-    /// When their number is wrong or one is not finite.
+    /// If their number is wrong or one is not finite.
     pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         self.each(|_, passes| passes.freeze(parameters)).into_iter().collect()
     }
@@ -78,7 +78,7 @@ impl Workers {
         self.map(&pieces(samples, size), |passes, piece| passes.gradient(batch, piece, targets, share))
     }
 
-    /// `work` on every piece; the results are in the order of the pieces.
+    /// Runs `work` on every piece; the results are in piece order.
     fn map<R: Send>(&mut self, pieces: &[&[usize]], work: impl Fn(&Passes, &[usize]) -> R + Sync) -> Vec<R> {
         let n_workers = self.0.len();
         let by_worker = self.each(|worker, passes| {
@@ -89,7 +89,7 @@ impl Workers {
         (0..pieces.len()).filter_map(|piece| by_worker[piece % n_workers].next()).collect()
     }
 
-    /// `work` by every worker at the same time; the results are in the order of the workers.
+    /// Runs `work` on every worker in parallel; the results are in worker order.
     fn each<R: Send>(&mut self, work: impl Fn(usize, &mut Passes) -> R + Sync) -> Vec<R> {
         let (first, others) = self.0.split_first_mut().expect("there is at least one worker");
         std::thread::scope(|scope| {
@@ -97,7 +97,7 @@ impl Workers {
             let threads: Vec<_> =
                 others.iter_mut().zip(1..).map(|(passes, worker)| scope.spawn(move || work(worker, passes))).collect();
             let mut results = vec![work(0, first)];
-            // A panic goes on in the thread that waits, with its message.
+            // Propagate a panic with its message to the waiting thread.
             let join = |thread: std::thread::ScopedJoinHandle<'_, R>| {
                 thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
             };
@@ -107,7 +107,7 @@ impl Workers {
     }
 }
 
-/// `items` in pieces of equal size, at least `size` where there are that many.
+/// Splits `items` into pieces of equal size, at least `size` if there are that many.
 pub(super) fn pieces(items: &[usize], size: usize) -> Vec<&[usize]> {
     let n = (items.len() / size).max(1);
     (0..n).map(|i| &items[i * items.len() / n..(i + 1) * items.len() / n]).collect()
@@ -118,7 +118,7 @@ mod tests {
     use super::pieces;
 
     #[test]
-    fn pieces_are_of_one_size_and_lose_nothing() {
+    fn pieces_have_equal_size_and_cover_all_items() {
         let items: Vec<usize> = (0..10).collect();
         let sizes = |size| pieces(&items, size).iter().map(|piece| piece.len()).collect::<Vec<_>>();
         assert_eq!(sizes(4), [5, 5]);

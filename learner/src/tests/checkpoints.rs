@@ -1,4 +1,4 @@
-//! Checkpoints: exact when whole, refused when not.
+//! Checkpoints: exact if complete, refused if not.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,11 +14,11 @@ use crate::config::{ImitationConfig, ReplayConfig, Schedule};
 use crate::model::Model;
 use crate::{Learner, LearnerError, LearnerSetup};
 
-/// `n` updates with trajectories that follow from `seed` and the learner's weights.
+/// Runs `n` updates with trajectories determined by `seed` and the learner's weights.
 fn train(setup: &LearnerSetup, learner: &mut Learner, n: u64) {
     for _ in 0..n {
         let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
-        // 40 more than an update takes, so that some always wait.
+        // 40 more steps than an update takes, so that some always wait.
         feed(learner, bandit(setup, &learner.weights(), 296, &mut rng));
         learner.update().unwrap();
     }
@@ -33,7 +33,7 @@ fn saved(dir: &Path, n: u64) -> (LearnerSetup, Learner, PathBuf) {
 }
 
 #[test]
-fn a_resumed_learner_goes_on_bit_by_bit() {
+fn resumed_learner_continues_bit_for_bit() {
     let dir = tempfile::tempdir().unwrap();
     let (setup, mut learner, path) = saved(dir.path(), 2);
     let found = Checkpoint::read_latest(dir.path()).unwrap();
@@ -48,11 +48,11 @@ fn a_resumed_learner_goes_on_bit_by_bit() {
 }
 
 #[test]
-fn a_resumed_learner_goes_on_with_the_labels_it_had() {
+fn resumed_learner_keeps_its_labels() {
     let dir = tempfile::tempdir().unwrap();
     let mut setup = small_setup(4);
     let one = Schedule::Constant(1.0);
-    // Room for two updates: what is old makes room on both sides of the checkpoint.
+    // Room for two updates, so that old segments are evicted before and after the checkpoint.
     let replay = ReplayConfig { capacity_steps: 1024, ..Default::default() };
     let imitation = ImitationConfig {
         minibatch_size: 32,
@@ -89,7 +89,7 @@ fn a_resumed_learner_goes_on_with_the_labels_it_had() {
 }
 
 #[test]
-fn a_file_cut_short_at_any_length_is_named() {
+fn truncated_files_are_named() {
     let dir = tempfile::tempdir().unwrap();
     let (_, _, path) = saved(dir.path(), 1);
     for name in ["parameters.safetensors", "adam.safetensors", "mailbox.bin", "model.json", "state.json"] {
@@ -116,7 +116,7 @@ fn a_file_cut_short_at_any_length_is_named() {
 }
 
 #[test]
-fn the_one_before_a_damaged_checkpoint_is_found() {
+fn newest_valid_checkpoint_is_found() {
     let dir = tempfile::tempdir().unwrap();
     let (setup, mut learner, older) = saved(dir.path(), 1);
     train(&setup, &mut learner, 1);
@@ -130,14 +130,14 @@ fn the_one_before_a_damaged_checkpoint_is_found() {
 }
 
 #[test]
-fn the_oldest_and_unfinished_ones_are_removed() {
+fn oldest_and_unfinished_checkpoints_are_removed() {
     let dir = tempfile::tempdir().unwrap();
     let (setup, mut learner, _) = saved(dir.path(), 1);
     for _ in 0..3 {
         train(&setup, &mut learner, 1);
         learner.save(dir.path()).unwrap();
     }
-    // Saving again replaces the one of the same step.
+    // Saving again replaces the checkpoint of the same step.
     learner.save(dir.path()).unwrap();
     fs::create_dir(dir.path().join(".new-99")).unwrap();
     checkpoint::prune(dir.path(), 2).unwrap();
@@ -152,16 +152,16 @@ fn names(dir: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_write_that_fails_at_any_file_leaves_nothing_and_blocks_nothing() {
+fn failed_write_leaves_nothing_and_blocks_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let (setup, mut learner, older) = saved(dir.path(), 1);
-    // Once the checkpoint is of another step, once it would replace the older one.
+    // First with a checkpoint of another step, then with one that would replace the older one.
     for n_updates in [0, 1] {
         train(&setup, &mut learner, n_updates);
         let checkpoint = learner.checkpoint();
         for n_whole in 0..5 {
             let mut n_written = 0;
-            // A full disk: the first files fit, half of the next one does.
+            // Simulates a full disk: the first files fit, and half of the next one.
             let mut full = |folder: &Path, name: &str, bytes: &[u8]| {
                 n_written += 1;
                 if n_written <= n_whole {
@@ -182,18 +182,18 @@ fn a_write_that_fails_at_any_file_leaves_nothing_and_blocks_nothing() {
 }
 
 #[test]
-fn what_a_killed_process_left_is_cleaned_up_and_nothing_whole_is_lost() {
+fn leftovers_of_a_killed_process_are_cleaned_up() {
     let dir = tempfile::tempdir().unwrap();
     let (_, _, path) = saved(dir.path(), 1);
     let whole = Checkpoint::read(&path).unwrap();
-    // Killed while it wrote, and between the two renames of a replacement.
+    // Killed during a write, and between the two renames of a replacement.
     fs::create_dir(dir.path().join(".new-512")).unwrap();
     fs::write(dir.path().join(".new-512").join("adam.safetensors"), b"short").unwrap();
     fs::rename(&path, dir.path().join(".old-step-256")).unwrap();
     checkpoint::clean(dir.path()).unwrap();
     assert_eq!(names(dir.path()), ["step-256"]);
     assert_eq!(Checkpoint::read(&path).unwrap(), whole);
-    // Killed before it removed what it had replaced.
+    // Killed before it removed the replaced checkpoint.
     fs::create_dir(dir.path().join(".old-step-256")).unwrap();
     checkpoint::clean(dir.path()).unwrap();
     assert_eq!(names(dir.path()), ["step-256"]);
@@ -201,7 +201,7 @@ fn what_a_killed_process_left_is_cleaned_up_and_nothing_whole_is_lost() {
 }
 
 #[test]
-fn a_checkpoint_of_another_network_is_refused() {
+fn checkpoint_of_another_network_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (mut setup, learner, _) = saved(dir.path(), 1);
     setup.policy.network.width = 32;
@@ -212,7 +212,7 @@ fn a_checkpoint_of_another_network_is_refused() {
 }
 
 #[test]
-fn a_policy_survives_its_file_and_a_damaged_one_says_so() {
+fn model_round_trips_and_a_damaged_file_is_refused() {
     let checkpoint = Learner::new(small_setup(4)).unwrap().checkpoint();
     let model = Model::from(&checkpoint);
     let bytes = model.to_bytes().unwrap();
@@ -224,7 +224,7 @@ fn a_policy_survives_its_file_and_a_damaged_one_says_so() {
         let error = Model::from_bytes(broken, path).unwrap_err().to_string();
         assert!(error.contains("somewhere/model.safetensors"), "{error}");
     }
-    // Tensors alone, as a checkpoint has them.
+    // Only tensors, as in a checkpoint.
     let dir = tempfile::tempdir().unwrap();
     let folder = checkpoint.write(dir.path()).unwrap();
     let alone = fs::read(folder.join("parameters.safetensors")).unwrap();

@@ -1,4 +1,4 @@
-//! Generated goals: made after everything else was checked, and in bounded number.
+//! Generated goals: generated after every other check, and in bounded number.
 
 use blueprints::generator::{Draws, Style};
 
@@ -6,7 +6,7 @@ use super::learning::{feed, small_setup};
 use crate::fixtures::trajectory;
 use crate::{Learner, UpdateMetrics};
 
-/// An update of 256 steps with one segment for each goal.
+/// Runs an update of 256 steps with one segment per goal.
 fn update(goals: &[String]) -> UpdateMetrics {
     let mut setup = small_setup(4);
     setup.generated = Some(Draws::new(Style::ALL, 2..=16));
@@ -21,8 +21,8 @@ fn update(goals: &[String]) -> UpdateMetrics {
 }
 
 #[test]
-fn held_out_structures_are_dropped_whatever_they_are_called() {
-    // The generator's name of a held-out tower.
+fn held_out_structures_are_dropped_under_any_id() {
+    // The generator's id of a held-out tower.
     let mut goals = vec!["gen1-tallest-16_14_162".to_owned(); 4];
     goals.resize(32, "gen1-tower-7_3_001".to_owned());
     let update = update(&goals);
@@ -30,13 +30,13 @@ fn held_out_structures_are_dropped_whatever_they_are_called() {
 }
 
 #[test]
-fn an_update_makes_a_bounded_number_of_goals() {
+fn goals_generated_per_update_are_bounded() {
     let goal = |index: usize| format!("gen1-any-7_4_{index:03}");
-    // 256 steps leave room for 512 blocks, which are 128 goals of 4.
+    // 256 steps allow 512 blocks, which are 128 goals of 4.
     let distinct: Vec<String> = (0..256).map(goal).collect();
     let all = update(&distinct);
     assert_eq!((all.unmade_total, all.n_steps), (128, 128));
-    // One that was made is as good a second time.
+    // A goal that was already generated counts only once.
     let again: Vec<String> = (0..256).map(|index| goal(index % 100)).collect();
     assert_eq!(update(&again).unmade_total, 0);
 }

@@ -1,4 +1,4 @@
-//! Updates that must move the policy and the critic the right way.
+//! Updates move the policy and the critic in the right direction.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::config::{ImitationConfig, LearnerConfig, Objective, RateLine, RateRul
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::{Learner, LearnerSetup};
 
-/// A network of the paper's kind that is small enough for a test in seconds.
+/// A network like the paper's, small enough for a test of seconds.
 pub(super) fn small_setup(seed: u64) -> LearnerSetup {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 2, head_dim: 16, mlp_hidden: 32, ..Default::default() });
@@ -33,7 +33,7 @@ pub(super) fn small_setup(seed: u64) -> LearnerSetup {
     }
 }
 
-/// One-step episodes in random scenes, acted by `weights`; the reward is 1 when gripper 0 chooses a block of the blueprint.
+/// One-step episodes in random scenes, acted with `weights`; the reward is 1 if gripper 0 chooses a goal block.
 pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mut ChaCha8Rng) -> Vec<Trajectory> {
     let mut policy = Policy::new(&setup.policy).unwrap();
     policy.load(weights).unwrap();
@@ -63,7 +63,7 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
 }
 
 #[test]
-fn a_rewarded_choice_becomes_likelier() {
+fn rewarded_choice_becomes_more_likely() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
     setup.config.optimizer.rate_rule = RateRule::Fixed;
@@ -77,12 +77,12 @@ fn a_rewarded_choice_becomes_likelier() {
         assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
         rates.push(metrics.episodes.success.rate);
     }
-    // By chance 2 in 16.
+    // Chance is 2 in 16.
     assert!(rates[0] < 0.3 && rates[11] > 0.8, "{rates:?}");
 }
 
 #[test]
-fn nothing_happens_before_the_batch_is_full() {
+fn update_needs_a_full_batch() {
     let setup = small_setup(1);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
@@ -97,7 +97,7 @@ fn nothing_happens_before_the_batch_is_full() {
 }
 
 #[test]
-fn equal_seeds_give_equal_weights_and_others_do_not() {
+fn weights_depend_on_the_seed_alone() {
     let weights = |seed| {
         let setup = small_setup(seed);
         let mut learner = Learner::new(setup.clone()).unwrap();
@@ -111,10 +111,10 @@ fn equal_seeds_give_equal_weights_and_others_do_not() {
 }
 
 #[test]
-fn weights_do_not_depend_on_the_number_of_threads() {
+fn weights_are_independent_of_the_number_of_threads() {
     let weights = |n_threads| {
         let mut setup = small_setup(1);
-        // Four pieces a minibatch, which three threads cannot share evenly.
+        // Four pieces per minibatch, which three threads cannot share evenly.
         setup.config.forward_size = 16;
         setup.config.n_threads = Some(n_threads);
         let mut learner = Learner::new(setup.clone()).unwrap();
@@ -127,7 +127,7 @@ fn weights_do_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn old_trajectories_show_in_lag_and_effective_sample_size() {
+fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
     setup.config.optimizer.rate_rule = RateRule::Fixed;
@@ -145,12 +145,12 @@ fn old_trajectories_show_in_lag_and_effective_sample_size() {
 }
 
 #[test]
-fn a_step_that_is_not_finite_is_left_out() {
+fn gradient_step_that_is_not_finite_is_skipped() {
     let mut setup = small_setup(1);
     setup.config.loss.objective = Objective::Standard;
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
-    // The least density that is admitted; the ratio is beyond the largest number.
+    // The lowest admitted density; the ratio overflows.
     trajectories[0].transitions[0].behavior_log_prob = -2000.0;
     feed(&learner, trajectories);
     let metrics = learner.update().unwrap();
@@ -159,23 +159,23 @@ fn a_step_that_is_not_finite_is_left_out() {
 }
 
 /// The label of every scene of [`labeled`].
-fn dagger() -> Label {
+fn expert_label() -> Label {
     let block = |index: u8| BlockIdx::try_from(index).ok();
     let moves = [[0.5, -0.5, 0.25, 0.0, 0.0, -0.25], [-0.5, 0.0, 0.0, 0.5, 0.0, 0.0]];
     Label { choices: [block(2), block(7)], moves }
 }
 
-/// The same with the expert's label, as if `driver` had acted.
+/// The same trajectories with the expert's label, as if `driver` had acted.
 pub(super) fn labeled(mut trajectories: Vec<Trajectory>, driver: Driver) -> Vec<Trajectory> {
     for trajectory in &mut trajectories {
         trajectory.driver = driver;
-        trajectory.transitions.iter_mut().for_each(|transition| transition.label = Some(dagger()));
+        trajectory.transitions.iter_mut().for_each(|transition| transition.label = Some(expert_label()));
     }
     trajectories
 }
 
 #[test]
-fn labels_are_learned_and_the_expert_s_success_is_nobody_s() {
+fn labels_are_learned_and_expert_successes_are_not_counted() {
     let mut setup = small_setup(3);
     let imitation = ImitationConfig { minibatch_size: 32, steps_per_update: 40, ..Default::default() };
     setup.config.imitation = Some(imitation);
@@ -192,15 +192,15 @@ fn labels_are_learned_and_the_expert_s_success_is_nobody_s() {
         assert_eq!((update.episodes.success.n_episodes, update.n_episodes), (0, 0));
         assert!((update.ppo.learning_rate - 3e-3).abs() < 1e-9);
     }
-    // Two choices among 16 cost 2 ln 16 = 5.5 nats at first. Blocks of one type look alike, so it remains a guess among them.
+    // Two choices among 16 cost 2 ln 16 = 5.5 nats at first. A guess among blocks of one type remains.
     let guess = |block| (Inventory::standard().same_type(block).count() as f64).ln();
-    let guesses: f64 = dagger().choices.into_iter().flatten().map(guess).sum();
+    let guesses: f64 = expert_label().choices.into_iter().flatten().map(guess).sum();
     assert!(losses[0] > guesses + 1.0 && losses[3] < guesses + 0.2, "{guesses} {losses:?}");
     assert_eq!(learner.checkpoint().replay.len(), 1024);
 }
 
 #[test]
-fn ppo_learns_from_sampled_actions_alone() {
+fn ppo_uses_only_sampled_actions() {
     let mut setup = small_setup(3);
     let one = Schedule::Constant(1.0);
     let imitation = ImitationConfig {
@@ -220,9 +220,9 @@ fn ppo_learns_from_sampled_actions_alone() {
     feed(&learner, labeled(others.to_vec(), Driver::Mode));
     let update = learner.update().unwrap();
     assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));
-    // One minibatch of 64 or more in each of 3 epochs; the first two have the labels' gradient in them.
+    // One minibatch of 64 or more in each of 3 epochs; the first two include the imitation gradient.
     assert_eq!((update.ppo.n_gradient_steps, update.imitation.unwrap().n_gradient_steps), (3, 2));
-    // The imitator is the policy before the update, from which it moves away.
+    // The imitator is the policy before the update, and the update moves away from it.
     assert!(update.ppo.imitator_kl > 0.0, "{}", update.ppo.imitator_kl);
     assert!(learner.checkpoint().imitator.is_some());
 }

@@ -1,4 +1,4 @@
-//! The learner on a bus of its own.
+//! The learner service on its own bus.
 
 use bus::{Bus, SendError};
 use proto::metrics::LearnerMetrics;
@@ -11,7 +11,7 @@ use super::learning::{bandit, small_setup};
 use crate::{Checkpoint, CheckpointError, LearnerReport, LearnerSetup, RunOptions, run};
 use runlog::RunPaths;
 
-/// Sends enough for one update by each of the next `n_updates` weights.
+/// Sends enough trajectories for one update with each of the next `n_updates` weights.
 async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
     let actor = ActorId::try_from("fixture".to_owned()).unwrap();
     let sender = bus.trajectory_sender(&actor).await.unwrap();
@@ -38,7 +38,7 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
     (*newest).clone()
 }
 
-/// Runs a learner in `dir` until an actor has seen `n_updates` updates.
+/// Runs a learner in `dir` until an actor has received `n_updates` updates.
 async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (LearnerReport, Weights) {
     let setup = small_setup(5);
     let resume = resume.then(|| dir.folder().to_owned());
@@ -54,7 +54,7 @@ async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (Le
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_run_learns_reports_saves_and_is_resumed() {
+async fn run_learns_reports_saves_and_resumes() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let run_dir = RunPaths::new(dir.path().join("run"));
@@ -74,13 +74,13 @@ async fn a_run_learns_reports_saves_and_is_resumed() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_run_that_cannot_save_in_the_end_says_what_is_lost_and_what_is_left() {
+async fn failed_final_save_names_lost_and_newest_checkpoints() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let run_dir = RunPaths::new(dir.path().join("run"));
     session(&run_dir, &bus, false, 1).await;
     let checkpoints = run_dir.checkpoints();
-    // What a process that was killed had written so far is gone after the start of the next.
+    // The next start removes the partial checkpoint of a killed process.
     std::fs::create_dir(checkpoints.join(".new-512")).unwrap();
     let setup = small_setup(5);
     let resume = Some(run_dir.folder().to_owned());
@@ -92,7 +92,7 @@ async fn a_run_that_cannot_save_in_the_end_says_what_is_lost_and_what_is_left() 
     });
     act(&bus, &setup, 1).await;
     assert!(!checkpoints.join(".new-512").exists());
-    // A file in the way, where no full disk is at hand.
+    // A file at that path makes writing fail, like a full disk.
     std::fs::write(checkpoints.join(".new-512"), b"in the way").unwrap();
     shutdown.cancel();
     let error = learning.await.unwrap().unwrap_err();
@@ -104,7 +104,7 @@ async fn a_run_that_cannot_save_in_the_end_says_what_is_lost_and_what_is_left() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_run_ends_at_its_number_of_steps() {
+async fn run_ends_at_its_number_of_steps() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let options = RunOptions {

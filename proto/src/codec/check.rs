@@ -1,17 +1,17 @@
-//! The rules that decoders share; each returns the checked value or names the field and the offending value.
+//! Validation rules shared by the decoders. Each returns the checked value or names the field and the invalid value.
 
 use blueprints::{BlockIdx, BlueprintId};
 
 use super::DecodeError;
 
-/// No coordinate, velocity or parameter of a sane world or network comes near this: sums of products of a few thousand
-/// numbers below it are far from the largest f32, and a network that has learned something has parameters below 100.
+/// Upper limit of coordinates, velocities, and parameters, far above plausible values: sums of products of a few
+/// thousand numbers below it stay far below the largest f32, and trained networks have parameters below 100.
 const LARGEST_MAGNITUDE: f32 = 1e6;
 
-/// How far a quaternion's norm may be from 1: much more than f32 rounding, much less than a visible distortion.
+/// Tolerance of a quaternion's norm: far above f32 rounding, far below a visible distortion.
 const UNIT_TOLERANCE: f32 = 1e-3;
 
-/// Characters of a text that are quoted in an error; a stranger's message must not flood the log.
+/// Maximum number of characters of a text quoted in an error, so that no message can flood the log.
 const MAX_QUOTED_CHARS: usize = 80;
 
 pub(super) fn invalid(field: &'static str, value: impl ToString, expected: &'static str) -> DecodeError {

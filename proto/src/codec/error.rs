@@ -1,27 +1,27 @@
-//! Why a message was not accepted.
+//! Errors of decoding.
 
-/// The error of bytes that are not a valid message.
+/// Bytes that are not a valid message.
 #[derive(Debug, thiserror::Error)]
 pub enum DecodeError {
-    /// Larger than any sane message of its kind; not even parsed.
+    /// The message exceeds the size limit of its kind and is not parsed.
     #[error("{message} of {bytes} bytes is larger than the limit of {limit} bytes")]
     TooLarge {
         /// Name of the message.
         message: &'static str,
-        /// Its size.
+        /// Size of the message.
         bytes: usize,
         /// The largest size allowed.
         limit: usize,
     },
-    /// Not protobuf, or of another type.
+    /// The bytes are not protobuf, or not of the expected type.
     #[error("not a lodestone.v1.{message}: {source}")]
     Malformed {
-        /// Name of the message expected.
+        /// Name of the expected message.
         message: &'static str,
-        /// What the parser says.
+        /// The parser's error.
         source: prost::DecodeError,
     },
-    /// From a process that speaks another version.
+    /// The sender has a different protocol version.
     #[error("protocol version {found} is not {expected}")]
     Version {
         /// Version in the message.
@@ -29,7 +29,7 @@ pub enum DecodeError {
         /// Version of this process.
         expected: u32,
     },
-    /// A required part is not there.
+    /// A required part is missing.
     #[error("{field} is missing")]
     Missing {
         /// Path of the field.

@@ -1,5 +1,5 @@
-//! Plain types ↔ protobuf bytes. Decoding checks everything: what it returns keeps every rule of the plain type's
-//! documentation, whoever sent the bytes.
+//! Conversion between plain types and protobuf bytes. Decoding validates every message, so a decoded value keeps every
+//! rule that its type documents.
 
 mod check;
 mod error;
@@ -22,13 +22,13 @@ pub use weights::{
     encode_weights,
 };
 
-/// The version that this process writes and the only one that it reads.
+/// The only version that this process writes and reads.
 pub const PROTOCOL_VERSION: u32 = 1;
 
-/// Limit for the messages of a few numbers.
+/// Size limit of messages that hold a few numbers.
 const MAX_SMALL_BYTES: usize = 4096;
 
-/// Parses `bytes` unless they are more than `limit`.
+/// Parses `bytes` if they are at most `limit` long.
 fn parse<M: Message + Default>(message: &'static str, bytes: &[u8], limit: usize) -> Result<M, DecodeError> {
     if bytes.len() > limit {
         return Err(DecodeError::TooLarge { message, bytes: bytes.len(), limit });

@@ -11,13 +11,13 @@ use super::scene::{label_from_wire, label_to_wire};
 use super::{DecodeError, PROTOCOL_VERSION, check_version, parse};
 use crate::{ActorId, Driver, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire};
 
-/// Longest segment, in steps.
+/// Maximum length of a segment, in steps.
 pub const MAX_SEGMENT_STEPS: usize = 1000;
 
-/// Largest encoded trajectory, in bytes: 1001 scenes with every joint there can be.
+/// Maximum size of an encoded trajectory, in bytes: 1001 scenes with all possible joints.
 pub const MAX_TRAJECTORY_BYTES: usize = 8 << 20;
 
-/// The bytes of a trajectory.
+/// Encodes a trajectory.
 pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
     wire::Trajectory {
         protocol_version: PROTOCOL_VERSION,
@@ -46,7 +46,7 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
     .encode_to_vec()
 }
 
-/// Reads a trajectory and checks every rule that [`Trajectory`] documents.
+/// Decodes a trajectory and checks every rule that [`Trajectory`] documents.
 ///
 /// # Errors
 /// Names the first field that breaks a rule, and its value.
@@ -81,7 +81,7 @@ pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
     Ok(trajectory)
 }
 
-/// The world keeps its grippers throughout, and the action has a choice for exactly those.
+/// Checks that the grippers stay the same in all scenes, and that the actions have choices for exactly those.
 fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
     let grippers = |scene: &Scene| scene.grippers.map(|g| g.is_some());
     let expected = grippers(&trajectory.last_scene);
@@ -209,7 +209,7 @@ fn status_to_wire(status: Status) -> wire::Status {
         Status::Running => wire::Status::Running,
         Status::Success => wire::Status::Success,
         Status::TimeLimit => wire::Status::TimeLimit,
-        // A diverged episode is never sent; should a caller try, every receiver refuses it.
+        // A diverged episode is never sent. If a caller sends one, every receiver refuses it.
         Status::Diverged => wire::Status::Unspecified,
     }
 }

@@ -1,4 +1,4 @@
-//! Units of an evaluation and their answers.
+//! Units of an evaluation and the answers to them.
 
 use prost::Message;
 
@@ -11,16 +11,16 @@ use super::{PROTOCOL_VERSION, check_version, parse};
 use crate::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, MAX_UNIT_SEQUENCES, PassId};
 use crate::wire;
 
-/// Largest encoded unit, in bytes: the weights, and tasks of 100 bytes.
+/// Maximum size of an encoded unit, in bytes: the weights, and tasks of 100 bytes.
 pub const MAX_UNIT_BYTES: usize = MAX_WEIGHTS_BYTES + MAX_ANSWER_BYTES;
 
-/// Largest encoded answer, in bytes; the 10 000 episodes of a large unit are below 1 MiB.
+/// Maximum size of an encoded answer, in bytes; the 10 000 episodes of a large unit take less than 1 MiB.
 const MAX_ANSWER_BYTES: usize = 8 << 20;
 
-/// Longest reason of a refusal that is read.
+/// Maximum length of a refusal's reason, in characters.
 const MAX_REFUSAL_CHARS: usize = 500;
 
-/// The bytes of a unit.
+/// Encodes a unit.
 pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
     let sequence = |tasks: &Vec<_>| wire::EvalLane { tasks: tasks.iter().map(task_to_wire).collect() };
     wire::EvalUnit {
@@ -35,7 +35,7 @@ pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
     .encode_to_vec()
 }
 
-/// Reads a unit and checks every rule that [`EvalUnit`] documents.
+/// Decodes a unit and checks every rule that [`EvalUnit`] documents.
 ///
 /// # Errors
 /// Names the first field that breaks a rule, and its value.
@@ -56,7 +56,7 @@ pub fn decode_unit(bytes: &[u8]) -> Result<EvalUnit, DecodeError> {
     })
 }
 
-/// The bytes of an answer.
+/// Encodes an answer.
 pub fn encode_answer(answer: &EvalAnswer) -> Vec<u8> {
     use wire::eval_answer::Answer;
     let sequence = |episodes: &Vec<EvalEpisode>| wire::EvalLaneEpisodes {
@@ -72,7 +72,7 @@ pub fn encode_answer(answer: &EvalAnswer) -> Vec<u8> {
     wire::EvalAnswer { protocol_version: PROTOCOL_VERSION, answer: Some(answer) }.encode_to_vec()
 }
 
-/// Reads an answer and checks every rule that [`EvalAnswer`] documents but for the shape, which is the unit's.
+/// Decodes an answer and checks every rule that [`EvalAnswer`] documents, except that its shape fits the unit.
 ///
 /// # Errors
 /// Names the first field that breaks a rule, and its value.

@@ -1,4 +1,4 @@
-//! Weights and the notice of newer ones.
+//! Weights, and notices of newer weights.
 
 use std::collections::BTreeMap;
 
@@ -8,26 +8,26 @@ use super::check::{blueprint_id, invalid, number, positive, present, probability
 use super::{DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
 use crate::{Normalization, Weights, WeightsVersion, wire};
 
-/// Most parameters that a network may have.
+/// Maximum number of network parameters.
 pub const MAX_PARAMETERS: usize = 1 << 24;
 
-/// Largest encoded weights, in bytes: the parameters and 1 MiB for the rest.
+/// Maximum size of encoded weights, in bytes: the parameters and 1 MiB for the rest.
 pub const MAX_WEIGHTS_BYTES: usize = 4 * MAX_PARAMETERS + (1 << 20);
 
-/// How far the task probabilities' sum may be from 1: rounding of a few hundred f32 terms.
+/// Tolerance of the task probabilities' sum: rounding of a few hundred f32 terms.
 const SUM_TOLERANCE: f64 = 1e-3;
 
-/// Says that newer weights can be pulled.
+/// A notice that newer weights can be pulled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WeightsNotice {
-    /// Start time of the learner process, ms since 1970. A learner that resumes an older checkpoint counts on from
-    /// there, so a version is newer only within one epoch.
+    /// Start time of the learner process, ms since 1970. A learner that resumes an older checkpoint continues from its
+    /// version, so versions are comparable only within one epoch.
     pub epoch: u64,
     /// The newest version.
     pub version: WeightsVersion,
 }
 
-/// Weights together with the learner process that published them.
+/// Weights and the learner process that published them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PublishedWeights {
     /// Start time of the learner process, ms since 1970.
@@ -36,12 +36,12 @@ pub struct PublishedWeights {
     pub weights: Weights,
 }
 
-/// The bytes of weights published by the learner process that started at `epoch`.
+/// Encodes weights published by the learner process that started at `epoch`.
 pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
     weights_to_wire(weights, epoch).encode_to_vec()
 }
 
-/// Weights as a message, which units of an evaluation carry too.
+/// Converts weights to a message; units of an evaluation contain one too.
 pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
     let statistics = |i: usize| {
         Some(wire::FeatureStatistics {
@@ -71,7 +71,7 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
     }
 }
 
-/// Reads weights and checks every rule that [`Weights`] documents.
+/// Decodes weights and checks every rule that [`Weights`] documents.
 ///
 /// # Errors
 /// Names the first field that breaks a rule, and its value.
@@ -79,7 +79,7 @@ pub fn decode_weights(bytes: &[u8]) -> Result<PublishedWeights, DecodeError> {
     weights_from_wire(parse("Weights", bytes, MAX_WEIGHTS_BYTES)?)
 }
 
-/// Checks a message as [`decode_weights`] does.
+/// Validates a message as [`decode_weights`] does.
 pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeights, DecodeError> {
     check_version(message.protocol_version)?;
     let n_parameters = message.parameters.len();
@@ -98,16 +98,16 @@ pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeigh
     Ok(PublishedWeights { epoch: message.epoch, weights })
 }
 
-/// The bytes of a notice.
+/// Encodes a notice.
 pub fn encode_notice(notice: WeightsNotice) -> Vec<u8> {
     wire::WeightsNotice { protocol_version: PROTOCOL_VERSION, epoch: notice.epoch, version: notice.version.0 }
         .encode_to_vec()
 }
 
-/// Reads a notice.
+/// Decodes a notice.
 ///
 /// # Errors
-/// If the bytes are not one of this protocol version.
+/// If the bytes are not a notice of this protocol version.
 ///
 /// # Example
 /// ```

@@ -1,8 +1,8 @@
-//! Where a picture is taken from, and how points land on it.
+//! The camera: views, framing, and projection.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-/// A side that a structure is seen from. The front is the side of −y, so that +x is on the right.
+/// A view of a structure. The front is the side of −y, so that +x is on the right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum View {
     /// From the front, right and above, in mild perspective.
@@ -17,43 +17,43 @@ pub enum View {
     Top,
 }
 
-/// A view of a part of the world on a picture of fixed size.
+/// A view of a part of the world in an image of fixed size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     size_px: [usize; 2],
     target: Point3<f32>,
-    /// Unit vectors of the picture: to the right, upwards, and toward the viewer.
+    /// Unit vectors of the image: right, up, and toward the viewer.
     axes: [Vector3<f32>; 3],
-    /// One over the distance from the viewer to the target in 1/m; 0 without perspective.
+    /// Inverse distance from the viewer to the target in 1/m; 0 without perspective.
     closeness: f32,
     /// Pixels per meter at the target.
     scale: f32,
-    /// Where the target lands, in pixels from the upper left corner.
+    /// Position of the target, in pixels from the upper left corner.
     center_px: [f32; 2],
     light: Vector3<f32>,
 }
 
-/// A point on the picture. Each field is linear in the plane of the picture along any flat surface.
+/// A projected point. Each field is linear in the image plane along any flat surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Projected {
     /// Pixels from the left.
     pub(super) x: f32,
     /// Pixels from the top.
     pub(super) y: f32,
-    /// Larger is nearer.
+    /// Inverse depth; larger is nearer.
     pub(super) nearness: f32,
-    /// How much larger than at the target things are; attributes of surfaces are linear after multiplication with it.
+    /// Magnification relative to the target; multiplied by it, surface attributes are linear.
     pub(super) zoom: f32,
 }
 
-/// AttentionSource distance over the size of what is framed, in perspective views: far enough that parallels stay nearly so.
+/// Eye distance in perspective views relative to the framed size, large enough to keep parallels nearly parallel.
 const EYE_DISTANCES: f32 = 3.5;
 
-/// Views steeper than this see the ground as a map: lit from the map's upper left, and steeply, for short shadows. Sine of
-/// the elevation.
+/// Sine of the elevation above which the ground looks like a map: the light comes steeply from the map's upper left,
+/// for short shadows.
 const MAP_SINE: f32 = 0.9;
 
-/// Nearest to the eye that anything is drawn, as a share of the eye's distance from the target.
+/// Near clipping distance, as a share of the eye's distance from the target.
 const NEAREST: f32 = 0.05;
 
 impl View {
@@ -85,8 +85,8 @@ impl View {
 }
 
 impl Camera {
-    /// A camera for a picture of `width` times `height` pixels that shows all `points` (m, world) as large as `margin_px`
-    /// pixels of free space on each side allow, but no larger than `max_px_per_m` pixels for a meter.
+    /// A camera for an image of `width` × `height` pixels that shows all `points` (m, world) as large as possible with
+    /// `margin_px` pixels on each side and at most `max_px_per_m` pixels per meter.
     pub fn framing(
         view: View,
         points: &[Point3<f32>],
@@ -125,22 +125,22 @@ impl Camera {
         let room = |axis: usize| (sides[axis] - 2.0 * margin_px).max(1.0) / (high[axis] - low[axis]).max(1e-6);
         camera.scale = room(0).min(room(1)).min(max_px_per_m);
         let middle = |axis: usize| 0.5 * (sides[axis] - camera.scale * (low[axis] + high[axis]));
-        // Moving the picture rather than the camera keeps verticals alike in all pictures of a view.
+        // Shift the image rather than the camera, so that verticals are the same in all pictures of a view.
         camera.center_px = if points.is_empty() { sides.map(|side| 0.5 * side) } else { [middle(0), middle(1)] };
         camera
     }
 
-    /// Width and height of the picture in pixels.
+    /// Width and height of the image in pixels.
     pub fn size_px(&self) -> [usize; 2] {
         self.size_px
     }
 
-    /// Pixels per meter at the middle of what is framed.
+    /// Pixels per meter at the center of the framed points.
     pub(super) fn px_per_m(&self) -> f32 {
         self.scale
     }
 
-    /// Unit vector toward the light: above, left of the viewer and a little behind him.
+    /// Unit vector toward the light: above, and left of and slightly behind the viewer.
     pub(super) fn light(&self) -> &Vector3<f32> {
         &self.light
     }
@@ -150,29 +150,29 @@ impl Camera {
         self.axes[2].z
     }
 
-    /// Cosine of the angle between a unit vector and the way to the viewer, 0 if it points away.
+    /// Cosine of the angle between a unit vector and the direction to the viewer, 0 if it points away.
     pub(super) fn facing(&self, normal: &Vector3<f32>) -> f32 {
         normal.dot(&self.axes[2]).max(0.0)
     }
 
-    /// How far in front of the target a block is, in meters.
+    /// Distance by which a block is in front of the target, in meters.
     pub(super) fn nearness(&self, pose: &Isometry3<f32>) -> f32 {
         self.axes[2].dot(&(Point3::from(pose.translation.vector) - self.target))
     }
 
-    /// Whether a surface through `point` with the outward `normal` shows its outer side.
+    /// Whether the outer side of a surface through `point` with the outward `normal` faces the camera.
     pub(super) fn faces(&self, point: &Point3<f32>, normal: &Vector3<f32>) -> bool {
-        // The direction from the point to the eye, divided by the eye's distance so that it may be infinite.
+        // The direction from the point to the eye, divided by the eye's distance, which may be infinite.
         let to_eye = self.axes[2] - (point - self.target) * self.closeness;
         normal.dot(&to_eye) > 1e-6
     }
 
-    /// Where a point (m, world) lands, in pixels from the upper left corner; `None` beside or behind the viewer.
+    /// Projects a point (m, world) to pixels from the upper left corner; `None` beside or behind the viewer.
     pub(crate) fn place(&self, point: &Point3<f32>) -> Option<[f32; 2]> {
         self.project(point).map(|at| [at.x, at.y])
     }
 
-    /// Where a point (m, world) lands, or `None` behind the viewer.
+    /// Projects a point (m, world); `None` behind the viewer.
     pub(super) fn project(&self, point: &Point3<f32>) -> Option<Projected> {
         let [x, y, depth] = self.project_undivided(point);
         if depth.is_nan() || depth < NEAREST {
@@ -183,7 +183,7 @@ impl Camera {
         Some(Projected { x: x * zoom, y: y * zoom, nearness, zoom })
     }
 
-    /// The place on the picture in pixels times the depth, and the depth, 1 at the target: linear in the point.
+    /// Homogeneous coordinates: the position in pixels times the depth, and the depth (1 at the target).
     pub(super) fn project_undivided(&self, point: &Point3<f32>) -> [f32; 3] {
         let from_target = point - self.target;
         let [right, up, back] = self.axes.map(|axis| axis.dot(&from_target));
@@ -192,7 +192,7 @@ impl Camera {
     }
 }
 
-/// Center and radius (at least a millimeter) of a ball around all points: that around their bounding box.
+/// Center and radius (at least a millimeter) of the ball around the points' bounding box.
 fn ball_around(points: &[Point3<f32>]) -> (Point3<f32>, f32) {
     let Some(first) = points.first() else { return (Point3::origin(), 1.0) };
     let (low, high) = points.iter().fold((*first, *first), |(low, high), point| (low.inf(point), high.sup(point)));
@@ -208,9 +208,9 @@ mod tests {
     }
 
     #[test]
-    fn axes_land_where_the_view_says() {
+    fn views_project_axes_as_documented() {
         let check = |view: View, point: [f32; 3], expected: [f32; 2], nearness: f32| {
-            // 10 pixels are left for the unit cube, so a meter is 10 pixels; its center is that of the picture.
+            // 10 pixels remain for the unit cube, so a meter is 10 pixels; its center is that of the image.
             let camera = Camera::framing(view, &cube_corners(), [14, 16], 2.0, 1000.0);
             let at = camera.project(&Point3::from(point)).unwrap();
             let off = (at.x - expected[0]).abs() + (at.y - expected[1]).abs() + (at.nearness - nearness).abs();
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn framing_leaves_the_margin_and_no_more() {
+    fn framing_leaves_exactly_the_margin() {
         for view in [View::FrontQuarter, View::BackQuarter, View::Front, View::Side, View::Top] {
             let camera = Camera::framing(view, &cube_corners(), [100, 100], 10.0, 1000.0);
             let landed: Vec<_> = cube_corners().iter().map(|point| camera.project(point).unwrap()).collect();
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn nearer_things_are_larger_in_perspective_and_what_is_behind_the_eye_is_gone() {
+    fn perspective_enlarges_near_points_and_clips_behind_the_eye() {
         let camera = Camera::framing(View::FrontQuarter, &cube_corners(), [100, 100], 10.0, 1000.0);
         let near = camera.project(&Point3::new(1.0, 0.0, 1.0)).unwrap();
         let far = camera.project(&Point3::new(0.0, 1.0, 0.0)).unwrap();

@@ -1,4 +1,4 @@
-//! The ground at z = 0: a grid of unit cells that fades out, and soft shadows.
+//! The ground at z = 0: a fading grid of unit cells, and soft shadows.
 
 use blueprints::UNIT_M;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
@@ -8,40 +8,40 @@ use super::image::{Image, Rgb, mix};
 use super::model::{Block, Finish, corners};
 use super::raster::scan;
 
-/// Color of the lines on the ground; the rest of it is bare paper, as a tint would double the size of a contact sheet.
+/// Color of the grid lines. The rest stays white, because a tint would double the size of a contact sheet.
 const LINE: Rgb = [214, 218, 226];
 
-/// Color and greatest opacity of shadows.
+/// Color and maximum opacity of shadows.
 const SHADOW: Rgb = [44, 52, 78];
 const SHADOW_OPACITY: f32 = 0.30;
 
-/// How far shadows are blurred, in meters, and at most in pixels.
+/// Blur radius of shadows in meters, and its maximum in pixels.
 const BLUR_M: f32 = 0.012;
 const MAX_BLUR_PX: f32 = 24.0;
 
-/// Below this sine of the camera's elevation the ground is a line.
+/// Below this sine of the camera's elevation the ground is drawn as a line.
 const FLAT_SINE: f32 = 0.05;
 
-/// The part of the ground that is drawn.
+/// The visible part of the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ground {
-    /// Middle in meters, world frame.
+    /// Center in meters, world frame.
     pub center: Point2<f32>,
-    /// Distance from the middle at which it has faded out, in meters.
+    /// Distance from the center at which the ground has faded out, in meters.
     pub radius_m: f32,
 }
 
-/// Shadows on a picture, kept between pictures for its memory.
+/// The shadows of a picture; its memory is reused between pictures.
 #[derive(Debug, Default)]
 pub(super) struct Shadow {
     width: usize,
-    /// 0 for light to 255 for shadow, by pixel.
+    /// Shadow by pixel, 0 for light to 255 for full shadow.
     mask: Vec<u8>,
     sums: Vec<u32>,
     line: Vec<u8>,
 }
 
-/// A rectangle of pixels: columns and rows from, and to but not including.
+/// A rectangle of pixels: columns and rows, start inclusive and end exclusive.
 #[derive(Clone, Copy)]
 struct Area {
     x: [usize; 2],
@@ -58,7 +58,7 @@ impl Ground {
         Self { center: nalgebra::center(&low, &high).xy(), radius_m: 0.6 * spread + 2.0 * UNIT_M }
     }
 
-    /// Draws the ground over an image of the camera's size.
+    /// Draws the ground on an image of the camera's size.
     pub(super) fn draw(&self, camera: &Camera, image: &mut Image) {
         if camera.elevation_sine() < FLAT_SINE {
             self.draw_line(camera, image);
@@ -86,7 +86,7 @@ impl Ground {
             let at = to_ground * Vector3::new(x, y, 1.0);
             Point2::new(at.x / at.z, at.y / at.z)
         };
-        // Cells per pixel; one value for the whole picture is near enough in mild perspective.
+        // Cells per pixel; one value for the whole image is accurate enough in mild perspective.
         let here = on_ground(at.x, at.y);
         let (right, down) = (on_ground(at.x + 1.0, at.y) - here, on_ground(at.x, at.y + 1.0) - here);
         let px_per_m = [right.x.hypot(down.x), right.y.hypot(down.y)].map(|m_per_px| 1.0 / m_per_px);
@@ -118,23 +118,23 @@ impl Ground {
     }
 }
 
-/// `f32::round`, which is a slow call on processors without an instruction for it, for numbers below four million.
+/// `f32::round` for numbers below four million, without the slow call on processors that lack the instruction.
 fn nearest_whole(x: f32) -> f32 {
-    // Adding 1.5 · 2²³ leaves no bits for decimals.
+    // Adding 1.5 · 2²³ leaves no fractional bits.
     const SHIFT: f32 = 12_582_912.0;
     (x + SHIFT) - SHIFT
 }
 
-/// The map from pixels to the ground in homogeneous coordinates; the third is positive in front of the viewer.
+/// The homography from pixels to the ground; its third coordinate is positive in front of the viewer.
 fn to_ground(camera: &Camera) -> Option<Matrix3<f32>> {
-    // A projection is fixed by what it does to the origin and the two directions, all before the division by depth.
+    // The origin and the two directions determine a projection, all before the division by depth.
     let column = |x: f32, y: f32| Vector3::from(camera.project_undivided(&Point3::new(x, y, 0.0)));
     let origin = column(0.0, 0.0);
     Matrix3::from_columns(&[column(1.0, 0.0) - origin, column(0.0, 1.0) - origin, origin]).try_inverse()
 }
 
 impl Shadow {
-    /// Darkens the ground of an image where the blocks keep the light away.
+    /// Darkens the ground of an image in the shadow of the blocks.
     pub(super) fn draw(&mut self, camera: &Camera, blocks: &[Block], image: &mut Image) {
         if camera.elevation_sine() < FLAT_SINE {
             return;
@@ -163,13 +163,13 @@ impl Shadow {
         }
     }
 
-    /// Marks the shadows of all blocks; returns where they lie.
+    /// Marks the shadows of all blocks; returns their bounds.
     fn cast(&mut self, camera: &Camera, blocks: &[Block], size: [usize; 2]) -> Option<Area> {
         let light = camera.light();
         let mut area: Option<Area> = None;
         let onto_ground = |at: Point3<f32>| -> Option<Projected> { camera.project(&(at - light * (at.z / light.z))) };
         for block in blocks.iter().filter(|block| block.finish != Finish::Ghost) {
-            // The lit sides hide all that the others hide.
+            // The lit sides cover the same pixels as all sides.
             for side in block.sides().filter(|side| side.normal.dot(light) > 0.0) {
                 let [Some(a), Some(b), Some(c), Some(d)] = side.corners.map(onto_ground) else { continue };
                 scan(&[a, b, c, d], size, |y, from, to| {

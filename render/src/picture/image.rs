@@ -1,9 +1,9 @@
-//! A picture as rows of pixels, and the few ways to change it.
+//! An image as rows of pixels, with operations to change it.
 
-/// Red, green and blue, each 0 to 255, sRGB.
+/// Red, green, and blue, each 0 to 255, sRGB.
 pub type Rgb = [u8; 3];
 
-/// The color of paper.
+/// The background color.
 pub const WHITE: Rgb = [255; 3];
 
 /// Pixels by row from the top, each row from the left.
@@ -15,7 +15,7 @@ pub struct Image {
 }
 
 impl Image {
-    /// An image of one color; both sides are in pixels, and one of 0 counts as 1.
+    /// An image of one color; both sides are in pixels, and 0 counts as 1.
     pub fn filled(width: usize, height: usize, color: Rgb) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         Self { width, height, pixels: vec![color; width * height] }
@@ -46,7 +46,7 @@ impl Image {
         &mut self.pixels[y * self.width..(y + 1) * self.width]
     }
 
-    /// Puts `color` over a pixel with an opacity of 0 to 255; nothing happens outside.
+    /// Blends `color` over a pixel with an opacity of 0 to 255; does nothing outside.
     pub(crate) fn blend(&mut self, x: usize, y: usize, color: Rgb, opacity: u8) {
         if x < self.width && y < self.height {
             let pixel = &mut self.pixels[y * self.width + x];
@@ -54,7 +54,7 @@ impl Image {
         }
     }
 
-    /// Fills a rectangle given by its upper left corner and size in pixels, as far as it lies inside.
+    /// Fills a rectangle given by its upper left corner and size in pixels, clipped to the image.
     pub(crate) fn fill(&mut self, [x, y]: [usize; 2], [width, height]: [usize; 2], color: Rgb) {
         let (right, bottom) = ((x + width).min(self.width), (y + height).min(self.height));
         for row in y..bottom {
@@ -62,7 +62,7 @@ impl Image {
         }
     }
 
-    /// Copies another image with its upper left corner to `(x, y)`, as far as it lies inside.
+    /// Copies another image with its upper left corner to `(x, y)`, clipped to this image.
     pub fn paste(&mut self, other: &Self, x: usize, y: usize) {
         let x = x.min(self.width);
         let n_columns = other.width.min(self.width - x);
@@ -73,7 +73,7 @@ impl Image {
     }
 }
 
-/// The color at `share` of the way from `a` to `b`, 0 to 1.
+/// Mixes two colors: `a` at a `share` of 0, `b` at 1.
 pub(crate) fn mix(a: Rgb, b: Rgb, share: f32) -> Rgb {
     std::array::from_fn(|i| {
         let (a, b) = (f32::from(a[i]), f32::from(b[i]));
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_lies_outside_is_cut_off() {
+    fn shapes_outside_are_clipped() {
         let mut image = Image::filled(3, 2, WHITE);
         image.paste(&Image::filled(5, 5, [1, 2, 3]), 2, 1);
         image.paste(&Image::filled(1, 1, [9; 3]), 7, 0);
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn blending_goes_from_one_color_to_the_other() {
+    fn blend_interpolates_between_colors() {
         // 100 + (200 − 100) · 51/255 = 120.
         let mut image = Image::filled(1, 1, [100; 3]);
         image.blend(0, 0, [200, 0, 100], 51);

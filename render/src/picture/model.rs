@@ -1,4 +1,4 @@
-//! Blocks → colored faces.
+//! The geometry of blocks: colored faces.
 
 use blueprints::{BlockIdx, Blueprint, Inventory, UNIT_M};
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
@@ -6,50 +6,50 @@ use proto::{N_GRIPPERS, Scene};
 
 use super::image::Rgb;
 
-/// Colors of the block types in the order of the inventory: apart in hue and, for those who see fewer hues, in
-/// lightness; none is the red or blue of a magnet (after Okabe and Ito's palette, lighter).
+/// Colors of the block types in inventory order, after Okabe and Ito's palette, but lighter. They differ in hue and,
+/// for viewers who see fewer hues, in lightness; none is the red or blue of a magnet.
 pub const TYPE_COLORS: [Rgb; 6] =
     [[250, 216, 92], [240, 154, 55], [62, 178, 138], [128, 196, 236], [206, 142, 190], [118, 130, 150]];
 
-/// Colors of the frames around what the grippers hold.
+/// Frame colors of held blocks, by gripper.
 pub const GRIPPER_COLORS: [Rgb; N_GRIPPERS] = [[214, 0, 110], [20, 20, 24]];
 
-/// How a block is drawn.
+/// The style of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
     /// In its type's color with thin dark edges.
     Plain,
-    /// As plain, with broad edges of this color around each face.
+    /// Like plain, with wide edges of this color around each face.
     Framed(Rgb),
-    /// In this color instead of its own and without magnets, with broad edges of another color if there is one.
+    /// In this color and without magnets, with wide edges of another color if there is one.
     Shaded {
-        /// Of its sides.
+        /// Color of the sides.
         fill: Rgb,
-        /// Of its edges.
+        /// Color of the edges.
         frame: Option<Rgb>,
     },
-    /// Only its edges, for a place where a block is wanted. It casts no shadow.
+    /// Only the edges, to mark a block's target place. It casts no shadow.
     Ghost,
 }
 
 /// A block to draw.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
-    /// Which, for its size and color.
+    /// The block, which determines size and color.
     pub block: BlockIdx,
     /// Its center in meters and its orientation, world frame, z up.
     pub pose: Isometry3<f32>,
-    /// How.
+    /// The style.
     pub finish: Finish,
 }
 
 /// A rectangular side of a block.
 pub(super) struct Side {
-    /// From one corner around: along the side's first axis, then its second.
+    /// The corners in order: from one corner along the side's first axis, then its second.
     pub(super) corners: [Point3<f32>; 4],
     /// Outward unit normal, world frame.
     pub(super) normal: Vector3<f32>,
-    /// Length along the first and second axis in unit cells; a magnet sits in the middle of each.
+    /// Length along the first and second axis in unit cells; each cell has a magnet in its center.
     pub(super) cells: [f32; 2],
     /// Whether the magnets are positive.
     pub(super) is_positive: bool,
@@ -64,7 +64,7 @@ pub fn of_blueprint(blueprint: &Blueprint) -> Vec<Block> {
     placed.map(|at| Block { block: at.block, pose: pose(at), finish: Finish::Plain }).collect()
 }
 
-/// All blocks of a world, those that a gripper holds framed in its color.
+/// All blocks of a world; held blocks are framed in the gripper's color.
 pub fn of_scene(scene: &Scene) -> Vec<Block> {
     let finish = |block: BlockIdx| {
         let holds = |gripper: &Option<proto::Gripper>| gripper.is_some_and(|gripper| gripper.held == Some(block));
@@ -81,7 +81,7 @@ pub fn of_scene(scene: &Scene) -> Vec<Block> {
         .collect()
 }
 
-/// The corners of all blocks (m, world), to frame a picture by.
+/// The corners of all blocks (m, world), for framing.
 pub fn corners(blocks: &[Block]) -> Vec<Point3<f32>> {
     blocks.iter().flat_map(Block::corners).collect()
 }

@@ -1,4 +1,4 @@
-//! Blocks on the ground → an image.
+//! Paints blocks on the ground.
 
 use super::camera::Camera;
 use super::ground::{Ground, Shadow};
@@ -7,22 +7,22 @@ use super::model::Block;
 use super::raster::Samples;
 use super::texture;
 
-/// Draws pictures one after another; keeps memory, and the ground while camera and ground stay, from one to the next.
+/// Draws pictures one after another; reuses memory, and the ground while camera and ground stay the same.
 #[derive(Debug, Default)]
 pub struct Painter {
     samples: Samples,
     shadow: Shadow,
-    /// The last empty scene.
+    /// The last picture without blocks.
     backdrop: Option<(Camera, Ground, Image)>,
 }
 
 impl Painter {
-    /// Draws the blocks as the camera sees them, on white paper. Equal arguments give equal images.
+    /// Draws the blocks on a white background from the camera's view. Equal arguments give equal images.
     pub fn paint(&mut self, blocks: &[Block], camera: &Camera, ground: Ground) -> Image {
         let mut image = self.empty_scene(camera, ground);
         self.shadow.draw(camera, blocks, &mut image);
         self.samples.clear(camera.size_px());
-        // The nearest first, so that less is shaded that ends up hidden.
+        // Draw the nearest first, so that fewer hidden samples are shaded.
         let mut in_order: Vec<&Block> = blocks.iter().collect();
         in_order.sort_by(|a, b| camera.nearness(&b.pose).total_cmp(&camera.nearness(&a.pose)));
         for block in in_order {

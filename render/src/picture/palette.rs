@@ -1,32 +1,32 @@
-//! The few colors that say most of an image.
+//! Color quantization.
 
 use super::image::Rgb;
 
-/// Most colors that a byte can number.
+/// Maximum number of colors that a byte can index.
 const MAX_COLORS: usize = 256;
 
-/// Colors that stand for all colors of an image.
+/// The palette of an image.
 #[derive(Debug)]
 pub(crate) struct Palette {
     colors: Vec<Rgb>,
-    /// Every color of the image in order, with the number of the one that stands for it.
+    /// Every color of the image in order, with the index of its palette color.
     known: Vec<(Rgb, u8)>,
 }
 
-/// Some colors of the image, each with its number of pixels.
+/// A group of the image's colors, each with its number of pixels.
 struct Group {
     members: Vec<(Rgb, u32)>,
     mean: [f32; 3],
-    /// The channel in which the colors differ most, and the sum of squared differences from the mean there.
+    /// The channel with the largest variation, and its sum of squared differences from the mean.
     channel: usize,
     spread: f32,
 }
 
 impl Palette {
-    /// The palette of some pixels with at most `n_colors` colors (1 to 256); exact if they have no more.
+    /// The palette of the pixels with at most `n_colors` colors (1 to 256); exact if the image has no more.
     ///
-    /// Otherwise the group of colors that is worst served by its mean is split there, until there are enough groups.
-    /// What many pixels have exactly (paper, flat sides) stays exact.
+    /// Otherwise the group with the largest variation is split at its mean until there are enough groups. A color that
+    /// many pixels share (background, flat sides) stays exact.
     pub(crate) fn of(pixels: &[Rgb], n_colors: usize) -> Self {
         let n_colors = n_colors.clamp(1, MAX_COLORS);
         let mut groups = vec![Group::new(counted(pixels))];
@@ -44,16 +44,16 @@ impl Palette {
         Self { colors, known }
     }
 
-    /// The colors by number.
+    /// The colors by index.
     pub(crate) fn colors(&self) -> &[Rgb] {
         &self.colors
     }
 
-    /// The numbers of pixels that the palette was made of.
+    /// The palette indices of the pixels that the palette was built from.
     pub(crate) fn indices(&self, pixels: &[Rgb]) -> Vec<u8> {
         let mut last = (Rgb::default(), None);
         let number = |color: &Rgb| {
-            // Most pixels are like the one before.
+            // Most pixels equal the previous one.
             if let (known, Some(number)) = last
                 && known == *color
             {
@@ -84,7 +84,7 @@ impl Group {
         };
         let mean: [f64; 3] = std::array::from_fn(|channel| moment(channel, 1) / total.max(1.0));
         let spread = |channel: usize| {
-            // Not a difference of sums: one color must come out as exactly nothing.
+            // Do not use a difference of sums: a single color must give exactly zero.
             let (low, high) = members.iter().fold((u8::MAX, u8::MIN), |(low, high), (color, _)| {
                 (low.min(color[channel]), high.max(color[channel]))
             });
@@ -102,7 +102,7 @@ impl Group {
         (Self::new(low), Self::new(high))
     }
 
-    /// The color that most pixels have, if it is that of half of them, else the mean.
+    /// The most frequent color if half of the pixels have it, otherwise the mean.
     fn color(&self) -> Rgb {
         let total: u32 = self.members.iter().map(|(_, n)| n).sum();
         let commonest = self.members.iter().max_by_key(|(_, n)| *n).filter(|(_, n)| 2 * n >= total);
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_colors_stay_as_they_are() {
+    fn few_colors_stay_exact() {
         let pixels: Vec<Rgb> = (0..=255).map(|x| [x, 255 - x, x / 2]).collect();
         let palette = Palette::of(&pixels, 256);
         let seen: Vec<Rgb> = palette.indices(&pixels).iter().map(|&i| palette.colors()[usize::from(i)]).collect();
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn many_colors_come_out_near_and_the_commonest_exactly() {
+    fn many_colors_are_approximated_and_the_most_frequent_is_exact() {
         // 4096 colors on a grid of steps of 17, and white in most pixels.
         let grid = (0..4096_u32).map(|k| [k % 16, k / 16 % 16, k / 256].map(|x| (17 * x) as u8));
         let pixels: Vec<Rgb> = grid.chain(std::iter::repeat_n([250, 251, 252], 20_000)).collect();
@@ -132,7 +132,7 @@ mod tests {
         for (pixel, index) in pixels.iter().zip(palette.indices(&pixels)) {
             let seen = palette.colors()[usize::from(index)];
             let off = (0..3).map(|i| pixel[i].abs_diff(seen[i])).max().unwrap();
-            // 96 groups of 43 neighbors are about 3.5 steps on a side: no color is three steps from its middle.
+            // 96 groups of 43 neighbors are about 3.5 steps wide: no color is three steps from its center.
             assert!(off <= 51, "{pixel:?} became {seen:?}");
         }
         let common = palette.indices(&[[250, 251, 252]])[0];

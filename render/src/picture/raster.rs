@@ -1,4 +1,4 @@
-//! Flat convex surfaces → samples, the nearest winning.
+//! Rasterizes flat convex surfaces with a depth test.
 
 use std::ops::Range;
 
@@ -13,23 +13,23 @@ pub(super) const OVERSAMPLING: usize = 2;
 pub(super) struct Samples {
     width: usize,
     height: usize,
-    /// Of the nearest surface at each sample; negative infinity where there is none.
+    /// Inverse depth of the nearest surface at each sample; negative infinity if there is none.
     nearness: Vec<f32>,
     colors: Vec<Rgb>,
-    /// Rows and columns of samples outside of which there is no surface.
+    /// Bounds of the rows and columns of samples with a surface.
     rows: Range<usize>,
     columns: Range<usize>,
 }
 
-/// A rectangle in space with coordinates of its own: the first grows from corner 0 to 1, the second from corner 0 to 3.
+/// A rectangle in space with its own coordinates: the first increases from corner 0 to 1, the second from 0 to 3.
 pub(super) struct Surface {
-    /// In order around the rectangle, in pixels of the picture.
+    /// The corners in order around the rectangle, in pixels of the image.
     pub(super) corners: [Projected; 4],
     /// The coordinates at corner 2.
     pub(super) size: [f32; 2],
 }
 
-/// A quantity that is linear in the plane of the picture.
+/// A quantity that is linear in the image plane.
 #[derive(Clone, Copy)]
 struct Linear {
     at_origin: f32,
@@ -44,8 +44,8 @@ impl Linear {
 }
 
 impl Surface {
-    /// How fast the two coordinates change at corner 0, per pixel along the picture's x and y; `None` if the surface is
-    /// seen from its edge.
+    /// Change of the two coordinates at corner 0, per pixel along the image's x and y; `None` if the surface is seen
+    /// edge-on.
     pub(super) fn gradients(&self) -> Option<[[f32; 2]; 2]> {
         let [a, b, _, d] = &self.corners;
         let (bx, by, dx, dy) = (b.x - a.x, b.y - a.y, d.x - a.x, d.y - a.y);
@@ -55,14 +55,14 @@ impl Surface {
             .then(|| [[first * dy / area, -first * dx / area], [-second * by / area, second * bx / area]])
     }
 
-    /// The surface on the grid of samples.
+    /// The surface in sample coordinates.
     fn on_samples(&self) -> [Projected; 4] {
         let factor = OVERSAMPLING as f32;
         self.corners.map(|at| Projected { x: at.x * factor, y: at.y * factor, ..at })
     }
 }
 
-/// The quantity with these values at three corners.
+/// The linear quantity with these values at three corners.
 fn linear([a, b, d]: [&Projected; 3], values: [f32; 3]) -> Linear {
     let (bx, by, dx, dy) = (b.x - a.x, b.y - a.y, d.x - a.x, d.y - a.y);
     let (b_value, d_value) = (values[1] - values[0], values[2] - values[0]);
@@ -83,7 +83,7 @@ pub(super) fn scan(corners: &[Projected; 4], [width, height]: [usize; 2], mut ro
         let (mut from, mut to) = (f32::INFINITY, f32::NEG_INFINITY);
         for (i, a) in corners.iter().enumerate() {
             let b = &corners[(i + 1) % 4];
-            // The same order for both users of an edge, so that rounding treats them alike.
+            // Use the same order for both polygons at an edge, so that rounding is the same.
             let (a, b) = if (a.y, a.x) <= (b.y, b.x) { (a, b) } else { (b, a) };
             if a.y <= center && center < b.y {
                 let x = a.x + (b.x - a.x) * ((center - a.y) / (b.y - a.y));
@@ -97,7 +97,7 @@ pub(super) fn scan(corners: &[Projected; 4], [width, height]: [usize; 2], mut ro
     }
 }
 
-/// The least range that holds both, of which either may be empty.
+/// The smallest range that contains both; either may be empty.
 fn union(a: &Range<usize>, b: Range<usize>) -> Range<usize> {
     match (a.is_empty(), b.is_empty()) {
         (true, _) => b,
@@ -107,7 +107,7 @@ fn union(a: &Range<usize>, b: Range<usize>) -> Range<usize> {
 }
 
 impl Samples {
-    /// Forgets all surfaces and makes room for a picture of this size in pixels.
+    /// Removes all surfaces and allocates samples for an image of this size in pixels.
     pub(super) fn clear(&mut self, [width, height]: [usize; 2]) {
         let (width, height) = (width * OVERSAMPLING, height * OVERSAMPLING);
         if (self.width, self.height) == (width, height) {
@@ -120,8 +120,8 @@ impl Samples {
         (self.rows, self.columns) = (0..0, 0..0);
     }
 
-    /// Draws a surface where nothing drawn before is nearer; `shade` has the color at the surface's two coordinates, or
-    /// nothing for a hole.
+    /// Draws a surface where no earlier one is nearer. `shade` gives the color at the surface's two coordinates, or
+    /// `None` for a hole.
     pub(super) fn draw(&mut self, surface: &Surface, shade: impl Fn(f32, f32) -> Option<Rgb>) {
         if surface.gradients().is_none() {
             return;
@@ -159,7 +159,7 @@ impl Samples {
         self.columns = union(&self.columns, columns);
     }
 
-    /// Puts the surfaces over an image of the size that was cleared for; each pixel is the mean of its samples.
+    /// Draws the surfaces on an image of the size passed to `clear`; each pixel is the mean of its samples.
     pub(super) fn resolve(&self, image: &mut Image) {
         for y in self.rows.start / OVERSAMPLING..self.rows.end.div_ceil(OVERSAMPLING) {
             let columns = self.columns.start / OVERSAMPLING..self.columns.end.div_ceil(OVERSAMPLING);

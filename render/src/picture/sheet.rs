@@ -1,4 +1,4 @@
-//! Pictures of blueprints with words: a card for one, a contact sheet for many.
+//! Labeled pictures of blueprints: a card for one, a contact sheet for many.
 
 use blueprints::{Blueprint, Inventory};
 
@@ -10,7 +10,7 @@ use super::painter::Painter;
 use super::text::{Type, fitted, write};
 use super::texture::{NEGATIVE_COLOR, POSITIVE_COLOR};
 
-/// Most blueprints on one contact sheet: six columns and eight rows, 1860 times 2240 pixels.
+/// Maximum number of blueprints on a contact sheet: six columns and eight rows, 1860 × 2240 pixels.
 pub const MAX_TILES: usize = 48;
 
 /// The views of a card by row.
@@ -20,27 +20,27 @@ const INK: Rgb = [34, 38, 50];
 const GRAY: Rgb = [104, 110, 126];
 const HAIRLINE: Rgb = [222, 226, 233];
 
-/// Free space around words, in pixels.
+/// Padding around text, in pixels.
 const PAD: usize = 14;
 
-/// Heights on a card in pixels: of the words above the views, and of a row of the legend below.
+/// Heights on a card in pixels: the text above the views, and a row of the legend below.
 const HEADER: usize = 80;
 const LEGEND_ROW: usize = 28;
 
-/// Width and height of a contact sheet's tiles in pixels, and of the words at a tile's foot.
+/// Width and height of a contact sheet's tiles in pixels, and height of the text at the bottom of a tile.
 const TILE: [usize; 2] = [310, 280];
 const TILE_FOOT: usize = 56;
 const MAX_COLUMNS: usize = 6;
 
-/// Free space around a structure, as a share of the picture's width.
+/// Margin around a structure, as a share of the picture's width.
 const MARGIN: f32 = 0.08;
 
-/// Small structures are drawn as if they were this long, in meters, so that two cubes do not fill a picture.
+/// Minimum length shown, in meters, so that small structures do not fill the picture.
 const MIN_SHOWN_M: f32 = 4.0 * blueprints::UNIT_M;
 
-/// A card of one blueprint: name, title and size above four views, below them the blocks that it takes.
+/// A card of one blueprint: name, title, and size above four views, and a legend of its blocks below.
 ///
-/// `width` is in pixels, 320 or more to hold the words; the height follows from it and the number of block types.
+/// `width` is in pixels, at least 320 to fit the text; the height depends on it and on the number of block types.
 pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image {
     let side = width / 2;
     let legend = legend(blueprint);
@@ -75,10 +75,10 @@ pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image
     image
 }
 
-/// Three-quarter views of blueprints side by side in rows, each with name and title; of at most [`MAX_TILES`].
+/// A grid of three-quarter views of at most [`MAX_TILES`] blueprints, each with name and title.
 pub fn sheet(painter: &mut Painter, blueprints: &[&Blueprint]) -> Image {
     let shown = &blueprints[..blueprints.len().min(MAX_TILES)];
-    // One row if that will do, else a little wider than high.
+    // One row if possible, otherwise slightly wider than high.
     let n_columns = match shown.len() {
         n @ ..=MAX_COLUMNS => n.max(1),
         n => ((1.2 * n as f32).sqrt().ceil() as usize).min(MAX_COLUMNS),
@@ -107,7 +107,7 @@ fn picture(painter: &mut Painter, blueprint: &Blueprint, view: View, size_px: [u
     painter.paint(&blocks, &camera, Ground::under(&blocks))
 }
 
-/// Size along x, y and z in units.
+/// Size along x, y, and z in units.
 fn extent(blueprint: &Blueprint) -> String {
     let inventory = Inventory::standard();
     let size = |axis: usize| {
@@ -121,7 +121,7 @@ fn extent(blueprint: &Blueprint) -> String {
     format!("{} × {} × {}", size(0), size(1), size(2))
 }
 
-/// Color and words for each type of block in use, then for the magnets.
+/// Color and label of each block type in use, then of the magnets.
 fn legend(blueprint: &Blueprint) -> Vec<(Rgb, String)> {
     let inventory = Inventory::standard();
     let mut entries = Vec::new();
@@ -137,7 +137,7 @@ fn legend(blueprint: &Blueprint) -> Vec<(Rgb, String)> {
     entries
 }
 
-/// A square of a color beside a line of small text.
+/// A colored square next to a line of small text.
 fn swatch(image: &mut Image, [x, y]: [usize; 2], color: Rgb) {
     let side = Type::Body.height();
     image.fill([x, y], [side, side], INK);

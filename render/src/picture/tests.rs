@@ -1,4 +1,4 @@
-//! Pixels that must be there, worked out by hand.
+//! Pixels of pictures, worked out by hand.
 
 use blueprints::{BlockIdx, Catalog, Inventory, N_BLOCKS, UNIT_M};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -6,7 +6,7 @@ use proto::{Gripper, Pose, Scene};
 
 use super::*;
 
-/// A block with its center at a place given in units.
+/// A block with its center at a point in units.
 fn block(type_name: &str, center_u: [f32; 3], turn: UnitQuaternion<f32>) -> Block {
     let block = Inventory::standard().blocks_of_type(type_name)[0];
     let center = Vector3::from(center_u) * UNIT_M;
@@ -22,7 +22,7 @@ fn half_turn(axis: Vector3<f32>) -> UnitQuaternion<f32> {
     UnitQuaternion::from_scaled_axis(axis * std::f32::consts::PI)
 }
 
-/// A square picture with a unit of `unit_px` pixels in which `framed` leaves four pixels free on each side.
+/// A square picture with `unit_px` pixels per unit, in which `framed` has a margin of four pixels.
 fn paint(blocks: &[Block], framed: &Block, view: View, unit_px: usize) -> Image {
     let all = corners(std::slice::from_ref(framed));
     let camera = Camera::framing(view, &all, [unit_px + 8; 2], 4.0, f32::INFINITY);
@@ -48,10 +48,10 @@ fn brightness(color: Rgb) -> u16 {
 }
 
 #[test]
-fn a_cube_from_the_front_is_a_square_with_a_disc() {
+fn cube_from_the_front_is_a_square_with_a_disc() {
     let cube = cube(UnitQuaternion::identity());
     let image = paint(std::slice::from_ref(&cube), &cube, View::Front, 32);
-    // 32 pixels wide with 4 on each side: columns and rows 4 to 35; below them lies the line of the ground.
+    // 32 pixels wide with 4 on each side: columns and rows 4 to 35; the ground line lies below them.
     for i in 0..40 {
         let is_inside = (4..36).contains(&i);
         assert_eq!(pixel(&image, i, 12) != WHITE, is_inside, "column {i}");
@@ -65,11 +65,11 @@ fn a_cube_from_the_front_is_a_square_with_a_disc() {
 }
 
 #[test]
-fn positive_sides_have_red_discs_with_a_plus_and_negative_sides_blue_ones_with_a_minus() {
+fn magnets_are_red_plus_and_blue_minus_discs() {
     let check = |view: View, turn: UnitQuaternion<f32>, is_positive: bool| {
         let cube = cube(turn);
         let image = paint(std::slice::from_ref(&cube), &cube, view, 80);
-        // Strokes reach 0.105 units or 8 pixels from the middle (44, 44) and are 4 pixels broad; the disc reaches 15.
+        // Strokes reach 0.105 units or 8 pixels from the middle (44, 44) and are 4 pixels wide; the disc reaches 15.
         let disc = pixel(&image, 44 + 7, 44 + 7);
         assert_eq!((is_red(disc), is_blue(disc)), (is_positive, !is_positive), "{view:?} {turn:?}: {disc:?}");
         let is_stroke = |x: usize, y: usize| brightness(pixel(&image, x, y)) > 550;
@@ -86,22 +86,22 @@ fn positive_sides_have_red_discs_with_a_plus_and_negative_sides_blue_ones_with_a
 }
 
 #[test]
-fn the_nearer_block_hides_the_farther_whatever_the_order() {
+fn nearer_block_hides_the_farther_in_any_order() {
     let near = cube(UnitQuaternion::identity());
     let far = block("3x2x1", [0.0, 3.0, 0.5], UnitQuaternion::identity());
     let alone = paint(std::slice::from_ref(&near), &near, View::Front, 32);
     let both = paint(&[near.clone(), far.clone()], &near, View::Front, 32);
     assert_eq!(both, paint(&[far, near.clone()], &near, View::Front, 32));
     assert_eq!(pixel(&both, 30, 10), pixel(&alone, 30, 10));
-    // Three units wide, so that it can be seen on both sides of the cube.
+    // Three units wide, so that it is visible on both sides of the cube.
     let [red, _, blue] = pixel(&both, 1, 20);
     assert!(blue > red && pixel(&alone, 1, 20) == WHITE);
 }
 
 #[test]
-fn the_shadow_lies_away_from_the_light() {
-    // From above, light comes from (−0.2, 0.16, 1): a cube whose middle is 3 units up shades the ground around
-    // (0.6, −0.48) units. It is framed as if it covered 3 units, a unit being 20 pixels and the middle (34, 34).
+fn shadow_lies_away_from_the_light() {
+    // Seen from above, light comes from (−0.2, 0.16, 1), so a cube whose center is 3 units up shades the ground around
+    // (0.6, −0.48) units. It is framed as if it covered 3 units, with 20 pixels per unit and the center at (34, 34).
     let cube = block("1x1x1", [0.0, 0.0, 3.0], UnitQuaternion::identity());
     let frame = block("3x1x1", [0.0, 0.0, 3.0], UnitQuaternion::identity());
     let image = paint(std::slice::from_ref(&cube), &frame, View::Top, 60);
@@ -111,11 +111,11 @@ fn the_shadow_lies_away_from_the_light() {
 }
 
 #[test]
-fn a_frame_is_the_grippers_color_and_a_ghost_only_its_edges() {
+fn frame_has_the_gripper_color_and_ghost_has_only_edges() {
     let finished = |finish: Finish| Block { finish, ..cube(UnitQuaternion::identity()) };
     let [plain, framed, ghost] = [Finish::Plain, Finish::Framed(GRIPPER_COLORS[0]), Finish::Ghost].map(finished);
     let check = |blocks: &[Block], at: [usize; 2]| pixel(&paint(blocks, &blocks[0], View::Front, 32), at[0], at[1]);
-    // A frame is 0.13 units or 4 pixels broad, a plain edge one pixel.
+    // A frame is 0.13 units or 4 pixels wide, a plain edge one pixel.
     assert_eq!(check(std::slice::from_ref(&framed), [6, 20]), GRIPPER_COLORS[0]);
     assert_ne!(check(std::slice::from_ref(&plain), [6, 20]), GRIPPER_COLORS[0]);
     assert_eq!(check(std::slice::from_ref(&ghost), [20, 20]), WHITE);
@@ -125,7 +125,7 @@ fn a_frame_is_the_grippers_color_and_a_ghost_only_its_edges() {
 }
 
 #[test]
-fn a_scene_is_drawn_with_frames_around_what_grippers_hold() {
+fn held_blocks_are_framed() {
     let held = BlockIdx::try_from(5).unwrap();
     let gripper = |held| Gripper {
         held,
@@ -149,8 +149,8 @@ fn a_scene_is_drawn_with_frames_around_what_grippers_hold() {
 }
 
 #[test]
-fn a_blueprint_is_drawn_where_its_blocks_are() {
-    // The corners of the drawn blocks are those of the cells that the placements fill.
+fn blueprint_is_drawn_at_its_placements() {
+    // The corners of the drawn blocks equal those of the cells that the placements fill.
     for blueprint in Catalog::builtin().iter() {
         let drawn = corners(&of_blueprint(blueprint));
         let cells: Vec<[i32; 3]> =
@@ -166,7 +166,7 @@ fn a_blueprint_is_drawn_where_its_blocks_are() {
 }
 
 #[test]
-fn a_painter_forgets_what_it_painted() {
+fn painter_keeps_nothing_of_earlier_pictures() {
     let [first, second] = [0, 20].map(|i| of_blueprint(Catalog::builtin().iter().nth(i).unwrap()));
     let mut painter = Painter::default();
     let paint = |painter: &mut Painter, blocks: &[Block]| {
@@ -180,7 +180,7 @@ fn a_painter_forgets_what_it_painted() {
 }
 
 #[test]
-fn a_diverged_world_can_be_drawn() {
+fn diverged_world_can_be_drawn() {
     for wrong in [f32::NAN, f32::INFINITY, 1e30, -1e30] {
         let mut lost = cube(UnitQuaternion::identity());
         lost.pose.translation.vector.x = wrong;
@@ -197,7 +197,7 @@ fn a_diverged_world_can_be_drawn() {
 }
 
 #[test]
-fn a_png_is_decoded_to_the_same_size_and_colors_and_is_always_the_same() {
+fn png_round_trips_and_is_deterministic() {
     let cube = cube(UnitQuaternion::identity());
     let image = paint(std::slice::from_ref(&cube), &cube, View::Front, 32);
     let bytes = encode(&image, 256).unwrap();
@@ -208,16 +208,16 @@ fn a_png_is_decoded_to_the_same_size_and_colors_and_is_always_the_same() {
     let mut decoded = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut decoded).unwrap();
     assert_eq!((info.width, info.height, info.color_type), (40, 40, ::png::ColorType::Rgb));
-    // Orthographic and axis-aligned: few enough colors for the palette to be exact.
+    // Orthographic and axis-aligned: few enough colors for an exact palette.
     assert_eq!(decoded, image.pixels().concat());
 }
 
 #[test]
-fn cards_and_sheets_have_the_size_that_was_asked_for() {
+fn cards_and_sheets_have_the_requested_size() {
     let all: Vec<_> = Catalog::builtin().iter().take(8).collect();
     let mut painter = Painter::default();
     let card = card(&mut painter, all[0], 320);
-    // Words, two rows of views, and at most eight kinds of blocks and magnets in the legend.
+    // Text, two rows of views, and at most eight kinds of blocks and magnets in the legend.
     assert!(card.width() == 320 && (400..720).contains(&card.height()), "{}", card.height());
     // √(1.2 · 8) = 3.1: four columns of 310 pixels and two rows of 280.
     let sheet = sheet(&mut painter, &all);

@@ -1,17 +1,17 @@
-//! Lines of text in a fixed-width font.
+//! Lines of text in a monospaced font.
 
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
 use super::image::{Image, Rgb};
 
-/// What letters look like.
+/// A text style.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Type {
     /// For captions.
     Small,
     /// For most text.
     Body,
-    /// For names among other text.
+    /// For names in other text.
     BodyBold,
     /// For headings.
     Heading,
@@ -44,7 +44,7 @@ impl Type {
     }
 }
 
-/// Writes a line with its upper left corner at `at`, in pixels; letters that the font lacks become question marks.
+/// Writes a line with its upper left corner at `at`, in pixels; characters missing from the font become question marks.
 pub(crate) fn write(image: &mut Image, [left, top]: [usize; 2], text: &str, kind: Type, color: Rgb) {
     let (weight, size) = (kind.weight(), kind.raster_height());
     let width = get_raster_width(weight, size);
@@ -58,7 +58,7 @@ pub(crate) fn write(image: &mut Image, [left, top]: [usize; 2], text: &str, kind
     }
 }
 
-/// The text, or as much of its beginning as fits into `width_px` with two dots behind it.
+/// The text, or the prefix that fits into `width_px` followed by two dots.
 pub(crate) fn fitted(text: &str, kind: Type, width_px: usize) -> String {
     if kind.width(text) <= width_px {
         return text.to_owned();
@@ -74,7 +74,7 @@ mod tests {
     use crate::picture::image::WHITE;
 
     #[test]
-    fn letters_are_written_where_they_belong() {
+    fn text_is_written_at_its_position() {
         let mut image = Image::filled(60, 40, WHITE);
         let at = [10, 12];
         write(&mut image, at, "H×", Type::Small, [0; 3]);
@@ -84,7 +84,7 @@ mod tests {
             .collect();
         let right = at[0] + Type::Small.width("H×");
         assert!(dark.iter().all(|&(x, y)| (10..right).contains(&x) && (12..28).contains(&y)), "{dark:?}");
-        // Both letters have ink: the font knows the sign of multiplication.
+        // Both characters are drawn: the font has the multiplication sign.
         let middle = at[0] + Type::Small.width("H");
         assert!(dark.iter().any(|&(x, _)| x < middle) && dark.iter().any(|&(x, _)| x >= middle));
         let mut unknown = Image::filled(60, 40, WHITE);
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn long_texts_are_cut() {
+    fn long_text_is_truncated() {
         let width = Type::Small.width("12345678");
         assert_eq!(fitted("12345678", Type::Small, width), "12345678");
         assert_eq!(fitted("12345 789", Type::Small, width), "12345..");

@@ -1,6 +1,6 @@
-//! What a side of a block looks like: its color in the light, dark edges, and a disc for each magnet.
+//! The texture of a block's side: its lit color, dark edges, and a disc for each magnet.
 //!
-//! All of it is a function of the place on the side, so that nothing lies on the side that could fight with it for depth.
+//! It is a pure function of the position on the side, so that no coplanar surfaces compete in the depth test.
 
 use blueprints::UNIT_M;
 
@@ -19,30 +19,30 @@ pub const NEGATIVE_COLOR: Rgb = [32, 82, 196];
 const MAGNET_RADIUS_U: f32 = 0.19;
 const RIM_RADIUS_U: f32 = 0.235;
 
-/// Half the length and half the breadth of the strokes of a magnet's sign, in units.
+/// Half the length and half the width of the strokes of a magnet's sign, in units.
 const SIGN_HALF_U: [f32; 2] = [0.105, 0.028];
 
-/// With fewer pixels for a unit than this, signs would be blots; the same for all sides of a picture.
+/// Minimum number of pixels per unit for drawing signs; the same for all sides of a picture.
 const MIN_SIGN_PX: f32 = 40.0;
 
-/// Breadth of edges in units: of plain ones, and of frames.
+/// Width of edges in units: plain edges, and frames.
 const EDGE_U: f32 = 0.025;
 const FRAME_U: f32 = 0.13;
 
-/// Least breadth of an edge in pixels; two of them meet at the border of two blocks.
+/// Minimum width of an edge in pixels; two edges meet at the border of two blocks.
 const MIN_EDGE_PX: f32 = 0.7;
 
-/// How a side is painted, as a function of two coordinates in units.
+/// The texture of a side as a function of two coordinates in units.
 struct Texture {
     cells: [f32; 2],
     edge_u: [f32; 2],
     edge: Rgb,
-    /// The side's own color, or `None` if only the edges are there.
+    /// The side's color, or `None` if only the edges are drawn.
     base: Option<Rgb>,
     rim: Rgb,
     magnet: Rgb,
     sign: Sign,
-    /// Magnets are left out.
+    /// Whether magnets are omitted.
     is_bare: bool,
 }
 
@@ -74,20 +74,20 @@ impl Texture {
         let gradients = surface.gradients()?;
         let from_light = side.normal.dot(camera.light()).max(0.0);
         let shine = 0.56 + 0.36 * from_light + 0.16 * camera.facing(&side.normal) + 0.04 * side.normal.z;
-        // At most its own color, so that legends show it as it is.
+        // At most its own color, so that it matches legends.
         let shine = shine.min(1.0);
-        // Magnets keep more of their color in the shade, as it is what tells their poles apart.
+        // Magnets keep more of their color in the shade, because it distinguishes the poles.
         let glow = 0.5 + 0.5 * shine;
         let base = lit(block.color(), shine);
         let (breadth_u, edge) = match block.finish {
             Finish::Plain | Finish::Shaded { frame: None, .. } => (EDGE_U, mix(base, [30, 32, 44], 0.72)),
             Finish::Framed(color) => (FRAME_U, color),
-            // Narrower, or little would be left of a small block's shade.
+            // Use a narrower frame, so that enough of a small block's shade remains.
             Finish::Shaded { frame: Some(color), .. } => (0.6 * FRAME_U, color),
             Finish::Ghost => (EDGE_U, mix(block.color(), [70, 74, 90], 0.5)),
         };
         let units_per_px = gradients.map(|[x, y]| x.hypot(y));
-        // Seen from its edge a side is compressed, and so would be its edges.
+        // Foreshortening would narrow the edges of an oblique side.
         let edge_u = units_per_px.map(|per_px| breadth_u.max(MIN_EDGE_PX * per_px));
         let has_sign = camera.px_per_m() * UNIT_M >= MIN_SIGN_PX;
         // The stroke of a minus lies along the coordinate that changes less from top to bottom.

@@ -1,9 +1,9 @@
-//! Numbers along an axis.
+//! Ticks and labels of an axis.
 
-/// Environment steps as they are written along an axis.
+/// The unit of environment steps on an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct StepUnit {
-    /// Steps in a unit.
+    /// Environment steps per unit.
     pub(super) n_steps: f64,
     /// Title of the axis.
     pub(super) title: &'static str,
@@ -21,14 +21,14 @@ impl StepUnit {
         Self { n_steps, title }
     }
 
-    /// A number of steps in this unit, without what is 0 at its end.
+    /// A number of steps in this unit, without trailing zeros.
     pub(super) fn label(self, n_steps: f64) -> String {
         let text = format!("{:.3}", n_steps / self.n_steps);
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
     }
 }
 
-/// Round numbers from `low` to `high`, 1, 2 or 5 times a power of ten apart, at most `n_max` of them (2 or more).
+/// Round numbers from `low` to `high`, 1, 2, or 5 times a power of ten apart, at most `n_max` of them (2 or more).
 pub(super) fn ticks(low: f64, high: f64, n_max: usize) -> Vec<f64> {
     let span = high - low;
     if span.is_nan() || span <= 0.0 {
@@ -36,7 +36,7 @@ pub(super) fn ticks(low: f64, high: f64, n_max: usize) -> Vec<f64> {
     }
     let rough = span / n_max as f64;
     let power = 10_f64.powf(rough.log10().floor());
-    // Steps are whole: no tick between two of them.
+    // Steps are integers, so ticks are at least one step apart.
     let step = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * power).into_iter().find(|step| *step >= rough);
     let step = step.unwrap_or(10.0 * power).max(1.0);
     let first = (low / step).ceil() as i64;
@@ -44,7 +44,7 @@ pub(super) fn ticks(low: f64, high: f64, n_max: usize) -> Vec<f64> {
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
-/// Borders between cells around sorted places: half way between neighbors, and as far beyond the ends.
+/// Borders between cells around sorted places: halfway between neighbors, and equally far beyond the ends.
 pub(super) fn borders(places: &[u64]) -> Vec<f64> {
     let places: Vec<f64> = places.iter().map(|place| *place as f64).collect();
     match places[..] {
@@ -72,14 +72,14 @@ mod tests {
     }
 
     #[test]
-    fn borders_lie_half_way() {
+    fn borders_lie_halfway() {
         assert_eq!(borders(&[0, 10, 40]), [-5.0, 5.0, 25.0, 55.0]);
         assert_eq!(borders(&[8]), [7.5, 8.5]);
         assert_eq!(borders(&[]), [0.0; 0]);
     }
 
     #[test]
-    fn steps_are_labeled_in_a_unit_that_suits_them() {
+    fn step_unit_suits_the_range() {
         for (most, n_steps, label, word) in [
             (900.0, 450.0, "450", "steps"),
             (60_000.0, 2_500.0, "2.5", "thousands"),

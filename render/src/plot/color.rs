@@ -1,8 +1,8 @@
-//! Colors that also those can tell apart who see red and green alike.
+//! Colors that are distinguishable with red-green color blindness.
 
 use crate::picture::Rgb;
 
-/// Matplotlib's viridis at equal distances from 0 to 1: lighter means more, also in gray.
+/// Matplotlib's viridis at equal distances from 0 to 1; lighter means more, also in grayscale.
 const VIRIDIS: [Rgb; 17] = [
     [68, 1, 84],
     [72, 24, 106],
@@ -38,18 +38,18 @@ const RED_BLUE: [Rgb; 11] = [
     [5, 48, 97],
 ];
 
-/// Where nothing was judged.
+/// Cells that were not evaluated.
 pub(super) const NOTHING: Rgb = [204, 204, 204];
 /// Lines of axes and text.
 pub(super) const INK: Rgb = [34, 34, 34];
-/// Text of less weight.
+/// Secondary text.
 pub(super) const FAINT: Rgb = [102, 102, 102];
-/// Lines around what belongs together.
+/// Brackets around groups of rows.
 pub(super) const BRACKETS: Rgb = [170, 170, 170];
-/// Lines behind data.
+/// Grid lines behind the data.
 pub(super) const GRID: Rgb = [226, 226, 226];
 
-/// What a number is shown as.
+/// The color scale of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scale {
     /// A rate, 0 to 1.
@@ -59,7 +59,7 @@ pub(super) enum Scale {
 }
 
 impl Scale {
-    /// Least and greatest value.
+    /// Minimum and maximum value.
     pub(super) fn range(self) -> [f64; 2] {
         match self {
             Self::Rate => [0.0, 1.0],
@@ -67,7 +67,7 @@ impl Scale {
         }
     }
 
-    /// The color of a value; what lies outside the range has the color of its end.
+    /// The color of a value; values outside the range have the color of its end.
     pub(super) fn color(self, value: f64) -> Rgb {
         let [low, high] = self.range();
         let share = ((value - low) / (high - low)).clamp(0.0, 1.0);
@@ -78,7 +78,7 @@ impl Scale {
     }
 }
 
-/// Colors of curves in their order (Okabe and Ito, 2008).
+/// Colors of the curves in order (Okabe and Ito, 2008).
 pub(super) const CURVES: [Rgb; 5] = [[0, 114, 178], [230, 159, 0], [0, 158, 115], [213, 94, 0], [150, 80, 160]];
 
 /// The color at `share` of the way, 0 to 1.

@@ -1,4 +1,4 @@
-//! Success over training: of the paper's groups in one run, or of several runs.
+//! Success rates during training: of the paper's groups in one run, or of several runs.
 
 use std::collections::BTreeMap;
 
@@ -13,36 +13,36 @@ use proto::ActionMode;
 use runlog::Pass;
 use runlog::series::{common_rates, group_rates};
 
-/// The field of the curves and the paper around it, pixels.
+/// The plot area and the page around it, pixels.
 const LEFT: f64 = 112.0;
 const TOP: f64 = 104.0;
-const FIELD: [f64; 2] = [820.0, 460.0];
-const PAPER: [usize; 2] = [1256, 648];
+const PLOT: [f64; 2] = [820.0, 460.0];
+const PAGE: [usize; 2] = [1256, 648];
 /// Opacity of intervals, 0 to 255: light enough that curves show through several of them.
 const BAND: u8 = 46;
-/// From curve to curve where there is one pass only, pixels.
-const ASIDE: f64 = 24.0;
-/// Least distance between two labels, pixels.
+/// Distance between curves if there is only one evaluation, pixels.
+const OFFSET: f64 = 24.0;
+/// Minimum distance between two labels, pixels.
 const LABEL_HEIGHT: f64 = 46.0;
-/// Radius of a marker, pixels; with more passes than this they would touch and are left out but for the last.
+/// Radius of a marker, pixels. With more evaluations than this the markers would touch, so only the last one is drawn.
 const MARKER: f64 = 5.5;
 const MAX_MARKED: usize = 40;
 
-/// Most runs in one picture: as many as there are colors and markers.
+/// Maximum number of runs in one plot: the number of colors and markers.
 pub const MAX_RUNS: usize = CURVES.len();
 
-/// One line of a picture.
+/// One curve of a plot.
 struct Curve {
     name: String,
-    /// Place among the colors and markers.
+    /// Index of the color and marker.
     style: usize,
-    /// Environment steps and success.
+    /// Environment steps and success rate.
     points: Vec<(f64, SuccessRate)>,
-    /// Blueprints of the last pass.
+    /// Number of blueprints in the last evaluation.
     n_blueprints: usize,
 }
 
-/// Curves of the groups that the passes judged, with Wilson's 95 % intervals; passes have rising steps. `None` if there is
+/// Curves of the evaluated groups with 95 % Wilson intervals; the evaluations have increasing steps. `None` if there is
 /// nothing to draw.
 pub fn curves(passes: &[&Pass], acting: ActionMode, title: &str, subtitle: &str) -> Option<Drawing> {
     let mut by_group: BTreeMap<Group, Curve> = BTreeMap::new();
@@ -62,8 +62,8 @@ pub fn curves(passes: &[&Pass], acting: ActionMode, title: &str, subtitle: &str)
     draw(&by_group.into_values().collect::<Vec<_>>(), title, subtitle)
 }
 
-/// Curves of at most [`MAX_RUNS`] runs with their names, on the blueprints that all of them judged; passes have rising
-/// steps. `None` if there are no such blueprints.
+/// Curves of at most [`MAX_RUNS`] named runs on the blueprints that all of them evaluated; the evaluations have
+/// increasing steps. `None` if there are no such blueprints.
 pub fn comparison(runs: &[(String, Vec<&Pass>)], acting: ActionMode, title: &str, subtitle: &str) -> Option<Drawing> {
     let rates = common_rates(runs.iter().map(|(_, passes)| &passes[..]), acting)?;
     let named = runs.iter().zip(rates.of_runs).enumerate();
@@ -79,16 +79,16 @@ pub fn comparison(runs: &[(String, Vec<&Pass>)], acting: ActionMode, title: &str
 fn draw(curves: &[Curve], title: &str, subtitle: &str) -> Option<Drawing> {
     let steps = curves.iter().flat_map(|curve| curve.points.iter().map(|(steps, _)| *steps));
     let (low, high) = (steps.clone().reduce(f64::min)?, steps.reduce(f64::max)?);
-    let mut drawing = Drawing::new(PAPER[0], PAPER[1]);
+    let mut drawing = Drawing::new(PAGE[0], PAGE[1]);
     drawing.text(title, [24.0, 36.0], Anchor::Start, Type::Heading, INK);
     drawing.text(subtitle, [24.0, 64.0], Anchor::Start, Type::Body, FAINT);
     let x = |steps: f64| {
-        // The only pass stands in the middle; otherwise markers keep clear of the frame.
+        // A single evaluation is centered; otherwise keep markers clear of the frame.
         let share = if high > low { (steps - low) / (high - low) } else { 0.5 };
-        LEFT + 12.0 + share * (FIELD[0] - 24.0)
+        LEFT + 12.0 + share * (PLOT[0] - 24.0)
     };
-    // Curves of the only pass stand side by side, or their intervals would hide each other.
-    let aside = |i: usize| if high > low { 0.0 } else { ASIDE * (i as f64 - (curves.len() - 1) as f64 / 2.0) };
+    // With a single evaluation, draw the curves side by side so that their intervals do not hide each other.
+    let aside = |i: usize| if high > low { 0.0 } else { OFFSET * (i as f64 - (curves.len() - 1) as f64 / 2.0) };
     axes(&mut drawing, low, high, x);
     for (i, curve) in curves.iter().enumerate() {
         intervals(&mut drawing, curve, x, aside(i));
@@ -100,13 +100,13 @@ fn draw(curves: &[Curve], title: &str, subtitle: &str) -> Option<Drawing> {
     Some(drawing)
 }
 
-/// The place of a rate, pixels from above.
+/// The y coordinate of a rate, in pixels from the top.
 fn y(rate: f64) -> f64 {
-    TOP + (1.0 - rate) * FIELD[1]
+    TOP + (1.0 - rate) * PLOT[1]
 }
 
 fn axes(drawing: &mut Drawing, low: f64, high: f64, x: impl Fn(f64) -> f64) {
-    let (right, bottom) = (LEFT + FIELD[0], TOP + FIELD[1]);
+    let (right, bottom) = (LEFT + PLOT[0], TOP + PLOT[1]);
     for percent in [0, 20, 40, 60, 80, 100] {
         let y = y(f64::from(percent) / 100.0);
         drawing.line(vec![[LEFT, y], [right, y]], 1.0, GRID);
@@ -118,11 +118,11 @@ fn axes(drawing: &mut Drawing, low: f64, high: f64, x: impl Fn(f64) -> f64) {
         drawing.text(unit.label(mark), [x(mark), bottom + 22.0], Anchor::Middle, Type::Body, INK);
     }
     drawing.line(vec![[LEFT, TOP], [LEFT, bottom], [right, bottom]], 1.4, INK);
-    drawing.text(unit.title, [LEFT + FIELD[0] / 2.0, bottom + 52.0], Anchor::Middle, Type::Body, INK);
-    drawing.text("success (%)", [36.0, TOP + FIELD[1] / 2.0], Anchor::Turned, Type::Body, INK);
+    drawing.text(unit.title, [LEFT + PLOT[0] / 2.0, bottom + 52.0], Anchor::Middle, Type::Body, INK);
+    drawing.text("success (%)", [36.0, TOP + PLOT[1] / 2.0], Anchor::Turned, Type::Body, INK);
 }
 
-/// A band, or a bar where there is one pass only, so many pixels to the side.
+/// Draws a band, or a bar offset by `aside` pixels if there is only one evaluation.
 fn intervals(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside: f64) {
     let color = CURVES[curve.style];
     if let [(steps, rate)] = curve.points[..] {
@@ -149,7 +149,7 @@ fn line(drawing: &mut Drawing, curve: &Curve, x: impl Fn(f64) -> f64, aside: f64
     }
 }
 
-/// A shape of its own for each curve, for eyes and printers without colors.
+/// Draws a marker shape specific to the curve, which works without colors.
 fn marker(drawing: &mut Drawing, style: usize, [x, y]: [f64; 2], color: Rgb) {
     let (n_corners, first, radius) = match style {
         0 => (24, 0.0, 1.0),
@@ -165,14 +165,14 @@ fn marker(drawing: &mut Drawing, style: usize, [x, y]: [f64; 2], color: Rgb) {
     drawing.polygon((0..n_corners).map(corner).collect(), color, 255);
 }
 
-/// Names beside the ends of the curves, pushed apart where they would overlap.
+/// Draws names next to the ends of the curves, moved apart if they would overlap.
 fn legend(drawing: &mut Drawing, curves: &[Curve]) {
     let ends = curves.iter().filter_map(|curve| Some((curve, curve.points.last()?.1.rate)));
     let mut ends: Vec<(&Curve, f64)> = ends.collect();
     ends.sort_by(|(_, a), (_, b)| b.total_cmp(a));
-    let places = apart(&ends.iter().map(|(_, rate)| y(*rate)).collect::<Vec<_>>(), [TOP, TOP + FIELD[1]]);
+    let places = apart(&ends.iter().map(|(_, rate)| y(*rate)).collect::<Vec<_>>(), [TOP, TOP + PLOT[1]]);
     for ((curve, rate), y) in ends.into_iter().zip(places) {
-        let (x, color) = (LEFT + FIELD[0] + 30.0, CURVES[curve.style]);
+        let (x, color) = (LEFT + PLOT[0] + 30.0, CURVES[curve.style]);
         drawing.line(vec![[x - 14.0, y], [x + 14.0, y]], 2.6, color);
         marker(drawing, curve.style, [x, y], color);
         let plural = if curve.n_blueprints == 1 { "" } else { "s" };
@@ -182,7 +182,7 @@ fn legend(drawing: &mut Drawing, curves: &[Curve]) {
     }
 }
 
-/// Places from above moved as little as needs be to keep their distance and the lower end of the range.
+/// Moves y coordinates as little as possible to keep their minimum distance and stay in the range.
 fn apart(places: &[f64], [top, bottom]: [f64; 2]) -> Vec<f64> {
     let mut moved: Vec<f64> = Vec::with_capacity(places.len());
     for place in places {
@@ -202,7 +202,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn labels_keep_their_distance() {
+    fn labels_keep_their_minimum_distance() {
         // The second is pushed down by the first, the last two up by the end of the range.
         assert_eq!(apart(&[100.0, 110.0, 300.0, 300.0], [100.0, 320.0]), [100.0, 146.0, 274.0, 320.0]);
         assert_eq!(apart(&[], [0.0, 9.0]), [0.0; 0]);

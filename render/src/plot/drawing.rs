@@ -1,8 +1,8 @@
-//! A picture as shapes, which become SVG or pixels.
+//! A drawing of shapes, which is rendered as SVG or pixels.
 
 use crate::picture::{Rgb, Type};
 
-/// Shapes on white paper, each over those before it.
+/// Shapes on a white page, in drawing order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Drawing {
     pub(super) width: usize,
@@ -10,10 +10,10 @@ pub struct Drawing {
     pub(super) shapes: Vec<Shape>,
 }
 
-/// Something that is drawn; places in pixels from the upper left corner, x first.
+/// A shape; coordinates are in pixels from the upper left corner, x first.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Shape {
-    /// A filled rectangle on whole pixels, so that neighbors leave no seam.
+    /// A filled rectangle on whole pixels, so that there is no seam between neighbors.
     Rect { corner: [usize; 2], size: [usize; 2], fill: Rgb },
     /// A line through points with round ends.
     Line { points: Vec<[f64; 2]>, width: f64, color: Rgb },
@@ -23,7 +23,7 @@ pub(super) enum Shape {
     Text { text: String, at: [f64; 2], anchor: Anchor, kind: Type, color: Rgb },
 }
 
-/// Which part of a text its place is; all are half way up.
+/// The point of a text that its position refers to; all are vertically centered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Anchor {
     /// The beginning.
@@ -32,12 +32,12 @@ pub(super) enum Anchor {
     Middle,
     /// The end.
     End,
-    /// The middle of a text that reads upwards.
+    /// The middle of a text that runs upward.
     Turned,
 }
 
 impl Drawing {
-    /// Empty paper.
+    /// An empty page.
     pub(super) fn new(width: usize, height: usize) -> Self {
         Self { width, height, shapes: Vec::new() }
     }

@@ -1,4 +1,4 @@
-//! The table of groups of one pass, as Markdown and as comma-separated values.
+//! The table of groups in one evaluation, as Markdown and as comma-separated values.
 
 use std::fmt::Write;
 
@@ -10,18 +10,18 @@ use proto::ActionMode;
 use runlog::Pass;
 use runlog::series::{group_of, outcome_of};
 
-/// A group and a way of acting.
+/// Results of a group with one action mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupRow {
     /// `train 2-6` and so on, `all`, or `reset-free`.
     pub name: String,
-    /// Blueprints, or goals in a run without resets.
+    /// Number of blueprints, or of goals in a reset-free run.
     pub n_blueprints: usize,
-    /// How actions were taken.
+    /// The action mode.
     pub acting: ActionMode,
-    /// Successes, with the interval.
+    /// Success rate with its interval.
     pub success: SuccessRate,
-    /// Successes that lasted.
+    /// Stable success rate.
     pub stable: SuccessRate,
     /// Mean steps of the successful episodes, if there are any.
     pub mean_steps_to_success: Option<f64>,
@@ -31,8 +31,8 @@ pub struct GroupRow {
     pub n_diverged: u64,
 }
 
-/// The rows of a pass: the paper's groups in its order, all blueprints, and the runs without resets; those that were not
-/// judged are left out.
+/// The rows of an evaluation: the paper's groups in its order, all blueprints, and the reset-free runs; those that were
+/// not evaluated are left out.
 pub fn rows(pass: &Pass) -> Vec<GroupRow> {
     use Group::{Test12To16, TestSpecial, Train2To6, Train7To11, Train12To16};
     let groups = [Train2To6, Train7To11, Train12To16, Test12To16, TestSpecial].map(Some);
@@ -99,7 +99,7 @@ pub fn markdown(rows: &[GroupRow]) -> String {
     text
 }
 
-/// The rows as comma-separated values under a line of names; rates from 0 to 1, nothing where there is no number.
+/// The rows as comma-separated values with a header; rates from 0 to 1, missing numbers empty.
 pub fn csv(rows: &[GroupRow]) -> String {
     let mut text =
         "group,n_blueprints,acting,n_episodes,n_successes,success,wilson_low,wilson_high,n_stable_successes,\

@@ -1,4 +1,4 @@
-//! Heat maps: blueprints from top to bottom, training from left to right.
+//! Heat maps: blueprints from top to bottom, training steps from left to right.
 
 use blueprints::Split;
 
@@ -10,56 +10,56 @@ use runlog::series::{Difference, Grid, Row};
 
 /// Margin around everything, pixels.
 const MARGIN: usize = 24;
-/// Room above the cells for title and subtitle, pixels.
+/// Space above the cells for title and subtitle, pixels.
 const HEAD: usize = 96;
-/// Room below the cells for the axis of steps, pixels.
+/// Space below the cells for the axis of steps, pixels.
 const FOOT: usize = 72;
-/// Room between columns of labels, and between labels and cells, pixels.
+/// Space between columns of labels, and between labels and cells, pixels.
 const GAP: usize = 14;
-/// From the end of a label to its bracket, pixels.
+/// Distance from the end of a label to its bracket, pixels.
 const BRACKET: f64 = 6.5;
-/// White between sizes and between splits, pixels.
+/// White space between sizes and between splits, pixels.
 const BETWEEN_SIZES: usize = 3;
 const BETWEEN_SPLITS: usize = 10;
-/// Height that rows share out, and how high one can be, pixels; the least holds a line of text.
+/// Total height of the rows, and minimum and maximum height of one row, pixels; the minimum fits a line of text.
 const ROWS_HEIGHT: usize = 480;
 const ROW_HEIGHT: [usize; 2] = [18, 36];
-/// Width that columns share out, and how wide one can be at most, pixels.
+/// Minimum and maximum total width of the columns, and maximum width of one column, pixels.
 const CELLS_WIDTH: [usize; 2] = [520, 1100];
 const COLUMN_WIDTH: usize = 48;
-/// The scale of colors: greatest height, width and room to its right for labels, pixels.
+/// The color bar: maximum height, width, and space to its right for labels, pixels.
 const BAR_HEIGHT: usize = 360;
 const BAR_WIDTH: usize = 22;
 const BAR_LABELS: usize = 96;
-/// From the scale of colors to the middle of its title, pixels.
+/// Distance from the color bar to the center of its title, pixels.
 const BAR_TITLE: f64 = 70.0;
 
-/// Heat map of success rates; the title is to say what is shown and the subtitle of which run.
+/// Heat map of success rates; the title describes the values, and the subtitle names the run.
 pub fn success_map(grid: &Grid, title: &str, subtitle: &str) -> Drawing {
     heat_map(grid, Scale::Rate, title, subtitle)
 }
 
-/// Heat map of differences of success rates: blue where the first run is better, red where the second one is.
+/// Heat map of differences between success rates: blue if the first run is better, red if the second is.
 pub fn difference_map(difference: &Difference, title: &str, subtitle: &str) -> Drawing {
     heat_map(&difference.grid, Scale::Difference, title, subtitle)
 }
 
-/// Rows that stand together under one label.
+/// Rows grouped under one label.
 struct Block {
     label: String,
     top: usize,
     bottom: usize,
 }
 
-/// Where everything stands, in pixels.
+/// Positions in pixels.
 struct Layout {
-    /// Upper edge of each row.
+    /// Top edge of each row.
     tops: Vec<usize>,
     row_height: usize,
     bottom: usize,
     splits: Vec<Block>,
     sizes: Vec<Block>,
-    /// Right edges of the labels of splits, sizes and ids.
+    /// Right edges of the labels of splits, sizes, and ids.
     label_ends: [usize; 3],
     left: usize,
     width: usize,
@@ -90,7 +90,7 @@ impl Layout {
         }
         let widest =
             |labels: &mut dyn Iterator<Item = &str>, kind: Type| labels.map(|l| kind.width(l)).max().unwrap_or(0);
-        // A turned title, then the labels of splits, sizes and ids.
+        // A rotated title, then the labels of splits, sizes, and ids.
         let split_end =
             MARGIN + Type::Body.height() + GAP + widest(&mut splits.iter().map(|b| &*b.label), Type::BodyBold);
         let size_end = split_end + GAP + widest(&mut sizes.iter().map(|b| &*b.label), Type::Small);
@@ -105,7 +105,7 @@ impl Layout {
     }
 }
 
-/// Adds a row to the last block, or begins one.
+/// Adds a row to the last block, or starts a new one.
 fn extend(blocks: &mut Vec<Block>, same: bool, (top, bottom): (usize, usize), label: impl FnOnce() -> String) {
     match blocks.last_mut() {
         Some(block) if same => block.bottom = bottom,
@@ -132,7 +132,7 @@ fn heat_map(grid: &Grid, scale: Scale, title: &str, subtitle: &str) -> Drawing {
     let bar_height = (layout.bottom - HEAD).clamp(BAR_HEIGHT / 2, BAR_HEIGHT);
     let text_end = MARGIN + Type::Heading.width(title).max(Type::Body.width(subtitle));
     let width = (layout.right() + 2 * GAP + BAR_WIDTH + BAR_LABELS).max(text_end) + MARGIN;
-    // Room for the note below the scale of colors.
+    // Leave space for the note below the color bar.
     let height = (layout.bottom + FOOT).max(HEAD + bar_height + FOOT);
     let mut drawing = Drawing::new(width, height);
     drawing.text(title, [MARGIN as f64, 36.0], Anchor::Start, Type::Heading, INK);
@@ -148,7 +148,7 @@ fn labels(drawing: &mut Drawing, grid: &Grid, layout: &Layout) {
     let [split_end, size_end, id_end] = layout.label_ends.map(|end| end as f64);
     for (blocks, end) in [(&layout.splits, split_end), (&layout.sizes, size_end)] {
         for block in blocks {
-            // A bracket on the side of the rows that the label is for.
+            // A bracket on the side of the rows that the label belongs to.
             let (x, top, bottom) = (end + BRACKET, block.top as f64 + 1.5, block.bottom as f64 - 1.5);
             drawing.line(vec![[x, top], [x, bottom]], 1.0, BRACKETS);
         }
@@ -177,7 +177,7 @@ fn cells(drawing: &mut Drawing, grid: &Grid, layout: &Layout, scale: Scale) {
     let place = |steps: f64| layout.left as f64 + (steps - low) / (high - low) * layout.width as f64;
     let edges: Vec<usize> = borders.iter().map(|border| place(*border).round() as usize).collect();
     if scale == Scale::Difference {
-        // No difference is as good as white: a frame shows where the map ends, and lines where the size changes.
+        // No difference is nearly white: draw a frame around the map, and lines where the size changes.
         for block in &layout.splits {
             let size = [layout.width + 2, block.bottom - block.top + 2];
             drawing.rect([layout.left - 1, block.top - 1], size, BRACKETS);
@@ -185,7 +185,7 @@ fn cells(drawing: &mut Drawing, grid: &Grid, layout: &Layout, scale: Scale) {
     }
     for (values, &top) in grid.values.iter().zip(&layout.tops) {
         let colors: Vec<_> = values.iter().map(|value| value.map_or(NOTHING, |value| scale.color(value))).collect();
-        // Neighbors of one color are one rectangle: a report of a hundred passes has half as many.
+        // Merge neighbors of one color into one rectangle: a plot of a hundred evaluations needs half as many.
         let mut column = 0;
         for same in colors.chunk_by(|a, b| a == b) {
             let (left, right) = (edges[column], edges[column + same.len()]);
@@ -195,7 +195,7 @@ fn cells(drawing: &mut Drawing, grid: &Grid, layout: &Layout, scale: Scale) {
     }
     let unit = StepUnit::of(grid.steps.last().map_or(0.0, |steps| *steps as f64));
     let marks = match grid.steps[..] {
-        // The only pass need not lie at a round number.
+        // A single evaluation need not have a round number of steps.
         [only] => vec![only as f64],
         _ => ticks(low.max(0.0), high, 8),
     };

@@ -1,21 +1,21 @@
-//! Shapes as pixels with smooth edges.
+//! Rasterizes shapes with antialiasing.
 
 use png::EncodingError;
 
 use super::drawing::{Anchor, Drawing, Shape};
 use crate::picture::{Image, Rgb, Type, WHITE, encode, write};
 
-/// Colors in a PNG; shades of text and of bands take some of them.
+/// Colors in a PNG; shades of text and bands use some of them.
 const N_COLORS: usize = 256;
 
-/// Lines in a row of pixels along which polygons are filled.
+/// Scanlines per row of pixels for filling polygons.
 const N_SCANLINES: usize = 8;
 
 impl Drawing {
     /// The bytes of a PNG file.
     ///
     /// # Errors
-    /// When a side is longer than the format can say.
+    /// If a side exceeds the limit of the format.
     pub fn to_png(&self) -> Result<Vec<u8>, EncodingError> {
         encode(&paint(self), N_COLORS)
     }
@@ -37,7 +37,7 @@ pub(super) fn paint(drawing: &Drawing) -> Image {
     image
 }
 
-/// A part of the image with what each of its pixels is covered to, 0 to 1.
+/// A part of the image with the coverage of each pixel, 0 to 1.
 struct Mask {
     corner: [usize; 2],
     size: [usize; 2],
@@ -45,7 +45,7 @@ struct Mask {
 }
 
 impl Mask {
-    /// Around points, with a margin in pixels, as far as it lies inside.
+    /// The part around the points with a margin in pixels, clipped to the image.
     fn around(image: &Image, points: &[[f64; 2]], margin: f64) -> Self {
         let span = |axis: usize, side: usize| {
             let places = points.iter().map(|point| point[axis]);
@@ -67,7 +67,7 @@ impl Mask {
     }
 }
 
-/// Covers each pixel by how far its middle is from the line; joints are not covered twice.
+/// Covers each pixel by the distance of its center from the line; joints are not covered twice.
 fn line(image: &mut Image, points: &[[f64; 2]], width: f64, color: Rgb) {
     let margin = width / 2.0 + 1.0;
     let mut mask = Mask::around(image, points, margin);
@@ -86,7 +86,7 @@ fn line(image: &mut Image, points: &[[f64; 2]], width: f64, color: Rgb) {
     mask.blend_into(image, color, 255.0);
 }
 
-/// From a point to the nearest point of a segment.
+/// Distance from a point to the nearest point of a segment.
 fn distance(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     let along = [to[0] - from[0], to[1] - from[1]];
     let away = [point[0] - from[0], point[1] - from[1]];
@@ -95,7 +95,7 @@ fn distance(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     (away[0] - share * along[0]).hypot(away[1] - share * along[1])
 }
 
-/// Fills between the first and second crossing of each scanline with the edges, the third and fourth, and so on.
+/// Fills each scanline between the first and second crossing with the edges, the third and fourth, and so on.
 fn polygon(image: &mut Image, points: &[[f64; 2]], fill: Rgb, opacity: u8) {
     let mut mask = Mask::around(image, points, 0.0);
     let ([left, top], [n_columns, n_rows]) = (mask.corner, mask.size);
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_polygon_covers_pixels_by_their_share() {
+    fn polygon_covers_pixels_partially() {
         // From x = 1.5 to 4 and y = 1 to 3: half of the second pixel, all of the third and fourth.
         let corners = vec![[1.5, 1.0], [4.0, 1.0], [4.0, 3.0], [1.5, 3.0]];
         let image = painted(|drawing| drawing.polygon(corners, [0; 3], 255));
@@ -167,8 +167,8 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_as_wide_as_it_says_and_its_joints_are_not_darker() {
-        // Width 2 about y = 3: rows 2 and 3 are full, those next to them are not touched.
+    fn line_has_its_width_and_uniform_joints() {
+        // Width 2 around y = 3: rows 2 and 3 are full, and the rows next to them are empty.
         let points = vec![[2.5, 3.0], [4.5, 3.0], [6.5, 3.0]];
         let image = painted(|drawing| drawing.line(points, 2.0, [0; 3]));
         for (y, expected) in [(1, 255), (2, 0), (3, 0), (4, 255)] {
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_is_cut_off() {
+    fn shapes_outside_are_clipped() {
         let far = vec![[-5.0, -5.0], [99.0, -5.0], [99.0, 99.0], [-5.0, 99.0]];
         let image = painted(|drawing| {
             drawing.polygon(far.clone(), [7; 3], 255);

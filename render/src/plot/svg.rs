@@ -1,14 +1,14 @@
-//! Shapes as SVG.
+//! Writes shapes as SVG.
 
 use std::fmt::Write;
 
 use super::drawing::{Anchor, Drawing, Shape};
 use crate::picture::{Rgb, Type};
 
-/// Width of a letter in Noto Sans Mono and its like, in font sizes.
+/// Width of a letter in Noto Sans Mono and similar fonts, in em.
 const LETTER_EM: f64 = 0.6;
 
-/// Height of the middle of lower case letters with stems above the base line, in font sizes.
+/// Height of the middle of lower case letters with ascenders above the baseline, in em.
 const MIDDLE_EM: f64 = 0.34;
 
 impl Drawing {
@@ -54,7 +54,7 @@ fn push(svg: &mut String, shape: &Shape) -> std::fmt::Result {
             let size = kind.width("x") as f64 / LETTER_EM;
             let below = MIDDLE_EM * size;
             let place = match anchor {
-                // Turned about the middle: what was below the middle is then to its right.
+                // Rotated about the middle: an offset below the middle becomes an offset to the right.
                 Anchor::Turned => format!("transform=\"translate({:.1} {y:.1}) rotate(-90)\"", x + below),
                 _ => format!("x=\"{x:.1}\" y=\"{:.1}\"", y + below),
             };

@@ -1,4 +1,4 @@
-//! The pictures of hand-made histories show what these say.
+//! Plots of hand-made histories.
 
 use blueprints::Split;
 
@@ -21,7 +21,7 @@ fn map_of(passes: &[Pass]) -> String {
     success_map(&grid, "What & where", "of < a run >").to_svg()
 }
 
-/// Upper left corner, width and fill of the rectangles of a row's height in an SVG.
+/// Upper left corner, width, and fill of the rectangles with a row's height in an SVG.
 fn cells(svg: &str, height: &str) -> Vec<([u32; 2], u32, String)> {
     let rects = svg.lines().filter(|line| line.starts_with("<rect") && line.contains(&format!("height=\"{height}\"")));
     let value = |line: &str, name: &str| {
@@ -31,27 +31,27 @@ fn cells(svg: &str, height: &str) -> Vec<([u32; 2], u32, String)> {
     rects.map(|line| ([number(line, "x"), number(line, "y")], number(line, "width"), value(line, "fill"))).collect()
 }
 
-/// The texts of an SVG in the order of drawing.
+/// The texts of an SVG in drawing order.
 fn texts(svg: &str) -> Vec<&str> {
     let lines = svg.lines().filter(|line| line.starts_with("<text"));
     lines.filter_map(|line| line.split('>').nth(1)?.split('<').next()).collect()
 }
 
 #[test]
-fn cells_have_the_color_of_their_rate() {
-    // Rows of 36 pixels. The ends of viridis are #440154 for 0 and #fde725 for 1; the row that stays at 0 is one rectangle.
+fn heat_map_cells_have_the_color_of_their_rate() {
+    // Rows of 36 pixels. Viridis goes from #440154 for 0 to #fde725 for 1; a row of zeros is one rectangle.
     let svg = map_of(&two_passes());
     let cells = cells(&svg, "36");
     let [first, second, below] = &cells[..] else { panic!("{cells:?}") };
     assert_eq!((first.2.as_str(), second.2.as_str(), below.2.as_str()), ("#440154", "#fde725", "#440154"));
     let left = first.0[0];
     assert_eq!((second.0, first.1, second.1), ([left + 260, first.0[1]], 260, 260));
-    // Another split begins 10 pixels below.
+    // The next split starts 10 pixels below.
     assert_eq!((below.0, below.1), ([left, first.0[1] + 46], 520));
 }
 
 #[test]
-fn everything_is_labeled() {
+fn heat_map_labels_rows_and_axes() {
     let svg = map_of(&two_passes());
     let texts = texts(&svg);
     for label in [
@@ -75,7 +75,7 @@ fn everything_is_labeled() {
 }
 
 #[test]
-fn what_was_not_judged_is_gray_and_says_so() {
+fn missing_evaluations_are_gray_and_labeled() {
     let mut passes = two_passes();
     passes[0].blueprints.truncate(1);
     let svg = map_of(&passes);
@@ -84,14 +84,14 @@ fn what_was_not_judged_is_gray_and_says_so() {
 }
 
 #[test]
-fn one_pass_stands_at_its_own_step() {
+fn single_evaluation_is_labeled_with_its_step() {
     let svg = map_of(&[pass(1_234, &[("2_000", Split::Train, 2, 10)])]);
     assert_eq!(cells(&svg, "36").len(), 1);
     assert!(texts(&svg).contains(&"1234"), "{:?}", texts(&svg));
 }
 
 #[test]
-fn a_difference_is_blue_where_the_first_run_is_better() {
+fn difference_map_is_blue_if_the_first_run_is_better() {
     let run =
         [pass(0, &[("2_000", Split::Train, 2, 10), ("3_000", Split::Train, 3, 0), ("4_000", Split::Train, 4, 5)])];
     let other =
@@ -105,7 +105,7 @@ fn a_difference_is_blue_where_the_first_run_is_better() {
 }
 
 #[test]
-fn curves_name_their_groups_and_stand_at_their_rates() {
+fn curves_are_labeled_and_placed_by_rate() {
     let passes = two_passes();
     let svg = curves(&lineage(&passes), ActionMode::Greedy, "", "").unwrap().to_svg();
     let texts = texts(&svg);
@@ -114,20 +114,20 @@ fn curves_name_their_groups_and_stand_at_their_rates() {
     {
         assert!(texts.contains(&label), "no {label:?} in {texts:?}");
     }
-    // The field goes from y = 104 for 100 % to 564 for 0 %.
+    // The plot area goes from y = 104 for 100 % to 564 for 0 %.
     let line = svg.lines().find(|line| line.contains("polyline") && line.contains("#0072b2")).unwrap();
     assert!(line.contains("points=\"124.0,564.0 920.0,104.0\""), "{line}");
     // 10 of 10: the interval's lower end is 10 / (10 + z²) = 0.72247, at 564 − 460 × 0.72247 = 231.7.
     let band = svg.lines().find(|line| line.contains("polygon") && line.contains("#0072b2")).unwrap();
     assert!(band.contains(" 920.0,104.0 920.0,231.7 "), "{band}");
     assert!(curves(&lineage(&passes), ActionMode::Sampled, "", "").is_none());
-    // A bar in place of a band.
+    // A bar instead of a band.
     let once = curves(&lineage(&passes[1..]), ActionMode::Greedy, "", "").unwrap().to_svg();
     assert!(!once.contains("fill-opacity=\"0.180\""));
 }
 
 #[test]
-fn runs_stand_beside_each_other_under_their_names() {
+fn comparison_labels_each_run() {
     let (run, other) = (two_passes(), vec![pass(20_000, &[("2_000", Split::Train, 2, 5)])]);
     let runs = [("mine".to_owned(), lineage(&run)), ("theirs".to_owned(), lineage(&other))];
     let svg = comparison(&runs, ActionMode::Greedy, "", "").unwrap().to_svg();
@@ -139,7 +139,7 @@ fn runs_stand_beside_each_other_under_their_names() {
 }
 
 #[test]
-fn svg_and_png_show_the_same() {
+fn svg_and_png_agree() {
     let grid = Grid::success(&lineage(&two_passes()), ActionMode::Greedy).unwrap();
     let drawing = success_map(&grid, "title", "");
     let [[x, y], ..] = cells(&drawing.to_svg(), "36")[1..].iter().map(|cell| cell.0).collect::<Vec<_>>()[..] else {
@@ -151,7 +151,7 @@ fn svg_and_png_show_the_same() {
 }
 
 #[test]
-fn the_table_of_groups_by_hand() {
+fn group_table_matches_hand_worked_values() {
     let pass = pass(9, &[("2_000", Split::Train, 2, 4), ("3_000", Split::Train, 3, 0)]);
     let rows = groups::rows(&pass);
     // 4 of 20; 2 stable; no steps from the blueprint without success; returns of 1.27 each; 1 and 2 diverged. Wilson:

@@ -1,4 +1,4 @@
-//! What a policy attends to through an episode: numbers first, then the world with blocks shaded by them.
+//! A policy's attention through an episode: the numbers, and the world with blocks shaded by them.
 
 use std::fmt;
 
@@ -10,49 +10,49 @@ use super::episode::Episode;
 use super::stage::Stage;
 use crate::picture::{Finish, GRIPPER_COLORS, Image, Painter, Rgb, mix, of_scene};
 
-/// Colors of no attention, of some, and of [`FULL`] and more.
+/// Colors of no attention, of some, and of [`FULL`] or more.
 const RAMP: [Rgb; 3] = [[240, 242, 246], [247, 164, 66], [140, 14, 84]];
 
-/// The share of attention with the ramp's last color: few heads give a block more.
+/// The share of attention with the last color; few heads give more to one block.
 pub(super) const FULL: f32 = 0.5;
 
-/// Lines are drawn from a block to those that have at least this share of its attention.
+/// Minimum share of attention for which a line is drawn from a block to another.
 const LINE_FROM: f32 = 0.2;
 
 const LINE: Rgb = [30, 60, 130];
 
-/// Scenes whose attention is computed together.
+/// Number of scenes whose attention is computed together.
 const BATCH: usize = 16;
 
-/// Why there is nothing to show.
+/// Reasons why there is no attention to show.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AttentionError {
-    /// The encoder weighs all blocks alike.
+    /// The encoder weights all blocks equally.
     #[error("this network has no attention in its layers")]
     NoAttention,
-    /// The policy sees another world.
+    /// The policy and the episode have different numbers of grippers.
     #[error("the episode has {episode} grippers and the network {network}")]
     Grippers {
-        /// Of the episode.
+        /// Grippers of the episode.
         episode: usize,
-        /// Of the network.
+        /// Grippers of the network.
         network: usize,
     },
 }
 
-/// What a policy attends to in every scene of an episode.
+/// A policy's attention in every scene of an episode.
 #[derive(Clone, Debug)]
 pub struct EpisodeAttention<'e> {
     pub(super) episode: &'e Episode,
     scenes: Vec<Attention>,
 }
 
-/// One of the things that a policy attends with.
+/// A source of attention in a policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttentionSource {
-    /// A gripper, when it chooses what to hold.
+    /// A gripper when it chooses a block.
     Gripper(usize),
-    /// A head of a layer, when the blocks of the goal gather what others have to say.
+    /// A head of a layer, averaged over the goal's blocks.
     Head { layer: usize, head: usize },
 }
 
@@ -65,22 +65,22 @@ impl fmt::Display for AttentionSource {
     }
 }
 
-/// Shares of the attention of the goal's blocks, 0 to 1. They overlap, and need not add up to 1.
+/// Shares of the attention of the goal's blocks, 0 to 1. They overlap and need not sum to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Shares {
-    /// On blocks that the goal connects them with.
+    /// On blocks that the goal connects them to.
     pub(super) planned: f32,
-    /// On blocks that they are connected with.
+    /// On blocks that they are connected to.
     pub(super) joined: f32,
-    /// On blocks that a gripper holds.
+    /// On blocks held by a gripper.
     pub(super) held: f32,
 }
 
 impl<'e> EpisodeAttention<'e> {
-    /// What `policy` attends to in the episode, whoever acted in it.
+    /// Computes the attention of `policy` in the episode, regardless of which agent acted.
     ///
     /// # Errors
-    /// When the policy's network has no attention or another number of grippers than the episode.
+    /// If the policy's network has no attention, or a different number of grippers than the episode.
     pub fn new(policy: &Policy, episode: &'e Episode) -> Result<Self, AttentionError> {
         let network = usize::from(policy.config().network.n_grippers);
         let grippers = episode.scenes()[0].grippers.iter().flatten().count();
@@ -109,7 +109,7 @@ impl<'e> EpisodeAttention<'e> {
         self.scenes[0].n_grippers()
     }
 
-    /// Everything that attends: grippers first, then the heads of one layer after the other.
+    /// All attention sources: grippers first, then the heads layer by layer.
     pub fn sources(&self) -> impl Iterator<Item = AttentionSource> + use<> {
         let (n_layers, n_heads) = (self.n_layers(), self.n_heads());
         let heads =
@@ -117,12 +117,12 @@ impl<'e> EpisodeAttention<'e> {
         (0..self.n_grippers()).map(AttentionSource::Gripper).chain(heads)
     }
 
-    /// Scenes of the episode.
+    /// Number of scenes in the episode.
     pub fn n_scenes(&self) -> usize {
         self.scenes.len()
     }
 
-    /// Share of the attention that each block gets after so many steps: of a gripper's, or of that of the goal's blocks.
+    /// Share of attention on each block after `n_done` steps: that of a gripper, or the mean over the goal's blocks.
     pub fn received(&self, source: AttentionSource, n_done: usize) -> [f32; N_BLOCKS] {
         let seen = &self.scenes[n_done];
         let mut received = [0.0; N_BLOCKS];
@@ -139,7 +139,7 @@ impl<'e> EpisodeAttention<'e> {
         received
     }
 
-    /// What the attention of a head is on after so many steps.
+    /// Shares of a head's attention after `n_done` steps.
     pub(super) fn shares(&self, layer: usize, head: usize, n_done: usize) -> Shares {
         let (goal, scene) = (self.episode.goal(), &self.episode.scenes()[n_done]);
         let mut shares = Shares::default();
@@ -158,7 +158,7 @@ impl<'e> EpisodeAttention<'e> {
         shares
     }
 
-    /// The world after so many steps, blocks shaded by the attention they get, lines from blocks to what they attend to.
+    /// The world after `n_done` steps, with blocks shaded by attention and lines to the blocks they attend to.
     pub(super) fn picture(
         &self,
         source: AttentionSource,
@@ -197,9 +197,9 @@ fn is_held(scene: &Scene, block: BlockIdx) -> bool {
     scene.grippers.iter().flatten().any(|gripper| gripper.held == Some(block))
 }
 
-/// Color of a share of attention.
+/// The color of a share of attention.
 pub(super) fn shade(share: f32) -> Rgb {
-    // Equal attention to all, 1 of 15, is to look pale and yet not like none.
+    // Uniform attention, 1 of 15, should look pale but different from none.
     let along = (share / FULL).clamp(0.0, 1.0).powf(0.8) * 2.0;
     if along <= 1.0 { mix(RAMP[0], RAMP[1], along) } else { mix(RAMP[1], RAMP[2], along - 1.0) }
 }

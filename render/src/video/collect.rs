@@ -1,13 +1,13 @@
-//! Segments as actors send them → whole episodes.
+//! Collects segments into whole episodes.
 
 use proto::Trajectory;
 
 use super::episode::is_same_episode;
 
-/// Episodes that are put together at a time; of more, the oldest go.
+/// Maximum number of unfinished episodes; beyond it, the oldest are dropped.
 const MAX_BEGUN: usize = 256;
 
-/// Episodes under way, of which every segment so far was seen.
+/// Unfinished episodes with every segment so far.
 #[derive(Debug, Default)]
 pub struct Collector {
     begun: Vec<Vec<Trajectory>>,
@@ -15,7 +15,7 @@ pub struct Collector {
 }
 
 impl Collector {
-    /// Puts a segment to those that it follows; returns the episode if that ends it.
+    /// Adds a segment to its episode; returns the episode if the segment ends it.
     pub fn add(&mut self, segment: Trajectory) -> Option<Vec<Trajectory>> {
         let follows = |last: &Trajectory| {
             let next = usize::from(last.first_step) + last.transitions.len();
@@ -42,7 +42,7 @@ impl Collector {
         None
     }
 
-    /// Segments of episodes whose beginning was not seen, or of which some were missed.
+    /// Number of segments of episodes that are incomplete.
     pub fn n_left_out(&self) -> u64 {
         self.n_left_out
     }
@@ -60,13 +60,13 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_is_whole_or_not_shown() {
+    fn incomplete_episodes_are_dropped() {
         let mut collector = Collector::default();
-        // The end of an episode whose beginning was not seen, and two that are under way side by side.
+        // The end of an episode without its beginning, and two interleaved episodes.
         assert_eq!(collector.add(of_task(1, 2, 4)), None);
         assert_eq!(collector.add(of_task(2, 0, 2)), None);
         assert_eq!(collector.add(of_task(3, 0, 2)), None);
-        // A segment in between was missed.
+        // A missing segment in between.
         assert_eq!(collector.add(of_task(3, 3, 4)), None);
         let episode = collector.add(of_task(2, 2, 4)).unwrap();
         assert_eq!(episode, [of_task(2, 0, 2), of_task(2, 2, 4)]);
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn episodes_that_never_end_do_not_pile_up() {
+    fn unfinished_episodes_are_bounded() {
         let mut collector = Collector::default();
         for seed in 0..2 * MAX_BEGUN as u64 {
             collector.add(of_task(seed, 0, 1));

@@ -1,64 +1,64 @@
-//! Segments of a trajectory → one episode.
+//! Joins the segments of a trajectory into one episode.
 
 use blueprints::{Blueprint, BlueprintId};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use proto::{Pose, RewardTerms, Scene, Status, Trajectory};
 
-/// Length of a control step in seconds. Trajectories do not carry it; worlds configured otherwise are shown at this pace.
+/// Length of a control step in seconds, which trajectories do not contain; other worlds are shown at this pace.
 pub const STEP_S: f32 = 0.1;
 
-/// All scenes of an episode, or of a stretch of it.
+/// All scenes of an episode, or of a part of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Episode {
     goal: Blueprint,
     first_step: usize,
-    /// One more than steps.
+    /// One more scene than steps.
     scenes: Vec<Scene>,
-    /// Reward before each scene by term, summed from the first.
+    /// Cumulative reward before each scene, by term.
     returns: Vec<RewardTerms>,
     status: Status,
 }
 
-/// Why segments make no episode.
+/// Reasons why segments do not form an episode.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EpisodeError {
     /// No segment was given.
     #[error("an episode needs at least one segment")]
     Empty,
-    /// A segment has another actor, process or task than the first one.
+    /// A segment has a different actor, process, or task than the first one.
     #[error("the segment from step {first_step} on is of another episode")]
     OtherEpisode {
         /// Its first step.
         first_step: usize,
     },
-    /// The goal given is not that of the segments.
+    /// The given goal is not that of the segments.
     #[error("the goal is {expected}, not {given}")]
     OtherGoal {
         /// The segments' goal.
         expected: BlueprintId,
-        /// The blueprint given.
+        /// The given blueprint.
         given: BlueprintId,
     },
-    /// Steps are missing, or there twice.
+    /// Steps are missing or duplicate.
     #[error("a segment begins at step {found} where step {expected} comes next")]
     Gap {
-        /// The step after the segments before.
+        /// The step after the previous segments.
         expected: usize,
         /// The segment's first step.
         found: usize,
     },
 }
 
-/// Whether two segments are of the same episode: same actor process and same task.
+/// Whether two segments belong to the same episode: same actor process and same task.
 pub fn is_same_episode(a: &Trajectory, b: &Trajectory) -> bool {
     (&a.actor, a.epoch, &a.task) == (&b.actor, b.epoch, &b.task)
 }
 
 impl Episode {
-    /// The episode of these segments, in any order, that was to build `goal` (as it stands in the catalog).
+    /// Builds the episode of these segments, in any order; `goal` is its blueprint from the catalog.
     ///
     /// # Errors
-    /// When there is no segment, one is of another episode, the goal is another, or steps are missing or there twice.
+    /// If there is no segment, one belongs to another episode, the goal differs, or steps are missing or duplicate.
     pub fn new(segments: &[Trajectory], goal: &Blueprint) -> Result<Self, EpisodeError> {
         let mut ordered: Vec<&Trajectory> = segments.iter().collect();
         ordered.sort_by_key(|segment| segment.first_step);
@@ -89,12 +89,12 @@ impl Episode {
         Ok(Self { goal, first_step, scenes, returns, status: last.status })
     }
 
-    /// The goal, each of its blocks played by the block of this episode.
+    /// The goal with the blocks of this episode.
     pub fn goal(&self) -> &Blueprint {
         &self.goal
     }
 
-    /// Number of the first step shown, from 0.
+    /// Index of the first step shown, from 0.
     pub fn first_step(&self) -> usize {
         self.first_step
     }
@@ -104,28 +104,28 @@ impl Episode {
         self.scenes.len() - 1
     }
 
-    /// How it stood after the last step; `Running` if the recording ends before the episode does.
+    /// The status after the last step; `Running` if the recording ends before the episode.
     pub fn status(&self) -> Status {
         self.status
     }
 
-    /// Length in seconds of the world's time.
+    /// Length in seconds of simulated time.
     pub fn length_s(&self) -> f32 {
         self.n_steps() as f32 * STEP_S
     }
 
-    /// Steps that are over at a time in seconds.
+    /// Number of steps finished at a time in seconds.
     pub(super) fn n_done(&self, time_s: f32) -> usize {
-        // A thousandth of a step makes up for times that are sums of rounded numbers.
+        // A thousandth of a step compensates rounding in accumulated times.
         ((time_s / STEP_S + 1e-3).max(0.0) as usize).min(self.n_steps())
     }
 
-    /// Reward so far at a time in seconds.
+    /// Cumulative reward at a time in seconds.
     pub(super) fn return_at(&self, time_s: f32) -> f32 {
         self.return_after(self.n_done(time_s)).total()
     }
 
-    /// Reward of so many steps by term.
+    /// Cumulative reward of the first `n_done` steps by term.
     pub fn return_after(&self, n_done: usize) -> RewardTerms {
         self.returns[n_done]
     }
@@ -135,7 +135,7 @@ impl Episode {
         &self.scenes
     }
 
-    /// Number of the goal's connections that are there after so many steps.
+    /// Number of the goal's connections that exist after `n_done` steps.
     pub fn n_connected(&self, n_done: usize) -> usize {
         let is_right = |joint: &&proto::Joint| {
             self.goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative)
@@ -143,7 +143,7 @@ impl Episode {
         self.scenes[n_done].joints.iter().filter(is_right).count()
     }
 
-    /// The scene at a time in seconds; between two steps, blocks are on their way from one to the other.
+    /// The scene at a time in seconds; block poses are interpolated between steps.
     pub(super) fn scene_at(&self, time_s: f32) -> Scene {
         let n_done = self.n_done(time_s);
         let Some(after) = self.scenes.get(n_done + 1) else { return self.scenes[n_done].clone() };
@@ -159,14 +159,14 @@ impl Episode {
     }
 }
 
-/// The pose at `share` of the way, 0 to 1.
+/// Interpolates between two poses at `share`, 0 to 1.
 fn between(before: &Pose, after: &Pose, share: f32) -> Pose {
     let [from, to] = [before, after].map(|pose| Vector3::from(pose.position));
     let [turn_from, turn_to] = [before, after].map(|pose| {
         let [x, y, z, w] = pose.orientation;
         UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
     });
-    // Half a turn in a step has no shortest way; no block turns that fast.
+    // Half a turn in a step has no shortest path; no block turns that fast.
     let turn = turn_from.try_slerp(&turn_to, share, 1e-6).unwrap_or(turn_to);
     Pose { position: from.lerp(&to, share).into(), orientation: turn.coords.into() }
 }
@@ -176,9 +176,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_half_way_is_half_turned() {
+    fn pose_is_interpolated_halfway() {
         let before = Pose { position: [0.0, 1.0, 0.0], orientation: [0.0, 0.0, 0.0, 1.0] };
-        // A quarter turn around z: half of it is an eighth, sin 22.5° = 0.3827.
+        // A quarter turn around z: half of it is an eighth of a turn, sin 22.5° = 0.3827.
         let half = std::f32::consts::FRAC_1_SQRT_2;
         let after = Pose { position: [0.4, 1.0, 0.2], orientation: [0.0, 0.0, half, half] };
         let pose = between(&before, &after, 0.5);

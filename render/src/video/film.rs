@@ -1,4 +1,4 @@
-//! Frames of an episode: the world, and beside it the goal, the score and what the grippers hold.
+//! Frames of an episode: the world, and next to it the goal, the score, and the held blocks.
 
 use blueprints::Inventory;
 use proto::{Scene, Status};
@@ -8,9 +8,9 @@ use super::stage::Stage;
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Camera, GRIPPER_COLORS, Ground, Image, Painter, Rgb, View, WHITE, corners, of_blueprint};
 
-/// Least and greatest width of a frame, in pixels: words need the one, and the font is too small for more than the other.
+/// Minimum width of a frame in pixels, so that the text fits.
 pub const MIN_WIDTH: usize = 480;
-/// See [`MIN_WIDTH`].
+/// Maximum width of a frame in pixels; the font is too small for larger frames.
 pub const MAX_WIDTH: usize = 1920;
 
 pub(super) const INK: Rgb = [34, 38, 50];
@@ -21,10 +21,10 @@ const TRACK: Rgb = [222, 226, 235];
 const GREEN: Rgb = [24, 132, 84];
 const AMBER: Rgb = [186, 104, 10];
 
-/// How long the end stays, in seconds, so that it can be read.
+/// Duration of the last scene, in seconds, long enough to read it.
 const LAST_S: f32 = 1.5;
 
-/// Frames wider than this have larger words.
+/// Wider frames use larger text, pixels.
 const WIDE_PX: usize = 800;
 
 /// Draws frames of one episode.
@@ -34,27 +34,27 @@ pub struct Film<'a> {
     stage: Stage,
     painter: Painter,
     size_px: [usize; 2],
-    /// What is beside the world and never changes.
+    /// The static parts of the panel next to the world.
     panel: Image,
     layout: Layout,
 }
 
-/// Where things are in the panel, in pixels.
+/// Positions in the panel, in pixels.
 #[derive(Clone, Copy, Debug)]
 struct Layout {
     pad: usize,
-    /// Of the panel.
+    /// Width of the panel.
     width: usize,
     words: Type,
     bold: Type,
     line: usize,
-    /// Below the goal.
+    /// Top of the score, below the goal.
     score_top: usize,
 }
 
 impl<'a> Film<'a> {
-    /// A film with frames of `width` pixels, held within [`MIN_WIDTH`] and [`MAX_WIDTH`] and made even, by nine sixteenths
-    /// of that, made even too.
+    /// A film with frames of `width` pixels, clamped to [`MIN_WIDTH`] and [`MAX_WIDTH`] and rounded to even; the height
+    /// is nine sixteenths of that, also rounded to even.
     pub fn new(episode: &'a Episode, width: usize) -> Self {
         let width = width.clamp(MIN_WIDTH, MAX_WIDTH) / 2 * 2;
         let size_px = [width, width * 9 / 32 * 2];
@@ -69,14 +69,14 @@ impl<'a> Film<'a> {
         self.size_px
     }
 
-    /// All frames in order, `fps` (at least 1) for a second, from the first scene to the last, which stays for a moment.
+    /// All frames in order, `fps` (at least 1) per second, from the first scene to the last, which stays for a moment.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
         let per_second = fps.max(1) as f32;
         let n_frames = (self.episode.length_s() * per_second).ceil() as usize + 1 + (LAST_S * per_second) as usize;
         (0..n_frames).map(move |i| self.frame(i as f32 / per_second))
     }
 
-    /// The frame at a time in seconds from the first scene; after the end, the end.
+    /// The frame at a time in seconds since the first scene; after the end, the last frame.
     pub fn frame(&mut self, time_s: f32) -> Image {
         let time_s = time_s.clamp(0.0, self.episode.length_s());
         let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
@@ -125,7 +125,7 @@ impl<'a> Film<'a> {
     }
 }
 
-/// What is said of an end, and in which color.
+/// The text and color of a status.
 pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
     match status {
         Status::Success => ("success", GREEN),
@@ -135,19 +135,19 @@ pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
     }
 }
 
-/// Name of the type of block that a gripper holds, `None` for a gripper that the world does not have.
+/// Name of the held block's type, `None` for an absent gripper.
 fn held(scene: &Scene, gripper_idx: usize) -> Option<&'static str> {
     let gripper = scene.grippers[gripper_idx].as_ref()?;
     Some(gripper.held.map_or("free", |block| Inventory::standard().block_type(block).name.as_str()))
 }
 
-/// Words on the left and a number on the right of a line.
+/// Draws a line with a name on the left and a value on the right.
 fn row(image: &mut Image, [x, y]: [usize; 2], room: usize, words: Type, name: &str, value: &str) {
     write(image, [x, y], name, words, GRAY);
     write(image, [(x + room).saturating_sub(words.width(value)), y], value, words, INK);
 }
 
-/// A picture of the goal of this size in pixels.
+/// A picture of the goal, with its size in pixels.
 pub(super) fn goal_picture(painter: &mut Painter, episode: &Episode, [width, height]: [usize; 2]) -> Image {
     let blocks = of_blueprint(episode.goal());
     let shorter = width.min(height) as f32;
@@ -173,7 +173,7 @@ fn panel(painter: &mut Painter, episode: &Episode, [full_width, height]: [usize;
     write(&mut panel, [after, lower], &id, words, GRAY);
     write(&mut panel, [pad, pad / 2 + bold.height() + 2], &fitted(goal.title(), words, room), words, GRAY);
     let top = pad / 2 + bold.height() + line + 2;
-    // Five lines, two gaps and the end's banner must find room below.
+    // Five lines, two gaps, and the final banner must fit below.
     let below = 6 * line + line / 3 + bold.height() + pad * 3 / 2;
     let picture = goal_picture(painter, episode, [room, height.saturating_sub(top + below).max(1)]);
     panel.fill([pad - 1, top - 1], [room + 2, picture.height() + 2], HAIRLINE);

@@ -1,4 +1,4 @@
-//! Frames → a GIF, for places that play nothing else.
+//! Encodes frames as a GIF, for viewers without video playback.
 
 use ::gif::{DisposalMethod, Encoder, Frame, Repeat};
 
@@ -6,19 +6,19 @@ use super::VideoError;
 use crate::picture::palette::Palette;
 use crate::picture::{Image, Rgb};
 
-/// Most frames a second: browsers slow down delays of less than two hundredths of a second.
+/// Maximum frame rate: browsers slow down delays of less than two hundredths of a second.
 pub const MAX_GIF_FPS: u32 = 50;
 
-/// One number of a palette stands for pixels that stay as they are.
+/// One palette index is reserved for unchanged pixels.
 const N_COLORS: usize = 255;
 
-/// The frames as a GIF that plays over and over, `fps` (1 to [`MAX_GIF_FPS`]) for a second. Equal frames give equal bytes.
+/// Encodes the frames as a looping GIF, `fps` (1 to [`MAX_GIF_FPS`]) per second. Equal frames give equal bytes.
 ///
-/// Of each frame only what changed is kept, in up to 255 colors of its own. A frame without a change is kept as one
-/// pixel, so that the number of frames is that of the film.
+/// Each frame stores only its changes, in up to 255 colors of its own. A frame without a change is stored as one pixel,
+/// so that the number of frames stays the same.
 ///
 /// # Errors
-/// When there is no frame, or a rate or a size that the format cannot say (see [`VideoError`]).
+/// If there is no frame, or the format does not support the frame rate or size (see [`VideoError`]).
 pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>, VideoError> {
     if !(1..=MAX_GIF_FPS).contains(&fps) {
         return Err(VideoError::Rate { fps, most: MAX_GIF_FPS });
@@ -41,7 +41,7 @@ pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>,
         numbers.iter_mut().zip(stays).filter(|(_, stays)| *stays).for_each(|(number, _)| *number = N_COLORS as u8);
         let mut colors = palette.colors().to_vec();
         colors.resize(N_COLORS + 1, [0; 3]);
-        // Hundredths of a second, rounded so that errors do not add up.
+        // Hundredths of a second, rounded so that errors do not accumulate.
         let until = |i: u32| (100 * i + fps / 2) / fps;
         encoder.write_frame(&Frame {
             delay: (until(i + 1) - until(i)) as u16,
@@ -60,7 +60,7 @@ pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>,
     Ok(encoder.into_inner()?)
 }
 
-/// Columns and rows (from, to but not including) outside of which nothing changed; one pixel if nothing did.
+/// Bounds of the changed pixels, as columns and rows (start inclusive, end exclusive); one pixel if nothing changed.
 fn changed(last: &Image, image: &Image) -> [[usize; 2]; 2] {
     let width = image.width();
     let (mut x, mut y) = ([width, 0], [image.height(), 0]);
@@ -75,7 +75,7 @@ fn changed(last: &Image, image: &Image) -> [[usize; 2]; 2] {
     if y[1] == 0 { [[0, 1], [0, 1]] } else { [x, y] }
 }
 
-/// The pixels of a part of an image, and which of them are as they were.
+/// The pixels of a part of an image, and which of them are unchanged.
 fn cut(last: Option<&Image>, image: &Image, x: [usize; 2], y: [usize; 2]) -> (Vec<Rgb>, Vec<bool>) {
     let part = |of: &Image| -> Vec<Rgb> {
         of.pixels().chunks_exact(of.width()).take(y[1]).skip(y[0]).flat_map(|row| &row[x[0]..x[1]]).copied().collect()

@@ -1,4 +1,4 @@
-//! Films and strips of attention: every head of every layer over the blocks, through an episode.
+//! Films and strips of attention: the attention of every head of every layer to the blocks, through an episode.
 
 use super::attention::{AttentionSource, EpisodeAttention, FULL, Shares, shade};
 use super::film::{GRAY, HAIRLINE, INK, goal_picture};
@@ -6,18 +6,18 @@ use super::stage::Stage;
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Image, Painter, Rgb, WHITE};
 
-/// Least number of pictures in a row of a film: world, goal and two grippers.
+/// Minimum number of pictures in a row of a film: world, goal, and two grippers.
 const MIN_COLUMNS: usize = 4;
 
-/// Space between pictures, height of the words below each and of the legend, in pixels.
+/// Space between pictures, height of the text below each, and height of the legend, in pixels.
 const GAP: usize = 6;
 const FOOT: usize = 22;
 const LEGEND: usize = 24;
 
-/// Width of the words beside the rows of a strip, in pixels.
+/// Width of the text next to the rows of a strip, in pixels.
 const MARGIN: usize = 152;
 
-/// How long the end of a film stays, in seconds.
+/// Duration of the last frame of a film, in seconds.
 const LAST_S: f32 = 1.5;
 
 const TRACK: Rgb = [226, 230, 238];
@@ -25,7 +25,7 @@ const TRACK: Rgb = [226, 230, 238];
 /// Names and colors of [`Shares`].
 const SHARES: [(&str, Rgb); 3] = [("plan", [24, 132, 84]), ("join", [30, 60, 130]), ("held", [214, 0, 110])];
 
-/// Draws frames of an episode with one picture for each head.
+/// Draws frames of an episode with one picture per head.
 #[derive(Debug)]
 pub struct AttentionFilm<'g> {
     attention: &'g EpisodeAttention<'g>,
@@ -38,8 +38,8 @@ pub struct AttentionFilm<'g> {
 }
 
 impl<'g> AttentionFilm<'g> {
-    /// A film with frames of `width` pixels, within [`MIN_WIDTH`](super::MIN_WIDTH) and
-    /// [`MAX_WIDTH`](super::MAX_WIDTH) and made even; the height is what the layers take.
+    /// A film with frames of `width` pixels, clamped to [`MIN_WIDTH`](super::MIN_WIDTH) and
+    /// [`MAX_WIDTH`](super::MAX_WIDTH) and rounded to even; the height depends on the number of layers.
     pub fn new(attention: &'g EpisodeAttention<'g>, width: usize) -> Self {
         let width = width.clamp(super::MIN_WIDTH, super::MAX_WIDTH) / 2 * 2;
         let n_columns = attention.n_heads().max(MIN_COLUMNS);
@@ -52,7 +52,7 @@ impl<'g> AttentionFilm<'g> {
         Self { attention, stage, painter, goal, n_columns, tile_px, size_px: [width, height.next_multiple_of(2)] }
     }
 
-    /// All frames in order, `fps` (at least 1) for a second; the last stays for a moment.
+    /// All frames in order, `fps` (at least 1) per second; the last stays for a moment.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
         let per_second = fps.max(1) as f32;
         let length_s = self.attention.episode.length_s();
@@ -67,7 +67,7 @@ impl<'g> AttentionFilm<'g> {
         })
     }
 
-    /// The frame after so many steps; attention is of whole steps only.
+    /// The frame after `n_done` steps; attention is not interpolated between steps.
     fn frame(&mut self, n_done: usize) -> Image {
         let (attention, episode) = (self.attention, self.attention.episode);
         let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
@@ -103,7 +103,7 @@ impl<'g> AttentionFilm<'g> {
         image
     }
 
-    /// Puts a picture into a column and row, and returns where the words below it begin.
+    /// Draws a picture in a column and row, and returns the position of the text below it.
     fn place(
         &self,
         image: &mut Image,
@@ -120,8 +120,8 @@ impl<'g> AttentionFilm<'g> {
     }
 }
 
-/// Rows of pictures: the world, then what each gripper and each head of each layer attends to, after `n_moments` (at least
-/// 2) evenly spread numbers of steps. The whole is about `width` pixels wide (at least 480).
+/// Rows of pictures at `n_moments` (at least 2) evenly spaced steps: the world, then the attention of each gripper and
+/// each head of each layer. The image is about `width` pixels wide (at least 480).
 pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width: usize) -> Image {
     let (n_moments, episode) = (n_moments.max(2), attention.episode);
     let tile_width = (width.max(super::MIN_WIDTH) - MARGIN) / n_moments - GAP;
@@ -196,7 +196,7 @@ fn put(image: &mut Image, [x, y]: [usize; 2], picture: &Image) {
     }
 }
 
-/// The three shares beside each other.
+/// Draws the three shares side by side.
 fn bars(image: &mut Image, [x, y]: [usize; 2], width: usize, shares: Shares) {
     let each = width / SHARES.len();
     let shares = [shares.planned, shares.joined, shares.held];
@@ -205,7 +205,7 @@ fn bars(image: &mut Image, [x, y]: [usize; 2], width: usize, shares: Shares) {
     }
 }
 
-/// A name and, behind it, a bar that is full at a share of 1.
+/// Draws a name and a bar that is full at a share of 1.
 fn bar(image: &mut Image, [x, y]: [usize; 2], width: usize, name: &str, share: f32, color: Rgb) {
     let words = Type::Small.width(name) + 4;
     write(image, [x, y], name, Type::Small, GRAY);

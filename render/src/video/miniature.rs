@@ -1,4 +1,4 @@
-//! An episode as a small GIF of bounded length, for TensorBoard and other places that keep many of them.
+//! An episode as a small GIF of bounded size, for TensorBoard and other places that keep many of them.
 
 use super::VideoError;
 use super::episode::{Episode, STEP_S};
@@ -11,42 +11,42 @@ use crate::picture::{Image, Painter, WHITE};
 /// Width and height in pixels.
 pub const MINIATURE_PX: [usize; 2] = [320, 200];
 
-/// Longest GIF in bytes.
+/// Maximum size of the GIF in bytes.
 pub const MAX_MINIATURE_BYTES: usize = 400_000;
 
-/// Frames a second: half of the steps.
+/// Frames per second: half of the steps.
 const FPS: u32 = 5;
 
-/// Most frames before the last one.
+/// Maximum number of frames before the last one.
 const MAX_FRAMES: usize = 60;
 
-/// Times that the last frame is shown; each of them but the first is some bytes.
+/// Number of times that the last frame is repeated; each repetition takes a few bytes.
 const LAST_FRAMES: usize = 6;
 
-/// Height of the line of words, and size of the goal in the upper right corner.
+/// Height of the line of text, and size of the goal in the upper right corner.
 const FOOT_PX: usize = 20;
 const GOAL_PX: [usize; 2] = [84, 72];
 
-/// A small film.
+/// A small GIF of an episode.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Miniature {
-    /// The file.
+    /// The GIF file.
     pub gif: Vec<u8>,
-    /// Width and height.
+    /// Width and height in pixels.
     pub size_px: [usize; 2],
 }
 
-/// The episode in at most [`MAX_MINIATURE_BYTES`]: what does not fit is tried with every second frame, until there are
-/// none to leave out, and then is `None`.
+/// Encodes the episode in at most [`MAX_MINIATURE_BYTES`]. While the GIF is too large, every second frame is dropped;
+/// `None` if it never fits.
 ///
 /// # Errors
-/// As for [`gif()`].
+/// Those of [`gif()`].
 pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
     let [width, height] = MINIATURE_PX;
     let stage = Stage::new(episode, [width, height - FOOT_PX]);
     let mut painter = Painter::default();
     let goal = goal_picture(&mut painter, episode, GOAL_PX);
-    // Times are in steps here: one frame shows one step.
+    // Times are in steps here: each frame shows one step.
     let usual = (1.0 / STEP_S) as usize / FPS as usize;
     let mut every = usual.max(episode.n_steps().div_ceil(MAX_FRAMES)).max(1);
     loop {

@@ -1,4 +1,4 @@
-//! Frames → an MP4 file with H.264, which every browser plays.
+//! Encodes frames as an MP4 file with H.264, which every browser plays.
 
 use muxide::api::{MuxerBuilder, VideoCodec};
 use openh264::encoder::{
@@ -11,18 +11,18 @@ use openh264::{OpenH264API, Timestamp};
 use super::{MAX_FPS, VideoError};
 use crate::picture::Image;
 
-/// Seconds between frames that can be shown without those before, so that one can jump about in a film.
-const KEY_EVERY_S: u32 = 2;
+/// Interval between key frames in seconds, for seeking.
+const KEY_FRAME_INTERVAL_S: u32 = 2;
 
-/// Coarseness of the coded differences, 0 to 51: thin lines stay sharp, and a second takes some tens of kilobytes.
-const COARSENESS: u8 = 24;
+/// Quantization parameter, 0 to 51: thin lines stay sharp, and a second takes some tens of kilobytes.
+const QP: u8 = 24;
 
-/// The frames as an MP4 file, `fps` (1 to [`MAX_FPS`]) for a second. Equal frames give equal bytes on one machine.
+/// Encodes the frames as MP4, `fps` (1 to [`MAX_FPS`]) per second. Equal frames give equal bytes on one machine.
 ///
-/// Frames are taken one at a time, so that a film need not fit into memory.
+/// Frames are consumed one at a time, so that a film need not fit into memory.
 ///
 /// # Errors
-/// When there is no frame, a rate or a size that cannot be coded (see [`VideoError`]), or the encoder fails.
+/// If there is no frame, the frame rate or size is not supported (see [`VideoError`]), or the encoder fails.
 pub fn mp4(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>, VideoError> {
     if !(1..=MAX_FPS).contains(&fps) {
         return Err(VideoError::Rate { fps, most: MAX_FPS });
@@ -59,15 +59,15 @@ pub fn mp4(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>,
 fn config(fps: u32) -> EncoderConfig {
     EncoderConfig::new()
         .max_frame_rate(FrameRate::from_hz(fps as f32))
-        // A film has no line to share: each frame gets what its sharpness takes, and none is left out.
+        // A file has no bandwidth limit: each frame gets the bits that its quality needs, and none is skipped.
         .rate_control_mode(RateControlMode::Off)
         .skip_frames(false)
-        .qp(QpRange::new(COARSENESS, COARSENESS))
+        .qp(QpRange::new(QP, QP))
         .complexity(Complexity::Medium)
-        .intra_frame_period(IntraFramePeriod::from_num_frames(KEY_EVERY_S * fps))
+        .intra_frame_period(IntraFramePeriod::from_num_frames(KEY_FRAME_INTERVAL_S * fps))
         .scene_change_detect(false)
-        // More threads cut a frame into as many pieces, and bytes would depend on the machine's cores.
+        // More threads would split a frame into as many slices, and the bytes would depend on the number of cores.
         .num_threads(1)
-        // The conversion from RGB uses this matrix; players guess another one from the size if nothing says so.
+        // The conversion from RGB uses this matrix; without it, players guess another one from the size.
         .vui(VuiConfig::bt709().matrix_coefficients(MatrixCoefficients::Smpte170M))
 }

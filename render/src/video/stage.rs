@@ -1,4 +1,4 @@
-//! An episode seen from one place.
+//! An episode from a fixed camera.
 
 use nalgebra::{Point3, Vector2};
 use proto::Scene;
@@ -6,14 +6,14 @@ use proto::Scene;
 use super::episode::Episode;
 use crate::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, corners, of_scene};
 
-/// Blocks farther than this from the middle of the others, in meters along the ground or upwards, are not framed: one that
-/// was thrown away must not make all others small.
+/// Blocks farther than this from the center of the others, in meters horizontally or vertically, are not framed, so
+/// that a block that was thrown away does not make the others small.
 const REACH_M: f32 = 1.6;
 
-/// Free space around what is framed, as a share of the height.
+/// Margin around the framed blocks, as a share of the height.
 const MARGIN: f32 = 0.035;
 
-/// Camera and ground for a whole episode, so that nothing moves but blocks.
+/// A fixed camera and ground for a whole episode, so that only blocks move.
 #[derive(Clone, Debug)]
 pub(super) struct Stage {
     camera: Camera,
@@ -21,7 +21,7 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    /// A stage that shows all steps of an episode in pictures of this size in pixels.
+    /// A stage that shows all steps of an episode in pictures of `size_px` pixels.
     pub(super) fn new(episode: &Episode, size_px: [usize; 2]) -> Self {
         let points = framed(episode);
         let margin_px = MARGIN * size_px[1] as f32;
@@ -30,21 +30,21 @@ impl Stage {
         Self { camera, ground: Ground::under(&start) }
     }
 
-    /// The world as it is in a scene.
+    /// Draws the world in a scene.
     pub(super) fn picture(&self, painter: &mut Painter, scene: &Scene) -> Image {
         self.paint(painter, &of_scene(scene))
     }
 
-    /// These blocks in the place of the scene's.
+    /// Draws these blocks instead of the scene's.
     pub(super) fn paint(&self, painter: &mut Painter, blocks: &[Block]) -> Image {
         painter.paint(blocks, &self.camera, self.ground)
     }
 
-    /// Draws a line between two places (m, world) over everything, with an opacity of 0 to 255 and a dot at its second end.
+    /// Draws a line between two points (m, world) over the image, with opacity 0 to 255 and a dot at its second end.
     pub(super) fn line(&self, image: &mut Image, ends: [[f32; 3]; 2], color: Rgb, opacity: u8) {
         let [Some(from), Some(to)] = ends.map(|end| self.camera.place(&Point3::from(end))) else { return };
         let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
-        // Lines that leave the picture by far would take long for nothing.
+        // Limit the length of lines that extend far outside the picture.
         let n = (dx.abs().max(dy.abs()).ceil()).clamp(1.0, 4000.0);
         let mut dot = |x: f32, y: f32, side: usize| {
             for (i, j) in (0..side).flat_map(|i| (0..side).map(move |j| (i, j))) {
@@ -59,7 +59,7 @@ impl Stage {
     }
 }
 
-/// Corners of all blocks in all scenes, but for those far off.
+/// Corners of all blocks in all scenes, except for distant ones.
 fn framed(episode: &Episode) -> Vec<Point3<f32>> {
     let start = &episode.scenes()[0];
     let median = |axis: usize| {

@@ -8,15 +8,15 @@ use super::stage::Stage;
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Image, Painter, Rgb, WHITE};
 
-/// Pictures in a row.
+/// Number of pictures in a row.
 const N_COLUMNS: usize = 4;
 
-/// Space between pictures, and of the words below each, in pixels.
+/// Space between pictures, and height of the text below each, in pixels.
 const GAP: usize = 8;
 const FOOT: usize = 26;
 
-/// Pictures in rows of four, `n_frames` (at least 2) of the world and the goal in front; the whole is `width` pixels wide
-/// (at least 480).
+/// Pictures in rows of four: the goal, then `n_frames` (at least 2) pictures of the world. The image is `width` pixels
+/// wide (at least 480).
 pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let n_frames = n_frames.max(2);
     let tile = (width.max(super::MIN_WIDTH) - (N_COLUMNS - 1) * GAP) / N_COLUMNS;

@@ -1,4 +1,4 @@
-//! Films of a small episode made by hand, and what can be read back from their bytes.
+//! Films of a small hand-made episode, checked by decoding their bytes.
 
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use proto::{
@@ -15,7 +15,7 @@ fn goal() -> &'static Blueprint {
     Catalog::builtin().iter().next().unwrap()
 }
 
-/// Blocks in rows of four, the first one `along_m` to the side and held.
+/// Blocks in rows of four; the first one is held and `along_m` to the side.
 fn scene(along_m: f32) -> Scene {
     let row = |i: usize| [(i % 4) as f32 * 0.5, (i / 4) as f32 * 0.5, 0.05];
     let mut blocks = std::array::from_fn(|i| Pose { position: row(i), orientation: STILL });
@@ -26,7 +26,7 @@ fn scene(along_m: f32) -> Scene {
     Scene { blocks, speeds_mps, joints: Vec::new(), grippers: [Some(gripper), None], n_heavy_contacts: 0 }
 }
 
-/// Steps `first` to `last` of an episode of four in which the first block moves 0.4 m a step, each for a reward of 1.
+/// Steps `first` to `last` of an episode of four; the first block moves 0.4 m per step, for a reward of 1 each.
 pub(super) fn segment(first: u16, last: u16) -> Trajectory {
     let action = Action { choices: [BlockIdx::all().next(), None], moves: [[0.0; 6]; N_BLOCKS] };
     let reward = RewardTerms { connected: 1.0, ..RewardTerms::default() };
@@ -79,7 +79,7 @@ fn mean_column(image: &Image, color: Rgb) -> f32 {
 }
 
 #[test]
-fn segments_in_any_order_make_the_episode() {
+fn segments_in_any_order_form_the_episode() {
     assert_eq!(Episode::new(&[segment(2, 4), segment(0, 2)], goal()).unwrap(), episode());
     assert_eq!(episode().return_at(0.25), 2.0);
     let refused = |segments: &[Trajectory]| Episode::new(segments, goal()).unwrap_err();
@@ -95,15 +95,15 @@ fn segments_in_any_order_make_the_episode() {
 }
 
 #[test]
-fn a_block_that_moves_moves_evenly_and_all_else_stays() {
+fn moving_block_moves_evenly_and_others_stay() {
     let episode = episode();
     let mut film = Film::new(&episode, 480);
     let frames = [0.0, 0.1, 0.15, 0.2].map(|time_s| film.frame(time_s));
     let [_, b, c, d] = frames.each_ref().map(|frame| mean_column(frame, GRIPPER_COLORS[0]));
-    // 1 m is about 100 pixels here, and the way to the side 0.85 of it on the picture: 0.4 m are about 30 pixels.
+    // 1 m is about 100 pixels here, and sideways motion appears 0.85 times as long: 0.4 m are about 30 pixels.
     assert!((15.0..60.0).contains(&(d - b)), "{b} to {d}");
     assert!((c - 0.5 * (b + d)).abs() < 2.0, "{b}, {c}, {d}");
-    // The farthest block is where it was, as the camera stands still.
+    // The farthest block has not moved, because the camera is fixed.
     let corner = |image: &Image| {
         (0..60).flat_map(|y| (200..340).map(move |x| (x, y))).map(|(x, y)| image.get(x, y)).collect::<Vec<_>>()
     };
@@ -111,22 +111,22 @@ fn a_block_that_moves_moves_evenly_and_all_else_stays() {
 }
 
 #[test]
-fn the_goal_is_shown_beside_the_world() {
+fn film_shows_the_goal_next_to_the_world() {
     let episode = episode();
     let frame = Film::new(&episode, 960).frame(0.0);
-    // The panel takes the last 27 % of the width; magnets are the only red and blue in it, and the goal has both.
+    // The panel takes the last 27 % of the width. Only magnets are red or blue in it, and the goal has both.
     let left = 960 - 960 * 27 / 100;
     let panel = || (0..540).flat_map(|y| (left..960).map(move |x| (x, y))).filter_map(|(x, y)| frame.get(x, y));
     let n_red = panel().filter(|[r, g, b]| r / 2 > *g && r / 2 > *b).count();
     let n_blue = panel().filter(|[r, g, b]| b / 2 > *r && b > g).count();
     assert!(n_red.min(n_blue) > 100 && panel().filter(|color| *color == WHITE).count() > 1000, "{n_red} {n_blue}");
-    // Success is said in the last frame only.
+    // Only the last frame shows success.
     let last = Film::new(&episode, 960).frame(9.0);
     let banner = |image: &Image| image.get(left + 5, 535);
     assert_ne!(banner(&frame), banner(&last));
 }
 
-/// The content of a box of an MP4 file, by the path to it.
+/// The content of a box of an MP4 file by its path.
 fn mp4_box<'a>(bytes: &'a [u8], path: &[&str]) -> &'a [u8] {
     let Some((name, rest)) = path.split_first() else { return bytes };
     let mut at = bytes;
@@ -141,18 +141,18 @@ fn mp4_box<'a>(bytes: &'a [u8], path: &[&str]) -> &'a [u8] {
 }
 
 #[test]
-fn every_frame_is_in_the_mp4_and_can_be_decoded() {
+fn mp4_contains_every_frame_and_decodes() {
     let episode = episode();
     let frames: Vec<Image> = Film::new(&episode, 480).frames(10).collect();
-    // Five scenes, and 1.5 seconds of the last.
+    // Five scenes, and 1.5 seconds of the last one.
     assert_eq!(frames.len(), 5 + 15);
     let bytes = mp4(frames.iter().cloned(), 10).unwrap();
     let table = |name| mp4_box(&bytes, &["moov", "trak", "mdia", "minf", "stbl", name]);
     let sizes: Vec<usize> =
         table("stsz")[12..].chunks_exact(4).map(|n| u32::from_be_bytes(n.try_into().unwrap()) as usize).collect();
     assert_eq!(sizes.len(), frames.len());
-    // Each frame is some units, a length before each; the decoder wants a mark instead. What it needs to know before the
-    // first frame stands in the first frame.
+    // Each frame consists of units with a length prefix; the decoder expects a start code instead. The first frame
+    // contains the decoder configuration.
     let mut data = mp4_box(&bytes, &["mdat"]);
     assert_eq!(data.len(), sizes.iter().sum::<usize>());
     let mut decoder = openh264::decoder::Decoder::new().unwrap();
@@ -175,7 +175,7 @@ fn every_frame_is_in_the_mp4_and_can_be_decoded() {
 }
 
 #[test]
-fn every_frame_is_in_the_gif_and_looks_as_it_did() {
+fn gif_contains_every_frame_unchanged() {
     let episode = episode();
     let frames: Vec<Image> = Film::new(&episode, 480).frames(10).collect();
     let bytes = gif(frames.iter().cloned(), 10).unwrap();
@@ -201,7 +201,7 @@ fn every_frame_is_in_the_gif_and_looks_as_it_did() {
 }
 
 #[test]
-fn frames_that_fit_no_file_are_refused() {
+fn unsupported_frames_are_refused() {
     let blank = |width| Image::filled(width, 4, WHITE);
     assert!(matches!(mp4([], 10), Err(VideoError::NoFrames)));
     assert!(matches!(gif([], 10), Err(VideoError::NoFrames)));
@@ -212,13 +212,13 @@ fn frames_that_fit_no_file_are_refused() {
 }
 
 #[test]
-fn a_strip_has_the_goal_and_the_scenes_in_rows_of_four() {
-    // Tiles are (600 − 3 · 8) / 4 = 144 wide and 96 high, with 26 pixels of words and 8 between: 2 · 130 − 8.
+fn strip_shows_the_goal_and_the_scenes_in_rows_of_four() {
+    // Tiles are (600 − 3 · 8) / 4 = 144 wide and 96 high, with 26 pixels of text and 8 between: 2 · 130 − 8.
     let strip = strip(&episode(), 7, 600);
     assert_eq!((strip.width(), strip.height()), (600, 252));
 }
 
-/// A policy with two layers of three heads, untrained.
+/// An untrained policy with two layers of three heads.
 fn policy(n_grippers: u8, attention: bool) -> policy::Policy {
     let gat =
         policy::GatConfig { n_layers: 2, n_heads: 3, head_dim: 4, mlp_hidden: 8, attention, ..Default::default() };
@@ -229,19 +229,19 @@ fn policy(n_grippers: u8, attention: bool) -> policy::Policy {
 }
 
 #[test]
-fn attention_is_shown_for_every_head_and_of_no_other_world() {
+fn attention_covers_every_head_and_refuses_other_worlds() {
     let episode = episode();
     let attention = EpisodeAttention::new(&policy(1, true), &episode).unwrap();
     let mut film = AttentionFilm::new(&attention, 640);
     let frames: Vec<Image> = film.frames(10).collect();
     assert_eq!(frames.len(), 5 + 15);
-    // Four tiles in a row, (640 − 3 · 6) / 4 = 155 wide and 87 high with 22 pixels of words; three rows, and the legend.
+    // Four tiles in a row, (640 − 3 · 6) / 4 = 155 wide and 87 high with 22 pixels of text; three rows, and the legend.
     assert_eq!((frames[0].width(), frames[0].height()), (640, 352));
     assert!(mp4(frames, 10).is_ok());
-    // Tiles are (600 − 152) / 2 − 6 = 218 wide and 122 high, 6 pixels between: the world, a gripper and six heads.
+    // Tiles are (600 − 152) / 2 − 6 = 218 wide and 122 high, 6 pixels between: the world, a gripper, and six heads.
     let strip = attention_strip(&attention, 2, 600);
     assert_eq!((strip.width(), strip.height()), (152 + 2 * 224, 22 + 8 * 128 + 24));
-    // Both blocks of the goal look at each other in the plan; the first block of all is held, and nothing is connected.
+    // The two blocks of the goal are each other's planned neighbors; block 0 is held, and nothing is connected.
     let mut batch = policy(1, true).batch();
     batch.push(&episode.scenes()[2], episode.goal());
     let seen = &policy(1, true).attention(&batch)[0];
@@ -257,7 +257,7 @@ fn attention_is_shown_for_every_head_and_of_no_other_world() {
 }
 
 #[test]
-fn a_miniature_stays_small_and_has_every_second_step() {
+fn miniature_stays_small_and_has_every_second_step() {
     let episode = episode();
     let small = miniature(&episode).unwrap().unwrap();
     assert!(small.gif.len() <= MAX_MINIATURE_BYTES && small.gif.starts_with(b"GIF89a"));
@@ -267,6 +267,6 @@ fn a_miniature_stays_small_and_has_every_second_step() {
     while decoder.read_next_frame().unwrap().is_some() {
         n_frames += 1;
     }
-    // Steps 0 and 2 of four, and six times the last.
+    // Steps 0 and 2 of four, and the last one six times.
     assert_eq!(n_frames, 2 + 6);
 }

@@ -1,4 +1,4 @@
-//! Passes to rows and back.
+//! Converts evaluations to rows and back.
 
 use std::collections::BTreeMap;
 
@@ -30,7 +30,7 @@ const SELECT_PASSES: &str =
 const SELECT_OUTCOMES: &str = "SELECT outcome.*, blueprint.name, blueprint.split, blueprint.n_blocks
     FROM outcome JOIN blueprint USING (blueprint_id)";
 
-/// Writes a pass in one transaction.
+/// Writes an evaluation in one transaction.
 pub(super) fn append(db: &mut Connection, pass: &Pass) -> Result<()> {
     let transaction = db.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let (version, n_steps) = (pass.weights_version.0, pass.n_env_steps);
@@ -111,9 +111,9 @@ fn append_reset_free(db: &Connection, pass_id: i64, reset_free: &EvalResetFree) 
     Ok(())
 }
 
-/// Reads all passes in the order of writing.
+/// Reads all evaluations in writing order.
 pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
-    // One transaction, so that what is written between the queries is seen by none of them.
+    // One transaction, so that no query sees a later write.
     let transaction = db.unchecked_transaction()?;
     let mut passes: BTreeMap<i64, Pass> = BTreeMap::new();
     let mut select_passes = transaction.prepare(SELECT_PASSES)?;
@@ -130,7 +130,7 @@ pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
         scores.entry(key).or_default()[acting(row)? as usize] = outcome(row)?;
     }
     for ((pass_id, split, n_blocks, blueprint), [mode, sampled]) in scores {
-        // Every outcome has its pass: the database holds the reference.
+        // The database enforces that every outcome has its evaluation.
         let Some(pass) = passes.get_mut(&pass_id) else { continue };
         pass.blueprints.push(EvalBlueprint {
             schema_version: METRICS_SCHEMA_VERSION,
@@ -208,7 +208,7 @@ fn acting(row: &Row<'_>) -> Result<ActionMode> {
     parsed(row, "acting", str::parse)
 }
 
-/// A text column that only some texts are valid for.
+/// Parses a text column.
 fn parsed<T, E: std::fmt::Display>(row: &Row<'_>, column: &str, parse: impl Fn(&str) -> Result<T, E>) -> Result<T> {
     let text: String = row.get(column)?;
     parse(&text).map_err(|error| invalid(row, column, error.to_string()))

@@ -1,4 +1,4 @@
-//! Passes for tests, here and in `render`.
+//! Sample evaluations for tests, here and in `render`.
 
 use blueprints::{BlueprintId, Split};
 use proto::metrics::{EvalBlueprint, EvalOutcome, METRICS_SCHEMA_VERSION};
@@ -6,7 +6,7 @@ use proto::wilson::SuccessRate;
 use proto::{RewardTerms, WeightsVersion};
 use runlog::Pass;
 
-/// So many successes of ten, with numbers of every kind behind them.
+/// An outcome with this many successes in ten episodes and plausible other values.
 pub(crate) fn outcome(n_successes: u64) -> EvalOutcome {
     EvalOutcome {
         success: SuccessRate::new(n_successes, 10),
@@ -18,7 +18,7 @@ pub(crate) fn outcome(n_successes: u64) -> EvalOutcome {
     }
 }
 
-/// A pass over blueprints given as id, split, size and successes of ten mode episodes; nothing was sampled.
+/// An evaluation of blueprints given as id, split, size, and successes in ten greedy episodes, without sampled ones.
 pub(crate) fn pass(n_env_steps: u64, scores: &[(&str, Split, u64, u64)]) -> Pass {
     let weights_version = WeightsVersion(n_env_steps / 10);
     let score = |&(id, split, n_blocks, n_successes): &(&str, Split, u64, u64)| EvalBlueprint {

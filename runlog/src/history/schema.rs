@@ -1,4 +1,4 @@
-//! The tables of the history, and what became of them from version to version.
+//! The tables of the history and their versions.
 
 use std::path::Path;
 
@@ -6,13 +6,13 @@ use rusqlite::{Connection, TransactionBehavior};
 
 use super::HistoryError;
 
-/// Version of the tables that this program writes; SQLite keeps it as `user_version`.
+/// Version of the tables that this program writes, stored in SQLite's `user_version`.
 pub const SCHEMA_VERSION: i64 = 1;
 
-/// "lode" in ASCII: tells a history from any other SQLite database. SQLite keeps it as `application_id`.
+/// "lode" in ASCII, stored in SQLite's `application_id`; it distinguishes a history from other databases.
 const APPLICATION_ID: i64 = 0x6c6f_6465;
 
-/// Version 1. A return is null where it was not a number, which SQLite cannot store.
+/// Version 1. A return that is not a number is null, because SQLite cannot store NaN.
 const TABLES: &str = "
 CREATE TABLE pass (
     pass_id         INTEGER PRIMARY KEY,
@@ -69,13 +69,13 @@ CREATE TABLE reset_free (
 ) STRICT, WITHOUT ROWID;
 ";
 
-/// Makes the tables in an empty database and leaves those of this version alone.
+/// Creates the tables in an empty database; leaves a database of this version unchanged.
 ///
 /// # Errors
-/// When the database is of a newer program or of another one, or cannot be written.
+/// If the database has a newer version, is not a history, or cannot be written.
 pub(super) fn prepare(db: &mut Connection, path: &Path) -> Result<(), HistoryError> {
     let failed = |source| HistoryError::Database { path: path.to_owned(), source };
-    // Looked at and made under one lock: of two that find it empty, the second finds the tables of the first.
+    // Check and create under one lock: if two processes find it empty, the second sees the tables of the first.
     let transaction = db.transaction_with_behavior(TransactionBehavior::Immediate).map_err(failed)?;
     let n_tables: i64 =
         transaction.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0)).map_err(failed)?;
@@ -88,10 +88,10 @@ pub(super) fn prepare(db: &mut Connection, path: &Path) -> Result<(), HistoryErr
     check(db, path)
 }
 
-/// Whether the database is a history of this version.
+/// Checks that the database is a history of this version.
 ///
 /// # Errors
-/// When it is of a newer program or of another one, or cannot be read.
+/// If it has a newer version, is not a history, or cannot be read.
 pub(super) fn check(db: &Connection, path: &Path) -> Result<(), HistoryError> {
     let pragma = |name: &str| db.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
     let failed = |source| HistoryError::Database { path: path.to_owned(), source };
@@ -99,7 +99,7 @@ pub(super) fn check(db: &Connection, path: &Path) -> Result<(), HistoryError> {
     match (pragma("application_id").map_err(failed)?, pragma("user_version").map_err(failed)?) {
         (APPLICATION_ID, SCHEMA_VERSION) => Ok(()),
         (APPLICATION_ID, found) if found > SCHEMA_VERSION => Err(HistoryError::Newer { path, found }),
-        // The first version has no elder; later ones bring older tables up to date here.
+        // Version 1 has no predecessor; later versions migrate older tables here.
         _ => Err(HistoryError::Foreign { path }),
     }
 }

@@ -1,4 +1,4 @@
-//! What is written is read again, whole or not at all.
+//! Evaluations are read back whole or not at all.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -13,7 +13,7 @@ fn small(n_env_steps: u64) -> Pass {
     pass(n_env_steps, &[("2_003", Split::Train, 2, 4), ("10_000", Split::Train, 10, 0)])
 }
 
-/// A hundred blueprints: some pages of the database.
+/// A hundred blueprints, which fill several pages of the database.
 fn large(n_env_steps: u64) -> Pass {
     let ids: Vec<String> = (0..100).map(|i| format!("3_{i:03}")).collect();
     let scores: Vec<_> = ids.iter().map(|id| (id.as_str(), Split::Train, 3, 5)).collect();
@@ -25,7 +25,7 @@ fn path(folder: &tempfile::TempDir) -> PathBuf {
 }
 
 #[test]
-fn passes_come_back_as_they_were() {
+fn evaluations_round_trip() {
     let folder = tempfile::tempdir().unwrap();
     let path = path(&folder);
     let mut first = small(0);
@@ -42,7 +42,7 @@ fn passes_come_back_as_they_were() {
     assert_eq!(History::read(&path).unwrap(), []);
     history.append(&first).unwrap();
     history.append(&second).unwrap();
-    // Read beside the writer, after it, and after a restart, which goes on where it was.
+    // Read while the writer is open, after it closed, and after a restart that appends.
     assert_eq!(History::read(&path).unwrap(), [first.clone(), second.clone()]);
     drop(history);
     assert_eq!(History::read(&path).unwrap(), [first.clone(), second.clone()]);
@@ -52,7 +52,7 @@ fn passes_come_back_as_they_were() {
 }
 
 #[test]
-fn what_is_no_number_is_kept_as_such() {
+fn nan_returns_round_trip() {
     let folder = tempfile::tempdir().unwrap();
     let mut pass = small(0);
     pass.blueprints[0].mode.mean_return.force = f32::NAN;
@@ -63,7 +63,7 @@ fn what_is_no_number_is_kept_as_such() {
 }
 
 #[test]
-fn there_is_one_writer_at_a_time() {
+fn second_writer_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let first = History::open(&path(&folder)).unwrap();
     assert!(matches!(History::open(&path(&folder)), Err(HistoryError::Taken(_))));
@@ -71,9 +71,9 @@ fn there_is_one_writer_at_a_time() {
     History::open(&path(&folder)).unwrap();
 }
 
-/// Copies the database and its journal as they lie on the disk while a pass is half written, pages of it in the file.
+/// Copies the database and its journal from the disk while an evaluation is half written, with some pages in the file.
 #[test]
-fn a_torn_write_leaves_the_passes_before_it() {
+fn torn_write_keeps_earlier_evaluations() {
     let folder = tempfile::tempdir().unwrap();
     let path = path(&folder);
     let mut history = History::open(&path).unwrap();
@@ -82,7 +82,7 @@ fn a_torn_write_leaves_the_passes_before_it() {
     let whole = std::fs::read(&path).unwrap();
 
     let mut writer = Connection::open(&path).unwrap();
-    // A cache of one page: changed pages go to the file long before the end.
+    // A cache of one page: changed pages reach the file long before the commit.
     writer.pragma_update(None, "cache_size", 1).unwrap();
     let transaction = writer.transaction().unwrap();
     transaction.execute("UPDATE outcome SET n_successes = 10, mean_steps = 0.0", []).unwrap();
@@ -98,10 +98,10 @@ fn a_torn_write_leaves_the_passes_before_it() {
     assert_eq!(History::read(&torn).unwrap(), [large(0), large(10)]);
 }
 
-/// This test starts itself as a process that writes for ever, and kills that.
+/// Starts this test as a child process that writes forever, and kills it.
 #[cfg(unix)]
 #[test]
-fn a_killed_writer_leaves_whole_passes() {
+fn killed_writer_leaves_complete_evaluations() {
     const FILE: &str = "LODESTONE_TEST_HISTORY";
     if let Some(path) = std::env::var_os(FILE) {
         let mut history = History::open(Path::new(&path)).unwrap();
@@ -113,14 +113,14 @@ fn a_killed_writer_leaves_whole_passes() {
     let folder = tempfile::tempdir().unwrap();
     let path = path(&folder);
     let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["history::tests::a_killed_writer_leaves_whole_passes", "--exact", "--nocapture"])
+        .args(["history::tests::killed_writer_leaves_complete_evaluations", "--exact", "--nocapture"])
         .env(FILE, &path)
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
     lines.find(|line| line == "written 9").unwrap();
-    // It writes the eleventh, or one after that.
+    // The child writes the eleventh evaluation, or a later one.
     child.kill().unwrap();
     child.wait().unwrap();
     let mut history = History::open(&path).unwrap();
@@ -132,7 +132,7 @@ fn a_killed_writer_leaves_whole_passes() {
 }
 
 #[test]
-fn what_is_no_history_of_this_version_is_refused() {
+fn other_databases_and_versions_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str| folder.path().join(name);
     drop(History::open(&file("newer.db")).unwrap());
@@ -158,7 +158,7 @@ fn what_is_no_history_of_this_version_is_refused() {
 }
 
 #[test]
-fn impossible_counts_are_refused_instead_of_shown() {
+fn inconsistent_counts_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     History::open(&path(&folder)).unwrap().append(&small(0)).unwrap();
     Connection::open(path(&folder)).unwrap().execute("UPDATE outcome SET n_successes = 11", []).unwrap();

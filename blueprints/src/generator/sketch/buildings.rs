@@ -1,9 +1,9 @@
-//! Towers, walls, arches, bridges, stairs and pyramids. Every rule takes the volume in cells and draws the rest.
+//! Towers, walls, arches, bridges, stairs, and pyramids. Each takes the volume in cells and draws the rest.
 
 use super::Sketch;
 use crate::generator::dice::Dice;
 
-/// Plans of a tower from the ground up, each centered on the one below.
+/// Footprints of a tower from the ground up, each centered on the one below.
 const TIERS: [&[[i32; 2]]; 14] = [
     &[[1, 1]],
     &[[2, 1]],
@@ -21,7 +21,7 @@ const TIERS: [&[[i32; 2]]; 14] = [
     &[[4, 3], [2, 3], [2, 1]],
 ];
 
-/// Tiers that get narrower, with a spire of what is left over.
+/// Narrowing tiers, with a spire from the remaining volume.
 pub(super) fn tower(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let tiers = dice.pick(&TIERS);
     let mut sketch = Sketch::new("tower");
@@ -38,7 +38,7 @@ pub(super) fn tower(volume: i32, dice: &mut Dice) -> Option<Sketch> {
         }
     }
     let [a, b] = tiers[tiers.len() - 1];
-    // A spire in the middle where there is one, else at a corner.
+    // Put the spire in the middle if there is a middle cell, otherwise at a corner.
     let at = |side: usize, own: i32| (tiers[0][side] - own) / 2 + (own - 1) / 2;
     sketch.add([at(0, a), at(1, b), z], [1, 1, left]);
     let broad = tiers[0][0].max(tiers[0][1]);
@@ -74,7 +74,7 @@ pub(super) fn wall(volume: i32, dice: &mut Dice) -> Option<Sketch> {
             merlons(length).for_each(|x| sketch.add([x, 0, height], [1, 1, 1]));
         }
         if door {
-            // As wide as keeps the middle, one or two.
+            // One or two cells, whichever can be centered.
             let width = 2 - length % 2;
             let tall = (height - 1).min(3);
             sketch.cells.retain(|&[x, y, z]| {
@@ -172,7 +172,7 @@ fn straight_stairs(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let mut runs = vec![1; n_steps as usize];
     let mut left = area - n_steps * (n_steps + 1) / 2;
     while left > 0 {
-        // What is left over widens steps, the landing before others.
+        // The remaining volume widens steps, starting at the landing.
         let step = if dice.chance(40) && left >= n_steps { n_steps } else { dice.between(1, n_steps.min(left)) };
         runs[step as usize - 1] += 1;
         left -= step;
@@ -208,11 +208,11 @@ fn winding_stairs(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     (1..=3).contains(&first).then_some(sketch)?.of_volume(volume)
 }
 
-/// Layers that get smaller on two or four sides.
+/// Layers that shrink on two or four sides.
 pub(super) fn pyramid(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let [mut a, mut b] = dice.pick(&[[1, 1], [1, 1], [2, 1], [2, 2], [3, 1], [2, 3], [1, 3]]);
     let growth = dice.pick(&[[2, 2], [2, 2], [2, 0], [2, 1]]);
-    // Some grow by turns to the sides, so that nearly every volume can be met.
+    // Some shrink on alternating sides, so that nearly every volume is possible.
     let steady = dice.chance(40);
     let (tall, finial) = (dice.pick(&[1, 1, 1, 2]), dice.pick(&[0, 0, 1, 2]));
     let mut layers = Vec::new();
@@ -230,6 +230,6 @@ pub(super) fn pyramid(volume: i32, dice: &mut Dice) -> Option<Sketch> {
         sketch.add([(a - own_a) / 2, (b - own_b) / 2, (n_layers - 1 - i) * tall], [own_a, own_b, tall]);
     }
     sketch.add([(a - 1) / 2, (b - 1) / 2, n_layers * tall], [1, 1, finial]);
-    // A finial has its middle.
+    // A finial needs a middle cell.
     (layers.len() >= 2 && (finial == 0 || a * b % 2 == 1)).then_some(sketch)?.of_volume(volume)
 }

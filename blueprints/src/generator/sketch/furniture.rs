@@ -1,9 +1,9 @@
-//! Tables, rings and crosses. Every rule takes the volume in cells and draws the rest.
+//! Tables, rings, and crosses. Each takes the volume in cells and draws the rest.
 
 use super::Sketch;
 use crate::generator::dice::Dice;
 
-/// A plate on legs, walls or a pedestal; two of them are a shelf, a back makes a bench, a rest stands on top.
+/// A plate on legs, walls, or a pedestal; two plates form a shelf, a back makes a bench, the rest goes on top.
 pub(super) fn table(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (wide, deep) = (dice.between(2, 6), dice.between(1, 4));
     let levels = dice.pick(&[1, 1, 1, 2]);
@@ -24,7 +24,7 @@ pub(super) fn table(volume: i32, dice: &mut Dice) -> Option<Sketch> {
                 }
                 1 => [0, wide - 1].into_iter().for_each(|x| sketch.add([x, 0, z], [1, deep, height])),
                 _ => {
-                    // A pedestal of the plate's parity stands in its middle.
+                    // A pedestal with the plate's parity stands in its middle.
                     let (foot_a, foot_b) = (2 - wide % 2, 2 - deep % 2);
                     sketch.add([(wide - foot_a) / 2, (deep - foot_b) / 2, z], [foot_a, foot_b, height]);
                 }
@@ -65,7 +65,7 @@ pub(super) fn ring(volume: i32, dice: &mut Dice) -> Option<Sketch> {
         let (wide, tall) = if dice.chance(50) { (a, b) } else { (b, a) };
         for x in [0, wide - 1] {
             sketch.add([x, 0, 0], [1, layers, tall]);
-            // Feet to both sides keep a thin ring from falling.
+            // Feet on both sides keep a thin ring from falling.
             for y in [-1, layers] {
                 sketch.add([x, y, 0], [1, i32::from(left == 4), 1]);
             }
@@ -118,7 +118,7 @@ pub(super) fn cross(volume: i32, dice: &mut Dice) -> Option<Sketch> {
         (3..=12).find_map(|tall| {
             let mut sketch = Sketch::new("standing cross");
             sketch.add([0, 0, 0], [wide, deep, tall]);
-            // The bar sits in the upper half, a bit of the shaft above it.
+            // The bar sits in the upper half, below the top of the shaft.
             let bar = tall - thick - (tall - thick) / 3;
             sketch.add([-arm, 0, bar.max(1)], [2 * arm + wide, deep, thick]);
             match foot {

@@ -3,8 +3,8 @@
 use super::Sketch;
 use crate::generator::dice::Dice;
 
-/// A letter on a grid of three columns and five rows, top row first. In the letters of the second list the stroke runs
-/// down the middle column, in the others down the outer ones.
+/// Letters on a grid of three columns and five rows, top row first. Strokes run down the outer columns in this list and
+/// down the middle column in the next.
 const OUTER: [(&str, [&str; 5]); 11] = [
     ("A", ["###", "#.#", "###", "#.#", "#.#"]),
     ("C", ["###", "#..", "#..", "#..", "###"]),
@@ -21,12 +21,12 @@ const OUTER: [(&str, [&str; 5]); 11] = [
 const MIDDLE: [(&str, [&str; 5]); 2] =
     [("I", ["###", ".#.", ".#.", ".#.", "###"]), ("T", ["###", ".#.", ".#.", ".#.", ".#."])];
 
-/// A letter of exactly that volume.
+/// A letter with exactly that volume.
 pub(super) fn letter(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let middle = dice.chance(20);
     let (name, rows) = if middle { dice.pick(&MIDDLE) } else { dice.pick(&OUTER) };
     let (stroke, deep) = (dice.pick(&[1, 1, 2]), dice.pick(&[1, 1, 2, 3]));
-    // Between the strokes a letter may be stretched.
+    // A letter can be stretched between its strokes.
     let stretch = dice.between(stroke, stroke + 2);
     let columns = if middle { [stretch, stroke, stretch] } else { [stroke, stretch, stroke] };
     let (upper, lower) = (dice.between(1, 4), dice.between(1, 4));

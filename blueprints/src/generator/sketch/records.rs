@@ -1,18 +1,18 @@
-//! Structures that go as far or as high as the stock and the checks allow: single file or two wide, with the plates
-//! where a line has room for them.
+//! Structures that are as long or as high as the stock and the checks allow: one or two cells wide, with plates where a
+//! line has room for them.
 
 use super::Sketch;
 use crate::generator::brick::Stock;
 use crate::generator::dice::Dice;
 
-/// A long row with widened places, called bays, symmetric about its middle.
+/// A long symmetric row with widened places, called bays.
 struct Row {
     length: i32,
-    /// First cell and width.
+    /// First cell and width of each bay.
     bays: Vec<[i32; 2]>,
 }
 
-/// A line of blocks whose bays are a wall's turrets, a viaduct's piers, the laps of a zigzag and so on.
+/// A line of blocks whose bays are a wall's turrets, a viaduct's piers, the laps of a zigzag, and so on.
 pub(super) fn longest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<Sketch> {
     let (least, most) = Stock::full().volume_range(n_blocks);
     let volume = dice.between((most - 4).max(least), most);
@@ -43,7 +43,7 @@ pub(super) fn longest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
             sketch.of_volume(volume)
         }
         3 => {
-            // Feet to both sides beside the bays' plates, like a caterpillar's.
+            // Feet on both sides next to the bays' plates, like a caterpillar's.
             let feet = 4;
             let row = Row::draw(volume - feet, &[[3, 2], [2, 3]], dice)?;
             let mut sketch = Sketch::new("causeway");
@@ -66,7 +66,7 @@ impl Row {
     /// A row whose length and bays together fill the volume.
     fn draw(volume: i32, halves: &[[i32; 2]], dice: &mut Dice) -> Option<Self> {
         let half = dice.pick(halves);
-        // Few blocks leave the plates out, or one pair of them.
+        // With few blocks, use at most one pair of plates.
         let n_bays = if volume >= 30 { 2 } else { dice.between(0, 2) };
         let half = &half[..n_bays as usize];
         let length = volume - 2 * half.iter().sum::<i32>();
@@ -108,7 +108,7 @@ fn suspension_bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     (length >= 12 && (3..=12).contains(&span)).then_some(sketch)?.of_volume(volume)
 }
 
-/// A beam that balances on one foot, thick in the middle.
+/// A beam that balances on one foot, thicker in the middle.
 fn balance(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (foot_height, foot_wide) = (dice.between(1, 2), dice.between(3, 5));
     let tip = dice.between(2, 3);
@@ -123,7 +123,7 @@ fn balance(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     ((length - foot_wide) % 2 == 0 && length >= 10).then_some(sketch)?.of_volume(volume)
 }
 
-/// A wide base, a shaft of two cells and a thin mast on it; or legs, tiers, a ladder below.
+/// A wide base, a shaft two cells wide, and a thin mast; the base is plates, crossed feet, legs, tiers, or a ladder.
 pub(super) fn tallest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<Sketch> {
     let (least, most) = Stock::full().volume_range(n_blocks);
     let volume = dice.between((most - 4).max(least), most);
@@ -143,7 +143,7 @@ pub(super) fn tallest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
     (shaft >= 2).then_some(sketch)?.of_volume(volume)
 }
 
-/// One or two plates, the shaft in the middle.
+/// One or two plates with the shaft in the middle.
 fn plates(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     let [a, b] = dice.pick(&[[4, 3], [4, 3], [4, 2]]);
     let mut sketch = Sketch::new("needle");
@@ -182,7 +182,7 @@ fn tiers(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     (sketch, low + high, [0, 0])
 }
 
-/// Two posts with rungs between.
+/// Two posts with rungs between them.
 fn ladder(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     let n_rungs = dice.between(2, 4);
     let mut sketch = Sketch::new("ladder tower");

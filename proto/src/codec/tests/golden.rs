@@ -1,4 +1,4 @@
-//! The bytes of version 1, as committed. A change here means that old and new processes cannot talk.
+//! The golden bytes of version 1. A change here breaks communication between old and new processes.
 
 use super::samples;
 use crate::codec::*;
@@ -7,7 +7,7 @@ use crate::{Start, WeightsVersion};
 
 const GOLDEN: &str = include_str!("../../../tests/golden/v1.txt");
 
-/// The line of one message; also checks that its bytes are read as the same value.
+/// The golden line of one message; also checks that its bytes decode to the same value.
 #[track_caller]
 fn line<T: PartialEq + std::fmt::Debug>(
     name: &str,
@@ -22,7 +22,7 @@ fn line<T: PartialEq + std::fmt::Debug>(
 }
 
 #[test]
-fn the_bytes_are_those_committed() {
+fn encoded_bytes_match_the_golden_file() {
     let mut near_goal = samples::one_gripper("actor-1", 3);
     near_goal.task.start = Start::NearGoal { undone: 2 };
     near_goal.transitions.truncate(1);

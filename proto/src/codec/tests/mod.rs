@@ -1,4 +1,4 @@
-//! What goes over the wire: golden bytes, round trips, every rule of decoding, and bytes from anybody.
+//! Tests of the wire format: golden bytes, round trips, decoding rules, and arbitrary bytes.
 
 mod golden;
 mod properties;

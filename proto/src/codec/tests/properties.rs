@@ -1,4 +1,4 @@
-//! Whatever is sent comes back the same; whatever else arrives is an error, never a panic.
+//! Every value round-trips; all other bytes give an error, never a panic.
 
 use blueprints::{CubeRotation, Inventory, N_BLOCKS, RelativePlacement};
 use proptest::prelude::*;
@@ -134,7 +134,7 @@ prop_compose! {
     }
 }
 
-/// All decoders; the only claim is that they return.
+/// Runs all decoders; they must return without a panic.
 fn decode_all(bytes: &[u8]) {
     let _ = decode_trajectory(bytes);
     let _ = decode_weights(bytes);
@@ -149,12 +149,12 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn a_trajectory_comes_back_the_same(trajectory in trajectory()) {
+    fn trajectory_round_trips(trajectory in trajectory()) {
         prop_assert_eq!(decode_trajectory(&encode_trajectory(&trajectory)).unwrap(), trajectory);
     }
 
     #[test]
-    fn weights_come_back_the_same(
+    fn weights_round_trip(
         parameters in prop::collection::vec(-1e6..1e6f32, 1..200),
         [epoch, version, n_env_steps, network_hash] in any::<[u64; 4]>(),
         [mean, std] in array::<2>(0.001..100.0),
@@ -174,7 +174,7 @@ proptest! {
         decode_all(&bytes);
     }
 
-    /// Far more of these than of arbitrary bytes get past the parser to the rules.
+    /// Far more of these than of arbitrary bytes reach the validation rules.
     #[test]
     fn changed_messages_never_panic(
         which in 0..3usize,
@@ -194,7 +194,7 @@ proptest! {
             bytes.truncate(keep.index(bytes.len()));
         }
         decode_all(&bytes);
-        // What is accepted all the same is a valid value, so it can be sent on.
+        // Accepted bytes decode to a valid value, so it can be encoded again.
         if let Ok(trajectory) = decode_trajectory(&bytes) {
             prop_assert_eq!(decode_trajectory(&encode_trajectory(&trajectory)).unwrap(), trajectory);
         }

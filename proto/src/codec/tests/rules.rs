@@ -1,4 +1,4 @@
-//! Every rule of decoding has a message that breaks only it; the error names the field and the value.
+//! Each decoding rule has a message that breaks only that rule; the error names the field and the value.
 
 use prost::Message;
 
@@ -6,7 +6,7 @@ use super::samples;
 use crate::codec::*;
 use crate::{Start, Status, Trajectory, Weights, wire};
 
-/// Breaks a rule that the plain type can break too.
+/// Breaks a rule that the plain type can also break.
 #[track_caller]
 fn check(change: impl Fn(&mut Trajectory), message: &str) {
     let mut trajectory = samples::successful("actor-1", 1);
@@ -38,7 +38,7 @@ fn task(trajectory: &mut wire::Trajectory) -> &mut wire::Task {
 }
 
 #[test]
-fn the_numbers_must_be_sane() {
+fn invalid_numbers_are_refused() {
     let sane = "expected a number in −1e6..=1e6";
     check(|t| t.transitions[1].value = f32::NAN, &format!("transition.value is NaN, {sane}"));
     check(
@@ -54,7 +54,7 @@ fn the_numbers_must_be_sane() {
 }
 
 #[test]
-fn the_lengths_must_be_right() {
+fn wrong_lengths_are_refused() {
     check(|t| t.transitions.clear(), "transitions is 0 steps, expected 1 to 1000 steps");
     check(
         |t| t.transitions = vec![t.transitions[0].clone(); 1001],
@@ -67,7 +67,7 @@ fn the_lengths_must_be_right() {
 }
 
 #[test]
-fn the_scene_must_make_sense() {
+fn invalid_scenes_are_refused() {
     check(
         |t| t.last_scene.joints.swap(0, 1),
         "scene.joints is (0, 5) before (0, 4), expected block pairs in rising order, each once",
@@ -92,7 +92,7 @@ fn the_scene_must_make_sense() {
 }
 
 #[test]
-fn the_ending_must_make_sense() {
+fn inconsistent_endings_are_refused() {
     let endings = "expected running, success or time limit";
     check(|t| t.status = Status::Diverged, &format!("status is 0, {endings}"));
     check_wire(|t| t.status = 9, &format!("status is 9, {endings}"));
@@ -107,7 +107,7 @@ fn the_ending_must_make_sense() {
 }
 
 #[test]
-fn the_names_must_be_valid() {
+fn invalid_names_are_refused() {
     let actor = "expected 1 to 64 of a-z, 0-9 and -";
     check_wire(|t| t.actor.clear(), &format!("actor is , {actor}"));
     check_wire(|t| t.actor = "A/b".into(), &format!("actor is A/b, {actor}"));
@@ -129,7 +129,7 @@ fn the_names_must_be_valid() {
 }
 
 #[test]
-fn the_message_must_be_whole_and_of_this_version() {
+fn incomplete_messages_and_other_versions_are_refused() {
     check_wire(|t| t.protocol_version = 2, "protocol version 2 is not 1");
     check_wire(|t| t.last_scene = None, "last_scene is missing");
     let error = decode_trajectory(&vec![0; MAX_TRAJECTORY_BYTES + 1]).unwrap_err().to_string();
@@ -142,7 +142,7 @@ fn the_message_must_be_whole_and_of_this_version() {
 }
 
 #[test]
-fn the_weights_must_be_usable() {
+fn invalid_weights_are_refused() {
     #[track_caller]
     fn check(change: impl Fn(&mut Weights), message: &str) {
         let mut weights = samples::weights(1);
@@ -163,7 +163,7 @@ fn the_weights_must_be_usable() {
 }
 
 #[test]
-fn units_and_their_answers_have_rules_too() {
+fn invalid_units_and_answers_are_refused() {
     let check = |change: fn(&mut wire::EvalUnit), message: &str| {
         let mut unit = wire::EvalUnit::decode(encode_unit(&samples::unit()).as_slice()).unwrap();
         change(&mut unit);
@@ -184,7 +184,7 @@ fn units_and_their_answers_have_rules_too() {
 }
 
 #[test]
-fn labels_have_rules_too() {
+fn invalid_labels_are_refused() {
     let check = |change: fn(&mut wire::Label), message: &str| {
         let bytes = encode_trajectory(&samples::labeled("actor-1", 1));
         let mut trajectory = wire::Trajectory::decode(bytes.as_slice()).unwrap();

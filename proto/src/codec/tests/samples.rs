@@ -1,4 +1,4 @@
-//! Values for tests; also the content of the golden bytes, so every field differs from its default.
+//! Sample values for tests and the golden bytes; every field differs from its default.
 
 use std::collections::BTreeMap;
 
@@ -57,7 +57,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         weights_version: WeightsVersion(12),
         task: Task {
             blueprint: "3_001".parse().unwrap(),
-            // Blocks 0 and 1, which are of one type, change roles.
+            // Swaps blocks 0 and 1, which are of one type.
             assignment: std::array::from_fn(|i| block([1, 0].get(i).copied().unwrap_or(i as u8))),
             start: Start::Prebuilt("2_004".parse().unwrap()),
             seed: 99,
@@ -72,7 +72,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
     }
 }
 
-/// The same, ended by success.
+/// The same trajectory, ended by success.
 pub(crate) fn successful(actor: &str, seq: u64) -> Trajectory {
     Trajectory {
         status: Status::Success,
@@ -86,7 +86,7 @@ pub(crate) fn successful(actor: &str, seq: u64) -> Trajectory {
     }
 }
 
-/// The same in a world with one gripper.
+/// The same trajectory in a world with one gripper.
 pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
     let mut trajectory = running(actor, seq);
     trajectory.last_scene.grippers[1] = None;
@@ -97,7 +97,7 @@ pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
     trajectory
 }
 
-/// The same, acted by the expert, with a label at the first step.
+/// The same trajectory, driven by the expert, with a label at the first step.
 pub(crate) fn labeled(actor: &str, seq: u64) -> Trajectory {
     let mut trajectory = running(actor, seq);
     trajectory.driver = Driver::Expert;

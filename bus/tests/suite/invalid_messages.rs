@@ -1,4 +1,4 @@
-//! Nonsense from anybody is counted and answered, and changes nothing for the others.
+//! Invalid messages are counted and refused, and do not affect other processes.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::samples;
 use crate::trajectories::sender;
 use crate::weights::until_version;
 
-/// Asks with a payload and returns the payload of the error reply.
+/// Sends a query with a payload and returns the payload of the error reply.
 async fn refused(session: &zenoh::Session, key: &str, payload: &[u8]) -> Refusal {
     let replies = session.get(format!("lodestone/default/{key}")).payload(payload).await.unwrap();
     let reply = within("a reply", replies.recv_async()).await.unwrap();
@@ -20,13 +20,13 @@ async fn refused(session: &zenoh::Session, key: &str, payload: &[u8]) -> Refusal
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn garbage_to_the_learner_is_refused() {
+async fn garbage_trajectory_is_refused() {
     let cluster = Cluster::start().await;
     let learner = Learner::start(&cluster.router, |_| Ok(())).await;
-    let stranger = cluster.stranger().await;
+    let script = cluster.script().await;
     let truncated = &codec::encode_trajectory(&samples::running("x", 0))[..500];
     for payload in [b"".as_slice(), b"\xff\xff\xff", b"{}", truncated] {
-        let refusal = refused(&stranger, "ingest/x", payload).await;
+        let refusal = refused(&script, "ingest/x", payload).await;
         assert!(matches!(refusal, Refusal::Invalid(_)), "{refusal:?}");
     }
     assert_eq!(learner.server.counts().invalid_total, 4);
@@ -35,21 +35,21 @@ async fn garbage_to_the_learner_is_refused() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn garbage_to_the_weights_is_refused() {
+async fn garbage_weights_query_is_refused() {
     let cluster = Cluster::start().await;
     let publisher = cluster.router.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(samples::weights(0))).await.unwrap();
-    let refusal = refused(&cluster.stranger().await, "weights/latest", b"garbage").await;
+    let refusal = refused(&cluster.script().await, "weights/latest", b"garbage").await;
     assert_eq!(refusal, Refusal::Invalid("a query for weights/latest has no payload".into()));
     assert_eq!(cluster.router.counts().queries_invalid_total, 1);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn false_notices_and_weights_are_ignored() {
+async fn invalid_notices_and_weights_are_ignored() {
     let cluster = Cluster::start().await;
-    let stranger = cluster.stranger().await;
+    let script = cluster.script().await;
     let (answered, mut answers) = tokio::sync::mpsc::unbounded_channel();
-    let impostor = stranger
+    let impostor = script
         .declare_queryable("lodestone/default/weights/latest")
         .callback(move |query| {
             answered.send(()).unwrap();
@@ -62,7 +62,7 @@ async fn false_notices_and_weights_are_ignored() {
     let mut weights = subscriber.watch();
     within("a pull", answers.recv()).await.unwrap();
 
-    let notices = stranger.declare_publisher("lodestone/default/weights/version/*").await.unwrap();
+    let notices = script.declare_publisher("lodestone/default/weights/version/*").await.unwrap();
     let matching = notices.matching_listener().await.unwrap();
     while !notices.matching_status().await.unwrap().matching() {
         within("a subscriber", matching.recv_async()).await.unwrap();
@@ -70,7 +70,7 @@ async fn false_notices_and_weights_are_ignored() {
     notices.put("no notice").await.unwrap();
     let promise = codec::WeightsNotice { epoch: 1, version: WeightsVersion(u64::MAX) };
     notices.put(codec::encode_notice(promise)).await.unwrap();
-    // The second pull comes after the first answer was judged.
+    // The second pull comes after the first answer was processed.
     within("another pull", answers.recv()).await.unwrap();
     assert!(actor.counts().weights_invalid_total >= 1, "{:?}", actor.counts());
     assert!(weights.borrow().is_none());
@@ -82,12 +82,12 @@ async fn false_notices_and_weights_are_ignored() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_false_learner_cannot_fool_an_actor() {
+async fn invalid_answers_are_errors_at_the_sender() {
     let cluster = Cluster::start().await;
-    let stranger = cluster.stranger().await;
-    // Answers the first with nonsense, the second as an error of its own making, the third not at all.
+    let script = cluster.script().await;
+    // Answers the first query with garbage, the second with an error that it made up, and the third not at all.
     let n = std::sync::atomic::AtomicU8::new(0);
-    let impostor = stranger.declare_queryable("lodestone/default/ingest/*").complete(true).callback(move |query| {
+    let impostor = script.declare_queryable("lodestone/default/ingest/*").complete(true).callback(move |query| {
         let key = query.key_expr().clone();
         match n.fetch_add(1, std::sync::atomic::Ordering::Relaxed) {
             0 => drop(query.reply(key, "yes").wait()),
