@@ -62,7 +62,7 @@ async fn read(
             Ok(()) = evaluators.changed() => {}
             _ = period.tick() => {}
         }
-        let has_router = bus.has_router().await;
+        let has_router = bus.is_connected().await;
         let roster = Roster {
             actors: actors.borrow_and_update().clone(),
             n_learners: learners.borrow_and_update().len(),
