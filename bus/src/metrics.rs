@@ -1,6 +1,6 @@
 //! Metrics as JSON, so that any zenoh client can read them without our schema.
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 use serde::Serialize;
 use tokio::sync::mpsc;
@@ -29,8 +29,11 @@ pub struct MetricsPublisher {
 #[derive(Debug)]
 pub struct MetricsSubscriber {
     samples: mpsc::Receiver<MetricsSample>,
+    key: String,
+    /// Weak, because the queue ends when the session has dropped its callbacks.
+    inbox: Weak<Inbox>,
     _subscriber: Subscriber<()>,
-    _open: Bus,
+    bus: Bus,
 }
 
 /// One metrics value.
@@ -68,7 +71,6 @@ impl Bus {
     /// If the suffix is not a valid key expression or the session is closed.
     pub async fn metrics_subscriber(&self, suffix: &str) -> Result<MetricsSubscriber, BusError> {
         let key = keys::metrics(suffix);
-        let failed = || BusError::during(format!("subscribing to {key}"));
         let (sender, samples) = mpsc::channel(QUEUE);
         let inbox = Arc::new(Inbox { sender, counters: self.counters.clone() });
         let live = inbox.clone();
@@ -77,19 +79,12 @@ impl Bus {
             .declare_subscriber(key.clone())
             .callback(move |sample| live.push(&sample))
             .await
-            .map_err(failed())?;
+            .map_err(BusError::during(format!("subscribing to {key}")))?;
+        let inbox = Arc::downgrade(&inbox);
+        let subscriber = MetricsSubscriber { samples, key, inbox, _subscriber: subscriber, bus: self.clone() };
         // Query after subscribing, so that no value is missed; a value may arrive twice.
-        self.session
-            .get(key.clone())
-            .target(QueryTarget::All)
-            .callback(move |reply| {
-                if let Ok(sample) = reply.result() {
-                    inbox.push(sample);
-                }
-            })
-            .await
-            .map_err(failed())?;
-        Ok(MetricsSubscriber { samples, _subscriber: subscriber, _open: self.clone() })
+        subscriber.ask_latest().await?;
+        Ok(subscriber)
     }
 }
 
@@ -108,6 +103,25 @@ impl MetricsPublisher {
 }
 
 impl MetricsSubscriber {
+    /// Asks for the latest of each key again: whoever has come back to the bus may have nothing new to say for long.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn ask_latest(&self) -> Result<(), BusError> {
+        let Some(inbox) = self.inbox.upgrade() else { return Ok(()) };
+        self.bus
+            .session
+            .get(self.key.clone())
+            .target(QueryTarget::All)
+            .callback(move |reply| {
+                if let Ok(sample) = reply.result() {
+                    inbox.push(sample);
+                }
+            })
+            .await
+            .map_err(BusError::during(format!("asking for {}", self.key)))
+    }
+
     /// The next value; `None` after the session is closed.
     pub async fn recv(&mut self) -> Option<MetricsSample> {
         self.samples.recv().await
@@ -120,6 +134,7 @@ impl MetricsSubscriber {
     }
 }
 
+#[derive(Debug)]
 struct Inbox {
     sender: mpsc::Sender<MetricsSample>,
     counters: Arc<BusCounters>,

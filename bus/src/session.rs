@@ -71,9 +71,9 @@ impl Bus {
         self.counters.weights_refused.add_one();
     }
 
-    /// Whether a router is connected now. Without one, messages that only routers forward cannot arrive.
-    pub async fn has_router(&self) -> bool {
-        self.session.info().routers_zid().await.next().is_some()
+    /// Whether this process reaches the others now: a router always, a client while it has its router.
+    pub async fn is_connected(&self) -> bool {
+        self.mode() == BusMode::Router || self.session.info().routers_zid().await.next().is_some()
     }
 
     /// Leaves the bus: queued messages are still sent, and the tokens and queryables disappear for other processes.
@@ -82,7 +82,7 @@ impl Bus {
     /// end, and the others notice when the lease expires. This happens to a client that lost its router, because zenoh
     /// waits for the running attempt to reconnect.
     pub async fn close(&self) {
-        let reached = self.mode() != BusMode::Client || self.has_router().await;
+        let reached = self.is_connected().await;
         let limit = if reached { CLOSE_LIMIT } else { CLOSE_LIMIT_ALONE };
         match tokio::time::timeout(limit, self.session.close()).await {
             Ok(Ok(())) => {}

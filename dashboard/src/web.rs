@@ -1,6 +1,6 @@
 //! One web page about a running training: success over training, who is there, how learning goes.
 //!
-//! Reading order: `board` (what is shown) → `events` (browsers that listen) → `replay`, `attention` and
+//! Reading order: `board` (what is known) → `events` (browsers that listen) → `replay`, `attention` and
 //! `films` → `prometheus` → `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up
 //! an evaluator: whoever writes to the board takes a lock for a moment, and what a browser does not take in time is
 //! dropped and counted.
@@ -8,7 +8,6 @@
 mod attention;
 mod board;
 mod events;
-mod feed;
 mod films;
 mod prometheus;
 mod replay;
@@ -17,6 +16,7 @@ mod server;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use bus::Bus;
@@ -28,11 +28,15 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::WebConfig;
+use crate::follow::follow;
 use attention::Onlooker;
 use board::Board;
 use films::Films;
 use replay::Replays;
 use runlog::{Pass, RunPaths};
+
+/// Longest silence that a browser sees.
+const BEAT: Duration = Duration::from_secs(15);
 
 /// Why the page cannot be served.
 #[derive(Debug, thiserror::Error)]
@@ -91,22 +95,32 @@ impl Page {
     /// When the session fails, or a task of the page panicked.
     pub async fn serve(self, bus: &Bus, mut source: Source) -> anyhow::Result<()> {
         let board = Arc::new(Board::default());
-        let feed = feed::Feed::open(bus).await?;
         let shutdown = CancellationToken::new();
         let _ended_with_this = shutdown.clone().drop_guard();
         let replays = Arc::new(Replays::new(Onlooker::new(source.policy, source.weights)));
         let routes = routes::routes(board.clone(), replays.clone(), Films::new(source.run), self.config);
         let mut tasks = JoinSet::new();
-        tasks.spawn(feed.run(board.clone(), shutdown.clone()));
         tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
         tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
-        while let Some(pass) = source.passes.recv().await {
-            board.judged(&pass);
+        let (its_board, its_bus, its_shutdown) = (board.clone(), bus.clone(), shutdown.clone());
+        let follower = tokio::spawn(async move {
+            follow(&its_bus, Instant::now(), &its_shutdown, |news, now| its_board.told(news, now)).await
+        });
+        let mut beat = tokio::time::interval(BEAT);
+        loop {
+            tokio::select! {
+                pass = source.passes.recv() => match pass {
+                    Some(pass) => board.judged(&pass),
+                    None => break,
+                },
+                _ = beat.tick() => board.beat(),
+            }
         }
         shutdown.cancel();
         while let Some(task) = tasks.join_next().await {
             task.context("a task of the page panicked")?;
         }
+        follower.await.context("what follows the bus panicked")??;
         Ok(())
     }
 }

@@ -7,7 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use bus::{Bus, BusMode};
+use bus::Bus;
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -63,7 +63,7 @@ impl Reporter {
                 let session = bus.borrow().clone();
                 let (connected, idle) = match session {
                     None => (false, Duration::ZERO),
-                    Some(bus) => (bus.mode() == BusMode::Router || bus.has_router().await, bus.pulse().age()),
+                    Some(bus) => (bus.is_connected().await, bus.pulse().age()),
                 };
                 if let Err(error) = write(&its_path, &state(&role, connected, idle)) {
                     tracing::warn!(path = %its_path.display(), %error, "the state of health was not written");

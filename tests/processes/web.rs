@@ -1,13 +1,13 @@
 //! The page of a real run: found by the line that is printed, filled while training goes on, gone afterwards.
 
 use std::collections::BTreeMap;
-use std::io::{Read, Write};
+use std::io::Read;
 use std::net::{TcpListener, TcpStream};
 use std::process::{Command, Output};
 
 use crate::support::judges::{python, told_by};
 use crate::support::program::{lodestone, n_saved_steps};
-use crate::support::served::{Process, endless, events, get, train};
+use crate::support::served::{Process, client, endless, events, get, train};
 use runlog::{History, RunPaths};
 use serde_json::Value;
 
@@ -28,7 +28,7 @@ fn a_page_shows_a_run_while_it_lasts() {
     assert!(events.any(|line| line == "event: pass"));
     assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
 
-    assert!(get(&address, "/readyz").0.starts_with("HTTP/1.1 200"));
+    assert_eq!(get(&address, "/readyz").0, 200);
     assert!(get(&address, "/").1.contains("<title>Lodestone</title>"));
     let history: Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
     assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"2_000".into()));
@@ -53,11 +53,8 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
     assert!(events.any(|line| line.contains("\"key\":\"actor/")));
     // The one request that is refused.
-    let mut stranger = TcpStream::connect(&address).unwrap();
-    stranger.write_all(b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n").unwrap();
-    let mut status = [0; 12];
-    stranger.read_exact(&mut status).unwrap();
-    assert_eq!(&status, b"HTTP/1.1 403");
+    let stranger = client().get(format!("http://{address}/")).header("Host", "evil.example").call().unwrap();
+    assert_eq!(stranger.status(), 403);
     let told = told_by(&python, "scrape.py", &[&format!("http://{address}/metrics")]);
     interrupt(&run);
     events.for_each(drop);

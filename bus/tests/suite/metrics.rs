@@ -54,6 +54,13 @@ async fn metrics_subscriber_gets_the_latest_and_then_new_values() {
         assert!(in_flight.contains(&next), "{next:?}");
         next = within("the next", reader.recv()).await.unwrap();
     }
+    // Whoever asks again gets the latest again, though nothing new was put.
+    reader.ask_latest().await.unwrap();
+    let mut again = within("the latest again", reader.recv()).await.unwrap();
+    while again != sample(3) {
+        assert!(in_flight.contains(&again), "{again:?}");
+        again = within("the latest again", reader.recv()).await.unwrap();
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,25 +1,24 @@
 //! `watch`: a run as it is now, on a screen or as one text.
 //!
-//! Reading order: [`board`] (what is known) → `follow` (from the bus) → [`view`] (as lines) → `screen` (the terminal).
+//! Reading order: `view` (what is known as lines) → `screen` (the terminal).
 
-pub mod board;
-mod follow;
 mod screen;
-pub mod view;
+mod view;
 
 use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
 
-use bus::{BusConfig, BusError};
+use bus::{Bus, BusConfig, BusError};
 use tokio::sync::watch;
 use tokio::task::JoinError;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use self::board::{Board, Link};
 use self::view::Source;
+use crate::follow::{News, follow};
+use crate::run_view::{Link, RunView};
 
-/// With `--once`, the board is printed when nothing has come for this time after the first summary.
+/// With `--once`, what is known is printed when nothing has come for this time after the first summary.
 const QUIET: Duration = Duration::from_millis(300);
 
 /// With `--once`, the longest time that is given to what comes with the first summary.
@@ -67,13 +66,8 @@ pub async fn live(config: BusConfig, shutdown: CancellationToken) -> Result<(), 
         return Err(WatchError::NoTerminal);
     }
     let (source, start) = (source(&config), Instant::now());
-    following(
-        config,
-        start,
-        shutdown,
-        async |board, shutdown| Ok(screen::show(board, &source, start, &shutdown).await?),
-    )
-    .await
+    following(config, start, shutdown, async |run, shutdown| Ok(screen::show(run, &source, start, &shutdown).await?))
+        .await
 }
 
 /// What is known as soon as the learner or the evaluator has said something, as text; nothing after `shutdown`.
@@ -82,44 +76,72 @@ pub async fn live(config: BusConfig, shutdown: CancellationToken) -> Result<(), 
 /// If that takes longer than `patience`, or the bus cannot be opened.
 pub async fn once(config: BusConfig, patience: Duration, shutdown: CancellationToken) -> Result<String, WatchError> {
     let (source, start) = (source(&config), Instant::now());
-    following(config, start, shutdown, async |mut board, shutdown| {
+    following(config, start, shutdown, async |mut run, shutdown| {
         let arrived = tokio::select! {
             () = shutdown.cancelled() => return Ok(String::new()),
-            arrived = timeout(patience, board.wait_for(Board::has_summary)) => arrived.map(|board| board.is_ok()),
+            arrived = timeout(patience, run.wait_for(RunView::has_summary)) => arrived.map(|run| run.is_ok()),
         };
         match arrived {
             Ok(true) => {}
             // The bus has failed; why is told by what follows it.
             Ok(false) => return Ok(String::new()),
-            Err(_) => return Err(silent(&board.borrow(), &source, patience)),
+            Err(_) => return Err(silent(&run.borrow(), &source, patience)),
         }
-        let settled = async { while let Ok(Ok(())) = timeout(QUIET, board.changed()).await {} };
+        let settled = async { while let Ok(Ok(())) = timeout(QUIET, run.changed()).await {} };
         let _: Result<(), _> = timeout(LONGEST_SETTLING, settled).await;
-        Ok(view::text(&board.borrow(), &source, start.elapsed()))
+        Ok(view::text(&run.borrow(), &source, start.elapsed()))
     })
     .await
 }
 
-/// Runs `show` beside a task that keeps its board up to date.
+/// Runs `show` beside a task that keeps its view of the run up to date.
 async fn following<T>(
     config: BusConfig,
     start: Instant,
     shutdown: CancellationToken,
-    show: impl AsyncFnOnce(watch::Receiver<Board>, CancellationToken) -> Result<T, WatchError>,
+    show: impl AsyncFnOnce(watch::Receiver<RunView>, CancellationToken) -> Result<T, WatchError>,
 ) -> Result<T, WatchError> {
-    let (writer, board) = watch::channel(Board::default());
-    let follower = tokio::spawn(follow::follow(config, writer, start, shutdown.clone()));
-    let shown = show(board, shutdown.clone()).await;
+    let (writer, run) = watch::channel(RunView::default());
+    let follower = tokio::spawn(keep(writer, config, start, shutdown.clone()));
+    let shown = show(run, shutdown.clone()).await;
     shutdown.cancel();
     follower.await??;
     shown
 }
 
+/// Keeps `run` up to date until `shutdown`; times on it count from `start`.
+async fn keep(
+    run: watch::Sender<RunView>,
+    config: BusConfig,
+    start: Instant,
+    shutdown: CancellationToken,
+) -> Result<(), BusError> {
+    let bus = tokio::select! {
+        () = shutdown.cancelled() => return Ok(()),
+        opened = Bus::open(&config) => opened?,
+    };
+    let tell = |news, now| {
+        run.send_if_modified(|run| match news {
+            News::Metrics(samples) => {
+                for sample in samples {
+                    run.take(&sample, now);
+                }
+                // What is no news may still be counted.
+                true
+            }
+            News::Session(session) => run.set_session(&session, now),
+        });
+    };
+    let ended = follow(&bus, start, &shutdown, tell).await;
+    bus.close().await;
+    ended
+}
+
 /// Why there is nothing to print.
-fn silent(board: &Board, source: &Source, patience: Duration) -> WatchError {
-    let (run, seconds) = (source.run.clone(), patience.as_secs());
-    match board.link().0 {
-        Link::Connected => WatchError::Silent { run, seconds },
+fn silent(run: &RunView, source: &Source, patience: Duration) -> WatchError {
+    let (name, seconds) = (source.run.clone(), patience.as_secs());
+    match run.link().0 {
+        Link::Connected => WatchError::Silent { run: name, seconds },
         Link::Joining | Link::Lost => WatchError::NoRouter { endpoints: source.endpoints.join(", "), seconds },
     }
 }
@@ -127,6 +149,3 @@ fn silent(board: &Board, source: &Source, patience: Duration) -> WatchError {
 fn source(config: &BusConfig) -> Source {
     Source { run: config.run.clone(), endpoints: config.connect.clone() }
 }
-
-#[cfg(test)]
-mod samples;

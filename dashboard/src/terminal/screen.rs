@@ -14,8 +14,8 @@ use ratatui::crossterm::{cursor, execute};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::board::Board;
 use super::view::{self, Source};
+use crate::run_view::RunView;
 
 /// Ages are shown in seconds.
 const TICK: Duration = Duration::from_secs(1);
@@ -32,12 +32,12 @@ struct Screen {
     is_taken: Arc<AtomicBool>,
 }
 
-/// Draws the board as it changes until a key asks for the end, `shutdown`, or the board's writer is gone.
+/// Draws the run as it changes until a key asks for the end, `shutdown`, or nobody follows it any more.
 ///
 /// # Errors
 /// If the terminal cannot be taken, read or drawn on; it is given back all the same.
 pub(super) async fn show(
-    mut board: watch::Receiver<Board>,
+    mut run: watch::Receiver<RunView>,
     source: &Source,
     start: Instant,
     shutdown: &CancellationToken,
@@ -49,10 +49,10 @@ pub(super) async fn show(
     // A thread of its own, because waiting for keys blocks. It is not waited for: it ends within its period.
     std::thread::Builder::new().name("keys".to_owned()).spawn(move || read_events(&keys, &end))?;
     loop {
-        screen.terminal.draw(|frame| view::draw(frame, &board.borrow_and_update(), source, start.elapsed()))?;
+        screen.terminal.draw(|frame| view::draw(frame, &run.borrow_and_update(), source, start.elapsed()))?;
         let changed = async {
             tokio::time::sleep(FRAME).await;
-            board.changed().await
+            run.changed().await
         };
         tokio::select! {
             () = shutdown.cancelled() => return Ok(()),

@@ -1,10 +1,11 @@
-//! What the page knows: passes, the newest metrics, who is alive, and the browsers that listen.
+//! What the page knows: the run as the bus tells it, what else it is given, and the browsers that listen.
 
 use parking_lot::{Mutex, MutexGuard};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
+use std::time::Duration;
 
 use bus::MetricsSample;
-use proto::Role;
+use proto::ActorId;
 use proto::keys::METRICS_LEARNER;
 use proto::metrics::{ActorMetrics, LearnerMetrics};
 use serde::Serialize;
@@ -12,6 +13,8 @@ use serde_json::json;
 use tokio_util::sync::CancellationToken;
 
 use super::events::{Events, Viewers, event};
+use crate::follow::News;
+use crate::run_view::{Link, Roster, RunView, SessionState};
 use runlog::Pass;
 use runlog::overview::{Passes, PassesView, SCHEMA_VERSION};
 
@@ -31,13 +34,11 @@ pub(super) struct Board(Mutex<State>);
 /// What a board knows.
 #[derive(Debug, Default)]
 pub(super) struct State {
+    pub(super) run: RunView,
     pub(super) passes: Passes,
     points: Points,
     /// The newest event of each key.
     latest: BTreeMap<String, axum::body::Bytes>,
-    pub(super) learner: Option<LearnerMetrics>,
-    pub(super) actors: BTreeMap<String, ActorMetrics>,
-    pub(super) roster: BTreeMap<Role, BTreeSet<String>>,
     pub(super) viewers: Viewers,
     pub(super) counts: PageCounts,
 }
@@ -104,43 +105,46 @@ impl Board {
         state.publish(&event("pass", &news));
     }
 
-    /// Remembers metrics and passes them on.
-    pub(super) fn measured(&self, sample: MetricsSample) {
+    /// Remembers what the bus tells and passes it on.
+    pub(super) fn told(&self, news: News, now: Duration) {
+        match news {
+            News::Metrics(samples) => samples.into_iter().for_each(|sample| self.measured(sample, now)),
+            News::Session(session) => self.joined(&session, now),
+        }
+    }
+
+    /// What the run's view refuses is still passed on; it only does not get into the page's own numbers.
+    fn measured(&self, sample: MetricsSample, now: Duration) {
         let text = event("metrics", &json!({ "key": sample.suffix, "payload": sample.value }));
-        let mut state = self.state();
+        let state = &mut *self.state();
+        if state.run.take(&sample, now)
+            && sample.suffix == METRICS_LEARNER
+            && let Some(learner) = state.run.learner()
+        {
+            state.points.push(&learner.value);
+        }
         let is_new = !state.latest.contains_key(&sample.suffix);
         if text.len() > MAX_SAMPLE_BYTES || (is_new && state.latest.len() >= MAX_KEYS) {
             state.counts.samples_dropped_total += 1;
             return;
         }
-        // What is of another version is still passed on; it only does not get into the page's own numbers.
-        if sample.suffix == METRICS_LEARNER {
-            if let Ok(learner) = serde_json::from_value::<LearnerMetrics>(sample.value) {
-                state.points.push(&learner);
-                state.learner = Some(learner);
-            }
-        } else if sample.suffix.starts_with("actor/")
-            && let Ok(actor) = serde_json::from_value::<ActorMetrics>(sample.value)
-        {
-            state.actors.insert(actor.actor.to_string(), actor);
-        }
         state.publish(&text);
         state.latest.insert(sample.suffix, text);
     }
 
-    /// Remembers who is alive in a role and tells it; the metrics of actors that have gone are forgotten.
-    pub(super) fn appeared(&self, role: Role, names: BTreeSet<String>) {
+    /// Tells who is alive if that has changed; the events of actors that have gone are forgotten.
+    fn joined(&self, session: &SessionState, now: Duration) {
         let mut state = self.state();
-        if role == Role::Actor {
-            let before = state.roster.get(&role).cloned().unwrap_or_default();
-            for gone in before.difference(&names) {
-                state.actors.remove(gone);
-                state.latest.remove(&format!("actor/{gone}"));
-            }
+        let before = state.roster();
+        state.run.set_session(session, now);
+        let roster = state.roster();
+        if roster == before {
+            return;
         }
-        state.roster.insert(role, names);
-        let news = state.roster_event();
-        state.publish(&news);
+        for gone in before.actors.difference(&roster.actors) {
+            state.latest.remove(&format!("actor/{gone}"));
+        }
+        state.publish(&event("roster", &json!(roster)));
     }
 
     /// Sends what keeps proxies from closing a quiet connection, and finds those that have gone.
@@ -152,7 +156,7 @@ impl Board {
     pub(super) fn listen(&self, close: CancellationToken) -> Option<Events> {
         let mut state = self.state();
         let mut first = b"retry: 2000\n\n".to_vec();
-        first.extend_from_slice(&state.roster_event());
+        first.extend_from_slice(&event("roster", &json!(state.roster())));
         // Blueprints are in the history that the page asks for.
         let latest = state.latest.iter().filter(|(key, _)| !key.starts_with("eval/"));
         latest.for_each(|(_, text)| first.extend_from_slice(text));
@@ -181,10 +185,20 @@ impl State {
         self.counts.viewers_dropped_total += self.viewers.send(text);
     }
 
-    fn roster_event(&self) -> axum::body::Bytes {
-        let names = |role| self.roster.get(&role).cloned().unwrap_or_default();
-        let (actors, learners, evaluators) = (names(Role::Actor), names(Role::Learner), names(Role::Evaluator));
-        event("roster", &json!({ "actors": actors, "learners": learners, "evaluators": evaluators }))
+    /// Who is alive, as far as can be seen: nobody while the router is gone.
+    pub(super) fn roster(&self) -> Roster {
+        match self.run.link().0 {
+            Link::Connected => self.run.roster().clone(),
+            Link::Joining | Link::Lost => Roster::default(),
+        }
+    }
+
+    /// The newest metrics of the actors that are alive, as far as can be seen; unlike the terminal, the page shows no
+    /// lost ones.
+    pub(super) fn actors(&self) -> impl Iterator<Item = (&ActorId, &ActorMetrics)> {
+        let is_connected = self.run.link().0 == Link::Connected;
+        let alive = self.run.actors().iter().filter(move |(_, actor)| is_connected && actor.is_alive);
+        alive.filter_map(|(id, actor)| Some((id, &actor.metrics.as_ref()?.value)))
     }
 }
 

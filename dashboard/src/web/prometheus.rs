@@ -9,13 +9,12 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use proto::Role;
-use proto::metrics::BusCounts;
 use proto::wilson::SuccessRate;
-use serde_json::Value;
+use proto::{ActionMode, Role};
+use serde::Serialize;
 
 use super::board::State;
-use proto::ActionMode;
+use crate::run_view::counters;
 
 /// The format of [`text`].
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -78,13 +77,10 @@ fn label(name: &'static str, value: &str) -> (&'static str, String) {
     (name, value.to_owned())
 }
 
-/// The counts of a session under the names of their fields, so that one that is added later is shown too.
-fn by_reason(counts: &BusCounts) -> Vec<(Labels, u64)> {
-    let Ok(Value::Object(fields)) = serde_json::to_value(counts) else { return Vec::new() };
-    let named = fields.into_iter().filter_map(|(name, n)| {
-        Some((vec![label("reason", name.strip_suffix("_total").unwrap_or(&name))], n.as_u64()?))
-    });
-    named.collect()
+/// The counts of a struct under the names of its fields.
+fn by_reason(counts: &impl Serialize) -> Vec<(Labels, u64)> {
+    let reason = |name: String| vec![label("reason", name.strip_suffix("_total").unwrap_or(&name))];
+    counters(counts).into_iter().map(|(name, n)| (reason(name), n)).collect()
 }
 
 fn success(page: &mut Scrape, state: &State) {
@@ -119,7 +115,7 @@ fn success(page: &mut Scrape, state: &State) {
 }
 
 fn learner(page: &mut Scrape, state: &State) {
-    let learner = state.learner.as_ref();
+    let learner = state.run.learner().map(|heard| &heard.value);
     let steps = learner.map(|learner| learner.n_env_steps);
     page.counter("learner_env_steps", "Environment steps consumed by the learner", steps);
     let updates = learner.map(|learner| learner.n_updates);
@@ -144,12 +140,11 @@ fn learner(page: &mut Scrape, state: &State) {
 }
 
 fn roster(page: &mut Scrape, state: &State) {
-    let alive = [Role::Actor, Role::Learner, Role::Evaluator].map(|role| {
-        let n_alive = state.roster.get(&role).map_or(0, |names| names.len());
-        (vec![label("role", role.as_str())], n_alive as f64)
-    });
+    let roster = state.roster();
+    let alive = [(Role::Actor, roster.actors), (Role::Learner, roster.learners), (Role::Evaluator, roster.evaluators)];
+    let alive = alive.map(|(role, names)| (vec![label("role", role.as_str())], names.len() as f64));
     page.gauges("alive_processes", "Members of the run that are alive, by role", alive);
-    let actors = || state.actors.iter().map(|(id, actor)| (vec![label("actor", id)], actor));
+    let actors = || state.actors().map(|(id, actor)| (vec![label("actor", id.as_str())], actor));
     let speed = actors().map(|(labels, actor)| (labels, actor.env_steps_per_s));
     page.gauges("actor_env_steps_per_second", "Environment steps per second of an actor", speed);
     let lag = actors().map(|(labels, actor)| (labels, actor.policy_lag as f64));
@@ -157,19 +152,8 @@ fn roster(page: &mut Scrape, state: &State) {
     let steps = actors().map(|(labels, actor)| (labels, actor.n_env_steps));
     page.counters("actor_env_steps", "Environment steps made by an actor", steps);
     let drops = actors().flat_map(|(labels, actor)| {
-        let d = &actor.dropped;
-        let reasons = [
-            ("stale", d.stale_total),
-            ("full", d.full_total),
-            ("invalid", d.invalid_total),
-            ("name_taken", d.name_taken_total),
-            ("no_learner", d.no_learner_total),
-            ("no_reply", d.no_reply_total),
-            ("too_large", d.too_large_total),
-            ("diverged", d.diverged_total),
-            ("failed", d.failed_total),
-        ];
-        reasons.map(|(reason, n)| ([&labels[..], &[label("reason", reason)]].concat(), n))
+        let dropped = by_reason(&actor.dropped).into_iter();
+        dropped.map(move |(reason, n)| ([&labels[..], &reason[..]].concat(), n))
     });
     page.counters("actor_trajectories_dropped", "Trajectories that an actor dropped, by reason", drops);
     let of_bus = actors().flat_map(|(labels, actor)| {
@@ -185,9 +169,10 @@ fn roster(page: &mut Scrape, state: &State) {
 }
 
 fn dropped(page: &mut Scrape, state: &State) {
-    let of_bus = state.learner.iter().flat_map(|learner| by_reason(&learner.bus));
+    let learner = state.run.learner().map(|heard| &heard.value);
+    let of_bus = learner.into_iter().flat_map(|learner| by_reason(&learner.bus));
     page.counters("learner_bus_dropped", "What the learner's session dropped or refused, by reason", of_bus);
-    let reasons = state.learner.iter().flat_map(|learner| {
+    let reasons = learner.into_iter().flat_map(|learner| {
         let ingest = &learner.ingest;
         [
             ("stale", ingest.stale_total),
@@ -215,6 +200,10 @@ fn dropped(page: &mut Scrape, state: &State) {
     ];
     let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
     page.counters("page_dropped", "What the page itself dropped or refused, by reason", reasons);
+    let unread = by_reason(&state.run.unread());
+    page.counters("page_metrics_unread", "Metrics that came and are not among these numbers, by reason", unread);
+    let of_bus = by_reason(&state.run.bus());
+    page.counters("page_bus_dropped", "What the session of the page's process dropped or refused, by reason", of_bus);
     page.gauge("page_viewers", "Browsers that listen", Some(state.viewers.len() as f64));
 }
 
@@ -222,9 +211,14 @@ fn dropped(page: &mut Scrape, state: &State) {
 mod tests {
     use std::collections::{BTreeMap, BTreeSet};
 
+    use std::time::Duration;
+
     use blueprints::Split;
+    use proto::metrics::BusCounts;
 
     use super::*;
+    use crate::follow::News;
+    use crate::samples;
     use crate::web::board::Board;
     use crate::web::tests::samples::pass;
 
@@ -263,7 +257,12 @@ mod tests {
         let board = Board::default();
         let scores = [("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5)];
         board.judged(&pass(200, &scores));
-        board.appeared(Role::Actor, ["a".to_owned(), "b".to_owned()].into());
+        let now = Duration::ZERO;
+        board.told(News::Session(samples::session(&["a", "b"])), now);
+        let mut other = samples::learner();
+        other.value["schema_version"] = 2.into();
+        board.told(News::Metrics(vec![samples::actor("a"), samples::actor("gone"), other]), now);
+        board.told(News::Session(samples::session(&["a", "b"])), now);
         let samples = parse(&text(&board.state()).unwrap());
         for (sample, value) in [
             ("lodestone_eval_group_success_ratio{group=\"train 2-6\",acting=\"mode\"}", 0.45),
@@ -272,11 +271,21 @@ mod tests {
             ("lodestone_eval_weights_version", 20.0),
             ("lodestone_eval_env_steps", 200.0),
             ("lodestone_alive_processes{role=\"actor\"}", 2.0),
+            ("lodestone_actor_env_steps_per_second{actor=\"a\"}", 640.25),
             ("lodestone_page_dropped_total{reason=\"browser_too_slow\"}", 0.0),
+            ("lodestone_page_metrics_unread_total{reason=\"schema_unknown\"}", 1.0),
+            ("lodestone_page_metrics_unread_total{reason=\"over_limit\"}", 0.0),
+            ("lodestone_page_bus_dropped_total{reason=\"metrics_dropped\"}", 0.0),
         ] {
             assert_eq!(samples.get(sample), Some(&value), "{sample} in {samples:#?}");
         }
         // Nothing was measured yet, which is not the same as 0.
         assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_learner_")), "{samples:#?}");
+        assert!(!samples.keys().any(|sample| sample.contains("gone")), "{samples:#?}");
+        // Who is alive cannot be seen without a router.
+        board.told(News::Session(samples::cut_off()), now);
+        let samples = parse(&text(&board.state()).unwrap());
+        assert_eq!(samples.get("lodestone_alive_processes{role=\"learner\"}"), Some(&0.0), "{samples:#?}");
+        assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_actor_")), "{samples:#?}");
     }
 }

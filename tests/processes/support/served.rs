@@ -1,9 +1,10 @@
 //! A small run with a page.
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
+
+use ureq::Agent;
 
 use crate::support::program::lodestone;
 
@@ -44,19 +45,19 @@ pub(crate) fn endless(folder: &Path) -> (Process, BufReader<ChildStdout>, String
     (run, printed, address)
 }
 
-/// Lines of the stream of events, until the page closes it.
-pub(crate) fn events(address: &str) -> impl Iterator<Item = String> {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.write_all(format!("GET /api/events HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
-    BufReader::new(stream).lines().map_while(Result::ok)
+/// A client that knows of no proxy, and to which every answer is an answer, whatever its status.
+pub(crate) fn client() -> Agent {
+    Agent::config_builder().proxy(None).http_status_as_error(false).build().new_agent()
 }
 
-/// Head and body of an answer.
-pub(crate) fn get(address: &str, path: &str) -> (String, String) {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    (head.to_owned(), body.to_owned())
+/// Lines of the stream of events, until the page closes it.
+pub(crate) fn events(address: &str) -> impl Iterator<Item = String> {
+    let answer = client().get(format!("http://{address}/api/events")).call().unwrap();
+    BufReader::new(answer.into_body().into_reader()).lines().map_while(Result::ok)
+}
+
+/// Status and body of an answer.
+pub(crate) fn get(address: &str, path: &str) -> (u16, String) {
+    let mut answer = client().get(format!("http://{address}{path}")).call().unwrap();
+    (answer.status().as_u16(), answer.body_mut().read_to_string().unwrap())
 }

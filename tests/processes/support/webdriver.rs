@@ -1,11 +1,14 @@
 //! A browser, driven by the W3C WebDriver protocol: JSON over HTTP, of which a dozen calls are needed.
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use serde_json::{Value, json};
+use ureq::http::Response;
+use ureq::{Agent, Body};
+
+use super::served::client;
 
 /// Longest time that a condition on a page is waited for.
 const PATIENCE_MS: u64 = 120_000;
@@ -20,8 +23,8 @@ const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
 /// A headless Chromium with one window; it ends with its test.
 pub(crate) struct Browser {
     driver: Child,
-    port: u16,
-    /// Path of the session, without a slash at its end.
+    client: Agent,
+    /// Address of the session, without a slash at its end.
     session: String,
 }
 
@@ -49,7 +52,7 @@ impl Browser {
         let (driver, port) = (0..DRIVER_STARTS)
             .find_map(|_| start_driver(chromedriver))
             .expect("chromedriver ended at each start without naming its port");
-        let mut browser = Self { driver, port, session: String::new() };
+        let mut browser = Self { driver, client: client(), session: format!("http://127.0.0.1:{port}/session") };
         let profile = format!("--user-data-dir={}", folder.join("profile").display());
         // Without a sandbox, because containers run as root; the page is ours.
         let mut args = vec!["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"];
@@ -59,8 +62,8 @@ impl Browser {
             "goog:loggingPrefs": { "browser": "ALL", "performance": "ALL" },
             "timeouts": { "script": PATIENCE_MS },
         } } });
-        let session = browser.ask("POST", "/session", &wanted);
-        browser.session = format!("/session/{}", session["sessionId"].as_str().unwrap());
+        let session = browser.post("", &wanted);
+        browser.session += &format!("/{}", session["sessionId"].as_str().unwrap());
         browser
     }
 
@@ -112,50 +115,27 @@ impl Browser {
     }
 
     fn post(&self, path: &str, body: &Value) -> Value {
-        self.ask("POST", &format!("{}{path}", self.session), body)
-    }
-
-    /// The `value` of an answer; panics with the browser's words if it is an error.
-    fn ask(&self, method: &str, path: &str, body: &Value) -> Value {
-        let body = if method == "POST" { body.to_string() } else { String::new() };
-        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
-        let head =
-            format!("{method} {path} HTTP/1.1\r\nHost: 127.0.0.1:{}\r\nContent-Length: {}", self.port, body.len());
-        stream.write_all(format!("{head}\r\n\r\n{body}").as_bytes()).unwrap();
-        let mut answer = BufReader::new(stream);
-        let status = line(&mut answer);
-        let mut length = 0;
-        loop {
-            let header = line(&mut answer).to_ascii_lowercase();
-            match header.strip_prefix("content-length:") {
-                Some(n) => length = n.trim().parse().unwrap(),
-                None if header.is_empty() => break,
-                None => {}
-            }
-        }
-        let mut json = vec![0; length];
-        answer.read_exact(&mut json).unwrap();
-        let mut json: Value = serde_json::from_slice(&json).unwrap();
-        assert!(status.contains(" 200"), "{path} {body}: {}", json["value"]["message"]);
-        json["value"].take()
+        let request = self.client.post(format!("{}{path}", self.session)).content_type("application/json");
+        value(request.send(body.to_string()))
     }
 }
 
-fn line(answer: &mut impl BufRead) -> String {
-    let mut line = String::new();
-    answer.read_line(&mut line).unwrap();
-    line.trim_end().to_owned()
+/// The `value` of an answer; panics with the browser's words if it is an error.
+fn value(answer: Result<Response<Body>, ureq::Error>) -> Value {
+    let answer = answer.unwrap();
+    let status = answer.status();
+    let mut json: Value = serde_json::from_reader(BufReader::new(answer.into_body().into_reader())).unwrap();
+    assert!(status.is_success(), "{status}: {}", json["value"]["message"]);
+    json["value"].take()
 }
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // The end of the session is the end of Chromium, which would outlive a driver that is killed. When a failed test
-        // is being unwound, another panic would end the process before its folders are removed.
-        if !self.session.is_empty() && !std::thread::panicking() {
-            self.ask("DELETE", &self.session, &Value::Null);
-        } else if let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.port)) {
-            let _ = write!(stream, "DELETE {} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", self.session);
-            let _ = stream.read(&mut [0]);
+        // The end of the session is the end of Chromium, which would outlive a driver that is killed.
+        let ended = self.client.delete(&self.session).call();
+        // When a failed test is being unwound, another panic would end the process before its folders are removed.
+        if !std::thread::panicking() {
+            value(ended);
         }
         let _ = self.driver.kill();
         let _ = self.driver.wait();
@@ -183,7 +163,7 @@ impl Element<'_> {
 
     /// What a screen reader calls it.
     pub(crate) fn label(&self) -> String {
-        let path = format!("{}/element/{}/computedlabel", self.browser.session, self.id);
-        self.browser.ask("GET", &path, &Value::Null).as_str().unwrap().to_owned()
+        let url = format!("{}/element/{}/computedlabel", self.browser.session, self.id);
+        value(self.browser.client.get(url).call()).as_str().unwrap().to_owned()
     }
 }

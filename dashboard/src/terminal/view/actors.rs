@@ -8,17 +8,17 @@ use ratatui::text::Line;
 use super::drops::total;
 use super::format::{age, count, rate};
 use super::{alarm, columns, heading, plain};
-use crate::terminal::board::{Actor, Board, Link};
+use crate::run_view::{Actor, Link, RunView};
 
 /// Width of an actor's name, characters.
 const NAME_WIDTH: usize = 20;
 
 /// Heading, columns and as many actors as fit into `height` lines: those alive before those lost.
-pub(super) fn lines(board: &Board, now: Duration, height: usize) -> Vec<Line<'static>> {
-    let (alive, lost): (Vec<_>, Vec<_>) = board.actors().iter().partition(|(_, actor)| actor.is_alive);
+pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'static>> {
+    let (alive, lost): (Vec<_>, Vec<_>) = run.actors().iter().partition(|(_, actor)| actor.is_alive);
     let steps_per_s: f64 =
         alive.iter().filter_map(|(_, actor)| actor.metrics.as_ref()).map(|heard| heard.value.env_steps_per_s).sum();
-    let title = match board.link().0 {
+    let title = match run.link().0 {
         Link::Lost => "Actors: unknown while the router is gone".to_owned(),
         _ => format!("Actors: {} alive, {} lost; {} steps/s", alive.len(), lost.len(), rate(steps_per_s)),
     };

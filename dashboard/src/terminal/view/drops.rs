@@ -4,42 +4,41 @@ use std::collections::BTreeMap;
 
 use ratatui::text::Line;
 use serde::Serialize;
-use serde_json::Value;
 
 use super::format::count;
 use super::{heading, plain};
-use crate::terminal::board::Board;
+use crate::run_view::{RunView, counters};
 
 /// Counts of trajectories that the learner received and did not drop.
 const NOT_DROPPED: [&str; 3] = ["received_total", "accepted_total", "duplicates_total"];
 
 /// All counters of drops that are not zero, under their names in the metrics, in lines of `width` characters.
-pub(super) fn lines(board: &Board, width: usize) -> Vec<Line<'static>> {
+pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     let mut drops = Drops::default();
-    if let Some(learner) = board.learner().map(|heard| &heard.value) {
+    if let Some(learner) = run.learner().map(|heard| &heard.value) {
         drops.add("learner.expired_total", learner.expired_total);
         drops.add("learner.unmade_total", learner.unmade_total);
         drops.add("learner.ppo.n_skipped_steps", learner.ppo.n_skipped_steps);
         drops.add_all("learner.ingest", &learner.ingest);
         drops.add_all("learner.bus", &learner.bus);
     }
-    for actor in board.actors().values().filter_map(|actor| actor.metrics.as_ref()) {
+    for actor in run.actors().values().filter_map(|actor| actor.metrics.as_ref()) {
         drops.add_all("actors.dropped", &actor.value.dropped);
         drops.add_all("actors.bus", &actor.value.bus);
     }
-    if let Some(evaluation) = board.evaluation().map(|heard| &heard.value) {
+    if let Some(evaluation) = run.evaluation().map(|heard| &heard.value) {
         let all = &evaluation.all;
         drops.add("evaluator.n_diverged", all.mode.n_diverged.saturating_add(all.sampled.n_diverged));
         drops.add_all("evaluator.bus", &evaluation.bus);
     }
-    drops.add_all("watch", &board.unread());
-    drops.add_all("watch.bus", &board.bus());
+    drops.add_all("watch", &run.unread());
+    drops.add_all("watch.bus", &run.bus());
     drops.lines(width)
 }
 
 /// Sum of all counters of a struct of counters.
-pub(super) fn total(counters: &impl Serialize) -> u64 {
-    named(counters).into_iter().fold(0, |sum, (_, n)| sum.saturating_add(n))
+pub(super) fn total(counts: &impl Serialize) -> u64 {
+    counters(counts).into_iter().fold(0, |sum, (_, n)| sum.saturating_add(n))
 }
 
 #[derive(Default)]
@@ -53,8 +52,8 @@ impl Drops {
         }
     }
 
-    fn add_all(&mut self, path: &str, counters: &impl Serialize) {
-        for (name, n) in named(counters) {
+    fn add_all(&mut self, path: &str, counts: &impl Serialize) {
+        for (name, n) in counters(counts) {
             if !NOT_DROPPED.contains(&name.as_str()) {
                 self.add(&format!("{path}.{name}"), n);
             }
@@ -78,10 +77,4 @@ impl Drops {
         lines.push(plain(text));
         lines
     }
-}
-
-/// The numbers of a struct under the names of its fields, so that a counter that is added later is shown too.
-fn named(counters: &impl Serialize) -> Vec<(String, u64)> {
-    let Ok(Value::Object(fields)) = serde_json::to_value(counters) else { return Vec::new() };
-    fields.into_iter().filter_map(|(name, n)| Some((name, n.as_u64()?))).collect()
 }

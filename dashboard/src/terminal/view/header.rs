@@ -6,21 +6,21 @@ use ratatui::text::Line;
 
 use super::format::{age, span};
 use super::{Source, alarm, heading, plain};
-use crate::terminal::board::{Board, Link};
+use crate::run_view::{Link, RunView};
 
 /// Two lines.
-pub(super) fn lines(board: &Board, source: &Source, now: Duration) -> Vec<Line<'static>> {
+pub(super) fn lines(run: &RunView, source: &Source, now: Duration) -> Vec<Line<'static>> {
     let title = heading(format!("Run {} at {}", source.run, source.endpoints.join(", ")));
-    vec![title, state(board, now)]
+    vec![title, state(run, now)]
 }
 
-fn state(board: &Board, now: Duration) -> Line<'static> {
-    let (link, since) = board.link();
+fn state(run: &RunView, now: Duration) -> Line<'static> {
+    let (link, since) = run.link();
     let since = span(now.saturating_sub(since));
-    let (learner, evaluation) = (board.learner().map(|heard| heard.at), board.evaluation().map(|heard| heard.at));
-    let (n_learners, n_evaluators) = board.n_services();
+    let (learner, evaluation) = (run.learner().map(|heard| heard.at), run.evaluation().map(|heard| heard.at));
+    let (n_learners, n_evaluators) = (run.roster().learners.len(), run.roster().evaluators.len());
     let members = [member("learner", n_learners, learner, now), member("evaluator", n_evaluators, evaluation, now)];
-    let is_empty = !board.has_summary() && (n_learners, n_evaluators) == (0, 0) && board.actors().is_empty();
+    let is_empty = !run.has_summary() && (n_learners, n_evaluators) == (0, 0) && run.actors().is_empty();
     match link {
         Link::Joining => alarm(format!("No router was reached in {since}; still trying")),
         Link::Lost => {

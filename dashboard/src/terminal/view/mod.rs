@@ -1,4 +1,4 @@
-//! The board as lines: on a screen of any size, or as plain text.
+//! A run as lines: on a screen of any size, or as plain text.
 
 mod actors;
 mod drops;
@@ -13,7 +13,7 @@ use ratatui::Frame;
 use ratatui::style::Style;
 use ratatui::text::{Line, Text};
 
-use super::board::Board;
+use crate::run_view::RunView;
 
 /// Width of plain text, characters.
 const TEXT_WIDTH: usize = 100;
@@ -26,46 +26,46 @@ const ACTORS_HEIGHT: usize = 3;
 
 /// What is watched, as the command line named it.
 #[derive(Clone, Debug)]
-pub struct Source {
+pub(crate) struct Source {
     /// Name of the run.
-    pub run: String,
+    pub(crate) run: String,
     /// Endpoints of the router.
-    pub endpoints: Vec<String>,
+    pub(crate) endpoints: Vec<String>,
 }
 
 /// Draws what is known `now`, the time since the watch began. What does not fit is cut off, at the end first.
-pub fn draw(frame: &mut Frame<'_>, board: &Board, source: &Source, now: Duration) {
+pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, source: &Source, now: Duration) {
     let area = frame.area();
-    let lines = page(board, source, now, area.width.into(), area.height.into());
+    let lines = page(run, source, now, area.width.into(), area.height.into());
     frame.render_widget(Text::from(lines), area);
 }
 
 /// All that is known `now`, the time since the watch began, as plain text.
-pub fn text(board: &Board, source: &Source, now: Duration) -> String {
+pub(crate) fn text(run: &RunView, source: &Source, now: Duration) -> String {
     let sections = [
-        header::lines(board, source, now),
-        success::lines(board, now, TEXT_WIDTH),
-        training::lines(board),
-        actors::lines(board, now, usize::MAX),
-        drops::lines(board, TEXT_WIDTH),
+        header::lines(run, source, now),
+        success::lines(run, now, TEXT_WIDTH),
+        training::lines(run),
+        actors::lines(run, now, usize::MAX),
+        drops::lines(run, TEXT_WIDTH),
     ];
     let lines = sections.iter().flatten().map(|line| line.to_string().trim_end().to_owned());
     lines.collect::<Vec<_>>().join("\n")
 }
 
 /// The sections one below the other; the actors' takes what the others leave.
-fn page(board: &Board, source: &Source, now: Duration, width: usize, height: usize) -> Vec<Line<'static>> {
-    let mut lines = header::lines(board, source, now);
-    lines.extend(success::lines(board, now, width));
-    lines.extend(training::lines(board));
-    let mut drops = drops::lines(board, width);
+fn page(run: &RunView, source: &Source, now: Duration, width: usize, height: usize) -> Vec<Line<'static>> {
+    let mut lines = header::lines(run, source, now);
+    lines.extend(success::lines(run, now, width));
+    lines.extend(training::lines(run));
+    let mut drops = drops::lines(run, width);
     let rest = height.saturating_sub(lines.len());
     if drops.len() > rest.saturating_sub(ACTORS_HEIGHT) && drops.len() > DROPS_HEIGHT {
         let n_left_out = drops.len() - (DROPS_HEIGHT - 1);
         drops.truncate(DROPS_HEIGHT - 1);
         drops.push(plain(format!("  and {n_left_out} more lines")));
     }
-    lines.extend(actors::lines(board, now, rest.saturating_sub(drops.len())));
+    lines.extend(actors::lines(run, now, rest.saturating_sub(drops.len())));
     lines.extend(drops);
     lines.truncate(height);
     lines

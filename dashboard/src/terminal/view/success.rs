@@ -8,11 +8,11 @@ use ratatui::text::Line;
 
 use super::format::{age, count, name, success};
 use super::{columns, heading, plain};
-use crate::terminal::board::Board;
+use crate::run_view::RunView;
 
 /// The newest evaluation in lines of `width` characters.
-pub(super) fn lines(board: &Board, now: Duration, width: usize) -> Vec<Line<'static>> {
-    let Some(heard) = board.evaluation() else {
+pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'static>> {
+    let Some(heard) = run.evaluation() else {
         return vec![heading("Success: no evaluation so far".to_owned())];
     };
     let summary = &heard.value;
@@ -26,7 +26,7 @@ pub(super) fn lines(board: &Board, now: Duration, width: usize) -> Vec<Line<'sta
         )),
     ];
     lines.extend(summary.groups.iter().chain([&summary.all]).map(group));
-    lines.extend(extremes(&board.judged_blueprints(), summary, width));
+    lines.extend(extremes(&run.judged_blueprints(), summary, width));
     lines
 }
 

@@ -1,11 +1,11 @@
-//! Boards made by hand, and exactly what a screen shows of them.
+//! Views made by hand, and exactly what a screen shows of them.
 
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-use super::super::board::Roster;
-use super::super::samples;
 use super::*;
+use crate::run_view::SessionState;
+use crate::samples;
 
 fn source() -> Source {
     Source { run: "two-blocks".to_owned(), endpoints: vec!["tcp/127.0.0.1:7447".to_owned()] }
@@ -15,30 +15,25 @@ fn seconds(seconds: u64) -> Duration {
     Duration::from_secs(seconds)
 }
 
-fn roster(actors: &[&str]) -> Roster {
-    Roster { actors: actors.iter().map(|&name| name.to_owned()).collect(), n_learners: 1, n_evaluators: 1 }
-}
-
 /// A run with two actors, one of them lost: the learner was heard at 30 s, the evaluator at 20 s.
-fn busy() -> Board {
-    let mut board = Board::default();
-    board.set_connected(true, seconds(1));
-    board.set_roster(&roster(&["actor-1", "actor-2", "quiet"]));
-    board.take(&samples::actor("actor-2"), seconds(5));
-    board.take(&samples::evaluation(), seconds(20));
+fn busy() -> RunView {
+    let mut run = RunView::default();
+    run.set_session(&samples::session(&["actor-1", "actor-2", "quiet"]), seconds(1));
+    run.take(&samples::actor("actor-2"), seconds(5));
+    run.take(&samples::evaluation(), seconds(20));
     for (id, n_successes) in [("2_000", 40), ("2_001", 39), ("2_002", 2), ("2_003", 20), ("2_004", 40)] {
-        board.take(&samples::blueprint(id, n_successes), seconds(20));
+        run.take(&samples::blueprint(id, n_successes), seconds(20));
     }
-    board.take(&samples::learner(), seconds(30));
-    board.take(&samples::actor("actor-1"), seconds(31));
-    board.set_roster(&roster(&["actor-1", "quiet"]));
-    board
+    run.take(&samples::learner(), seconds(30));
+    run.take(&samples::actor("actor-1"), seconds(31));
+    run.set_session(&samples::session(&["actor-1", "quiet"]), seconds(31));
+    run
 }
 
 /// What a screen shows, line by line without the spaces at the ends.
-fn screen(board: &Board, now: Duration, width: u16, height: u16) -> Vec<String> {
+fn screen(run: &RunView, now: Duration, width: u16, height: u16) -> Vec<String> {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-    terminal.draw(|frame| draw(frame, board, &source(), now)).unwrap();
+    terminal.draw(|frame| draw(frame, run, &source(), now)).unwrap();
     let buffer = terminal.backend().buffer();
     let symbol = |x, y| buffer.cell((x, y)).unwrap().symbol();
     let line = |y| (0..width).map(|x| symbol(x, y)).collect::<String>().trim_end().to_owned();
@@ -77,8 +72,8 @@ fn a_run_fits_on_80_by_24() {
 }
 
 #[test]
-fn an_empty_board_says_what_it_waits_for() {
-    let mut board = Board::default();
+fn an_empty_run_says_what_it_waits_for() {
+    let mut run = RunView::default();
     let waiting = [
         "Run two-blocks at tcp/127.0.0.1:7447",
         "No router was reached in 12 s; still trying",
@@ -87,40 +82,44 @@ fn an_empty_board_says_what_it_waits_for() {
         "Actors: 0 alive, 0 lost; 0 steps/s",
         "Dropped: nothing",
     ];
-    assert_eq!(screen(&board, seconds(12), 80, 6), waiting);
-    board.set_connected(true, seconds(12));
+    assert_eq!(screen(&run, seconds(12), 80, 6), waiting);
+    let mut session = SessionState { is_connected: true, ..SessionState::default() };
+    run.set_session(&session, seconds(12));
     let nothing = "Nothing has arrived in 3 s: no learner, evaluator or actor has joined this run";
-    assert_eq!(screen(&board, seconds(15), 80, 6)[1], nothing);
-    board.set_roster(&Roster { n_evaluators: 1, ..Roster::default() });
-    assert_eq!(screen(&board, seconds(15), 80, 6)[1], "no learner, evaluator silent so far");
+    assert_eq!(screen(&run, seconds(15), 80, 6)[1], nothing);
+    session.roster.evaluators.insert("evaluator".to_owned());
+    run.set_session(&session, seconds(12));
+    assert_eq!(screen(&run, seconds(15), 80, 6)[1], "no learner, evaluator silent so far");
 }
 
 #[test]
 fn a_router_that_is_gone_is_told_with_the_age_of_the_rest() {
-    let mut board = busy();
-    board.set_connected(false, seconds(40));
-    let lines = screen(&board, seconds(52), 80, 24);
+    let mut run = busy();
+    run.set_session(&samples::cut_off(), seconds(40));
+    let lines = screen(&run, seconds(52), 80, 24);
     assert_eq!(lines[1], "The router is gone since 12 s; the newest came 22 s ago");
     assert!(lines.iter().any(|line| line == "Actors: unknown while the router is gone"), "{lines:#?}");
-    let mut board = Board::default();
-    board.set_connected(true, seconds(1));
-    board.set_connected(false, seconds(2));
-    assert_eq!(screen(&board, seconds(3), 80, 24)[1], "The router is gone since 1 s; nothing came before");
+    let mut run = RunView::default();
+    run.set_session(&samples::session(&[]), seconds(1));
+    run.set_session(&samples::cut_off(), seconds(2));
+    assert_eq!(screen(&run, seconds(3), 80, 24)[1], "The router is gone since 1 s; nothing came before");
 }
 
 #[test]
 fn a_learner_that_is_gone_is_told() {
-    let mut board = busy();
-    board.set_roster(&Roster { n_learners: 0, ..roster(&["actor-1", "quiet"]) });
-    assert_eq!(screen(&board, seconds(42), 80, 24)[1], "learner gone, heard 12 s ago, evaluator heard 22 s ago");
+    let mut run = busy();
+    let mut session = samples::session(&["actor-1", "quiet"]);
+    session.roster.learners.clear();
+    run.set_session(&session, seconds(42));
+    assert_eq!(screen(&run, seconds(42), 80, 24)[1], "learner gone, heard 12 s ago, evaluator heard 22 s ago");
 }
 
 #[test]
 fn many_actors_leave_room_for_the_rest() {
-    let mut board = busy();
+    let mut run = busy();
     let names: Vec<String> = (0..500).map(|i| format!("an-actor-with-a-long-name-{i:03}")).collect();
-    board.set_roster(&roster(&names.iter().map(String::as_str).collect::<Vec<_>>()));
-    let lines = screen(&board, seconds(42), 80, 24);
+    run.set_session(&samples::session(&names.iter().map(String::as_str).collect::<Vec<_>>()), seconds(42));
+    let lines = screen(&run, seconds(42), 80, 24);
     assert!(lines.iter().any(|line| line.starts_with("Actors: 500 alive, 3 lost")), "{lines:#?}");
     assert!(lines.iter().any(|line| line.starts_with("  an-actor-with-a-lon~ alive has said nothing")), "{lines:#?}");
     assert!(lines.iter().any(|line| line.starts_with("  and 49")), "{lines:#?}");
@@ -129,9 +128,9 @@ fn many_actors_leave_room_for_the_rest() {
 
 #[test]
 fn no_size_is_too_small() {
-    for board in [Board::default(), busy()] {
+    for run in [RunView::default(), busy()] {
         for (width, height) in (1..=100).flat_map(|width| (1..=30).map(move |height| (width, height))) {
-            let lines = screen(&board, seconds(42), width, height);
+            let lines = screen(&run, seconds(42), width, height);
             assert!(lines[0].starts_with('R'), "{width}x{height}: {lines:#?}");
         }
     }
@@ -139,11 +138,11 @@ fn no_size_is_too_small() {
 
 #[test]
 fn names_from_the_bus_cannot_touch_the_terminal() {
-    let mut board = busy();
+    let mut run = busy();
     let mut evaluation = samples::evaluation();
     evaluation.value["groups"][0]["name"] = "\u{1b}]0;x\u{7}\n".into();
-    board.take(&evaluation, seconds(21));
-    let text = text(&board, &source(), seconds(42));
+    run.take(&evaluation, seconds(21));
+    let text = text(&run, &source(), seconds(42));
     assert!(text.contains("\n  ?]0;x??  "), "{text}");
     assert!(text.chars().all(|c| c == '\n' || !c.is_control()), "{text:?}");
 }

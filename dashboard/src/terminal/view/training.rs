@@ -4,11 +4,11 @@ use ratatui::text::Line;
 
 use super::format::{count, number, rate, seconds, success};
 use super::{heading, plain};
-use crate::terminal::board::Board;
+use crate::run_view::RunView;
 
 /// The learner's newest metrics.
-pub(super) fn lines(board: &Board) -> Vec<Line<'static>> {
-    let Some(heard) = board.learner() else {
+pub(super) fn lines(run: &RunView) -> Vec<Line<'static>> {
+    let Some(heard) = run.learner() else {
         return vec![heading("Learning: no update so far".to_owned())];
     };
     let learner = &heard.value;

@@ -1,12 +1,13 @@
-//! What is known of a run that is watched: the newest metrics of each part, and who is alive.
+//! What is known of a run: the newest metrics of each part, and who is alive. Page and terminal both show it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use blueprints::BlueprintId;
 use bus::MetricsSample;
-use proto::metrics::BusCounts;
-use proto::metrics::{ActorMetrics, EvalBlueprint, EvalOutcome, EvalSummary, LearnerMetrics, METRICS_SCHEMA_VERSION};
+use proto::metrics::{
+    ActorMetrics, BusCounts, EvalBlueprint, EvalOutcome, EvalSummary, LearnerMetrics, METRICS_SCHEMA_VERSION,
+};
 use proto::wilson::SuccessRate;
 use proto::{ActorId, WeightsVersion, keys};
 use serde::Serialize;
@@ -14,78 +15,88 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 /// Actors that are remembered, the lost ones included; whoever invents names must not fill the memory.
-pub const MAX_ACTORS: usize = 10_000;
+pub(crate) const MAX_ACTORS: usize = 10_000;
 
 /// Blueprints that are remembered.
-pub const MAX_BLUEPRINTS: usize = 10_000;
+pub(crate) const MAX_BLUEPRINTS: usize = 10_000;
 
-/// All that a view shows. It reads no clock: times are given by the caller, as the time since the watch began.
+/// A run as its messages tell it. It reads no clock: times are given by the caller, as the time since the watch began.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Board {
+pub(crate) struct RunView {
     link: Link,
     link_since: Duration,
     learner: Option<Newest<LearnerMetrics>>,
     evaluation: Option<Newest<EvalSummary>>,
     blueprints: BTreeMap<BlueprintId, EvalBlueprint>,
     actors: BTreeMap<ActorId, Actor>,
-    n_learners: usize,
-    n_evaluators: usize,
+    roster: Roster,
     unread: Unread,
     bus: BusCounts,
 }
 
-/// How the watch stands to the router.
+/// How the watch stands to the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Link {
-    /// None was reached so far.
+pub(crate) enum Link {
+    /// No router was reached so far.
     #[default]
     Joining,
-    /// It is reached.
+    /// The others are reached.
     Connected,
-    /// It was reached once, and is not now.
+    /// They were reached once, and are not now, for lack of a router.
     Lost,
 }
 
 /// A value and when it came.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Newest<T> {
+pub(crate) struct Newest<T> {
     /// What was said.
-    pub value: T,
+    pub(crate) value: T,
     /// When it came, time since the watch began.
-    pub at: Duration,
+    pub(crate) at: Duration,
 }
 
 /// One actor of the roster.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Actor {
+pub(crate) struct Actor {
     /// Whether its liveliness token is there; once known and not alive is lost.
-    pub is_alive: bool,
+    pub(crate) is_alive: bool,
     /// Its newest metrics.
-    pub metrics: Option<Newest<ActorMetrics>>,
+    pub(crate) metrics: Option<Newest<ActorMetrics>>,
 }
 
 /// Metrics that came and are not shown, by reason. What was not even JSON is counted by the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Unread {
+pub(crate) struct Unread {
     /// Of another schema version, or without any.
-    pub schema_unknown_total: u64,
+    pub(crate) schema_unknown_total: u64,
     /// Not what their key promises.
-    pub metrics_unreadable_total: u64,
+    pub(crate) metrics_unreadable_total: u64,
     /// Under a key that this version does not know.
-    pub keys_unknown_total: u64,
+    pub(crate) keys_unknown_total: u64,
     /// Of one more actor or blueprint than are remembered.
-    pub over_limit_total: u64,
+    pub(crate) over_limit_total: u64,
 }
 
 /// Who is alive, by the names of the liveliness tokens.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Roster {
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub(crate) struct Roster {
     /// Names of the actors.
-    pub actors: BTreeSet<String>,
-    /// How many learners.
-    pub n_learners: usize,
-    /// How many evaluators.
-    pub n_evaluators: usize,
+    pub(crate) actors: BTreeSet<String>,
+    /// Names of the learners.
+    pub(crate) learners: BTreeSet<String>,
+    /// Names of the evaluators.
+    pub(crate) evaluators: BTreeSet<String>,
+}
+
+/// What the watch's own session knows at some time.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SessionState {
+    /// Whether it reaches the others.
+    pub(crate) is_connected: bool,
+    /// Who is alive, if it does.
+    pub(crate) roster: Roster,
+    /// What it dropped so far.
+    pub(crate) counts: BusCounts,
 }
 
 /// Why a sample is not shown.
@@ -96,10 +107,14 @@ enum Refusal {
     Limit,
 }
 
-impl Board {
-    /// Takes one sample of metrics; what cannot be shown is counted and changes nothing else.
-    pub fn take(&mut self, sample: &MetricsSample, now: Duration) {
-        let Err(refusal) = self.read(&sample.suffix, &sample.value, now) else { return };
+impl RunView {
+    /// Takes one sample of metrics; what cannot be shown is counted and changes nothing else. Returns whether it is news:
+    /// shown now, and not as it was before.
+    pub(crate) fn take(&mut self, sample: &MetricsSample, now: Duration) -> bool {
+        let refusal = match self.read(&sample.suffix, &sample.value, now) {
+            Ok(is_news) => return is_news,
+            Err(refusal) => refusal,
+        };
         let unread = &mut self.unread;
         let count = match refusal {
             Refusal::Schema => &mut unread.schema_unknown_total,
@@ -108,12 +123,31 @@ impl Board {
             Refusal::Limit => &mut unread.over_limit_total,
         };
         *count = count.saturating_add(1);
+        false
     }
 
-    /// Takes who is alive now. Returns whether that changed anything.
-    pub fn set_roster(&mut self, roster: &Roster) -> bool {
-        let mut has_changed = (self.n_learners, self.n_evaluators) != (roster.n_learners, roster.n_evaluators);
-        (self.n_learners, self.n_evaluators) = (roster.n_learners, roster.n_evaluators);
+    /// Takes what the session knows now. Returns whether that changed anything.
+    pub(crate) fn set_session(&mut self, session: &SessionState, now: Duration) -> bool {
+        let link = match (session.is_connected, self.link) {
+            (true, _) => Link::Connected,
+            (false, Link::Joining) => Link::Joining,
+            (false, Link::Connected | Link::Lost) => Link::Lost,
+        };
+        let mut has_changed = link != self.link || session.counts != self.bus;
+        if link != self.link {
+            (self.link, self.link_since) = (link, now);
+        }
+        self.bus = session.counts;
+        // All tokens vanish with the router; that says nothing about who is alive.
+        if session.is_connected {
+            has_changed |= self.set_roster(&session.roster);
+        }
+        has_changed
+    }
+
+    fn set_roster(&mut self, roster: &Roster) -> bool {
+        let mut has_changed = self.roster != *roster;
+        self.roster.clone_from(roster);
         for (id, actor) in &mut self.actors {
             let is_alive = roster.actors.contains(id.as_str());
             has_changed |= actor.is_alive != is_alive;
@@ -128,45 +162,24 @@ impl Board {
         has_changed
     }
 
-    /// Takes whether a router is reached now. Returns whether that changed anything.
-    pub fn set_connected(&mut self, is_connected: bool, now: Duration) -> bool {
-        let link = match (is_connected, self.link) {
-            (true, _) => Link::Connected,
-            (false, Link::Joining) => Link::Joining,
-            (false, Link::Connected | Link::Lost) => Link::Lost,
-        };
-        let has_changed = link != self.link;
-        if has_changed {
-            (self.link, self.link_since) = (link, now);
-        }
-        has_changed
-    }
-
-    /// Takes what the watch's own session dropped so far. Returns whether that changed anything.
-    pub fn set_bus(&mut self, bus: BusCounts) -> bool {
-        let has_changed = bus != self.bus;
-        self.bus = bus;
-        has_changed
-    }
-
-    /// How the watch stands to the router, and the time that it has been so.
-    pub fn link(&self) -> (Link, Duration) {
+    /// How the watch stands to the bus, and since when.
+    pub(crate) fn link(&self) -> (Link, Duration) {
         (self.link, self.link_since)
     }
 
     /// The learner's newest metrics.
-    pub fn learner(&self) -> Option<&Newest<LearnerMetrics>> {
+    pub(crate) fn learner(&self) -> Option<&Newest<LearnerMetrics>> {
         self.learner.as_ref()
     }
 
     /// The newest evaluation.
-    pub fn evaluation(&self) -> Option<&Newest<EvalSummary>> {
+    pub(crate) fn evaluation(&self) -> Option<&Newest<EvalSummary>> {
         self.evaluation.as_ref()
     }
 
     /// The newest result of each blueprint with the weights of the newest evaluation; without an evaluation, with the
     /// newest weights that any blueprint was judged with.
-    pub fn judged_blueprints(&self) -> Vec<&EvalBlueprint> {
+    pub(crate) fn judged_blueprints(&self) -> Vec<&EvalBlueprint> {
         let newest = || self.blueprints.values().map(|blueprint| blueprint.weights_version).max();
         let version: Option<WeightsVersion> =
             self.evaluation.as_ref().map(|summary| summary.value.weights_version).or_else(newest);
@@ -174,44 +187,44 @@ impl Board {
     }
 
     /// All actors that were seen, by name.
-    pub fn actors(&self) -> &BTreeMap<ActorId, Actor> {
+    pub(crate) fn actors(&self) -> &BTreeMap<ActorId, Actor> {
         &self.actors
     }
 
-    /// How many learners and how many evaluators are alive.
-    pub fn n_services(&self) -> (usize, usize) {
-        (self.n_learners, self.n_evaluators)
+    /// Who is alive; while the link is lost, who was.
+    pub(crate) fn roster(&self) -> &Roster {
+        &self.roster
     }
 
     /// What came and is not shown.
-    pub fn unread(&self) -> Unread {
+    pub(crate) fn unread(&self) -> Unread {
         self.unread
     }
 
     /// What the watch's own session dropped.
-    pub fn bus(&self) -> BusCounts {
+    pub(crate) fn bus(&self) -> BusCounts {
         self.bus
     }
 
     /// Whether the learner or the evaluator has said anything.
-    pub fn has_summary(&self) -> bool {
+    pub(crate) fn has_summary(&self) -> bool {
         self.learner.is_some() || self.evaluation.is_some()
     }
 
-    fn read(&mut self, suffix: &str, value: &Value, at: Duration) -> Result<(), Refusal> {
-        match suffix {
+    fn read(&mut self, suffix: &str, value: &Value, at: Duration) -> Result<bool, Refusal> {
+        Ok(match suffix {
             keys::METRICS_LEARNER => {
                 let value: LearnerMetrics = parse(value)?;
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
-                update(&mut self.learner, value, at);
+                update(&mut self.learner, value, at)
             }
             keys::METRICS_EVAL_SUMMARY => {
                 let value: EvalSummary = parse(value)?;
                 for group in value.groups.iter().chain([&value.all]) {
                     believe(rates(&group.sampled).into_iter().chain(rates(&group.mode)))?;
                 }
-                update(&mut self.evaluation, value, at);
+                update(&mut self.evaluation, value, at)
             }
             _ if suffix.starts_with("actor/") => {
                 let value: ActorMetrics = parse(value)?;
@@ -221,7 +234,7 @@ impl Board {
                 }
                 // Alive or not is for the tokens to say; metrics may overtake theirs, and the next roster corrects it.
                 let actor = self.actors.entry(value.actor.clone()).or_insert(Actor { is_alive: true, metrics: None });
-                update(&mut actor.metrics, value, at);
+                update(&mut actor.metrics, value, at)
             }
             _ if suffix.starts_with("eval/") => {
                 let value: EvalBlueprint = parse(value)?;
@@ -230,11 +243,12 @@ impl Board {
                 if !self.blueprints.contains_key(&value.blueprint) && self.blueprints.len() >= MAX_BLUEPRINTS {
                     return Err(Refusal::Limit);
                 }
+                let is_news = self.blueprints.get(&value.blueprint) != Some(&value);
                 self.blueprints.insert(value.blueprint.clone(), value);
+                is_news
             }
             _ => return Err(Refusal::Key),
-        }
-        Ok(())
+        })
     }
 
     /// Forgets the lost actor that was heard longest ago if there are as many as are remembered. Returns whether there
@@ -250,11 +264,13 @@ impl Board {
     }
 }
 
-/// Keeps `value`; one that comes a second time stays as old as it is.
-fn update<T: PartialEq>(slot: &mut Option<Newest<T>>, value: T, at: Duration) {
-    if slot.as_ref().is_none_or(|heard| heard.value != value) {
+/// Keeps `value`; one that comes a second time stays as old as it is. Returns whether it is another.
+fn update<T: PartialEq>(slot: &mut Option<Newest<T>>, value: T, at: Duration) -> bool {
+    let is_news = slot.as_ref().is_none_or(|heard| heard.value != value);
+    if is_news {
         *slot = Some(Newest { value, at });
     }
+    is_news
 }
 
 fn parse<T: DeserializeOwned>(value: &Value) -> Result<T, Refusal> {
@@ -280,6 +296,12 @@ fn believe<'a>(rates: impl IntoIterator<Item = &'a SuccessRate>) -> Result<(), R
             && [success.rate, success.wilson_low, success.wilson_high].into_iter().all(is_share)
     });
     if are_fine { Ok(()) } else { Err(Refusal::Unreadable) }
+}
+
+/// The numbers of a struct of counters under the names of its fields, so that one that is added later is shown too.
+pub(crate) fn counters(counters: &impl Serialize) -> Vec<(String, u64)> {
+    let Ok(Value::Object(fields)) = serde_json::to_value(counters) else { return Vec::new() };
+    fields.into_iter().filter_map(|(name, n)| Some((name, n.as_u64()?))).collect()
 }
 
 #[cfg(test)]

@@ -1,0 +1,50 @@
+//! What comes from the bus, for the tests of what is watched.
+
+use bus::MetricsSample;
+use serde_json::Value;
+
+use crate::run_view::{Roster, SessionState};
+
+/// Metrics of the learner.
+pub(crate) fn learner() -> MetricsSample {
+    sample("learner", include_str!("../tests/metrics/learner.json"))
+}
+
+/// An evaluation of two groups.
+pub(crate) fn evaluation() -> MetricsSample {
+    sample("eval/summary", include_str!("../tests/metrics/eval-summary.json"))
+}
+
+/// An actor's metrics under this name.
+pub(crate) fn actor(id: &str) -> MetricsSample {
+    let mut actor = sample(&format!("actor/{id}"), include_str!("../tests/metrics/actor.json"));
+    actor.value["actor"] = id.into();
+    actor
+}
+
+/// A result of one training blueprint: `n_successes` of 40 episodes with mode actions.
+pub(crate) fn blueprint(id: &str, n_successes: u64) -> MetricsSample {
+    let mut blueprint = sample(&format!("eval/train/{id}"), include_str!("../tests/metrics/eval-blueprint.json"));
+    blueprint.value["blueprint"] = id.into();
+    let success = &mut blueprint.value["mode"]["success"];
+    success["n_successes"] = n_successes.into();
+    success["rate"] = (n_successes as f64 / 40.0).into();
+    blueprint
+}
+
+/// A session that reaches a learner, an evaluator and these actors.
+pub(crate) fn session(actors: &[&str]) -> SessionState {
+    let names = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+    let roster = Roster { actors: names(actors), learners: names(&["learner"]), evaluators: names(&["evaluator"]) };
+    SessionState { is_connected: true, roster, ..SessionState::default() }
+}
+
+/// A session that reaches nobody.
+pub(crate) fn cut_off() -> SessionState {
+    SessionState::default()
+}
+
+fn sample(suffix: &str, json: &str) -> MetricsSample {
+    let value: Value = serde_json::from_str(json).unwrap();
+    MetricsSample { suffix: suffix.to_owned(), value }
+}
