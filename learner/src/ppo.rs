@@ -21,7 +21,7 @@ use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, expl
 use crate::normalization::ValueStatistics;
 pub(crate) use imitation_update::ImitationSource;
 use imitation_update::ImitationUpdate;
-use passes::{Evaluation, LossSums, Targets};
+use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
 
 /// The trained network and its optimizer.
@@ -75,9 +75,9 @@ impl Ppo {
     /// An untrained network, evaluated by `n_threads` threads.
     pub(crate) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n_threads: usize) -> Self {
         let workers = Workers::new(policy, seed, device, n_threads);
-        let parameters = policy::parameters::flatten(workers.network());
+        let parameters = workers.engine().parameters();
         let adam = Adam::new(parameters.len());
-        let value_head = ValueHead::find(workers.network().table());
+        let value_head = ValueHead::find(workers.engine().table());
         Self { workers, parameters, adam, value_head, imitator: None }
     }
 
@@ -113,7 +113,7 @@ impl Ppo {
 
     /// Names and shapes of the parameters.
     pub(crate) fn table(&self) -> &[ParameterSpec] {
-        self.workers.network().table()
+        self.workers.engine().table()
     }
 
     /// Learns from a batch with normalized features, and from `imitation_source`.
@@ -293,7 +293,7 @@ impl Ppo {
         statistics: &ValueStatistics,
         targets: &mut Targets<'_>,
     ) {
-        let Evaluation { values, .. } = self.workers.evaluate(batch, config.forward_size);
+        let values = self.workers.values(batch, config.forward_size);
         let values = in_reward_units(&values, statistics);
         let mut advantages = batch.advantages(&values, config.gamma, config.lambda);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();

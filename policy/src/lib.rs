@@ -1,6 +1,6 @@
 //! From a scene to an action: graph features, the network, the action distribution, and parameters as flat vectors.
 //!
-//! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`parameters`] → [`distribution`] →
+//! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`cpu`] → [`engine`] → [`parameters`] → [`distribution`] →
 //! [`policy`] (inference) and [`loss_terms`] (the same distribution on tensors, for training) and
 //! [`imitation`] (its distance from the expert's labels and from another policy).
 
@@ -11,6 +11,7 @@ pub mod config;
 pub mod cpu;
 pub mod device;
 pub mod distribution;
+pub mod engine;
 pub mod features;
 mod geometry;
 pub mod imitation;
@@ -26,6 +27,7 @@ pub use config::{
     ScaleConfig,
 };
 pub use device::{DeviceError, DeviceKind};
+pub use engine::{Engine, Leaves};
 pub use features::FeatureSizes;
 pub use network::{BatchTensors, Network, NetworkOutput};
 pub use policy::{Attention, Decision, Policy, PolicyError};

@@ -7,8 +7,9 @@ use burn::tensor::{Device, Tensor, TensorData};
 use policy::config::BlockMask;
 use policy::imitation::{self, LabelTensors};
 use policy::loss_terms::{self, ActionTensors};
-use policy::parameters::{self, ParameterError};
-use policy::{BatchTensors, FeatureBatch, Network, NetworkOutput, PolicyConfig};
+use policy::cpu::Outputs;
+use policy::parameters::ParameterError;
+use policy::{Engine, FeatureBatch, NetworkOutput, PolicyConfig};
 use proto::Label;
 
 use crate::batch::Batch;
@@ -21,12 +22,8 @@ pub(super) struct Passes {
     policy: PolicyConfig,
     device: Device,
     tracked_device: Device,
-    /// On the plain device, for values and log-probabilities.
-    plain: Network,
-    /// On the differentiating device, for gradients.
-    tracked: Network,
-    /// The imitator, on the plain device.
-    imitator: Option<Network>,
+    engine: Engine,
+    imitator: Option<Engine>,
 }
 
 /// The network's output for rows of a batch, without gradients.
@@ -129,27 +126,27 @@ impl AddAssign for ImitationSums {
 }
 
 impl Passes {
-    /// Both networks with the initial parameters of `seed`.
+    /// A network with the initial parameters of `seed`.
     pub(super) fn new(policy: &PolicyConfig, seed: u64, device: &Device) -> Self {
-        let tracked_device = device.clone().autodiff();
-        let network = |device| Network::init(&policy.network, &policy.sizes(), seed, device);
-        let (plain, tracked) = (network(device), network(&tracked_device));
-        Self { policy: policy.clone(), device: device.clone(), tracked_device, plain, tracked, imitator: None }
+        Self {
+            policy: policy.clone(),
+            device: device.clone(),
+            tracked_device: device.clone().autodiff(),
+            engine: Engine::new(policy, seed, device, true),
+            imitator: None,
+        }
     }
 
-    /// The network without gradients.
-    pub(super) fn network(&self) -> &Network {
-        &self.plain
+    pub(super) fn engine(&self) -> &Engine {
+        &self.engine
     }
 
-    /// Loads `parameters` into both networks.
+    /// Loads `parameters` into the network.
     ///
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        self.plain = parameters::load(self.plain.clone(), parameters)?;
-        self.tracked = parameters::load(self.tracked.clone(), parameters)?;
-        Ok(())
+        self.engine.load(parameters)
     }
 
     /// Loads `parameters` into the imitator.
@@ -157,28 +154,29 @@ impl Passes {
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        self.imitator = Some(parameters::load(self.plain.clone(), parameters)?);
+        let mut imitator = Engine::new(&self.policy, 0, &self.device, false);
+        imitator.load(parameters)?;
+        self.imitator = Some(imitator);
         Ok(())
     }
 
     /// Gradient of `share` × the summed imitation loss of normalized scenes.
     pub(super) fn imitate(
-        &self,
+        &mut self,
         batch: &ImitationBatch,
         rows: &[usize],
         config: &ImitationConfig,
         share: f32,
     ) -> ImitationPass {
-        let device = &self.tracked_device;
-        let features = batch.features.select(rows);
         // Not masked: the expert may move an obstructing block that a mask would forbid.
-        let output = self.tracked.forward(&BatchTensors::new(&features, self.tracked.edge_layout(), device));
+        let (output, leaves) = self.engine.run_tracked(&batch.features, rows);
+        let device = &self.tracked_device;
         let labels: Vec<Label> = rows.iter().map(|&row| batch.labels[row]).collect();
         let tensors = LabelTensors::new(&labels, usize::from(self.policy.network.n_grippers), device);
         let loss = imitation::imitation(&output, &tensors, config.move_delta);
         let (blocks, moves) = (loss.blocks.sum(), loss.moves.sum());
-        let mut gradients = ((blocks.clone() + moves.clone() * config.move_weight) * share).backward();
-        let gradient = parameters::flatten_gradients(&self.tracked, &mut gradients);
+        let loss = (blocks.clone() + moves.clone() * config.move_weight) * share;
+        let gradient = self.engine.gradient(leaves, &loss);
         let sums = to_vec(Tensor::cat(vec![blocks, moves], 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let n_hits = n_hits(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);
@@ -186,23 +184,37 @@ impl Passes {
     }
 
     /// Values of `rows`, and log-probabilities of the actions of the rows that are samples; `rows` must ascend.
-    pub(super) fn evaluate(&self, batch: &Batch, rows: &[usize]) -> Evaluation {
-        let output = self.forward(&self.plain, &self.device, &batch.features.select(rows));
+    pub(super) fn evaluate(&mut self, batch: &Batch, rows: &[usize]) -> Evaluation {
+        let outputs = self.engine.run(&batch.features, rows);
         // Samples come first in a batch, so those of these rows are a prefix.
         let n_samples = rows.partition_point(|&row| row < batch.n_samples());
         let log_probs = if n_samples == 0 {
             Vec::new()
         } else {
             let actions = self.actions(batch, &rows[..n_samples], &self.device);
-            to_vec(loss_terms::log_prob(&head_of(&output, n_samples), &actions, self.policy.joint_form))
+            let mut output = head_of(&self.tensors(&outputs, &self.device), n_samples);
+            self.mask(&mut output, &batch.features, &rows[..n_samples]);
+            to_vec(loss_terms::log_prob(&output, &actions, self.policy.joint_form))
         };
-        Evaluation { values: to_vec(output.values), log_probs }
+        Evaluation { values: outputs.values, log_probs }
+    }
+
+    /// Computes the values of `rows` alone.
+    pub(super) fn values(&mut self, batch: &Batch, rows: &[usize]) -> Vec<f32> {
+        self.engine.run(&batch.features, rows).values
     }
 
     /// Gradient of `share` × the summed loss of `samples`.
-    pub(super) fn gradient(&self, batch: &Batch, samples: &[usize], targets: &Targets<'_>, share: f32) -> GradientPass {
+    pub(super) fn gradient(
+        &mut self,
+        batch: &Batch,
+        samples: &[usize],
+        targets: &Targets<'_>,
+        share: f32,
+    ) -> GradientPass {
+        let (mut output, leaves) = self.engine.run_tracked(&batch.features, samples);
+        self.mask(&mut output, &batch.features, samples);
         let (config, device) = (&targets.loss, &self.tracked_device);
-        let mut output = self.forward(&self.tracked, device, &batch.features.select(samples));
         let values = std::mem::replace(&mut output.values, Tensor::zeros([0], device));
         let column = |values: &[f32]| {
             let values: Vec<f32> = samples.iter().map(|&sample| values[sample]).collect();
@@ -219,14 +231,15 @@ impl Passes {
         let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
         let mut loss = (policy.clone() - entropies) * config.policy + value.clone() * config.value_coefficient;
         let mut parts = vec![policy, value, blocks, moves];
-        if let Some(imitator) = self.imitator.as_ref().filter(|_| config.imitator_kl > 0.0) {
-            let reference = self.forward(imitator, &self.device, &batch.features.select(samples));
-            let divergence = imitation::divergence(&onto(reference, device), &output).sum();
+        if let Some(imitator) = self.imitator.as_mut().filter(|_| config.imitator_kl > 0.0) {
+            let reference = imitator.run(&batch.features, samples);
+            let mut reference = self.tensors(&reference, device);
+            self.mask(&mut reference, &batch.features, samples);
+            let divergence = imitation::divergence(&reference, &output).sum();
             loss = loss + divergence.clone() * config.imitator_kl;
             parts.push(divergence);
         }
-        let mut gradients = (loss * share).backward();
-        let gradient = parameters::flatten_gradients(&self.tracked, &mut gradients);
+        let gradient = self.engine.gradient(leaves, &(loss * share));
         let sums = to_vec(Tensor::cat(parts, 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let imitator_kl = sums.get(4).copied().map_or(0.0, f64::from);
@@ -234,13 +247,17 @@ impl Passes {
         GradientPass { gradient, log_probs: to_vec(log_prob), losses }
     }
 
-    /// Runs `network` on normalized features and masks the logits as configured.
-    fn forward(&self, network: &Network, device: &Device, features: &FeatureBatch) -> NetworkOutput {
-        let mut output = network.forward(&BatchTensors::new(features, network.edge_layout(), device));
+    fn tensors(&self, outputs: &Outputs, device: &Device) -> NetworkOutput {
+        outputs.to_tensors(usize::from(self.policy.network.n_grippers), device)
+    }
+
+    /// Masks the logits as configured.
+    fn mask(&self, output: &mut NetworkOutput, features: &FeatureBatch, rows: &[usize]) {
         if self.policy.mask == BlockMask::Blueprint {
-            output.logits = loss_terms::mask_logits(output.logits, &features.allowed);
+            let allowed: Vec<bool> =
+                rows.iter().flat_map(|row| features.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS].iter().copied()).collect();
+            output.logits = loss_terms::mask_logits(output.logits.clone(), &allowed);
         }
-        output
     }
 
     fn actions(&self, batch: &Batch, samples: &[usize], device: &Device) -> ActionTensors {
@@ -257,17 +274,6 @@ fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
         scales: rows(&output.scales),
         logits: rows(&output.logits),
         values: output.values.clone().narrow(0, 0, n),
-    }
-}
-
-/// Copies the output to another device, detached from the graph.
-fn onto(output: NetworkOutput, device: &Device) -> NetworkOutput {
-    let copy = |tensor: Tensor<3>| Tensor::from_data(tensor.into_data(), device);
-    NetworkOutput {
-        locs: copy(output.locs),
-        scales: copy(output.scales),
-        logits: copy(output.logits),
-        values: Tensor::from_data(output.values.into_data(), device),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use burn::tensor::Device;
 use policy::parameters::ParameterError;
-use policy::{Network, PolicyConfig};
+use policy::{Engine, PolicyConfig};
 
 use super::passes::{Evaluation, GradientPass, ImitationBatch, ImitationPass, Passes, Targets};
 use crate::batch::Batch;
@@ -21,9 +21,9 @@ impl Workers {
         Self((0..n.max(1)).map(|_| Passes::new(policy, seed, device)).collect())
     }
 
-    /// A network without gradients.
-    pub(super) fn network(&self) -> &Network {
-        self.0[0].network()
+    /// One of the networks; all are equal.
+    pub(super) fn engine(&self) -> &Engine {
+        self.0[0].engine()
     }
 
     /// Loads `parameters` into all networks.
@@ -66,6 +66,12 @@ impl Workers {
         whole
     }
 
+    /// Values of all rows, in pieces of about `size` rows.
+    pub(super) fn values(&mut self, batch: &Batch, size: usize) -> Vec<f32> {
+        let rows: Vec<usize> = (0..batch.features.n).collect();
+        self.map(&pieces(&rows, size), |passes, rows| passes.values(batch, rows)).concat()
+    }
+
     /// Gradients of `share` × the summed loss of `samples`, one for each piece of about `size` samples.
     pub(super) fn gradients(
         &mut self,
@@ -79,7 +85,7 @@ impl Workers {
     }
 
     /// Runs `work` on every piece; the results are in piece order.
-    fn map<R: Send>(&mut self, pieces: &[&[usize]], work: impl Fn(&Passes, &[usize]) -> R + Sync) -> Vec<R> {
+    fn map<R: Send>(&mut self, pieces: &[&[usize]], work: impl Fn(&mut Passes, &[usize]) -> R + Sync) -> Vec<R> {
         let n_workers = self.0.len();
         let by_worker = self.each(|worker, passes| {
             let own = pieces.iter().skip(worker).step_by(n_workers);

@@ -16,7 +16,7 @@ const N: usize = blueprints::N_BLOCKS;
 const MOVE: usize = 6;
 
 /// What the network says about B scenes with G grippers; see [`crate::NetworkOutput`].
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outputs {
     /// Means of the moves `[B, 16, 6]`.
     pub locs: Vec<f32>,

@@ -28,8 +28,7 @@ use self::ops::add_rows;
 use self::spans::{Shape, Spans};
 use crate::config::NetworkConfig;
 use crate::features::FeatureSizes;
-use crate::network::Network;
-use crate::parameters::ParameterError;
+use crate::parameters::{ParameterError, ParameterSpec};
 use crate::{FeatureBatch, parameters};
 
 /// A network of graph attention with parameters, ready to compute.
@@ -58,9 +57,18 @@ pub struct Tape {
     outputs: Outputs,
 }
 
+impl Tape {
+    /// The weights of the attention in each layer of the last forward pass, `[n, 16 receivers, heads, 16 senders]`.
+    pub fn attention(&self) -> Vec<Vec<f32>> {
+        let parts = &self.parts[..self.n_parts];
+        let n_layers = parts.first().map_or(0, |part| part.layers.len());
+        let layer = |l: usize| parts.iter().flat_map(move |part| part.layers[l].weights.iter().copied()).collect();
+        (0..n_layers).map(layer).collect()
+    }
+}
+
 impl CpuNetwork {
-    /// The network of a configuration with `parameters`; `None` if it is not one of graph attention. Without `with_gradients`
-    /// it can only run forward, and takes less time to make.
+    /// A network with `parameters`. Without `with_gradients` it can only run forward, and takes less time to make.
     ///
     /// # Errors
     /// When the number of parameters is wrong or one is not finite.
@@ -91,11 +99,32 @@ impl CpuNetwork {
         })
     }
 
-    /// What the network says about `rows` of a batch of normalized features.
+    /// The parameters, flat.
+    pub fn parameters(&self) -> &[f32] {
+        &self.parameters
+    }
+
+    /// Computes the outputs for `rows` of a batch of normalized features, and keeps what the backward pass needs.
     ///
     /// # Panics
-    /// When a row is not in the batch, or the batch has other feature sizes.
+    /// If a row is not in the batch, or the batch has other feature sizes.
     pub fn forward<'t>(&self, batch: &FeatureBatch, rows: &[usize], tape: &'t mut Tape) -> &'t Outputs {
+        tape.n_parts = rows.len().div_ceil(GRAPHS);
+        tape.parts.resize_with(tape.parts.len().max(tape.n_parts), Activations::default);
+        self.run(batch, rows, tape)
+    }
+
+    /// As [`CpuNetwork::forward`], without a way back: all graphs use the same memory.
+    ///
+    /// # Panics
+    /// As for [`CpuNetwork::forward`].
+    pub fn infer<'t>(&self, batch: &FeatureBatch, rows: &[usize], tape: &'t mut Tape) -> &'t Outputs {
+        tape.n_parts = 0;
+        tape.parts.resize_with(tape.parts.len().max(1), Activations::default);
+        self.run(batch, rows, tape)
+    }
+
+    fn run<'t>(&self, batch: &FeatureBatch, rows: &[usize], tape: &'t mut Tape) -> &'t Outputs {
         assert_eq!(batch.sizes, self.shape.sizes, "features of this network");
         let Tape { parts, n_parts, value, outputs, .. } = tape;
         for values in [&mut outputs.locs, &mut outputs.scales, &mut outputs.logits, &mut outputs.values] {
@@ -103,9 +132,8 @@ impl CpuNetwork {
         }
         value.raw_global.clear();
         value.global.clear();
-        *n_parts = rows.len().div_ceil(GRAPHS);
-        parts.resize_with(parts.len().max(*n_parts), Activations::default);
-        for (rows, x) in rows.chunks(GRAPHS).zip(parts) {
+        for (part, rows) in rows.chunks(GRAPHS).enumerate() {
+            let x = &mut parts[if *n_parts == 0 { 0 } else { part }];
             x.read(&self.shape, batch, rows);
             self.encode(x);
             self.policy.forward(self.arch, &self.shape, &self.spans, &self.parameters, x, outputs);
@@ -182,10 +210,10 @@ pub struct NetworkLayout {
 }
 
 impl NetworkLayout {
-    /// Of `network`, which has this configuration; `None` if it is not one of graph attention.
-    pub fn new(config: &NetworkConfig, sizes: &FeatureSizes, network: &Network) -> Option<Self> {
+    /// Of a configuration whose parameters are listed in `table`; `None` if it is not one of graph attention.
+    pub fn new(config: &NetworkConfig, sizes: &FeatureSizes, table: &[ParameterSpec]) -> Option<Self> {
         let shape = Shape::new(config, sizes)?;
-        let spans = Spans::new(&shape, network.table());
+        let spans = Spans::new(&shape, table);
         Some(Self { shape, spans })
     }
 }

@@ -142,17 +142,11 @@ impl GatEncoder {
         FoldedLayer { attend, from_nodes, from_edges, constant, mlp_node }
     }
 
-    /// Encodes a batch, and shows `seen` the weights of each layer that attends; they are computed in any case.
+    /// Encodes a batch.
     ///
     /// # Shapes
-    /// Input as in [`BatchTensors`] with dense edges; output nodes `[B·16, width]` and globals `[B, width]`; weights
-    /// `[B, 16 receivers, heads, 16 senders]`.
-    pub fn forward(
-        &self,
-        folded: &FoldedGat,
-        batch: &BatchTensors,
-        seen: &mut dyn FnMut(&Tensor<4>),
-    ) -> (Tensor<2>, Tensor<2>) {
+    /// Input as in [`BatchTensors`] with dense edges; output nodes `[B·16, width]` and globals `[B, width]`.
+    pub fn forward(&self, folded: &FoldedGat, batch: &BatchTensors) -> (Tensor<2>, Tensor<2>) {
         let [b, _, nd] = batch.nodes.dims();
         let ed = batch.edges.dims()[2];
         let mut nodes = self.embed_node.forward(batch.nodes.clone().reshape([b * N, nd]));
@@ -165,7 +159,6 @@ impl GatEncoder {
             let residual = match (&folded.attend, &mean_edges) {
                 (Some(attend), _) => {
                     let weights = self.weights(&nodes, &edges, attend, no_edge.as_ref());
-                    seen(&weights);
                     self.attended(&nodes, &edges, weights, folded)
                 }
                 (None, Some(mean_edges)) => self.averaged(&nodes, mean_edges, folded),

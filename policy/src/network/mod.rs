@@ -121,27 +121,8 @@ impl Network {
     /// # Panics
     /// When `folded` comes from a network with another encoder.
     pub fn forward_folded(&self, folded: &Folded, batch: &BatchTensors) -> NetworkOutput {
-        self.run(folded, batch, &mut |_| {})
-    }
-
-    /// Runs the network and returns beside its output what each layer of the graph encoder attends to: nothing for an
-    /// encoder without attention.
-    ///
-    /// # Shapes
-    /// For each layer `[B, 16 receivers, heads, 16 senders]`; the last axis sums to 1.
-    ///
-    /// # Panics
-    /// When `folded` comes from a network with another encoder.
-    pub fn attention(&self, folded: &Folded, batch: &BatchTensors) -> (NetworkOutput, Vec<Tensor<4>>) {
-        let mut layers = Vec::new();
-        let output = self.run(folded, batch, &mut |weights| layers.push(weights.clone()));
-        (output, layers)
-    }
-
-    /// `seen` is shown the attention of each layer.
-    fn run(&self, folded: &Folded, batch: &BatchTensors, seen: &mut dyn FnMut(&Tensor<4>)) -> NetworkOutput {
         let (nodes, global) = match (&self.encoder, &folded.0) {
-            (Encoder::Gat(gat), Some(folded)) => gat.forward(folded, batch, seen),
+            (Encoder::Gat(gat), Some(folded)) => gat.forward(folded, batch),
             (Encoder::Resnet(resnet), None) => resnet.forward(batch),
             _ => panic!("folded weights of another encoder"),
         };

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod common;
+mod cpu;
 mod distribution;
 mod naive;
 mod network;

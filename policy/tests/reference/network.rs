@@ -10,10 +10,12 @@ use std::path::{Path, PathBuf};
 
 use crate::common::{generate, golden_path, numbers, read_json, relative_error};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters::{self, ParameterSpec};
 use policy::{
-    BatchTensors, EncoderConfig, FeatureSizes, GatConfig, Network, NetworkConfig, NetworkOutput, ResnetConfig,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig,
+    NetworkOutput, ResnetConfig,
 };
 use serde_json::Value;
 
@@ -85,7 +87,8 @@ impl Golden {
         values
     }
 
-    fn inputs(&self, layout: EdgeLayout, device: &Device) -> BatchTensors {
+    /// Nodes, listed edges, and globals.
+    fn features(&self) -> [Vec<f32>; 3] {
         let FeatureSizes { node, edge, global } = self.sizes;
         let b = self.batch;
         let make = |name: &str, n: usize| -> Vec<f32> {
@@ -108,6 +111,12 @@ impl Golden {
                 assert_eq!(f64::from(*value), expected, "generator at in.{name}");
             }
         }
+        [nodes, listed, globals]
+    }
+
+    fn inputs(&self, layout: EdgeLayout, device: &Device) -> BatchTensors {
+        let FeatureSizes { node, edge, global } = self.sizes;
+        let (b, [nodes, listed, globals]) = (self.batch, self.features());
         let (edges, rows) = match layout {
             EdgeLayout::Dense => (dense_edges(&listed, b, edge), 256),
             EdgeLayout::Listed => (listed, self.n_edges),
@@ -152,15 +161,15 @@ impl Golden {
         listed
     }
 
-    fn check_outputs(&self, output: &NetworkOutput) {
+    fn check_outputs(&self, output: &Outputs) {
         let outputs = &self.json["outputs"];
         for (name, ours) in [
-            ("block_act_locs", values(&output.locs)),
-            ("block_act_scales", values(&output.scales)),
-            ("grip_logits", values(&output.logits)),
-            ("value", values(&output.values)),
+            ("block_act_locs", &output.locs),
+            ("block_act_scales", &output.scales),
+            ("grip_logits", &output.logits),
+            ("value", &output.values),
         ] {
-            let error = relative_error(&ours, &numbers(&outputs[name]));
+            let error = relative_error(ours, &numbers(&outputs[name]));
             assert!(
                 error <= TOLERANCE,
                 "{}: {name} is off by {error:e} of its largest entry",
@@ -234,16 +243,13 @@ fn check(path: &Path) {
 
     let inputs = golden.inputs(network.edge_layout(), &device);
     let output = network.forward(&inputs);
-    golden.check_outputs(&output);
-    if let Some(expected) = golden.json["info"]["attn_mean_of_max_weight"].as_array() {
-        let (_, layers) = network.attention(&network.fold(), &inputs);
-        assert_eq!(layers.len(), expected.len());
-        for (weights, expected) in layers.into_iter().zip(expected) {
-            let largest: Vec<f32> = values(&weights.max_dim(3));
-            let mean = largest.iter().map(|weight| f64::from(*weight)).sum::<f64>() / largest.len() as f64;
-            assert!((mean - expected.as_f64().unwrap()).abs() < 1e-5, "{mean} instead of {expected}");
-        }
-    }
+    golden.check_outputs(&Outputs {
+        locs: values(&output.locs),
+        scales: values(&output.scales),
+        logits: values(&output.logits),
+        values: values(&output.values),
+    });
+    check_cpu(&golden, network.table(), &parameters);
     let NetworkOutput { locs, scales, logits, values } = output;
     let loss = values.sum() + logits.powi_scalar(2).sum() + locs.powi_scalar(2).sum() + scales.log().sum();
     golden.check_gradients(&network, &golden.json["grads"], &inputs, &loss);
@@ -253,6 +259,52 @@ fn check(path: &Path) {
         let inputs = golden.inputs(network.edge_layout(), &device);
         let loss = network.forward(&inputs).values.sum();
         golden.check_gradients(&network, value_only, &inputs, &loss);
+    }
+}
+
+/// The kernels for a CPU against the same file, if they can run its network.
+fn check_cpu(golden: &Golden, table: &[ParameterSpec], parameters: &[f32]) {
+    let Some(layout) = NetworkLayout::new(&golden.config, &golden.sizes, table) else { return };
+    let network = CpuNetwork::new(&layout, parameters, true).unwrap();
+    let mut batch = FeatureBatch::new(&FeatureConfig::paper());
+    (batch.n, batch.sizes) = (golden.batch, golden.sizes);
+    [batch.nodes, batch.edges, batch.globals] = golden.features();
+    let rows: Vec<usize> = (0..golden.batch).collect();
+    let mut tape = Tape::default();
+    let output = network.forward(&batch, &rows, &mut tape).clone();
+    golden.check_outputs(&output);
+    if let Some(expected) = golden.json["info"]["attn_mean_of_max_weight"].as_array() {
+        let layers = tape.attention();
+        assert_eq!(layers.len(), expected.len());
+        for (weights, expected) in layers.iter().zip(expected) {
+            let rows = weights.as_chunks::<16>().0;
+            let mean = rows.iter().map(|row| f64::from(row.iter().copied().fold(0.0, f32::max))).sum::<f64>() / rows.len() as f64;
+            assert!((mean - expected.as_f64().unwrap()).abs() < 1e-5, "{mean} instead of {expected}");
+        }
+    }
+    let twice = |values: &[f32]| values.iter().map(|x| 2.0 * x).collect::<Vec<f32>>();
+    let ones = vec![1.0; golden.batch];
+    let whole = Outputs {
+        locs: twice(&output.locs),
+        scales: output.scales.iter().map(|s| 1.0 / s).collect(),
+        logits: twice(&output.logits),
+        values: ones.clone(),
+    };
+    let zeros = |values: &[f32]| vec![0.0; values.len()];
+    let value_only = Outputs {
+        locs: zeros(&output.locs),
+        scales: zeros(&output.scales),
+        logits: zeros(&output.logits),
+        values: ones,
+    };
+    let cases = [(whole, &golden.json["grads"]), (value_only, &golden.json["grads_value_only"]["grads"])];
+    for (by_output, expected) in cases.into_iter().filter(|(_, expected)| !expected.is_null()) {
+        let gradient = network.backward(&mut tape, &by_output);
+        let mut at = 0;
+        for spec in table {
+            golden.check_gradient(&spec.name, &gradient[at..at + spec.len()], &expected[&spec.name]);
+            at += spec.len();
+        }
     }
 }
 

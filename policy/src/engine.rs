@@ -1,0 +1,183 @@
+//! The network in the form that computes fastest where it runs: [`crate::cpu`] for graph attention on a CPU, burn for the ablations
+//! and on a GPU.
+
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
+
+use crate::FeatureBatch;
+use crate::config::PolicyConfig;
+use crate::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
+use crate::network::{BatchTensors, Folded, Network, NetworkOutput};
+use crate::parameters::{self, ParameterError, ParameterSpec};
+
+/// A network with parameters.
+#[derive(Debug)]
+pub struct Engine {
+    table: Vec<ParameterSpec>,
+    n_grippers: usize,
+    device: Device,
+    with_gradients: bool,
+    form: Form,
+}
+
+#[derive(Debug)]
+enum Form {
+    Cpu { layout: Box<NetworkLayout>, network: Box<CpuNetwork>, tape: Box<Tape> },
+    Burn { plain: Box<Network>, folded: Box<Folded>, tracked: Option<Box<Network>> },
+}
+
+/// The outputs of a pass that gradients are wanted of; [`crate::cpu`] goes on from their gradients, burn needs none of them.
+#[derive(Debug)]
+pub struct Leaves(Option<NetworkOutput>);
+
+impl Engine {
+    /// A network with the initial parameters of `seed`. Without `with_gradients` it can only run forward.
+    pub fn new(config: &PolicyConfig, seed: u64, device: &Device, with_gradients: bool) -> Self {
+        let plain = Network::init(&config.network, &config.sizes(), seed, device);
+        let table = plain.table().to_vec();
+        let layout =
+            NetworkLayout::new(&config.network, &config.sizes(), &table).filter(|_| *device == Device::flex());
+        let form = match layout {
+            Some(layout) => {
+                let network = CpuNetwork::new(&layout, &parameters::flatten(&plain), with_gradients)
+                    .expect("finite initial parameters of the right number");
+                Form::Cpu { layout: Box::new(layout), network: Box::new(network), tape: Box::default() }
+            }
+            None => {
+                let on = device.clone().autodiff();
+                let tracked =
+                    with_gradients.then(|| Box::new(Network::init(&config.network, &config.sizes(), seed, &on)));
+                Form::Burn { folded: Box::new(plain.fold()), plain: Box::new(plain), tracked }
+            }
+        };
+        let n_grippers = usize::from(config.network.n_grippers);
+        Self { table, n_grippers, device: device.clone(), with_gradients, form }
+    }
+
+    /// Name, shape, and initializer of every parameter, in the order of the flat vector.
+    pub fn table(&self) -> &[ParameterSpec] {
+        &self.table
+    }
+
+    /// The parameters as one flat vector.
+    pub fn parameters(&self) -> Vec<f32> {
+        match &self.form {
+            Form::Cpu { network, .. } => network.parameters().to_vec(),
+            Form::Burn { plain, .. } => parameters::flatten(plain),
+        }
+    }
+
+    /// Replaces the parameters; on an error the old ones stay.
+    ///
+    /// # Errors
+    /// If their number is wrong or one is not finite.
+    pub fn load(&mut self, values: &[f32]) -> Result<(), ParameterError> {
+        match &mut self.form {
+            Form::Cpu { layout, network, .. } => **network = CpuNetwork::new(layout, values, self.with_gradients)?,
+            Form::Burn { plain, folded, tracked } => {
+                **plain = parameters::load((**plain).clone(), values)?;
+                **folded = plain.fold();
+                if let Some(tracked) = tracked {
+                    **tracked = parameters::load((**tracked).clone(), values)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Computes the outputs for `rows` of a batch of normalized features.
+    ///
+    /// # Panics
+    /// If a row is not in the batch, or the batch has other feature sizes.
+    pub fn run(&mut self, batch: &FeatureBatch, rows: &[usize]) -> Outputs {
+        match &mut self.form {
+            Form::Cpu { network, tape, .. } => network.infer(batch, rows, tape).clone(),
+            Form::Burn { plain, folded, .. } => {
+                let batch = BatchTensors::new(&batch.select(rows), plain.edge_layout(), &self.device);
+                let NetworkOutput { locs, scales, logits, values } = plain.forward_folded(folded, &batch);
+                Outputs { locs: to_vec(locs), scales: to_vec(scales), logits: to_vec(logits), values: to_vec(values) }
+            }
+        }
+    }
+
+    /// As [`Engine::run`], on the differentiating device, and what [`Engine::gradient`] needs.
+    ///
+    /// # Panics
+    /// As for [`Engine::run`], or if the engine was made without gradients.
+    pub fn run_tracked(&mut self, batch: &FeatureBatch, rows: &[usize]) -> (NetworkOutput, Leaves) {
+        match &mut self.form {
+            Form::Cpu { network, tape, .. } => {
+                let leaves = network.forward(batch, rows, tape).to_tensors(self.n_grippers, &self.device.clone().autodiff());
+                let leaves = NetworkOutput {
+                    locs: leaves.locs.require_grad(),
+                    scales: leaves.scales.require_grad(),
+                    logits: leaves.logits.require_grad(),
+                    values: leaves.values.require_grad(),
+                };
+                (leaves.clone(), Leaves(Some(leaves)))
+            }
+            Form::Burn { tracked, .. } => {
+                let network = tracked.as_ref().expect("the engine was made with gradients");
+                let device = self.device.clone().autodiff();
+                let batch = BatchTensors::new(&batch.select(rows), network.edge_layout(), &device);
+                (network.forward(&batch), Leaves(None))
+            }
+        }
+    }
+
+    /// Gradient of a loss in the order of the flat parameters; `leaves` are those of the engine's last tracked pass, whose
+    /// output the loss was made of.
+    pub fn gradient(&mut self, leaves: Leaves, loss: &Tensor<1>) -> Vec<f32> {
+        let mut gradients = loss.backward();
+        match (&mut self.form, leaves.0) {
+            (Form::Cpu { network, tape, .. }, Some(leaves)) => {
+                let by_output = Outputs {
+                    locs: leaf_gradient(&leaves.locs, &mut gradients),
+                    scales: leaf_gradient(&leaves.scales, &mut gradients),
+                    logits: leaf_gradient(&leaves.logits, &mut gradients),
+                    values: leaf_gradient(&leaves.values, &mut gradients),
+                };
+                network.backward(tape, &by_output)
+            }
+            (Form::Burn { tracked: Some(network), .. }, None) => parameters::flatten_gradients(network, &mut gradients),
+            _ => panic!("a tracked pass of another engine"),
+        }
+    }
+
+    /// What each layer attends to in every scene of a batch: for each layer `[n, 16 receivers, heads, 16 senders]`, and the
+    /// logits `[n, G, 16]`. No layers for a network without attention.
+    pub fn attention(&mut self, batch: &FeatureBatch) -> (Vec<Vec<f32>>, Vec<f32>) {
+        let rows: Vec<usize> = (0..batch.n).collect();
+        match &mut self.form {
+            Form::Cpu { network, tape, .. } => {
+                let logits = network.forward(batch, &rows, tape).logits.clone();
+                (tape.attention(), logits)
+            }
+            Form::Burn { .. } => (Vec::new(), self.run(batch, &rows).logits),
+        }
+    }
+}
+
+impl Outputs {
+    /// The same numbers as tensors.
+    pub fn to_tensors(&self, n_grippers: usize, device: &Device) -> NetworkOutput {
+        let n = self.values.len();
+        let cube = |values: &[f32], shape: [usize; 3]| Tensor::from_data(TensorData::new(values.to_vec(), shape), device);
+        NetworkOutput {
+            locs: cube(&self.locs, [n, 16, 6]),
+            scales: cube(&self.scales, [n, 16, 6]),
+            logits: cube(&self.logits, [n, n_grippers, 16]),
+            values: Tensor::from_data(TensorData::new(self.values.clone(), [n]), device),
+        }
+    }
+}
+
+fn leaf_gradient<const D: usize>(leaf: &Tensor<D>, gradients: &mut Gradients) -> Vec<f32> {
+    match leaf.grad_remove(gradients) {
+        Some(gradient) => to_vec(gradient),
+        None => vec![0.0; leaf.shape().num_elements()],
+    }
+}
+
+fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("the network computes in f32")
+}

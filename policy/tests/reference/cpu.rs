@@ -1,0 +1,104 @@
+//! The kernels for a CPU against burn, in shapes that the golden files do not have.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
+use policy::parameters;
+use policy::{
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig, ScaleConfig,
+};
+
+use crate::common::{generate, relative_error};
+
+const TOLERANCE: f64 = 2e-5;
+
+fn numbers(name: &str, n: usize) -> Vec<f32> {
+    generate(name, 7, n).into_iter().map(|x| x as f32).collect()
+}
+
+fn widened(values: &[f32]) -> Vec<f64> {
+    values.iter().copied().map(f64::from).collect()
+}
+
+fn batch(sizes: FeatureSizes, n: usize, n_edges: usize) -> FeatureBatch {
+    let mut batch = FeatureBatch::new(&FeatureConfig::paper());
+    (batch.n, batch.sizes) = (n, sizes);
+    batch.nodes = numbers("nodes", n * 16 * sizes.node);
+    batch.edges = numbers("edges", n * n_edges * sizes.edge);
+    batch.globals = numbers("globals", n * sizes.global);
+    batch.allowed = vec![true; n * 16];
+    batch
+}
+
+fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
+    let device = Device::flex().autodiff();
+    let network = Network::init(config, &sizes, 0, &device);
+    let noise = numbers("parameters", network.n_parameters());
+    let values: Vec<f32> = parameters::flatten(&network).iter().zip(noise).map(|(p, x)| p + 0.1 * x).collect();
+    let network = parameters::load(network, &values).unwrap();
+    // More rows than the batch has scenes, in another order.
+    let batch = batch(sizes, n, config.n_edges());
+    let rows: Vec<usize> = (0..n).rev().chain([0]).collect();
+    let inputs = BatchTensors::new(&batch.select(&rows), network.edge_layout(), &device);
+    let expected = network.forward(&inputs);
+
+    let layout = NetworkLayout::new(config, &sizes, network.table()).unwrap();
+    let cpu = CpuNetwork::new(&layout, &values, true).unwrap();
+    let mut tape = Tape::default();
+    let found = cpu.forward(&batch, &rows, &mut tape).clone();
+    assert_eq!(cpu.infer(&batch, &rows, &mut Tape::default()), &found, "{name}: both ways forward");
+    let parts = [
+        ("locs", &found.locs, expected.locs.to_data()),
+        ("scales", &found.scales, expected.scales.to_data()),
+        ("logits", &found.logits, expected.logits.to_data()),
+        ("values", &found.values, expected.values.to_data()),
+    ];
+    for (part, found, expected) in parts {
+        let error = relative_error(found, &widened(expected.as_slice().unwrap()));
+        assert!(error < TOLERANCE, "{name}: {part} off by {error:e}");
+    }
+
+    let by_output = Outputs {
+        locs: numbers("d locs", found.locs.len()),
+        scales: numbers("d scales", found.scales.len()),
+        logits: numbers("d logits", found.logits.len()),
+        values: numbers("d values", found.values.len()),
+    };
+    let cube = |values: &[f32], like: &Tensor<3>| {
+        Tensor::<3>::from_data(TensorData::new(values.to_vec(), like.dims()), &device)
+    };
+    let weights = Tensor::<1>::from_data(TensorData::new(by_output.values.clone(), [rows.len()]), &device);
+    let loss = (expected.locs.clone() * cube(&by_output.locs, &expected.locs)).sum()
+        + (expected.scales.clone() * cube(&by_output.scales, &expected.scales)).sum()
+        + (expected.logits.clone() * cube(&by_output.logits, &expected.logits)).sum()
+        + (expected.values * weights).sum();
+    let wanted = parameters::flatten_gradients(&network, &mut loss.backward());
+    let gradient = cpu.backward(&mut tape, &by_output);
+    let mut at = 0;
+    for spec in network.table() {
+        let span = at..at + spec.len();
+        let error = relative_error(&gradient[span.clone()], &widened(&wanted[span]));
+        assert!(error < TOLERANCE, "{name}: the gradient of {} is off by {error:e}", spec.name);
+        at += spec.len();
+    }
+}
+
+#[test]
+fn kernels_equal_burn_whatever_the_shape() {
+    let default = NetworkConfig::default();
+    let gat = GatConfig::default();
+    let with = |gat| NetworkConfig { encoder: EncoderConfig::Gat(gat), ..default.clone() };
+    let paper = FeatureSizes::new(&FeatureConfig::paper());
+    check("all features", &default, FeatureSizes::new(&FeatureConfig::default()), 11);
+    check("self-edges", &with(GatConfig { self_edges: true, ..gat }), paper, 2);
+    // Nodes have more features than the network is wide, so the first layer does not attend to them; nothing is a multiple of a
+    // vector's width.
+    let odd = NetworkConfig {
+        width: 20,
+        n_grippers: 1,
+        value_hidden: vec![13],
+        scale: ScaleConfig { max_std: Some(0.8), init_std: Some(0.3), floor: 0.01 },
+        ..with(GatConfig { n_layers: 2, n_heads: 3, head_dim: 7, mlp_hidden: 21, ..gat })
+    };
+    check("odd sizes", &odd, FeatureSizes { node: 30, edge: 5, global: 25 }, 9);
+    check("a linear value", &NetworkConfig { value_hidden: Vec::new(), ..odd }, FeatureSizes { node: 2, edge: 1, global: 17 }, 1);
+}
