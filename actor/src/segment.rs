@@ -72,11 +72,6 @@ impl SegmentBuilder {
         &self.task
     }
 
-    /// Begins the next episode.
-    pub fn begin(&mut self, task: Task, driver: Driver) {
-        *self = Self::new(self.segment_len, task, driver);
-    }
-
     /// Counts a step at the start of an episode that is not learned from.
     pub fn skip(&mut self, reward: &RewardTerms) {
         add(&mut self.episode_return, reward);
@@ -164,7 +159,7 @@ mod tests {
             let version = WeightsVersion(version);
             let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
             if status != Status::Running {
-                builder.begin(toy::task(), Driver::Sample);
+                builder = SegmentBuilder::new(3, toy::task(), Driver::Sample);
             }
             cut
         };

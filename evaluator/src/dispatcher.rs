@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use anyhow::Context;
 use bus::{AliveWatch, Bus, CallError, WorkerCaller, process_epoch_ms};
-use proto::Role;
 use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
+use proto::{ActionMode, Role, Weights};
 use tokio::sync::watch;
 use tokio_util::task::AbortOnDropHandle;
 
-use crate::sequences::EpisodeResult;
+use crate::report::EpisodeResult;
+use crate::sequences::EpisodeSpec;
 use crate::work_queue::{Lease, WorkQueue, WorkerGuard};
-use proto::ActionMode;
 
 /// Most remote workers that are made use of.
 const MAX_WORKERS: usize = 256;
@@ -21,11 +21,12 @@ const MAX_WORKERS: usize = 256;
 /// Pause after a remote worker gave no answer.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// The work queue of the pass under way.
+/// The evaluation under way.
 #[derive(Clone, Debug)]
 struct Open {
     pass: PassId,
     queue: Arc<WorkQueue>,
+    weights: Arc<Weights>,
 }
 
 /// Keeps remote workers busy.
@@ -49,9 +50,9 @@ impl Dispatcher {
         })
     }
 
-    /// Lets remote workers take from this queue.
-    pub(crate) fn open(&mut self, queue: Arc<WorkQueue>) {
-        self.open.send_replace(Some(Open { pass: self.pass, queue }));
+    /// Lets remote workers take from this queue what is to be acted by `weights`.
+    pub(crate) fn open(&mut self, queue: Arc<WorkQueue>, weights: Arc<Weights>) {
+        self.open.send_replace(Some(Open { pass: self.pass, queue, weights }));
         self.pass.number += 1;
     }
 
@@ -115,7 +116,7 @@ impl Clerk {
             let mut passes = self.passes.clone();
             passes.mark_unchanged();
             tokio::select! {
-                // Lanes that were leased go back to the work queue with the future that holds them.
+                // Sequences that were leased go back to the work queue with the future that holds them.
                 changed = passes.changed() => if changed.is_err() { return },
                 refusal = self.serve(&open) => {
                     tracing::warn!(worker = self.name, refusal, "a remote worker is of no use");
@@ -132,7 +133,7 @@ impl Clerk {
         loop {
             posted.mark_unchanged();
             let Some(lease) = assisting.take() else {
-                // Lanes that come back at the end of a round are for the evaluator's own threads.
+                // Sequences that come back at the end of a round are for the evaluator's own threads.
                 if posted.changed().await.is_err() {
                     std::future::pending::<()>().await;
                 }
@@ -166,7 +167,7 @@ impl Clerk {
         if answer != EvalAnswer::NeedsWeights {
             return Ok(answer);
         }
-        unit.weights = Some(open.queue.weights().as_ref().clone());
+        unit.weights = Some(open.weights.as_ref().clone());
         self.caller.run(&unit).await
     }
 }
@@ -178,7 +179,7 @@ fn fit(lease: &Lease, sequences: &[Vec<EvalEpisode>]) -> Option<Vec<Vec<EpisodeR
     {
         return None;
     }
-    let results = |(spec, episode): (&crate::sequences::EpisodeSpec, &EvalEpisode)| {
+    let results = |(spec, episode): (&EpisodeSpec, &EvalEpisode)| {
         let EvalEpisode { end, n_steps, episode_return, forced_reset } = *episode;
         spec.result(lease.acting, end, n_steps.into(), episode_return, forced_reset)
     };

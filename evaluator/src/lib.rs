@@ -32,7 +32,7 @@ pub use config::{
 };
 pub use environment::EnvironmentConfig;
 pub use episodes::evaluate;
-pub use expert::{Cause, ExpertFailure, ExpertReport, ExpertSetup, evaluate_expert};
+pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert};
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};

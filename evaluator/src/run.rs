@@ -7,7 +7,11 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
+use policy::Policy;
+use proto::metrics::EvalReport;
 use proto::{Role, Weights, WeightsVersion, keys};
+use runlog::overview::Passes;
+use runlog::{History, Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -18,14 +22,9 @@ use crate::nice::on_thread;
 use crate::pool::EvaluationPool;
 use crate::records::Records;
 use crate::schedule::{Due, LastPass, due};
-use crate::setup::EvaluatorSetup;
-use crate::setup::setup_hash;
-use crate::setup::{EvalError, EvalSetup};
+use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
 use crate::vetting::vetted;
 use crate::work_queue::WorkQueue;
-use proto::metrics::EvalReport;
-use runlog::overview::Passes;
-use runlog::{History, Pass, RunPaths};
 
 /// How long an evaluator waits for another of its name to go: a process that was killed seems to live for up to 6 s.
 const NAME_PATIENCE: Duration = Duration::from_secs(15);
@@ -143,9 +142,10 @@ async fn judge_all(
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
         let selector = films.and_then(|films| films.selector(&newest, &setup.config.episodes.acting));
-        let queue = Arc::new(WorkQueue::new(newest));
-        workers.open(queue.clone());
-        let pass = judge(setup, selected.to_vec(), queue, selector, parts, (&stop.now, bus.pulse()));
+        let queue = Arc::new(WorkQueue::default());
+        workers.open(queue.clone(), newest.clone());
+        let work = (selected.to_vec(), newest, queue);
+        let pass = judge(setup, work, selector, parts, (&stop.now, bus.pulse()));
         tokio::pin!(pass);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -270,28 +270,28 @@ fn unix_ms() -> u64 {
 /// One pass on a thread of its own; what it has found so far goes to `parts`.
 async fn judge(
     setup: &EvaluatorSetup,
-    selected: Vec<&'static Blueprint>,
-    queue: Arc<WorkQueue>,
+    (selected, weights, queue): (Vec<&'static Blueprint>, Arc<Weights>, Arc<WorkQueue>),
     films: Option<EpisodeSelector>,
     parts: watch::Sender<Option<EvalReport>>,
     (shutdown, pulse): (&CancellationToken, &Pulse),
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
         catalog: Catalog::builtin(),
-        policy: setup.policy.clone(),
         environment: setup.environment.clone(),
         episodes: setup.config.episodes.clone(),
         reset_free: setup.config.reset_free.clone(),
         seed: setup.seed,
     };
-    let (shutdown, pulse) = (shutdown.clone(), pulse.clone());
+    let (policy, shutdown, pulse) = (setup.policy.clone(), shutdown.clone(), pulse.clone());
     on_thread(setup.config.nice, move || {
         let keep_going = || {
             pulse.beat();
             !shutdown.is_cancelled()
         };
-        let pool = EvaluationPool { setup: &eval_setup, queue: &queue, films: films.as_ref(), keep_going: &keep_going };
-        evaluate_in_parts(&pool, &selected, &mut |part| drop(parts.send_replace(Some(part))))
+        let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
+        let (setup, queue, observer) = (&eval_setup, &queue, films.as_ref());
+        let pool = EvaluationPool { setup, agent: &agent, queue, observer, keep_going: &keep_going };
+        evaluate_in_parts(&pool, &weights, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await
 }

@@ -39,9 +39,9 @@ pub(crate) fn vetted(
 async fn passes(config: &PolicyConfig, weights: &Arc<Weights>, bus: &Bus) -> bool {
     let (config, tried) = (config.clone(), weights.clone());
     // Off the runtime, because a forward pass computes for a moment.
-    let trial = tokio::task::spawn_blocking(move || Policy::new(&config)?.load(&tried));
+    let trial = tokio::task::spawn_blocking(move || Policy::with_weights(&config, &tried));
     let error = match trial.await {
-        Ok(Ok(())) => return true,
+        Ok(Ok(_)) => return true,
         Ok(Err(error)) if !error.is_of_weights() => return true,
         Ok(Err(error)) => error.to_string(),
         Err(panic) => panic.to_string(),

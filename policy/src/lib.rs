@@ -27,4 +27,4 @@ pub use config::{
 pub use device::{DeviceError, DeviceKind};
 pub use features::FeatureSizes;
 pub use network::{BatchTensors, Network, NetworkOutput};
-pub use policy::{Attention, Decision, Policy, PolicyError};
+pub use policy::{Attention, Policy, PolicyError};

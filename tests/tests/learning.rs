@@ -56,14 +56,13 @@ impl Ring {
     fn success_rate(&self) -> f64 {
         let setup = EvalSetup {
             catalog: Catalog::builtin(),
-            policy: self.config.policy.clone(),
             environment: self.config.environment.clone(),
             episodes: self.config.evaluator.episodes.clone(),
             reset_free: None,
             seed: self.config.seed,
         };
         let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();
-        let report = evaluate(&setup, &self.learner.weights(), &blueprints, &|| true).unwrap();
+        let report = evaluate(&setup, &self.config.policy, &self.learner.weights(), &blueprints, &|| true).unwrap();
         report.summary.all.mode.success.rate
     }
 }

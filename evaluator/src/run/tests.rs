@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use blueprints::Split;
+use proto::ActionMode;
 use proto::metrics::{EvalBlueprint, EvalSummary};
 
 use super::*;
 use crate::config::{EpisodeConfig, EvaluatorConfig, Every, Selection};
-use crate::episodes::tests::{small_setup, weights};
-use proto::ActionMode;
+use crate::episodes::tests::{small_policy, small_setup, weights};
 
 /// Ends a test that waits for what does not come.
 async fn within<T>(future: impl Future<Output = T>) -> T {
@@ -26,7 +26,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let records = RunPaths::new(dir.path());
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, ..Default::default() },
-        policy: small.policy.clone(),
+        policy: small_policy(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
         seed: 3,
@@ -40,7 +40,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
 
     let publisher = bus.weights_publisher().await.unwrap();
-    let untrained = weights(&small);
+    let untrained = weights();
     // Neither judged nor the end: those after them are.
     // Of a lower version: within one epoch only newer weights are pulled.
     let version = WeightsVersion(untrained.version.0 - 1);
@@ -100,7 +100,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() },
-        policy: small.policy.clone(),
+        policy: small_policy(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
         seed: 3,
@@ -113,7 +113,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
     let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
     let publisher = bus.weights_publisher().await.unwrap();
-    publisher.publish(Arc::new(weights(&small))).await.unwrap();
+    publisher.publish(Arc::new(weights())).await.unwrap();
 
     let mut progress = Vec::new();
     while !progress.last().is_some_and(|&(is_complete, _)| is_complete) {
