@@ -2,7 +2,7 @@
 
 use blueprints::Catalog;
 use environment::vec_env::generator;
-use environment::{Env, EnvironmentConfig, ResetError, StartError, Step, VecEnv};
+use environment::{Env, ResetError, StartError, Step, VecEnv};
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::{
     ActionMode, Agent, Decision, Driver, Label, Observation, Status, Task, Trajectory, Transition, Weights,
@@ -12,9 +12,10 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::config::{ActorConfig, BurnInConfig};
+use crate::config::BurnInConfig;
 use crate::dagger::{DaggerEpisode, DaggerMixture};
 use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
+use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskConfig, TaskSampler};
 
 /// All that a rollout needs besides worlds and weights.
@@ -39,14 +40,9 @@ pub struct RolloutSetup<'c> {
 }
 
 impl RolloutSetup<'static> {
-    /// As an actor with these settings rolls out goals of the built-in catalog.
-    pub fn new(
-        config: &ActorConfig,
-        policy: &PolicyConfig,
-        environment: &EnvironmentConfig,
-        identity: Identity,
-        seed: u64,
-    ) -> Self {
+    /// As an actor rolls out goals of the built-in catalog.
+    pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
+        let ActorSetup { config, policy, environment, seed, .. } = setup;
         Self {
             catalog: Catalog::builtin(),
             policy: policy.clone(),
@@ -55,7 +51,7 @@ impl RolloutSetup<'static> {
             burn_in: config.burn_in,
             dagger: config.dagger.clone().map(|dagger| DaggerMixture::new(dagger, environment.clone())),
             identity,
-            seed,
+            seed: *seed,
         }
     }
 }

@@ -29,7 +29,6 @@ const NAME_PATIENCE: Duration = Duration::from_secs(15);
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// What a run of the learner is told.
-#[derive(Clone, Debug)]
 pub struct RunOptions {
     /// What the learner is made of.
     pub setup: LearnerSetup,
@@ -39,6 +38,8 @@ pub struct RunOptions {
     pub resume: Option<PathBuf>,
     /// Environment steps after which the run is over; `None` runs until it is told to stop.
     pub max_env_steps: Option<u64>,
+    /// Trajectories come from here, in turns with the updates, and none from the bus: nothing depends on time then.
+    pub feed: Option<Feed>,
 }
 
 /// Steps worlds with the given weights and returns what that finished; true asks for new episodes that depend on the
@@ -47,7 +48,7 @@ pub type Feed = Box<dyn FnMut(&Weights, bool) -> anyhow::Result<Vec<Trajectory>>
 
 /// How a run of the learner ended.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LearnerReport {
+pub struct Summary {
     /// The newest weights.
     pub weights_version: WeightsVersion,
     /// Updates made, with those before a resumption.
@@ -69,18 +70,12 @@ struct News {
 
 /// Learns until `shutdown` or the configured number of steps, and saves.
 ///
-/// With a `feed` the updating thread asks it for trajectories in turns with the updates, and nothing depends on time: equal
-/// seeds give equal weights, also after going on from one of the periodic checkpoints.
+/// With a feed, equal seeds give equal weights, also after going on from one of the periodic checkpoints.
 ///
 /// # Errors
 /// When the feed fails, a setting is invalid, the checkpoint to go on from is unusable, the session fails, or the last checkpoint cannot
 /// be written.
-pub async fn run(
-    options: RunOptions,
-    feed: Option<Feed>,
-    bus: &Bus,
-    shutdown: CancellationToken,
-) -> anyhow::Result<LearnerReport> {
+pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Summary> {
     let folder = options.run_dir.folder();
     fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     // Before anything is cleaned up, which may be what the other is writing.
@@ -100,7 +95,6 @@ pub async fn run(
     let worker = Worker {
         newest: Arc::new(learner.weights()),
         learner,
-        feed,
         records: MetricsWriter::open(&options.run_dir, Role::Learner)?,
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
@@ -156,7 +150,6 @@ struct Worker {
     learner: Learner,
     /// The learner's weights.
     newest: Arc<Weights>,
-    feed: Option<Feed>,
     options: RunOptions,
     records: MetricsWriter,
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
@@ -167,7 +160,7 @@ struct Worker {
 }
 
 impl Worker {
-    fn work(mut self) -> anyhow::Result<LearnerReport> {
+    fn work(mut self) -> anyhow::Result<Summary> {
         let checkpoints = self.options.run_dir.checkpoints();
         let settings = self.options.setup.config.clone();
         let mailbox = self.learner.mailbox();
@@ -177,7 +170,7 @@ impl Worker {
         let mut open = self.tell(None);
         while open && !self.is_over() {
             self.pulse.beat();
-            let enough = match &mut self.feed {
+            let enough = match &mut self.options.feed {
                 None => mailbox.wait(settings.steps_per_update, PATIENCE),
                 Some(_) if self.learner.ready() => true,
                 Some(feed) => {
@@ -213,7 +206,7 @@ impl Worker {
         mailbox.close();
         let checkpoint = self.save(&checkpoints).map_err(|error| self.lost(error, &checkpoints))?;
         let weights_version = self.learner.version();
-        Ok(LearnerReport {
+        Ok(Summary {
             weights_version,
             n_updates: self.learner.n_updates(),
             n_env_steps: self.learner.n_env_steps(),

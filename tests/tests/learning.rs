@@ -1,6 +1,6 @@
 //! The ring in one thread, without the bus: worlds, rollouts, updates, evaluation.
 
-use actor::{Lockstep, TaskFilter};
+use actor::{ActorSetup, Lockstep, TaskFilter};
 use blueprints::Catalog;
 use deploy::config::{Config, PRESETS};
 use evaluator::{EvalSetup, evaluate};
@@ -37,8 +37,13 @@ impl Ring {
 
     fn new(config: Config) -> Self {
         let learner = Learner::new(Self::setup(&config)).unwrap();
-        let (actor, policy, environment) = (config.actor.clone(), config.policy.clone(), config.environment.clone());
-        let worlds = Lockstep::new(actor, policy, environment, config.seed);
+        let worlds = Lockstep::new(ActorSetup {
+            config: config.actor.clone(),
+            policy: config.policy.clone(),
+            environment: config.environment.clone(),
+            id: "lockstep".parse().unwrap(),
+            seed: config.seed,
+        });
         Self { config, learner, worlds }
     }
 
