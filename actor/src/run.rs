@@ -44,8 +44,8 @@ pub struct Summary {
 
 /// Rolls out from the first weights until `shutdown`, then sends what is left as long as the configuration allows.
 ///
-/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. The seed of the run, the name, the time of the
-/// start and the version of the first weights determine tasks and actions. Weights that cannot be acted by are counted, and
+/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. The seed of the run, the name, the
+/// time of the start and the version of the first weights determine tasks and actions. Weights that cannot be acted by are counted, and
 /// those before them stay in force.
 ///
 /// # Errors

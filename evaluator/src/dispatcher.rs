@@ -1,4 +1,4 @@
-//! Gives the sequences of a pass to remote workers: a task for each, which lives as long as that worker.
+//! Gives the sequences of an evaluation to remote workers: a task for each, which lives as long as that worker.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -40,9 +40,9 @@ pub(crate) struct Dispatcher {
 impl Dispatcher {
     /// Looks for remote workers from now on; `setup_hash` must be theirs.
     pub(crate) async fn start(bus: &Bus, setup_hash: u64) -> anyhow::Result<Self> {
-        let (open, passes) = watch::channel(None);
+        let (open, evaluations) = watch::channel(None);
         let workers = bus.alive(Role::Worker).await.context("looking for remote workers")?;
-        let manager = Manager { bus: bus.clone(), setup_hash, passes };
+        let manager = Manager { bus: bus.clone(), setup_hash, evaluations };
         Ok(Self {
             open,
             pass: PassId { epoch: process_epoch_ms(), number: 0 },
@@ -65,7 +65,7 @@ impl Dispatcher {
 struct Manager {
     bus: Bus,
     setup_hash: u64,
-    passes: watch::Receiver<Option<Open>>,
+    evaluations: watch::Receiver<Option<Open>>,
 }
 
 impl Manager {
@@ -80,12 +80,12 @@ impl Manager {
                 if workers.len() >= MAX_WORKERS || workers.contains_key(&name) {
                     continue;
                 }
-                let (bus, hash, passes) = (self.bus.clone(), self.setup_hash, self.passes.clone());
+                let (bus, hash, evaluations) = (self.bus.clone(), self.setup_hash, self.evaluations.clone());
                 let worker = tokio::spawn({
                     let name = name.clone();
                     async move {
                         match bus.worker_caller(&name).await {
-                            Ok(caller) => Clerk { name, hash, caller, passes }.run().await,
+                            Ok(caller) => WorkerClient { name, hash, caller, evaluations }.run().await,
                             Err(error) => tracing::warn!(worker = name, %error, "a remote worker cannot be reached"),
                         }
                     }
@@ -100,24 +100,24 @@ impl Manager {
 }
 
 /// Works with one remote worker.
-struct Clerk {
+struct WorkerClient {
     name: String,
     hash: u64,
     caller: WorkerCaller,
-    passes: watch::Receiver<Option<Open>>,
+    evaluations: watch::Receiver<Option<Open>>,
 }
 
-impl Clerk {
+impl WorkerClient {
     /// Until the evaluator ends or the remote worker refuses.
     async fn run(mut self) {
         loop {
-            let Ok(open) = self.passes.wait_for(Option::is_some).await.map(|open| open.clone()) else { return };
+            let Ok(open) = self.evaluations.wait_for(Option::is_some).await.map(|open| open.clone()) else { return };
             let Some(open) = open else { continue };
-            let mut passes = self.passes.clone();
-            passes.mark_unchanged();
+            let mut opened = self.evaluations.clone();
+            opened.mark_unchanged();
             tokio::select! {
                 // Sequences that were leased go back to the work queue with the future that holds them.
-                changed = passes.changed() => if changed.is_err() { return },
+                changed = opened.changed() => if changed.is_err() { return },
                 refusal = self.serve(&open) => {
                     tracing::warn!(worker = self.name, refusal, "a remote worker is of no use");
                     return;
@@ -126,13 +126,13 @@ impl Clerk {
         }
     }
 
-    /// Serves one pass; returns why the remote worker will not work.
+    /// Serves one evaluation; returns why the remote worker will not work.
     async fn serve(&self, open: &Open) -> String {
-        let assisting = WorkerGuard::new(open.queue.clone());
+        let guard = WorkerGuard::new(open.queue.clone());
         let mut posted = open.queue.watch();
         loop {
             posted.mark_unchanged();
-            let Some(lease) = assisting.take() else {
+            let Some(lease) = guard.take() else {
                 // Sequences that come back at the end of a round are for the evaluator's own threads.
                 if posted.changed().await.is_err() {
                     std::future::pending::<()>().await;

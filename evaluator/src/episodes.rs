@@ -16,8 +16,8 @@ use crate::work_queue::WorkQueue;
 /// Episodes with each way of acting before an evaluation first says what it has found.
 pub const FIRST_PART: usize = 32;
 
-/// Evaluates `weights` of a policy with this configuration on `blueprints`: `n_episodes` for each, once for each way of acting, and then
-/// the reset-free runs if the setup has any.
+/// Evaluates `weights` of a policy with this configuration on `blueprints`: `n_episodes` for each, once for each way of
+/// acting, and then the reset-free runs if the setup has any.
 ///
 /// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or
 /// the way of acting. An episode that ends in success goes on for up to 10 steps with the grippers holding still, in
@@ -38,9 +38,9 @@ pub fn evaluate(
     evaluate_in_parts(&pool, weights, blueprints, &mut |_| {})
 }
 
-/// Like [`evaluate`] with the agents of the pool, which act by `weights`, and tells `on_part` what the first episodes found: the first
-/// [`FIRST_PART`] of them, then twice as many, and so on. Every part is spread over all blueprints, so that its groups are
-/// fair samples of the whole.
+/// Like [`evaluate`] with the agents of the pool, which act by `weights`, and tells `on_part` what the first episodes
+/// found: the first [`FIRST_PART`] of them, then twice as many, and so on. Every part is spread over all blueprints, so that
+/// its groups are fair samples of the whole.
 ///
 /// # Errors
 /// As for [`evaluate`].

@@ -22,7 +22,7 @@ pub struct EvalSetup<'c> {
     pub episodes: EpisodeConfig,
     /// Reset-free runs as well, when given.
     pub reset_free: Option<ResetFreeConfig>,
-    /// Seed of start states and sampled actions: passes with the same seed can be compared episode by episode.
+    /// Seed of start states and sampled actions: evaluations with the same seed can be compared episode by episode.
     pub seed: u64,
 }
 

@@ -81,7 +81,7 @@ fn header(text: &mut String, what: &str) {
     );
 }
 
-/// A line for each way of acting that was judged.
+/// A line for each way of acting that was evaluated.
 fn lines(text: &mut String, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
     for (acting, outcome) in [("mode", mode), ("sampled", sampled)] {
         if outcome.success.n_episodes > 0 {
@@ -121,7 +121,7 @@ mod tests {
     use proto::unit::End;
 
     #[test]
-    fn the_table_shows_what_was_judged() {
+    fn the_table_shows_what_was_evaluated() {
         // 1 of 2: the interval is 1/2 ± z/2 / √(2 + z²) = 1/2 ± 0.979982 / √5.841459 = 0.0945 to 0.9055.
         let ends = [(End::Success { stable: true }, 8), (End::TimeLimit, 100)];
         let episodes = ends.map(|(end, n_steps)| EpisodeResult {

@@ -1,4 +1,4 @@
-//! Where the sequences of a pass lie until somebody runs them: threads of this process, or remote workers.
+//! Where the sequences of an evaluation lie until somebody runs them: threads of this process, or remote workers.
 //!
 //! Every sequence is given to one at a time. What is not brought back goes to the next who asks; of two who bring the same
 //! sequence the first counts.

@@ -1,7 +1,7 @@
 //! All that two processes must agree on: plain validated types, their wire form and the key expressions. No I/O.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`] and the reports [`metrics`], [`mod@unit`] of shared evaluations →
-//! [`codec`] → [`keys`].
+//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`] and the
+//! reports [`metrics`], [`mod@unit`] of shared evaluations → [`codec`] → [`keys`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

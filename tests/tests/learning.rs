@@ -57,7 +57,7 @@ impl Ring {
         self.learner.update().unwrap();
     }
 
-    /// Of mode actions, as the preset's evaluator judges.
+    /// Of greedy actions, as the preset's evaluator counts it.
     fn success_rate(&self) -> f64 {
         let setup = EvalSetup {
             catalog: Catalog::builtin(),

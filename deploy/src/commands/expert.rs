@@ -1,4 +1,4 @@
-//! `expert eval`: judges the scripted expert on blueprints.
+//! `expert eval`: evaluates the scripted expert on blueprints.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -34,7 +34,7 @@ struct Explained<'a> {
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-struct Judged<'a> {
+struct Timed<'a> {
     #[serde(flatten)]
     report: &'a ExpertReport,
     /// Environment steps per second of all threads together, planning included.
@@ -89,8 +89,8 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         record(folder, catalog, &report)?;
     }
     if args.json {
-        let judged = Judged { report: &report, steps_per_second, n_threads };
-        terminal.print(&serde_json::to_string_pretty(&judged).map_err(anyhow::Error::from)?);
+        let timed = Timed { report: &report, steps_per_second, n_threads };
+        terminal.print(&serde_json::to_string_pretty(&timed).map_err(anyhow::Error::from)?);
     } else {
         terminal.print(render_expert(&report, Detail::Blueprints).trim_end());
         terminal.print(&format!("{steps_per_second:.0} steps/s on {n_threads} threads, planning included"));

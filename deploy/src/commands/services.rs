@@ -135,7 +135,7 @@ pub(super) async fn evaluator(
         return Ok(());
     };
     let ((passes, its_passes), (weights, its_weights)) = (mpsc::unbounded_channel(), watch::channel(None));
-    (listeners.passes, listeners.weights) = (Some(passes), Some(weights));
+    (listeners.evaluations, listeners.weights) = (Some(passes), Some(weights));
     let (policy, run) = (setup.policy.clone(), setup.records.clone());
     let source = Source { passes: its_passes, weights: its_weights, policy, run };
     tokio::try_join!(evaluator::run(setup, &bus, listeners, stop), page.serve(&bus, source))?;

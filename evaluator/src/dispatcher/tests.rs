@@ -1,4 +1,4 @@
-//! Remote workers on an isolated bus do the work of a pass in which the evaluator itself does nothing.
+//! Remote workers on an isolated bus do the work of an evaluation in which the evaluator itself does nothing.
 
 use blueprints::{Blueprint, Catalog, Split};
 use bus::UnitServer;
@@ -51,7 +51,7 @@ async fn brought(queue: &Arc<WorkQueue>) -> Vec<Vec<EpisodeResult>> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn assistants_find_what_the_evaluator_would() {
+async fn remote_workers_find_what_the_evaluator_would() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let shutdown = CancellationToken::new();

@@ -1,4 +1,5 @@
-//! Which episodes of a pass are recorded: those that could be the success or the failure that a film is wanted of.
+//! Which episodes of an evaluation are recorded: those that could be the success or the failure that a film is wanted
+//! of.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
@@ -19,7 +20,7 @@ use runlog::clips::Ending;
 /// Episodes that are recorded at a time; at a kilobyte for a step, some tens of megabytes.
 const MAX_RECORDING: usize = 256;
 
-/// The films that are wanted of one pass.
+/// The films that are wanted of one evaluation.
 ///
 /// Until one has ended nobody knows which episode will succeed, so all are recorded that may be wanted, and most of them
 /// are forgotten.
@@ -47,7 +48,7 @@ struct Open {
 }
 
 impl EpisodeSelector {
-    /// The films of a pass that judges `weights`; what is acted otherwise than `acting` is not filmed.
+    /// The films of an evaluation of `weights`; what is acted otherwise than `acting` is not filmed.
     pub(super) fn new(
         config: &FilmsConfig,
         weights: Arc<Weights>,
@@ -127,7 +128,7 @@ impl Open {
 }
 
 impl Subject {
-    /// The name by which films can be followed from pass to pass.
+    /// The name by which films can be followed from evaluation to evaluation.
     fn tag(&self) -> String {
         match self {
             Self::Group(group) => group.name().replace(' ', "-"),

@@ -1,4 +1,4 @@
-//! Films of small passes in real worlds.
+//! Films of small evaluations in real worlds.
 
 use std::fs;
 use std::path::Path;
@@ -111,7 +111,7 @@ fn nothing_is_recorded_once_every_wanted_film_is_taken() {
 }
 
 #[test]
-fn a_full_desk_drops_and_counts_and_nobody_waits() {
+fn a_full_queue_drops_and_counts_and_nobody_waits() {
     let queue = Arc::new(ClipQueue::default());
     let config = FilmsConfig { n_of_each: 10, ..Default::default() };
     // Nobody takes anything off this queue.

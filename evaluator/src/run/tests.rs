@@ -41,7 +41,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights();
-    // Neither judged nor the end: those after them are.
+    // Neither evaluated nor the end: those after them are.
     // Of a lower version: within one epoch only newer weights are pulled.
     let version = WeightsVersion(untrained.version.0 - 1);
     let huge = Weights { version, parameters: vec![1e6; untrained.parameters.len()], ..untrained.clone() };
@@ -82,16 +82,19 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let first: EvalBlueprint = serde_json::from_value(lines[1].clone()).unwrap();
     assert_eq!(first, report.blueprints[0]);
     assert_eq!(lines[1]["key"], format!("eval/train/{}", first.blueprint));
-    let passes = History::read(&records.history()).unwrap();
-    assert_eq!(passes.len(), 3);
-    assert_eq!(passes[0], Pass::new(&report, passes[0].ended_unix_ms));
+    let evaluations = History::read(&records.history()).unwrap();
+    assert_eq!(evaluations.len(), 3);
+    assert_eq!(evaluations[0], Pass::new(&report, evaluations[0].ended_unix_ms));
     // Ended in order, after 2026 began.
-    assert!(1_767_225_600_000 < passes[0].ended_unix_ms && passes[0].ended_unix_ms <= passes[1].ended_unix_ms);
+    assert!(
+        1_767_225_600_000 < evaluations[0].ended_unix_ms
+            && evaluations[0].ended_unix_ms <= evaluations[1].ended_unix_ms
+    );
     bus.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
+async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let episodes = EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() };
@@ -125,7 +128,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     assert_eq!(progress, [(false, 32), (true, 45)]);
     stop.now.cancel();
     within(service).await.unwrap().unwrap();
-    // Whoever follows the caller's channel sees whole passes only.
+    // Whoever follows the caller's channel sees whole evaluations only.
     assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
     bus.close().await;
 }

@@ -65,9 +65,9 @@ fn what_is_not_brought_is_for_others() {
 #[test]
 fn what_comes_too_late_changes_nothing() {
     let queue = queue();
-    let assisting = WorkerGuard::new(queue.clone());
+    let guard = WorkerGuard::new(queue.clone());
     queue.post(&sequences(1), ActionMode::Greedy);
-    let (late, lost) = (assisting.take().unwrap(), sequences(1));
+    let (late, lost) = (guard.take().unwrap(), sequences(1));
     queue.post(&lost, ActionMode::Sampled);
     bring(late, 1);
     assert!(!queue.is_done());
