@@ -74,7 +74,7 @@ impl SegmentBuilder {
 
     /// Counts a step at the start of an episode that is not learned from.
     pub fn skip(&mut self, reward: &RewardTerms) {
-        add(&mut self.episode_return, reward);
+        self.episode_return = self.episode_return + *reward;
         self.first_step = self.first_step.saturating_add(1);
     }
 
@@ -89,7 +89,7 @@ impl SegmentBuilder {
         status: Status,
         identity: &Identity,
     ) -> Cut {
-        add(&mut self.episode_return, &transition.reward);
+        self.episode_return = self.episode_return + transition.reward;
         self.transitions.push(transition);
         let oldest = self.oldest_version.map_or(version, |oldest| oldest.min(version));
         self.oldest_version = Some(oldest);
@@ -124,14 +124,6 @@ impl SegmentBuilder {
             outcome: ended.then_some(outcome),
         }))
     }
-}
-
-fn add(sum: &mut RewardTerms, terms: &RewardTerms) {
-    sum.connected += terms.connected;
-    sum.wrong += terms.wrong;
-    sum.magnets += terms.magnets;
-    sum.blocks += terms.blocks;
-    sum.force += terms.force;
 }
 
 #[cfg(test)]

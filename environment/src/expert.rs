@@ -14,9 +14,9 @@ mod takedown;
 mod view;
 
 use blueprints::assembly::Parts;
-use blueprints::{Assembly, BlockIdx, Blueprint, N_BLOCKS, NoAssembly, UNIT_M};
+use blueprints::{Assembly, BlockIdx, Blueprint, NoAssembly, UNIT_M};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use proto::{Action, N_GRIPPERS, Scene};
+use proto::{Action, Scene};
 
 use crate::config::EnvironmentConfig;
 use motion::{Limits, Load, Twist};
@@ -228,7 +228,7 @@ impl Expert {
 
     /// Shares the commands out: whoever holds a block keeps it; a gripper with nothing to do joins the first.
     fn action(&self, view: &View, commands: &[Command]) -> Action {
-        let mut action = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
+        let mut action = Action::IDLE;
         let mut open: Vec<&Command> = commands.iter().take(self.n_grippers).collect();
         for gripper in 0..self.n_grippers {
             if let Some(i) = open.iter().position(|c| view.held[gripper] == Some(c.block)) {
