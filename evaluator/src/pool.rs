@@ -49,8 +49,13 @@ where
         ended.map(|()| results)
     }
 
-    /// Takes sequences from the work queue until all are done.
+    /// Takes sequences from the work queue until all are done. A failure empties it, or the others would wait for what this
+    /// thread has taken.
     fn work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
+        self.try_to_work(acting, n_worlds).inspect_err(|_| drop(self.queue.clear()))
+    }
+
+    fn try_to_work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
         let mut agent = (self.agent)()?;
         let rules = Rules {
             catalog: self.setup.catalog,

@@ -106,6 +106,16 @@ fn weights_of_another_network_are_refused() {
 }
 
 #[test]
+fn what_one_thread_cannot_start_ends_the_work_of_all() {
+    let episodes = EpisodeConfig { n_episodes: 1, n_threads: 2, n_worlds: 1, ..Default::default() };
+    let goals = blueprints(2);
+    let catalog = Catalog::of_one(goals[0].clone());
+    let setup = EvalSetup { catalog: &catalog, ..small_setup(episodes) };
+    let result = evaluate(&setup, &small_policy(), &weights(), &goals, &|| true);
+    assert_eq!(result.unwrap_err().to_string(), format!("an episode of blueprint {} cannot be started", goals[1].id()));
+}
+
+#[test]
 fn reset_free_runs_count_every_goal() {
     let mut setup =
         small_setup(EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() });
