@@ -14,6 +14,7 @@ pub mod lockstep;
 pub mod rollout;
 mod run;
 pub mod segment;
+mod setup;
 pub mod streams;
 pub mod task;
 #[cfg(test)]
@@ -26,7 +27,8 @@ pub use environment::EnvironmentConfig;
 pub use lockstep::Lockstep;
 pub use policy::PolicyConfig;
 pub use rollout::{Rollout, RolloutCounters, RolloutError, RolloutSetup};
-pub use run::{ActorReport, run};
+pub use run::{Summary, run};
 pub use segment::{Identity, SegmentBuilder};
+pub use setup::ActorSetup;
 pub use streams::Life;
 pub use task::{FilterError, TaskConfig, TaskFilter, TaskSampler};

@@ -1,31 +1,24 @@
 //! Rollouts that take turns with a learner, on its thread and without the bus: equal seeds then give equal bytes.
 
 use anyhow::Context;
-use environment::{EnvironmentConfig, World};
-use policy::PolicyConfig;
-use proto::{ActorId, Trajectory, Weights};
+use environment::World;
+use proto::{Trajectory, Weights};
 
-use crate::config::ActorConfig;
 use crate::rollout::{Rollout, RolloutSetup};
 use crate::segment::Identity;
-
-/// Name that segments carry as their actor's.
-const NAME: &str = "lockstep";
+use crate::setup::ActorSetup;
 
 /// The worlds of one thread, which step when they are asked to.
 pub struct Lockstep {
-    config: ActorConfig,
-    policy: PolicyConfig,
-    environment: EnvironmentConfig,
-    seed: u64,
+    setup: ActorSetup,
     /// Made with the first weights.
     rollout: Option<Rollout<'static, World>>,
 }
 
 impl Lockstep {
-    /// Worlds as configured, whatever the number of threads; `seed` determines tasks and actions.
-    pub fn new(config: ActorConfig, policy: PolicyConfig, environment: EnvironmentConfig, seed: u64) -> Self {
-        Self { config, policy, environment, seed, rollout: None }
+    /// Worlds of an actor, whatever its number of threads; the seed determines tasks and actions.
+    pub fn new(setup: ActorSetup) -> Self {
+        Self { setup, rollout: None }
     }
 
     /// Moves every world by one step, acted by `weights`, and returns the segments that this finished.
@@ -36,7 +29,7 @@ impl Lockstep {
     /// # Errors
     /// When a setting is invalid, the weights are of another network, or no task can be started.
     pub fn step(&mut self, weights: &Weights, restart: bool) -> anyhow::Result<Vec<Trajectory>> {
-        let seed = self.seed ^ weights.version.0.rotate_left(32);
+        let seed = self.setup.seed ^ weights.version.0.rotate_left(32);
         let rollout = match &mut self.rollout {
             Some(rollout) => {
                 if rollout.version() != weights.version {
@@ -47,23 +40,16 @@ impl Lockstep {
                 }
                 rollout
             }
-            none => none.insert(first(&self.config, &self.policy, &self.environment, seed, weights)?),
+            none => none.insert(first(&self.setup, seed, weights)?),
         };
         Ok(rollout.step()?)
     }
 }
 
-fn first(
-    config: &ActorConfig,
-    policy: &PolicyConfig,
-    environment: &EnvironmentConfig,
-    seed: u64,
-    weights: &Weights,
-) -> anyhow::Result<Rollout<'static, World>> {
-    config.validate().context("invalid actor configuration")?;
-    let actor = ActorId::try_from(NAME.to_owned()).context("naming the worlds")?;
-    let identity = Identity { actor, epoch: 0, first_seq: 0, seq_step: 1 };
-    let setup = RolloutSetup::new(config, policy, environment, identity, seed);
-    let worlds: Result<Vec<World>, _> = (0..config.n_worlds).map(|_| World::new(environment)).collect();
+fn first(setup: &ActorSetup, seed: u64, weights: &Weights) -> anyhow::Result<Rollout<'static, World>> {
+    setup.config.validate().context("invalid actor configuration")?;
+    let identity = Identity { actor: setup.id.clone(), epoch: 0, first_seq: 0, seq_step: 1 };
+    let worlds: Result<Vec<World>, _> = (0..setup.config.n_worlds).map(|_| World::new(&setup.environment)).collect();
+    let setup = RolloutSetup { seed, ..RolloutSetup::new(setup, identity) };
     Ok(Rollout::new(setup, worlds.context("invalid environment configuration")?, weights)?)
 }

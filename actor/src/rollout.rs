@@ -1,21 +1,22 @@
 //! Many worlds, one policy: steps all of them with one forward pass and hands out finished segments.
 
-use blueprints::{BlueprintId, Catalog};
-use environment::{Env, EnvironmentConfig, ResetError};
-use policy::{FeatureBatch, Policy, PolicyConfig, PolicyError};
-use proto::ActionMode;
-use proto::{Driver, Status, Task, Trajectory, Transition, Weights, WeightsVersion};
-use rand::{RngExt, SeedableRng};
+use blueprints::Catalog;
+use environment::vec_env::generator;
+use environment::{Env, ResetError, StartError, Step, VecEnv};
+use policy::{Policy, PolicyConfig, PolicyError};
+use proto::{
+    ActionMode, Agent, Decision, Driver, Label, Observation, Status, Task, Trajectory, Transition, Weights,
+    WeightsVersion,
+};
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::config::{ActorConfig, BurnInConfig};
+use crate::config::BurnInConfig;
 use crate::dagger::{DaggerEpisode, DaggerMixture};
 use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
+use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskConfig, TaskSampler};
-
-/// Tasks that are tried before a world gives up on starting an episode.
-const MAX_RESETS: usize = 16;
 
 /// All that a rollout needs besides worlds and weights.
 #[derive(Clone, Debug)]
@@ -39,14 +40,9 @@ pub struct RolloutSetup<'c> {
 }
 
 impl RolloutSetup<'static> {
-    /// As an actor with these settings rolls out goals of the built-in catalog.
-    pub fn new(
-        config: &ActorConfig,
-        policy: &PolicyConfig,
-        environment: &EnvironmentConfig,
-        identity: Identity,
-        seed: u64,
-    ) -> Self {
+    /// As an actor rolls out goals of the built-in catalog.
+    pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
+        let ActorSetup { config, policy, environment, seed, .. } = setup;
         Self {
             catalog: Catalog::builtin(),
             policy: policy.clone(),
@@ -55,7 +51,7 @@ impl RolloutSetup<'static> {
             burn_in: config.burn_in,
             dagger: config.dagger.clone().map(|dagger| DaggerMixture::new(dagger, environment.clone())),
             identity,
-            seed,
+            seed: *seed,
         }
     }
 }
@@ -67,11 +63,9 @@ pub struct Rollout<'c, E> {
     policy: Policy,
     version: WeightsVersion,
     tasks: TaskSampler,
-    slots: Vec<EnvSlot<E>>,
-    /// One for each world, for its actions.
-    action_rngs: Vec<ChaCha8Rng>,
-    /// Kept for its memory.
-    batch: FeatureBatch,
+    envs: VecEnv<E>,
+    /// One for each world.
+    slots: Vec<EnvSlot>,
     counters: RolloutCounters,
 }
 
@@ -106,40 +100,58 @@ pub enum RolloutError {
     #[error(transparent)]
     Policy(#[from] PolicyError),
     /// A world could not start any of several tasks.
-    #[error("none of {MAX_RESETS} tasks could be started, the last one for blueprint {blueprint}")]
-    Reset {
-        /// Goal of the last task.
-        blueprint: BlueprintId,
-        /// Why it failed.
-        source: ResetError,
-    },
+    #[error(transparent)]
+    Start(#[from] StartError),
 }
 
-/// A world with the generator of its tasks and its episode so far.
+/// The episode of a world so far and the generator of its tasks.
 #[derive(Debug)]
-struct EnvSlot<E> {
-    env: E,
+struct EnvSlot {
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
     dagger: Option<DaggerEpisode>,
-    /// Steps that the mode still has to act before the episode is learned from.
+    /// Of the last step.
+    label: Option<Label>,
+    /// Steps in which the policy still acts greedily before the episode is learned from.
     n_burn_in: u16,
 }
 
-impl<E: Env> EnvSlot<E> {
-    /// Starts the next episode.
-    fn begin(
+impl EnvSlot {
+    /// How the policy acts in the next step.
+    fn mode(&self) -> ActionMode {
+        match driver(self.dagger.as_ref()) {
+            Driver::Sample if self.n_burn_in == 0 => ActionMode::Sampled,
+            _ => ActionMode::Greedy,
+        }
+    }
+}
+
+/// The policy, mixed with the expert where there is one and the burn-in is over.
+struct Mixture<'a> {
+    policy: &'a mut Policy,
+    slots: &'a mut [EnvSlot],
+}
+
+impl Agent for Mixture<'_> {
+    type Error = PolicyError;
+
+    fn act(
         &mut self,
-        tasks: &TaskSampler,
-        setup: &RolloutSetup<'_>,
-        version: WeightsVersion,
-        counters: &mut RolloutCounters,
-    ) -> Result<(), RolloutError> {
-        let task = start_episode(&mut self.env, tasks, setup.catalog, &mut self.task_rng, counters)?;
-        self.dagger = begin_dagger(setup, &self.env, version, &mut self.task_rng);
-        self.segment.begin(task, driver(self.dagger.as_ref()));
-        self.n_burn_in = draw_burn_in(&setup.burn_in, &mut self.task_rng);
-        Ok(())
+        observations: &[Observation<'_>],
+        modes: &[ActionMode],
+        rngs: &mut [ChaCha8Rng],
+    ) -> Result<Vec<Decision>, PolicyError> {
+        let decisions = self.policy.act(observations, modes, rngs)?.into_iter();
+        let rows = self.slots.iter_mut().zip(observations).zip(rngs);
+        let mix = |(decision, ((slot, seen), rng)): (Decision, ((&mut EnvSlot, &Observation<'_>), &mut ChaCha8Rng))| {
+            let Some(dagger) = slot.dagger.as_mut().filter(|_| slot.n_burn_in == 0) else { return decision };
+            let (action, label) = dagger.step(seen.scene, decision.action, rng);
+            slot.label = label;
+            // Noise and the expert have no probability under the policy that could be of use.
+            let log_prob = if dagger.driver() == Driver::Sample { decision.log_prob } else { 0.0 };
+            Decision { action, log_prob, ..decision }
+        };
+        Ok(decisions.zip(rows).map(mix).collect())
     }
 }
 
@@ -149,24 +161,14 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// # Errors
     /// When the filter selects nothing, the weights do not fit the policy, or no task can be started.
     pub fn new(setup: RolloutSetup<'c>, worlds: Vec<E>, weights: &Weights) -> Result<Self, RolloutError> {
-        let mut policy = Policy::new(&setup.policy)?;
-        policy.load(weights)?;
+        let policy = Policy::with_weights(&setup.policy, weights)?;
         let mut tasks = TaskSampler::new(&setup.tasks, setup.catalog)?;
         tasks.set_probabilities(&weights.task_probabilities);
-        let mut counters = RolloutCounters::default();
-        let mut slots = Vec::with_capacity(worlds.len());
-        for (world_idx, mut env) in worlds.into_iter().enumerate() {
-            // Even streams draw tasks, odd ones actions, so neither depends on how many worlds there are.
-            let mut task_rng = stream(setup.seed, 2 * world_idx as u64);
-            let task = start_episode(&mut env, &tasks, setup.catalog, &mut task_rng, &mut counters)?;
-            let dagger = begin_dagger(&setup, &env, weights.version, &mut task_rng);
-            let segment = SegmentBuilder::new(setup.segment_len, task, driver(dagger.as_ref()));
-            let n_burn_in = draw_burn_in(&setup.burn_in, &mut task_rng);
-            slots.push(EnvSlot { env, task_rng, segment, dagger, n_burn_in });
-        }
-        let action_rngs = (0..slots.len() as u64).map(|world_idx| stream(setup.seed, 2 * world_idx + 1)).collect();
-        let batch = policy.batch();
-        Ok(Self { setup, policy, version: weights.version, tasks, slots, action_rngs, batch, counters })
+        let (seed, version, envs) = (setup.seed, weights.version, VecEnv::new(worlds));
+        let counters = RolloutCounters::default();
+        let mut rollout = Self { setup, policy, version, tasks, envs, slots: Vec::new(), counters };
+        rollout.restart(seed)?;
+        Ok(rollout)
     }
 
     /// Acts by other weights from the next step on; episodes go on.
@@ -187,13 +189,32 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// # Errors
     /// When no task can be started.
     pub fn restart(&mut self, seed: u64) -> Result<(), RolloutError> {
-        self.setup.seed = seed;
-        for (world_idx, (slot, action_rng)) in self.slots.iter_mut().zip(&mut self.action_rngs).enumerate() {
-            slot.task_rng = stream(seed, 2 * world_idx as u64);
-            *action_rng = stream(seed, 2 * world_idx as u64 + 1);
-            slot.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
+        self.slots.clear();
+        for row in 0..self.envs.n_envs() {
+            // Even streams draw tasks, odd ones actions, so neither depends on how many worlds there are.
+            self.envs.seed(row, generator(seed, 2 * row as u64 + 1));
+            let slot = self.begin(row, generator(seed, 2 * row as u64))?;
+            self.slots.push(slot);
         }
         Ok(())
+    }
+
+    /// Starts an episode in a world, of the first task that has room; a start without is possible though rare.
+    fn begin(&mut self, row: usize, mut task_rng: ChaCha8Rng) -> Result<EnvSlot, RolloutError> {
+        let setup = &self.setup;
+        let task = self.tasks.sample(setup.catalog, &mut task_rng);
+        let retry = |task: &mut Task, _: &ResetError| {
+            self.counters.n_failed_resets += 1;
+            *task = self.tasks.sample(setup.catalog, &mut task_rng);
+            true
+        };
+        let task = self.envs.reset(row, task, setup.catalog, retry)?;
+        let begin =
+            |mixture: &DaggerMixture| mixture.begin(self.envs.env(row).blueprint(), self.version, &mut task_rng);
+        let dagger = setup.dagger.as_ref().map(begin);
+        let segment = SegmentBuilder::new(setup.segment_len, task, driver(dagger.as_ref()));
+        let n_burn_in = draw_burn_in(&setup.burn_in, &mut task_rng);
+        Ok(EnvSlot { task_rng, segment, dagger, label: None, n_burn_in })
     }
 
     /// Moves every world by one step and returns the segments that this finished, in the order of the worlds.
@@ -202,58 +223,41 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// When no new task can be started, or [`PolicyError::NoDistribution`] before any world has moved: with other weights it
     /// can go on.
     pub fn step(&mut self) -> Result<Vec<Trajectory>, RolloutError> {
-        self.batch.clear();
-        for slot in &self.slots {
-            self.batch.push(slot.env.scene(), slot.env.blueprint());
-        }
-        let mode = |slot: &EnvSlot<E>| match driver(slot.dagger.as_ref()) {
-            Driver::Sample if slot.n_burn_in == 0 => ActionMode::Sampled,
-            _ => ActionMode::Greedy,
-        };
-        let modes: Vec<ActionMode> = self.slots.iter().map(mode).collect();
-        let decisions = self.policy.act_each(&self.batch, &mut self.action_rngs, &modes)?;
-
+        let modes: Vec<ActionMode> = self.slots.iter().map(EnvSlot::mode).collect();
+        let mut mixture = Mixture { policy: &mut self.policy, slots: &mut self.slots };
+        let steps = self.envs.step(&mut mixture, &modes)?;
         let mut finished: Vec<Trajectory> = Vec::new();
-        // From here on the batch takes the scenes whose value a finished segment needs; this is the place of each in
-        // it.
-        self.batch.clear();
-        let mut unvalued: Vec<usize> = Vec::new();
-        for ((slot, decision), rng) in self.slots.iter_mut().zip(decisions).zip(&mut self.action_rngs) {
-            let EnvSlot { env, segment, dagger, n_burn_in, .. } = &mut *slot;
-            let scene = env.scene().clone();
-            let (action, label) = match dagger {
-                Some(dagger) if *n_burn_in == 0 => dagger.step(&scene, decision.action, rng),
-                _ => (decision.action, None),
-            };
-            let result = env.step(&action);
+        // Finished segments that need the value of their last scene, and the worlds in which that is.
+        let mut unvalued: Vec<(usize, usize)> = Vec::new();
+        let mut ended: Vec<usize> = Vec::new();
+        for (row, Step { scene, decision, result }) in steps.into_iter().enumerate() {
+            let slot = &mut self.slots[row];
             self.counters.n_env_steps += 1;
-            if *n_burn_in > 0 {
-                *n_burn_in -= 1;
+            if result.status != Status::Running {
+                ended.push(row);
+            }
+            if slot.n_burn_in > 0 {
+                slot.n_burn_in -= 1;
                 self.counters.n_burn_in_steps += 1;
-                segment.skip(&result.reward);
-                if result.status != Status::Running {
-                    slot.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
-                }
+                slot.segment.skip(&result.reward);
                 continue;
             }
             let transition = Transition {
                 scene,
-                action,
-                // Noise and the expert have no probability under the policy that could be of use.
-                behavior_log_prob: if driver(dagger.as_ref()) == Driver::Sample { decision.log_prob } else { 0.0 },
+                action: decision.action,
+                behavior_log_prob: decision.log_prob,
                 value: decision.value,
                 reward: result.reward,
-                label,
+                label: slot.label,
             };
-            match segment.push(transition, self.version, env.scene(), result.status, &self.setup.identity) {
+            let (identity, after) = (&self.setup.identity, self.envs.env(row).scene());
+            match slot.segment.push(transition, self.version, after, result.status, identity) {
                 Cut::None => {}
                 Cut::Segment(mut trajectory) => {
-                    let identity = &self.setup.identity;
                     trajectory.seq = identity.first_seq + identity.seq_step * self.counters.n_segments;
                     self.counters.n_segments += 1;
                     if needs_bootstrap(result.status) {
-                        self.batch.push(env.scene(), env.blueprint());
-                        unvalued.push(finished.len());
+                        unvalued.push((finished.len(), row));
                     }
                     finished.push(*trajectory);
                 }
@@ -263,21 +267,23 @@ impl<'c, E: Env> Rollout<'c, E> {
                 }
             }
             match result.status {
-                Status::Running => continue,
                 Status::Success => {
                     self.counters.n_episodes += 1;
                     self.counters.n_successes += 1;
                 }
                 Status::TimeLimit => self.counters.n_episodes += 1,
-                Status::Diverged => {}
+                Status::Running | Status::Diverged => {}
             }
-            slot.begin(&self.tasks, &self.setup, self.version, &mut self.counters)?;
         }
+        let last: Vec<Observation<'_>> = unvalued.iter().map(|&(_, row)| self.envs.env(row).observation()).collect();
         // The worlds have moved, so weights that have no value for a last scene must not stop the step. The learner refuses a
         // segment without one, which the actor then counts.
-        let values = self.policy.values(&self.batch).unwrap_or_else(|_| vec![f32::NAN; unvalued.len()]);
-        for (segment_idx, value) in unvalued.into_iter().zip(values) {
+        let values = self.policy.values(&last).unwrap_or_else(|_| vec![f32::NAN; last.len()]);
+        for ((segment_idx, _), value) in unvalued.into_iter().zip(values) {
             finished[segment_idx].bootstrap_value = value;
+        }
+        for row in ended {
+            self.slots[row] = self.begin(row, self.slots[row].task_rng.clone())?;
         }
         Ok(finished)
     }
@@ -315,50 +321,9 @@ fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
     }
 }
 
-/// The DAgger part of an episode that has begun; without DAgger nothing is drawn.
-fn begin_dagger<E: Env>(
-    setup: &RolloutSetup<'_>,
-    env: &E,
-    version: WeightsVersion,
-    rng: &mut ChaCha8Rng,
-) -> Option<DaggerEpisode> {
-    setup.dagger.as_ref().map(|mixture| mixture.begin(env.blueprint(), version, rng))
-}
-
 /// Who acts in an episode.
 fn driver(dagger: Option<&DaggerEpisode>) -> Driver {
     dagger.map_or(Driver::Sample, DaggerEpisode::driver)
-}
-
-/// An independent generator for each `stream_idx` of a seed.
-fn stream(seed: u64, stream_idx: u64) -> ChaCha8Rng {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(stream_idx);
-    rng
-}
-
-/// Draws tasks until the world can start one; a start without room for its blocks is possible though rare.
-fn start_episode<E: Env>(
-    env: &mut E,
-    tasks: &TaskSampler,
-    catalog: &Catalog,
-    rng: &mut ChaCha8Rng,
-    counters: &mut RolloutCounters,
-) -> Result<Task, RolloutError> {
-    let mut n_tried = 0;
-    loop {
-        let task = tasks.sample(catalog, rng);
-        match env.reset(&task, catalog) {
-            Ok(()) => return Ok(task),
-            Err(source) => {
-                n_tried += 1;
-                counters.n_failed_resets += 1;
-                if n_tried == MAX_RESETS {
-                    return Err(RolloutError::Reset { blueprint: task.blueprint, source });
-                }
-            }
-        }
-    }
 }
 
 #[cfg(test)]

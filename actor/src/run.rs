@@ -9,17 +9,16 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use bus::{Bus, BusError, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
-use environment::EnvironmentConfig;
-use policy::{PolicyConfig, PolicyError};
+use policy::PolicyError;
 use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
 use proto::{ActorId, Refusal, Role, Trajectory, Weights, WeightsVersion, keys};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::backlog::Backlog;
-use crate::config::ActorConfig;
 use crate::rollout::{RolloutCounters, RolloutSetup};
 use crate::segment::Identity;
+use crate::setup::ActorSetup;
 use stepping::step_worlds;
 
 /// Attempts to send a segment that nobody answers.
@@ -34,7 +33,7 @@ const RETRY_PAUSE: Duration = Duration::from_millis(50);
 
 /// What an actor did in its life.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ActorReport {
+pub struct Summary {
     /// Of all threads.
     pub counters: RolloutCounters,
     /// Segments that the learner took.
@@ -45,36 +44,29 @@ pub struct ActorReport {
 
 /// Rolls out from the first weights until `shutdown`, then sends what is left as long as the configuration allows.
 ///
-/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. `run_seed`, the name, the time of the
-/// start and the version of the first weights determine tasks and actions. Weights that cannot be acted by are counted, and
+/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. The seed of the run, the name, the
+/// time of the start and the version of the first weights determine tasks and actions. Weights that cannot be acted by are counted, and
 /// those before them stay in force.
 ///
 /// # Errors
 /// When a configuration is invalid, the session fails at the start, the weights are of another network, no task can
-/// be started, or another live actor has the name `id` and keeps it.
-pub async fn run(
-    config: ActorConfig,
-    policy: PolicyConfig,
-    environment: EnvironmentConfig,
-    id: ActorId,
-    run_seed: u64,
-    bus: &Bus,
-    shutdown: CancellationToken,
-) -> anyhow::Result<ActorReport> {
+/// be started, or another live actor has the same name and keeps it.
+pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Summary> {
+    let ActorSetup { config, id, .. } = &setup;
     config.validate().context("invalid actor configuration")?;
     let _alive = tokio::select! {
-        () = shutdown.cancelled() => return Ok(ActorReport::default()),
+        () = shutdown.cancelled() => return Ok(Summary::default()),
         alive = bus.declare_alive_alone(Role::Actor, id.as_str(), NAME_PATIENCE) => alive?,
     };
     let epoch = process_epoch_ms();
-    tracing::info!(actor = %id, epoch, seed = run_seed, "actor starts");
+    tracing::info!(actor = %id, epoch, seed = setup.seed, "actor starts");
     let subscriber = bus.weights_subscriber().await?;
-    let sender = bus.trajectory_sender(&id).await?;
-    let metrics = bus.metrics_publisher(&keys::metrics_actor(&id)).await?;
+    let sender = bus.trajectory_sender(id).await?;
+    let metrics = bus.metrics_publisher(&keys::metrics_actor(id)).await?;
     let mut weights = subscriber.watch();
     let waiting = bus.pulse().waiting();
     tokio::select! {
-        () = shutdown.cancelled() => return Ok(ActorReport::default()),
+        () = shutdown.cancelled() => return Ok(Summary::default()),
         first = weights.wait_for(Option::is_some) => { first.context("the bus closed before the first weights")?; }
     }
     drop(waiting);
@@ -115,10 +107,10 @@ pub async fn run(
         let identity =
             Identity { actor: id.clone(), epoch, first_seq: thread_idx as u64, seq_step: config.n_threads as u64 };
         // The seed waits for the version of the first weights.
-        let setup = RolloutSetup::new(&config, &policy, &environment, identity, run_seed);
-        let (environment, weights, shared) = (environment.clone(), weights.clone(), shared.clone());
+        let rollout = RolloutSetup::new(&setup, identity);
+        let (environment, weights, shared) = (setup.environment.clone(), weights.clone(), shared.clone());
         let n_worlds = config.n_worlds;
-        threads.spawn_blocking(move || step_worlds(setup, &environment, n_worlds, weights, &shared, thread_idx));
+        threads.spawn_blocking(move || step_worlds(rollout, &environment, n_worlds, weights, &shared, thread_idx));
     }
 
     shared.stop_with_first(&mut threads).await?;
@@ -245,12 +237,12 @@ impl Shared {
         }
     }
 
-    fn report(&self) -> ActorReport {
+    fn report(&self) -> Summary {
         let mut counters = RolloutCounters::default();
         self.progress().iter().for_each(|progress| counters += progress.counters);
         let mut dropped = *self.drops();
         dropped.diverged_total = counters.n_diverged_episodes;
-        ActorReport { counters, n_trajectories_acked: self.n_acked.load(Ordering::Relaxed), dropped }
+        Summary { counters, n_trajectories_acked: self.n_acked.load(Ordering::Relaxed), dropped }
     }
 }
 

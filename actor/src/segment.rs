@@ -72,14 +72,9 @@ impl SegmentBuilder {
         &self.task
     }
 
-    /// Begins the next episode.
-    pub fn begin(&mut self, task: Task, driver: Driver) {
-        *self = Self::new(self.segment_len, task, driver);
-    }
-
     /// Counts a step at the start of an episode that is not learned from.
     pub fn skip(&mut self, reward: &RewardTerms) {
-        add(&mut self.episode_return, reward);
+        self.episode_return = self.episode_return + *reward;
         self.first_step = self.first_step.saturating_add(1);
     }
 
@@ -94,7 +89,7 @@ impl SegmentBuilder {
         status: Status,
         identity: &Identity,
     ) -> Cut {
-        add(&mut self.episode_return, &transition.reward);
+        self.episode_return = self.episode_return + transition.reward;
         self.transitions.push(transition);
         let oldest = self.oldest_version.map_or(version, |oldest| oldest.min(version));
         self.oldest_version = Some(oldest);
@@ -131,14 +126,6 @@ impl SegmentBuilder {
     }
 }
 
-fn add(sum: &mut RewardTerms, terms: &RewardTerms) {
-    sum.connected += terms.connected;
-    sum.wrong += terms.wrong;
-    sum.magnets += terms.magnets;
-    sum.blocks += terms.blocks;
-    sum.force += terms.force;
-}
-
 #[cfg(test)]
 mod tests {
     use proto::Action;
@@ -164,7 +151,7 @@ mod tests {
             let version = WeightsVersion(version);
             let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
             if status != Status::Running {
-                builder.begin(toy::task(), Driver::Sample);
+                builder = SegmentBuilder::new(3, toy::task(), Driver::Sample);
             }
             cut
         };

@@ -1,9 +1,9 @@
 //! Random streams: no two processes of a run, and no two lives of one, draw the same tasks and actions.
 
 use blueprints::hash::fnv1a;
+use environment::vec_env::generator;
 use proto::{ActorId, WeightsVersion};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use rand::RngExt;
 
 /// What sets an actor's life apart from all others of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,9 +28,7 @@ impl Life {
 
     /// The seed of one of its threads.
     pub fn thread_seed(&self, thread_idx: usize) -> u64 {
-        let mut rng = ChaCha8Rng::seed_from_u64(self.seed());
-        rng.set_stream(thread_idx as u64);
-        rng.random()
+        generator(self.seed(), thread_idx as u64).random()
     }
 }
 
@@ -51,7 +49,7 @@ mod tests {
     /// The first tasks of a thread.
     fn tasks(life: &Life, thread_idx: usize) -> Vec<Task> {
         let sampler = TaskSampler::new(&TaskConfig::default(), Catalog::builtin()).unwrap();
-        let mut rng = ChaCha8Rng::seed_from_u64(life.thread_seed(thread_idx));
+        let mut rng = generator(life.thread_seed(thread_idx), 0);
         (0..20).map(|_| sampler.sample(Catalog::builtin(), &mut rng)).collect()
     }
 

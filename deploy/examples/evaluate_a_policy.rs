@@ -28,7 +28,6 @@ fn main() -> anyhow::Result<()> {
 
     let setup = EvalSetup {
         catalog,
-        policy: model.policy,
         environment: config.environment,
         episodes: EpisodeConfig { n_episodes: 5, ..config.evaluator.episodes },
         reset_free: None,
@@ -36,7 +35,7 @@ fn main() -> anyhow::Result<()> {
         seed: 1,
     };
     // The closure is asked now and then; when it returns false, the evaluation stops.
-    let report = evaluate(&setup, &model.weights, &goals, &|| true)?;
+    let report = evaluate(&setup, &model.policy, &model.weights, &goals, &|| true)?;
     println!("{}", render(&report, Detail::Blueprints));
     Ok(())
 }

@@ -104,10 +104,9 @@ pub fn check_episode<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, config
 /// When it does not.
 pub fn check_time_limit<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, episode_steps: u16) {
     env.reset(task, catalog).expect("the task is valid");
-    let idle = Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] };
     for step in 1..=episode_steps {
         let wanted = if step == episode_steps { Status::TimeLimit } else { Status::Running };
-        assert_eq!(env.step(&idle).status, wanted, "step {step}");
+        assert_eq!(env.step(&Action::IDLE).status, wanted, "step {step}");
     }
 }
 

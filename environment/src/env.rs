@@ -1,7 +1,7 @@
 //! What the rest of the system needs of a world.
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog};
-use proto::{Action, RewardTerms, Scene, Status, Task};
+use proto::{Action, Observation, RewardTerms, Scene, Status, Task};
 
 /// What came of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +44,16 @@ pub enum ResetError {
     NoRoom(BlockIdx),
 }
 
+/// An episode that could not be started by any of the tasks that were tried.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("an episode of blueprint {blueprint} cannot be started")]
+pub struct StartError {
+    /// Goal of the last task.
+    pub blueprint: BlueprintId,
+    /// Why that failed.
+    pub source: ResetError,
+}
+
 /// A world of 16 blocks in which episodes take place.
 ///
 /// Deterministic: the same tasks and actions give the same scenes, bit for bit, on one machine.
@@ -65,4 +75,9 @@ pub trait Env {
 
     /// The goal, on the blocks that the task's assignment gives it.
     fn blueprint(&self) -> &Blueprint;
+
+    /// What an agent sees.
+    fn observation(&self) -> Observation<'_> {
+        Observation { scene: self.scene(), blueprint: self.blueprint() }
+    }
 }

@@ -6,6 +6,7 @@
 //! In order: wrong connections are taken apart; the piece to build on is set down where there is room; then each gripper
 //! fetches a block and brings it in along a free way, while the structure stands on the ground by itself.
 
+mod agent;
 mod jobs;
 mod motion;
 mod site;
@@ -13,13 +14,15 @@ mod takedown;
 mod view;
 
 use blueprints::assembly::Parts;
-use blueprints::{Assembly, BlockIdx, Blueprint, N_BLOCKS, NoAssembly, UNIT_M};
+use blueprints::{Assembly, BlockIdx, Blueprint, NoAssembly, UNIT_M};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use proto::{Action, N_GRIPPERS, Scene};
+use proto::{Action, Scene};
 
 use crate::config::EnvironmentConfig;
 use motion::{Limits, Load, Twist};
 use view::View;
+
+pub use agent::ExpertAgent;
 
 /// A tilt up to this is as good as upright, rad.
 const MAX_TILT_RAD: f32 = 0.15;
@@ -53,15 +56,6 @@ pub enum Activity {
     Adding,
 }
 
-/// An action and the reason for it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Decision {
-    /// What to do.
-    pub action: Action,
-    /// What for.
-    pub activity: Activity,
-}
-
 /// What one gripper should do for a step.
 #[derive(Clone, Copy, Debug)]
 struct Command {
@@ -93,14 +87,14 @@ impl Expert {
 
     /// What to do in `scene`.
     pub fn act(&mut self, scene: &Scene) -> Action {
-        self.decide(scene).action
+        self.decide(scene).0
     }
 
-    /// What to do in `scene`, and why.
-    pub fn decide(&mut self, scene: &Scene) -> Decision {
+    /// What to do in `scene`, and what for.
+    pub fn decide(&mut self, scene: &Scene) -> (Action, Activity) {
         let view = View::new(scene, &self.blueprint, self.assembly.blocks());
         let (activity, commands) = self.commands(&view);
-        Decision { action: self.action(&view, &commands), activity }
+        (self.action(&view, &commands), activity)
     }
 
     fn commands(&mut self, view: &View) -> (Activity, Vec<Command>) {
@@ -234,7 +228,7 @@ impl Expert {
 
     /// Shares the commands out: whoever holds a block keeps it; a gripper with nothing to do joins the first.
     fn action(&self, view: &View, commands: &[Command]) -> Action {
-        let mut action = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
+        let mut action = Action::IDLE;
         let mut open: Vec<&Command> = commands.iter().take(self.n_grippers).collect();
         for gripper in 0..self.n_grippers {
             if let Some(i) = open.iter().position(|c| view.held[gripper] == Some(c.block)) {

@@ -1,8 +1,8 @@
 //! The physical world of magnet blocks: initial states, steps, rewards and success.
 //!
 //! Reading order: [`mod@env`] (what a world offers) → [`world`] → `reset`, `grippers`, `magnets`, `connections` (what happens
-//! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`config`] → [`contract`]
-//! (checks for any environment).
+//! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`vec_env`] (many worlds
+//! at a time) → [`expert`] → [`config`] → [`contract`] (checks for any environment).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -12,6 +12,7 @@ pub mod env;
 pub mod expert;
 pub mod reward;
 pub mod success;
+pub mod vec_env;
 pub mod world;
 
 mod connections;
@@ -24,8 +25,9 @@ mod physics_tests;
 mod reset;
 
 pub use config::EnvironmentConfig;
-pub use env::{Env, ResetError, StepResult};
-pub use expert::{Activity, Decision, Expert};
+pub use env::{Env, ResetError, StartError, StepResult};
+pub use expert::{Activity, Expert, ExpertAgent};
 pub use reset::sample_assignment;
 pub use success::StableSuccess;
+pub use vec_env::{Step, VecEnv};
 pub use world::World;

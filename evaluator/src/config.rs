@@ -9,13 +9,13 @@ use proto::{ActionMode, InvalidSetting};
 
 pub use films::FilmsConfig;
 
-/// When, on what and how weights are judged.
+/// When, on what and how weights are evaluated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EvaluatorConfig {
-    /// How far apart passes are. Default: 10 minutes (paper, "Performance Evaluation").
+    /// How far apart evaluations are. Default: 10 minutes (paper, "Performance Evaluation").
     pub every: Every,
-    /// Whether `train` judges the last weights before it ends, whatever [`Self::every`] says. Default false.
+    /// Whether `train` evaluates the last weights before it ends, whatever [`Self::every`] says. Default false.
     pub evaluate_last: bool,
     /// Which blueprints.
     pub selection: Selection,
@@ -30,7 +30,7 @@ pub struct EvaluatorConfig {
     pub films: FilmsConfig,
 }
 
-/// The distance between the starts of two passes; a pass that takes longer is followed by the next at once.
+/// The distance between the starts of two evaluations; an evaluation that takes longer is followed by the next at once.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Every {
@@ -54,7 +54,7 @@ pub struct Selection {
     pub blueprints: Vec<BlueprintId>,
 }
 
-/// How the episodes of a pass begin.
+/// How the episodes of an evaluation begin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Starts {
@@ -69,7 +69,7 @@ pub enum Starts {
     NearGoal,
 }
 
-/// How the episodes of a pass are run.
+/// How the episodes of an evaluation are run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EpisodeConfig {
@@ -79,7 +79,7 @@ pub struct EpisodeConfig {
     pub starts: Starts,
     /// Ways of acting, none twice, at least one. Default: both.
     pub acting: Vec<ActionMode>,
-    /// Threads, 1 to 64. Default 1, so that training loses at most one core while a pass runs.
+    /// Threads, 1 to 64. Default 1, so that training loses at most one core while an evaluation runs.
     pub n_threads: usize,
     /// Worlds of a thread; each step is one forward pass over them. 1 to 1024. Default 20.
     pub n_worlds: usize,
@@ -106,7 +106,7 @@ pub enum EvaluatorConfigError {
     /// A blueprint that the catalog does not have.
     #[error("the catalog has no blueprint {0}")]
     UnknownBlueprint(BlueprintId),
-    /// No blueprint is left to judge.
+    /// No blueprint is left to evaluate.
     #[error("the selection of splits, sizes and blueprints leaves nothing to evaluate")]
     NothingSelected,
 }

@@ -1,4 +1,4 @@
-//! Gives the sequences of a pass to remote workers: a task for each, which lives as long as that worker.
+//! Gives the sequences of an evaluation to remote workers: a task for each, which lives as long as that worker.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use anyhow::Context;
 use bus::{AliveWatch, Bus, CallError, WorkerCaller, process_epoch_ms};
-use proto::Role;
 use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
+use proto::{ActionMode, Role, Weights};
 use tokio::sync::watch;
 use tokio_util::task::AbortOnDropHandle;
 
-use crate::sequences::EpisodeResult;
+use crate::report::EpisodeResult;
+use crate::sequences::EpisodeSpec;
 use crate::work_queue::{Lease, WorkQueue, WorkerGuard};
-use proto::ActionMode;
 
 /// Most remote workers that are made use of.
 const MAX_WORKERS: usize = 256;
@@ -21,11 +21,12 @@ const MAX_WORKERS: usize = 256;
 /// Pause after a remote worker gave no answer.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// The work queue of the pass under way.
+/// The evaluation under way.
 #[derive(Clone, Debug)]
 struct Open {
     pass: PassId,
     queue: Arc<WorkQueue>,
+    weights: Arc<Weights>,
 }
 
 /// Keeps remote workers busy.
@@ -39,9 +40,9 @@ pub(crate) struct Dispatcher {
 impl Dispatcher {
     /// Looks for remote workers from now on; `setup_hash` must be theirs.
     pub(crate) async fn start(bus: &Bus, setup_hash: u64) -> anyhow::Result<Self> {
-        let (open, passes) = watch::channel(None);
+        let (open, evaluations) = watch::channel(None);
         let workers = bus.alive(Role::Worker).await.context("looking for remote workers")?;
-        let manager = Manager { bus: bus.clone(), setup_hash, passes };
+        let manager = Manager { bus: bus.clone(), setup_hash, evaluations };
         Ok(Self {
             open,
             pass: PassId { epoch: process_epoch_ms(), number: 0 },
@@ -49,9 +50,9 @@ impl Dispatcher {
         })
     }
 
-    /// Lets remote workers take from this queue.
-    pub(crate) fn open(&mut self, queue: Arc<WorkQueue>) {
-        self.open.send_replace(Some(Open { pass: self.pass, queue }));
+    /// Lets remote workers take from this queue what is to be acted by `weights`.
+    pub(crate) fn open(&mut self, queue: Arc<WorkQueue>, weights: Arc<Weights>) {
+        self.open.send_replace(Some(Open { pass: self.pass, queue, weights }));
         self.pass.number += 1;
     }
 
@@ -64,7 +65,7 @@ impl Dispatcher {
 struct Manager {
     bus: Bus,
     setup_hash: u64,
-    passes: watch::Receiver<Option<Open>>,
+    evaluations: watch::Receiver<Option<Open>>,
 }
 
 impl Manager {
@@ -79,12 +80,12 @@ impl Manager {
                 if workers.len() >= MAX_WORKERS || workers.contains_key(&name) {
                     continue;
                 }
-                let (bus, hash, passes) = (self.bus.clone(), self.setup_hash, self.passes.clone());
+                let (bus, hash, evaluations) = (self.bus.clone(), self.setup_hash, self.evaluations.clone());
                 let worker = tokio::spawn({
                     let name = name.clone();
                     async move {
                         match bus.worker_caller(&name).await {
-                            Ok(caller) => Clerk { name, hash, caller, passes }.run().await,
+                            Ok(caller) => WorkerClient { name, hash, caller, evaluations }.run().await,
                             Err(error) => tracing::warn!(worker = name, %error, "a remote worker cannot be reached"),
                         }
                     }
@@ -99,24 +100,24 @@ impl Manager {
 }
 
 /// Works with one remote worker.
-struct Clerk {
+struct WorkerClient {
     name: String,
     hash: u64,
     caller: WorkerCaller,
-    passes: watch::Receiver<Option<Open>>,
+    evaluations: watch::Receiver<Option<Open>>,
 }
 
-impl Clerk {
+impl WorkerClient {
     /// Until the evaluator ends or the remote worker refuses.
     async fn run(mut self) {
         loop {
-            let Ok(open) = self.passes.wait_for(Option::is_some).await.map(|open| open.clone()) else { return };
+            let Ok(open) = self.evaluations.wait_for(Option::is_some).await.map(|open| open.clone()) else { return };
             let Some(open) = open else { continue };
-            let mut passes = self.passes.clone();
-            passes.mark_unchanged();
+            let mut opened = self.evaluations.clone();
+            opened.mark_unchanged();
             tokio::select! {
-                // Lanes that were leased go back to the work queue with the future that holds them.
-                changed = passes.changed() => if changed.is_err() { return },
+                // Sequences that were leased go back to the work queue with the future that holds them.
+                changed = opened.changed() => if changed.is_err() { return },
                 refusal = self.serve(&open) => {
                     tracing::warn!(worker = self.name, refusal, "a remote worker is of no use");
                     return;
@@ -125,14 +126,14 @@ impl Clerk {
         }
     }
 
-    /// Serves one pass; returns why the remote worker will not work.
+    /// Serves one evaluation; returns why the remote worker will not work.
     async fn serve(&self, open: &Open) -> String {
-        let assisting = WorkerGuard::new(open.queue.clone());
+        let guard = WorkerGuard::new(open.queue.clone());
         let mut posted = open.queue.watch();
         loop {
             posted.mark_unchanged();
-            let Some(lease) = assisting.take() else {
-                // Lanes that come back at the end of a round are for the evaluator's own threads.
+            let Some(lease) = guard.take() else {
+                // Sequences that come back at the end of a round are for the evaluator's own threads.
                 if posted.changed().await.is_err() {
                     std::future::pending::<()>().await;
                 }
@@ -166,7 +167,7 @@ impl Clerk {
         if answer != EvalAnswer::NeedsWeights {
             return Ok(answer);
         }
-        unit.weights = Some(open.queue.weights().as_ref().clone());
+        unit.weights = Some(open.weights.as_ref().clone());
         self.caller.run(&unit).await
     }
 }
@@ -178,7 +179,7 @@ fn fit(lease: &Lease, sequences: &[Vec<EvalEpisode>]) -> Option<Vec<Vec<EpisodeR
     {
         return None;
     }
-    let results = |(spec, episode): (&crate::sequences::EpisodeSpec, &EvalEpisode)| {
+    let results = |(spec, episode): (&EpisodeSpec, &EvalEpisode)| {
         let EvalEpisode { end, n_steps, episode_return, forced_reset } = *episode;
         spec.result(lease.acting, end, n_steps.into(), episode_return, forced_reset)
     };

@@ -2,7 +2,8 @@
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (worlds side by side) → `work_queue` (who runs which) →
 //! [`episodes`] and [`reset_free`] (what is run) → [`table`] (what is printed) → [`run()`] (the service on the bus), which
-//! shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes video clips in every pass.
+//! shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes video clips in every
+//! evaluation, and [`expert`] evaluates the scripted expert in the same way.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -32,7 +33,7 @@ pub use config::{
 };
 pub use environment::EnvironmentConfig;
 pub use episodes::evaluate;
-pub use expert::{Cause, ExpertFailure, ExpertReport, ExpertSetup, evaluate_expert};
+pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert};
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};

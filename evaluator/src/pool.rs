@@ -1,30 +1,33 @@
-//! Threads that run episodes of a frozen policy side by side.
+//! Threads that run episodes side by side.
 
 use std::time::Duration;
 
 use environment::World;
-use policy::Policy;
-use proto::ActionMode;
+use proto::{ActionMode, Agent};
 
-use crate::films::EpisodeSelector;
-use crate::sequences::{EpisodeResult, EpisodeSpec, Rules, run_sequences};
+use crate::report::EpisodeResult;
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Rules, run_sequences};
 use crate::setup::{EvalError, EvalSetup};
 use crate::work_queue::WorkQueue;
 
 /// How long threads without work wait before they ask whether to go on.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Runs sequences with frozen weights, by threads of this process and whoever else takes some from the work queue. Only episodes of
-/// this process become films.
-#[derive(Clone, Copy)]
-pub(crate) struct EvaluationPool<'a> {
+/// Runs sequences by threads of this process and whoever else takes some from the work queue. The observer follows only
+/// episodes of this process.
+pub(crate) struct EvaluationPool<'a, A, O> {
     pub(crate) setup: &'a EvalSetup<'a>,
+    /// Makes the agent of a thread.
+    pub(crate) agent: &'a (dyn Fn() -> Result<A, EvalError> + Sync),
     pub(crate) queue: &'a WorkQueue,
-    pub(crate) films: Option<&'a EpisodeSelector>,
+    pub(crate) observer: Option<&'a O>,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
 }
 
-impl EvaluationPool<'_> {
+impl<A: Agent, O: EpisodeObserver<A>> EvaluationPool<'_, A, O>
+where
+    EvalError: From<A::Error>,
+{
     /// Runs the sequences; the results have their shape.
     pub(crate) fn run(
         &self,
@@ -46,21 +49,25 @@ impl EvaluationPool<'_> {
         ended.map(|()| results)
     }
 
-    /// Takes sequences from the work queue until all are done.
+    /// Takes sequences from the work queue until all are done. A failure empties it, or the others would wait for what this
+    /// thread has taken.
     fn work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
-        let mut policy = Policy::new(&self.setup.policy)?;
-        policy.load(self.queue.weights())?;
+        self.try_to_work(acting, n_worlds).inspect_err(|_| drop(self.queue.clear()))
+    }
+
+    fn try_to_work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
+        let mut agent = (self.agent)()?;
         let rules = Rules {
             catalog: self.setup.catalog,
             acting,
             success: &self.setup.environment.success,
             keep_going: self.keep_going,
-            films: self.films,
+            observer: self.observer,
         };
         loop {
             let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
             let bring = |sequence_idx, results| self.queue.bring(sequence_idx, results);
-            run_sequences(&rules, &policy, worlds?, || self.queue.take(), bring)?;
+            run_sequences(&rules, &mut agent, worlds?, || self.queue.take(), bring)?;
             if self.queue.is_done() {
                 return Ok(());
             }

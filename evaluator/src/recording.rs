@@ -1,10 +1,9 @@
 //! An episode written down step by step, so that it can be shown.
 
-use proto::{
-    Action, ActorId, Driver, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
-};
+use environment::{Step, StepResult};
+use proto::{ActorId, Decision, Driver, Outcome, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
 
-use crate::report::Episode;
+use crate::report::EpisodeResult;
 use proto::unit::End;
 
 /// The steps of an episode so far.
@@ -14,8 +13,9 @@ pub(crate) struct Recording {
 }
 
 impl Recording {
-    /// Takes a step: the scene before, what was done, what that earned.
-    pub(crate) fn note(&mut self, scene: Scene, action: Action, reward: RewardTerms) {
+    /// Takes a step.
+    pub(crate) fn push(&mut self, step: Step) {
+        let Step { scene, decision: Decision { action, .. }, result: StepResult { reward, .. } } = step;
         self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, value: 0.0, reward, label: None });
     }
 
@@ -28,9 +28,9 @@ impl Recording {
         weights_version: WeightsVersion,
         task: &Task,
         last: &Scene,
-        end: &Episode,
+        result: &EpisodeResult,
     ) -> Option<Trajectory> {
-        let status = match end.end {
+        let status = match result.end {
             End::Success { .. } => Status::Success,
             End::TimeLimit => Status::TimeLimit,
             // A diverged episode has no status of its own on the wire; what was seen of it is cut there.
@@ -38,8 +38,8 @@ impl Recording {
         };
         let outcome = Outcome {
             success: status == Status::Success,
-            n_steps: u16::try_from(end.n_steps).ok()?,
-            episode_return: end.episode_return,
+            n_steps: u16::try_from(result.n_steps).ok()?,
+            episode_return: result.episode_return,
         };
         (!self.transitions.is_empty()).then(|| Trajectory {
             actor,

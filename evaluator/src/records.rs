@@ -17,10 +17,10 @@ impl Records {
         Ok(Self { metrics: MetricsWriter::open(paths, Role::Evaluator)?, history })
     }
 
-    /// Keeps a report, which is `pass` in the history, and gives the files back.
-    pub(crate) fn keep(mut self, report: &EvalReport, pass: &Pass) -> anyhow::Result<Self> {
+    /// Keeps a report, which is `row` in the history, and gives the files back.
+    pub(crate) fn keep(mut self, report: &EvalReport, row: &Pass) -> anyhow::Result<Self> {
         self.metrics.append(&lines(report)?)?;
-        self.history.append(pass)?;
+        self.history.append(row)?;
         self.metrics.scalars(report.summary.n_env_steps, scalars(report))?;
         Ok(self)
     }
@@ -38,12 +38,12 @@ fn lines(report: &EvalReport) -> anyhow::Result<Lines> {
 
 /// What TensorBoard is told: success and steps to success of every group, success of every blueprint, 0 to 1.
 fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
-    let judged = |outcome: &EvalOutcome| outcome.success.n_episodes > 0;
+    let was_evaluated = |outcome: &EvalOutcome| outcome.success.n_episodes > 0;
     let mut scalars = Vec::new();
     for group in [&report.summary.all].into_iter().chain(&report.summary.groups) {
         for (acting, outcome) in [(ActionMode::Greedy, &group.mode), (ActionMode::Sampled, &group.sampled)] {
             let (acting, group) = (acting.name(), group.name.replace(' ', "-"));
-            if judged(outcome) {
+            if was_evaluated(outcome) {
                 scalars.push((format!("success-{acting}/{group}"), outcome.success.rate));
             }
             scalars.extend(outcome.mean_steps_to_success.map(|n| (format!("steps-to-success-{acting}/{group}"), n)));
@@ -51,7 +51,7 @@ fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
     }
     for score in &report.blueprints {
         for (acting, outcome) in [(ActionMode::Greedy, &score.mode), (ActionMode::Sampled, &score.sampled)] {
-            if judged(outcome) {
+            if was_evaluated(outcome) {
                 scalars.push((format!("{}-{}/{}", score.split, acting.name(), score.blueprint), outcome.success.rate));
             }
         }

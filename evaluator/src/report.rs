@@ -2,18 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::{BlueprintId, Split};
-use proto::metrics::BusCounts;
-use proto::metrics::{EvalBlueprint, EvalGroup, EvalOutcome, EvalReport, EvalSummary, METRICS_SCHEMA_VERSION};
+use blueprints::{BlueprintId, Group, Split};
+use proto::metrics::{
+    BusCounts, EvalBlueprint, EvalGroup, EvalOutcome, EvalReport, EvalSummary, METRICS_SCHEMA_VERSION,
+};
 pub use proto::unit::End;
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, RewardTerms, WeightsVersion};
 
-use blueprints::Group;
-
-/// One finished episode.
+/// What came of an episode.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Episode {
+pub struct EpisodeResult {
     /// The goal.
     pub blueprint: BlueprintId,
     /// The goal's split.
@@ -28,27 +27,15 @@ pub struct Episode {
     pub n_steps: u32,
     /// Undiscounted return by term.
     pub episode_return: RewardTerms,
+    /// It should have begun in the world as it was, but that had diverged.
+    pub forced_reset: bool,
 }
 
-/// The weights that a report is about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Judged {
-    /// Which weights.
-    pub weights_version: WeightsVersion,
-    /// Environment steps that they had learned from.
-    pub n_env_steps: u64,
-    /// Seed of the start states.
-    pub seed: u64,
-    /// Episodes of the whole pass with each way of acting.
-    pub n_planned: u64,
-    /// Whether these are all episodes of the pass.
-    pub is_complete: bool,
-}
-
-/// Sorts episodes into blueprints and groups; the duration, the share of remote workers and the counts of the bus are left at 0.
-pub fn summarize(judged: Judged, episodes: &[Episode]) -> EvalReport {
-    let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&Episode>> = BTreeMap::new();
-    let mut by_group: BTreeMap<Group, Vec<&Episode>> = BTreeMap::new();
+/// Sorts the episodes of weights that had learned from `n_env_steps` into blueprints and groups. The report is complete, and
+/// what the episodes do not tell is left at 0: the seed, the plan, the duration, the share of remote workers and all counts.
+pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[EpisodeResult]) -> EvalReport {
+    let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&EpisodeResult>> = BTreeMap::new();
+    let mut by_group: BTreeMap<Group, Vec<&EpisodeResult>> = BTreeMap::new();
     for episode in episodes {
         let key = (episode.split, episode.n_blocks, &episode.blueprint);
         by_blueprint.entry(key).or_default().push(episode);
@@ -56,25 +43,26 @@ pub fn summarize(judged: Judged, episodes: &[Episode]) -> EvalReport {
             by_group.entry(group).or_default().push(episode);
         }
     }
-    let blueprint = |((split, n_blocks, id), episodes): ((Split, usize, &BlueprintId), Vec<&Episode>)| EvalBlueprint {
-        schema_version: METRICS_SCHEMA_VERSION,
-        weights_version: judged.weights_version,
-        n_env_steps: judged.n_env_steps,
-        blueprint: id.clone(),
-        split,
-        n_blocks: n_blocks as u64,
-        sampled: outcome(&episodes, ActionMode::Sampled),
-        mode: outcome(&episodes, ActionMode::Greedy),
-    };
+    let blueprint =
+        |((split, n_blocks, id), episodes): ((Split, usize, &BlueprintId), Vec<&EpisodeResult>)| EvalBlueprint {
+            schema_version: METRICS_SCHEMA_VERSION,
+            weights_version,
+            n_env_steps,
+            blueprint: id.clone(),
+            split,
+            n_blocks: n_blocks as u64,
+            sampled: outcome(&episodes, ActionMode::Sampled),
+            mode: outcome(&episodes, ActionMode::Greedy),
+        };
     let summary = EvalSummary {
         schema_version: METRICS_SCHEMA_VERSION,
-        weights_version: judged.weights_version,
-        n_env_steps: judged.n_env_steps,
+        weights_version,
+        n_env_steps,
         elapsed_s: 0.0,
-        is_complete: judged.is_complete,
-        n_planned: judged.n_planned,
+        is_complete: true,
+        n_planned: 0,
         n_assisted: 0,
-        seed: judged.seed,
+        seed: 0,
         all: score_group("all", &episodes.iter().collect::<Vec<_>>()),
         groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),
         reset_free: None,
@@ -85,7 +73,7 @@ pub fn summarize(judged: Judged, episodes: &[Episode]) -> EvalReport {
 }
 
 /// Success, steps and return of those episodes in which actions were taken so.
-pub fn outcome(episodes: &[&Episode], acting: ActionMode) -> EvalOutcome {
+pub fn outcome(episodes: &[&EpisodeResult], acting: ActionMode) -> EvalOutcome {
     let (mut n_episodes, mut n_successes, mut n_stable, mut n_diverged) = (0_u64, 0_u64, 0_u64, 0_u64);
     let (mut n_steps, mut n_steps_to_success) = (0_u64, 0_u64);
     let mut sum = [0.0_f64; 5];
@@ -116,7 +104,7 @@ pub fn outcome(episodes: &[&Episode], acting: ActionMode) -> EvalOutcome {
     }
 }
 
-fn score_group(name: &str, episodes: &[&Episode]) -> EvalGroup {
+fn score_group(name: &str, episodes: &[&EpisodeResult]) -> EvalGroup {
     let mut ids: Vec<&BlueprintId> = episodes.iter().map(|episode| &episode.blueprint).collect();
     ids.sort();
     ids.dedup();
@@ -132,10 +120,10 @@ fn score_group(name: &str, episodes: &[&Episode]) -> EvalGroup {
 mod tests {
     use super::*;
 
-    fn episode(id: &str, split: Split, n_blocks: usize, acting: ActionMode, end: End, n_steps: u32) -> Episode {
+    fn episode(id: &str, split: Split, n_blocks: usize, acting: ActionMode, end: End, n_steps: u32) -> EpisodeResult {
         let episode_return = RewardTerms { connected: 1.0, wrong: -0.5, ..RewardTerms::default() };
         let blueprint = BlueprintId::try_from(id.to_owned()).unwrap();
-        Episode { blueprint, split, n_blocks, acting, end, n_steps, episode_return }
+        EpisodeResult { blueprint, split, n_blocks, acting, end, n_steps, episode_return, forced_reset: false }
     }
 
     #[test]
@@ -165,9 +153,7 @@ mod tests {
             episode("2_000", Split::Train, 2, ActionMode::Greedy, End::TimeLimit, 100),
             episode("2_000", Split::Train, 2, ActionMode::Sampled, success, 9),
         ];
-        let judged =
-            Judged { weights_version: WeightsVersion(7), n_env_steps: 11, seed: 3, n_planned: 4, is_complete: true };
-        let report = summarize(judged, &episodes);
+        let report = summarize(WeightsVersion(7), 11, &episodes);
         let ids: Vec<&str> = report.blueprints.iter().map(|score| score.blueprint.as_str()).collect();
         assert_eq!(ids, ["2_000", "3_000", "10_000"]);
         let groups: Vec<_> =

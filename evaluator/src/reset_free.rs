@@ -1,65 +1,53 @@
 //! Goals one after the other in a world that is never reset (paper, section "Reset-Free Evaluation").
 
 use blueprints::{Blueprint, Catalog, Split};
-use proto::Start;
 use proto::metrics::{EvalResetFree, EvalRuns};
+use proto::unit::End;
+use proto::{ActionMode, Agent, Start};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::ResetFreeConfig;
 use crate::pool::EvaluationPool;
-use crate::report::{Episode, outcome};
-use crate::sequences::{EpisodeResult, EpisodeSpec};
+use crate::report::{EpisodeResult, outcome};
+use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use crate::setup::EvalError;
-use proto::ActionMode;
-use proto::unit::End;
 
-/// Judges the weights of a pool on runs over several goals: a run begins scattered, and each goal begins where the
+/// Evaluates the agent of a pool on runs over several goals: a run begins scattered, and each goal begins where the
 /// last one ended, by success or at the time limit. Goals are training blueprints of some size, never the same twice in a
-/// row.
+/// row. Nobody follows the episodes.
 ///
 /// A world that diverged is reset and the reset is counted. Runs depend on the setup's seed only.
 ///
 /// # Errors
-/// When the weights do not fit, no blueprint is large enough, or the pool is not to go on.
-pub(crate) fn evaluate(pool: &EvaluationPool<'_>, config: &ResetFreeConfig) -> Result<EvalResetFree, EvalError> {
+/// When the agent fails, no blueprint is large enough, or the pool is not to go on.
+pub(crate) fn evaluate<A: Agent, O: EpisodeObserver<A>>(
+    pool: &EvaluationPool<'_, A, O>,
+    config: &ResetFreeConfig,
+    modes: &[ActionMode],
+) -> Result<EvalResetFree, EvalError>
+where
+    EvalError: From<A::Error>,
+{
+    let pool = EvaluationPool { observer: None, ..*pool };
     let sequences = sequences(pool.setup.catalog, config, pool.setup.seed)?;
-    let mut score = EvalResetFree::default();
-    for &acting in &pool.setup.episodes.acting {
-        let found = self::score(config, &pool.run(&sequences, acting)?, acting);
-        (score.n_runs, score.n_goals) = (found.n_runs, found.n_goals);
+    let (n_runs, n_goals) = (u64::from(config.n_runs), u64::from(config.n_goals));
+    let mut found = EvalResetFree { n_runs, n_goals, ..EvalResetFree::default() };
+    for &acting in modes {
+        let runs = count(&pool.run(&sequences, acting)?, acting);
         match acting {
-            ActionMode::Greedy => score.mode = found.mode,
-            ActionMode::Sampled => score.sampled = found.sampled,
+            ActionMode::Greedy => found.mode = runs,
+            ActionMode::Sampled => found.sampled = runs,
         }
     }
-    Ok(score)
-}
-
-/// The score of runs with one way of acting.
-pub(crate) fn score(config: &ResetFreeConfig, runs: &[Vec<EpisodeResult>], acting: ActionMode) -> EvalResetFree {
-    let mut score = EvalResetFree {
-        n_runs: u64::from(config.n_runs),
-        n_goals: u64::from(config.n_goals),
-        ..EvalResetFree::default()
-    };
-    let counted = count(runs, acting);
-    match acting {
-        ActionMode::Greedy => score.mode = counted,
-        ActionMode::Sampled => score.sampled = counted,
-    }
-    score
+    Ok(found)
 }
 
 /// The runs: one sequence each.
 ///
 /// # Errors
 /// When no training blueprint is large enough.
-pub(crate) fn sequences(
-    catalog: &Catalog,
-    config: &ResetFreeConfig,
-    seed: u64,
-) -> Result<Vec<Vec<EpisodeSpec>>, EvalError> {
+fn sequences(catalog: &Catalog, config: &ResetFreeConfig, seed: u64) -> Result<Vec<Vec<EpisodeSpec>>, EvalError> {
     let mut goals = catalog.of_split(Split::Train);
     goals.retain(|blueprint| blueprint.n_blocks() >= config.min_blocks);
     if goals.is_empty() {
@@ -94,7 +82,7 @@ fn plan_runs(goals: &[&Blueprint], config: &ResetFreeConfig, seed: u64) -> Vec<V
 }
 
 fn count(runs: &[Vec<EpisodeResult>], acting: ActionMode) -> EvalRuns {
-    let succeeded = |results: &EpisodeResult| matches!(results.episode.end, End::Success { .. });
+    let succeeded = |result: &EpisodeResult| matches!(result.end, End::Success { .. });
     let n_goals = runs.first().map_or(0, Vec::len);
     let n_successes_at = |goal_idx: usize| runs.iter().filter(|run| succeeded(&run[goal_idx])).count() as u64;
     let rates: Vec<f64> =
@@ -102,12 +90,12 @@ fn count(runs: &[Vec<EpisodeResult>], acting: ActionMode) -> EvalRuns {
     let n = rates.len().max(1) as f64;
     let mean = rates.iter().sum::<f64>() / n;
     let variance = rates.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>() / n;
-    let episodes: Vec<&Episode> = runs.iter().flatten().map(|results| &results.episode).collect();
+    let episodes: Vec<&EpisodeResult> = runs.iter().flatten().collect();
     EvalRuns {
         outcome: outcome(&episodes, acting),
         n_successes_by_goal: (0..n_goals).map(n_successes_at).collect(),
         run_rate_std: variance.sqrt(),
-        n_forced_resets: runs.iter().flatten().filter(|results| results.forced_reset).count() as u64,
+        n_forced_resets: episodes.iter().filter(|result| result.forced_reset).count() as u64,
     }
 }
 
@@ -119,7 +107,7 @@ mod tests {
 
     fn result(end: End, forced_reset: bool) -> EpisodeResult {
         let blueprint = Catalog::builtin().of_split(Split::Train)[0];
-        let episode = Episode {
+        EpisodeResult {
             blueprint: blueprint.id().clone(),
             split: Split::Train,
             n_blocks: blueprint.n_blocks(),
@@ -127,8 +115,8 @@ mod tests {
             end,
             n_steps: 10,
             episode_return: RewardTerms::default(),
-        };
-        EpisodeResult { episode, forced_reset }
+            forced_reset,
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! The evaluator as a service: judges weights as they come and tells the bus, a file and the caller.
+//! The evaluator as a service: evaluates weights as they come and tells the bus, a file and the caller.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,7 +7,11 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
+use policy::Policy;
+use proto::metrics::EvalReport;
 use proto::{Role, Weights, WeightsVersion, keys};
+use runlog::overview::Passes;
+use runlog::{History, Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -17,15 +21,10 @@ use crate::films::{EpisodeSelector, VideoRecorder};
 use crate::nice::on_thread;
 use crate::pool::EvaluationPool;
 use crate::records::Records;
-use crate::schedule::{Due, LastPass, due};
-use crate::setup::EvaluatorSetup;
-use crate::setup::setup_hash;
-use crate::setup::{EvalError, EvalSetup};
+use crate::schedule::{Due, LastEvaluation, due};
+use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
 use crate::vetting::vetted;
 use crate::work_queue::WorkQueue;
-use proto::metrics::EvalReport;
-use runlog::overview::Passes;
-use runlog::{History, Pass, RunPaths};
 
 /// How long an evaluator waits for another of its name to go: a process that was killed seems to live for up to 6 s.
 const NAME_PATIENCE: Duration = Duration::from_secs(15);
@@ -39,7 +38,7 @@ pub struct Listeners {
     /// The newest report.
     pub reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     /// Every evaluation: first those that the history has, then each as it ends.
-    pub passes: Option<mpsc::UnboundedSender<Pass>>,
+    pub evaluations: Option<mpsc::UnboundedSender<Pass>>,
     /// The newest weights by which a policy can act.
     pub weights: Option<watch::Sender<Option<Arc<Weights>>>>,
 }
@@ -54,9 +53,9 @@ pub struct Summary {
 /// What ends an evaluator.
 #[derive(Clone, Debug, Default)]
 pub struct Stop {
-    /// A pass under way is given up.
+    /// An evaluation under way is given up.
     pub now: CancellationToken,
-    /// Says which weights are the last, once that is known: these are judged if they are not yet, due or not.
+    /// Says which weights are the last, once that is known: these are evaluated if they are not yet, due or not.
     pub last: Option<watch::Receiver<Option<WeightsVersion>>>,
 }
 
@@ -82,15 +81,16 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
     let subscriber = bus.weights_subscriber().await?;
     let usable = listeners.weights.unwrap_or_else(|| watch::channel(None).0);
     let (weights, _vetting) = vetted(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
-    let mut passes = Passes::default();
-    for pass in history {
-        passes.push(&pass);
-        tell(listeners.passes.as_ref(), pass);
+    let mut evaluations = Passes::default();
+    for evaluation in history {
+        evaluations.push(&evaluation);
+        tell(listeners.evaluations.as_ref(), evaluation);
     }
     let publishers = Publishers::new(bus).await?;
-    publishers.history.set(&passes.overview())?;
-    let outlets = Outlets { records, passes, publishers, reports: listeners.reports, listener: listeners.passes };
-    let ended = judge_all(&setup, bus, weights, &selected, films.as_ref(), outlets, &stop).await;
+    publishers.history.set(&evaluations.overview())?;
+    let outlets =
+        Outlets { records, evaluations, publishers, reports: listeners.reports, listener: listeners.evaluations };
+    let ended = evaluate_all(&setup, bus, weights, &selected, films.as_ref(), outlets, &stop).await;
     if let Some(films) = films {
         // Off the runtime: the film in hand takes a moment.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
@@ -99,13 +99,13 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
 }
 
 /// Whoever listened may have gone.
-fn tell(listener: Option<&mpsc::UnboundedSender<Pass>>, pass: Pass) {
+fn tell(listener: Option<&mpsc::UnboundedSender<Pass>>, evaluation: Pass) {
     if let Some(listener) = listener {
-        let _ = listener.send(pass);
+        let _ = listener.send(evaluation);
     }
 }
 
-/// The passes that are recorded already.
+/// The evaluations that are recorded already.
 async fn past(records: Option<&RunPaths>) -> anyhow::Result<Vec<Pass>> {
     let Some(path) = records.map(RunPaths::history).filter(|path| path.is_file()) else {
         return Ok(Vec::new());
@@ -114,8 +114,8 @@ async fn past(records: Option<&RunPaths>) -> anyhow::Result<Vec<Pass>> {
     Ok(tokio::task::spawn_blocking(move || History::read(&path)).await??)
 }
 
-/// Judges whenever a pass is due, until `stop`.
-async fn judge_all(
+/// Evaluates whenever an evaluation is due, until `stop`.
+async fn evaluate_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
     mut weights: watch::Receiver<Option<Arc<Weights>>>,
@@ -130,23 +130,24 @@ async fn judge_all(
     };
     let mut workers = Dispatcher::start(bus, setup_hash(setup)).await?;
     let mut last: Option<(Instant, Arc<Weights>)> = None;
-    let mut n_passes = 0;
+    let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();
         let newest = tokio::select! {
-            () = stop.now.cancelled() => return Ok(n_passes),
+            () = stop.now.cancelled() => return Ok(n_evaluations),
             newest = next_due(setup, &mut weights, last.as_ref(), stop.last.clone()) => newest?,
         };
         drop(waiting);
-        let Some(newest) = newest else { return Ok(n_passes) };
+        let Some(newest) = newest else { return Ok(n_evaluations) };
         let start = Instant::now();
         last = Some((start, newest.clone()));
         let (parts, mut newest_part) = watch::channel(None);
         let selector = films.and_then(|films| films.selector(&newest, &setup.config.episodes.acting));
-        let queue = Arc::new(WorkQueue::new(newest));
-        workers.open(queue.clone());
-        let pass = judge(setup, selected.to_vec(), queue, selector, parts, (&stop.now, bus.pulse()));
-        tokio::pin!(pass);
+        let queue = Arc::new(WorkQueue::default());
+        workers.open(queue.clone(), newest.clone());
+        let (selected, signals) = (selected.to_vec(), (&stop.now, bus.pulse()));
+        let evaluation = evaluate_once(setup, selected, newest, queue, selector, parts, signals);
+        tokio::pin!(evaluation);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
             report.summary.bus = bus.counts();
@@ -163,21 +164,21 @@ async fn judge_all(
                         outlets.publishers.publish(&stamp(part)).await?;
                     }
                 }
-                ended = &mut pass => break ended?,
+                ended = &mut evaluation => break ended?,
             }
         };
         workers.close();
         let report = match ended {
-            Err(EvalError::Interrupted) => return Ok(n_passes),
+            Err(EvalError::Interrupted) => return Ok(n_evaluations),
             // They were of use on the scene of the trial, but not throughout.
             Err(EvalError::Policy(error)) if error.is_of_weights() => {
                 bus.count_refused_weights();
-                tracing::warn!(%error, "weights refused, the pass is given up");
+                tracing::warn!(%error, "weights refused, the evaluation is given up");
                 continue;
             }
             report => stamp(report?),
         };
-        n_passes += 1;
+        n_evaluations += 1;
         outlets.put(report).await?;
     }
 }
@@ -185,7 +186,7 @@ async fn judge_all(
 /// Where reports go.
 struct Outlets<'r> {
     records: Option<Records>,
-    passes: Passes,
+    evaluations: Passes,
     publishers: Publishers<'r>,
     reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     listener: Option<mpsc::UnboundedSender<Pass>>,
@@ -193,14 +194,14 @@ struct Outlets<'r> {
 
 impl Outlets<'_> {
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
-        let pass = Pass::new(&report, unix_ms());
-        tell(self.listener.as_ref(), pass.clone());
-        self.passes.push(&pass);
-        self.publishers.history.set(&self.passes.overview())?;
+        let evaluation = Pass::new(&report, unix_ms());
+        tell(self.listener.as_ref(), evaluation.clone());
+        self.evaluations.push(&evaluation);
+        self.publishers.history.set(&self.evaluations.overview())?;
         if let Some(open) = self.records.take() {
             let report = report.clone();
             // Off the runtime: the disk and whoever reads the history may take their time.
-            let kept = tokio::task::spawn_blocking(move || open.keep(&report, &pass));
+            let kept = tokio::task::spawn_blocking(move || open.keep(&report, &evaluation));
             self.records = Some(kept.await.context("the recording thread panicked")??);
         }
         self.publishers.publish(&report).await?;
@@ -211,7 +212,7 @@ impl Outlets<'_> {
     }
 }
 
-/// Waits for weights that are to be judged; `None` if there will be none.
+/// Waits for weights that are to be evaluated; `None` if there will be none.
 async fn next_due(
     setup: &EvaluatorSetup,
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
@@ -220,18 +221,18 @@ async fn next_due(
 ) -> anyhow::Result<Option<Arc<Weights>>> {
     loop {
         if let Some(version) = last_version.as_mut().and_then(|last_version| *last_version.borrow_and_update()) {
-            // They may still be on their way. Should they have been lost, those before them are judged.
+            // They may still be on their way. Should they have been lost, those before them are evaluated.
             let are_there = |weights: &Option<Arc<Weights>>| weights.as_ref().is_some_and(|w| w.version >= version);
             drop(tokio::time::timeout(LAST_WEIGHTS_WAIT, weights.wait_for(are_there)).await);
-            let judged = last.map(|(_, weights)| (weights.version, weights.n_env_steps));
+            let evaluated = last.map(|(_, weights)| (weights.version, weights.n_env_steps));
             let newest = weights.borrow_and_update().clone();
-            return Ok(newest.filter(|newest| judged != Some((newest.version, newest.n_env_steps))));
+            return Ok(newest.filter(|newest| evaluated != Some((newest.version, newest.n_env_steps))));
         }
         let newest = weights.borrow_and_update().clone();
         let rest = match newest {
             None => None,
             Some(newest) => {
-                let last = last.map(|(start, weights)| LastPass {
+                let last = last.map(|(start, weights)| LastEvaluation {
                     version: weights.version,
                     n_env_steps: weights.n_env_steps,
                     elapsed: start.elapsed(),
@@ -267,10 +268,11 @@ fn unix_ms() -> u64 {
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// One pass on a thread of its own; what it has found so far goes to `parts`.
-async fn judge(
+/// One evaluation on a thread of its own; what it has found so far goes to `parts`.
+async fn evaluate_once(
     setup: &EvaluatorSetup,
     selected: Vec<&'static Blueprint>,
+    weights: Arc<Weights>,
     queue: Arc<WorkQueue>,
     films: Option<EpisodeSelector>,
     parts: watch::Sender<Option<EvalReport>>,
@@ -278,20 +280,21 @@ async fn judge(
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
         catalog: Catalog::builtin(),
-        policy: setup.policy.clone(),
         environment: setup.environment.clone(),
         episodes: setup.config.episodes.clone(),
         reset_free: setup.config.reset_free.clone(),
         seed: setup.seed,
     };
-    let (shutdown, pulse) = (shutdown.clone(), pulse.clone());
+    let (policy, shutdown, pulse) = (setup.policy.clone(), shutdown.clone(), pulse.clone());
     on_thread(setup.config.nice, move || {
         let keep_going = || {
             pulse.beat();
             !shutdown.is_cancelled()
         };
-        let pool = EvaluationPool { setup: &eval_setup, queue: &queue, films: films.as_ref(), keep_going: &keep_going };
-        evaluate_in_parts(&pool, &selected, &mut |part| drop(parts.send_replace(Some(part))))
+        let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
+        let (setup, queue, observer) = (&eval_setup, &queue, films.as_ref());
+        let pool = EvaluationPool { setup, agent: &agent, queue, observer, keep_going: &keep_going };
+        evaluate_in_parts(&pool, &weights, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await
 }

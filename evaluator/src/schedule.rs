@@ -1,4 +1,4 @@
-//! When the next pass is due.
+//! When the next evaluation is due.
 
 use std::time::Duration;
 
@@ -6,10 +6,10 @@ use proto::{Weights, WeightsVersion};
 
 use crate::config::Every;
 
-/// The start of the last pass.
+/// The start of the last evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct LastPass {
-    /// Weights that it judged.
+pub(crate) struct LastEvaluation {
+    /// Weights that it evaluated.
     pub(crate) version: WeightsVersion,
     /// Environment steps that they had learned from.
     pub(crate) n_env_steps: u64,
@@ -17,7 +17,7 @@ pub(crate) struct LastPass {
     pub(crate) elapsed: Duration,
 }
 
-/// When weights are to be judged.
+/// When weights are to be evaluated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Due {
     /// Right away.
@@ -28,11 +28,11 @@ pub(crate) enum Due {
     WithNewer,
 }
 
-/// When `newest` are to be judged after `last`.
+/// When `newest` are to be evaluated after `last`.
 ///
 /// The first weights are due at once, the same ones never again. A version or a count of steps that has gone back
 /// belongs to a learner that resumed from a checkpoint, whose weights count as new ones.
-pub(crate) fn due(every: Every, last: Option<LastPass>, newest: &Weights) -> Due {
+pub(crate) fn due(every: Every, last: Option<LastEvaluation>, newest: &Weights) -> Due {
     let Some(last) = last else { return Due::Now };
     let far_enough = |passed: Option<u64>, step: u64| match passed {
         Some(passed) if passed < step => Due::WithNewer,
@@ -70,10 +70,10 @@ mod tests {
     }
 
     #[test]
-    fn passes_are_as_far_apart_as_configured() {
+    fn evaluations_are_as_far_apart_as_configured() {
         let secs = Duration::from_secs;
         let last = |version, n_env_steps, seconds| {
-            Some(LastPass { version: WeightsVersion(version), n_env_steps, elapsed: secs(seconds) })
+            Some(LastEvaluation { version: WeightsVersion(version), n_env_steps, elapsed: secs(seconds) })
         };
         let table = [
             (Every::Minutes(10.0), None, weights(0, 0), Due::Now),

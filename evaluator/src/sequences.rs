@@ -1,54 +1,48 @@
-//! Runs many short sequences of episodes side by side: one forward pass moves all worlds.
+//! Runs many short sequences of episodes side by side: the agent decides for all worlds at once.
 
 use std::sync::Arc;
 
 use blueprints::hash::fnv1a;
-use blueprints::{Blueprint, BlueprintId, Catalog, Split};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, Split};
 use environment::config::SuccessConfig;
-use environment::{Env, ResetError, StableSuccess, sample_assignment};
-use policy::Policy;
-use proto::{Action, RewardTerms, Scene, Start, Status, Task};
+use environment::vec_env::generator;
+use environment::{Env, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment};
+use proto::unit::End;
+use proto::{Action, ActionMode, Agent, N_GRIPPERS, Observation, RewardTerms, Scene, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::Starts;
-use crate::films::EpisodeSelector;
-use crate::recording::Recording;
-use crate::report::Episode;
+use crate::report::EpisodeResult;
 use crate::setup::EvalError;
-use proto::ActionMode;
-use proto::unit::End;
 
 /// Steps in which a success can prove stable while the grippers hold still.
 const SETTLE_STEPS: usize = 10;
-
-/// Seeds that are tried for a start state before the episode is given up; blocks may find no room.
-const MAX_RESETS: u64 = 16;
 
 /// An episode to be run.
 #[derive(Clone, Debug)]
 pub(crate) struct EpisodeSpec {
     task: Task,
-    split: Split,
-    n_blocks: usize,
+    pub(crate) split: Split,
+    pub(crate) n_blocks: usize,
 }
 
-/// An episode that was run.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct EpisodeResult {
-    pub(crate) episode: Episode,
-    /// It should have gone on in the world as it was, but that had diverged.
-    pub(crate) forced_reset: bool,
+/// Which of the episodes that are run together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Place {
+    pub(crate) sequence_idx: usize,
+    /// In the sequence.
+    pub(crate) episode_idx: usize,
 }
 
 /// What all worlds of a thread have in common.
-pub(crate) struct Rules<'a> {
+pub(crate) struct Rules<'a, O> {
     pub(crate) catalog: &'a Catalog,
     pub(crate) acting: ActionMode,
     pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
-    /// Which episodes become films.
-    pub(crate) films: Option<&'a EpisodeSelector>,
+    /// Who follows the episodes.
+    pub(crate) observer: Option<&'a O>,
 }
 
 impl EpisodeSpec {
@@ -102,174 +96,174 @@ impl EpisodeSpec {
         forced_reset: bool,
     ) -> EpisodeResult {
         let (blueprint, split, n_blocks) = (self.task.blueprint.clone(), self.split, self.n_blocks);
-        EpisodeResult {
-            episode: Episode { blueprint, split, n_blocks, acting, end, n_steps, episode_return },
-            forced_reset,
-        }
+        EpisodeResult { blueprint, split, n_blocks, acting, end, n_steps, episode_return, forced_reset }
     }
+}
+
+/// Follows the episodes that an agent of type `A` acts in.
+pub(crate) trait EpisodeObserver<A>: Sync {
+    /// What is kept of an episode while it runs.
+    type Record;
+
+    /// The episode with this place has begun in `start`; `None` if it is not followed.
+    fn begin(
+        &self,
+        place: Place,
+        spec: &EpisodeSpec,
+        acting: ActionMode,
+        start: Observation<'_>,
+    ) -> Option<Self::Record>;
+
+    /// A step of the agent's row led to `after`.
+    fn observe(&self, record: &mut Self::Record, step: Step, agent: &A, row: usize, after: Observation<'_>);
+
+    /// The episode has ended in the scene `last`.
+    fn end(&self, record: Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult);
 }
 
 /// Runs the sequences of `next`: the specs of each one after the other in one world. Worlds take the next sequence when theirs is
 /// over; what came of a sequence goes to `done` with its number.
-pub(crate) fn run_sequences<E: Env>(
-    rules: &Rules<'_>,
-    policy: &Policy,
-    worlds: Vec<E>,
+pub(crate) fn run_sequences<E: Env, A: Agent, O: EpisodeObserver<A>>(
+    rules: &Rules<'_, O>,
+    agent: &mut A,
+    mut worlds: Vec<E>,
     mut next: impl FnMut() -> Option<(usize, Arc<[EpisodeSpec]>)>,
     mut done: impl FnMut(usize, Vec<EpisodeResult>),
-) -> Result<(), EvalError> {
-    let mut slots: Vec<EnvSlot<E>> = Vec::new();
-    let mut rngs: Vec<ChaCha8Rng> = Vec::new();
-    for env in worlds {
-        let Some((sequence_idx, sequence)) = next() else { break };
-        let (slot, rng) = EnvSlot::begin(rules, env, sequence_idx, sequence)?;
-        slots.push(slot);
-        rngs.push(rng);
+) -> Result<(), EvalError>
+where
+    EvalError: From<A::Error>,
+{
+    let slots: Vec<EnvSlot<O::Record>> = worlds.iter().map_while(|_| next()).map(EnvSlot::new).collect();
+    worlds.truncate(slots.len());
+    let mut running = EnvironmentLoop { rules, agent, envs: VecEnv::new(worlds), slots };
+    for row in 0..running.slots.len() {
+        running.start(row)?;
     }
-    let mut batch = policy.batch();
-    while !slots.is_empty() {
+    while !running.slots.is_empty() {
         if !(rules.keep_going)() {
             return Err(EvalError::Interrupted);
         }
-        batch.clear();
-        slots.iter().for_each(|slot| batch.push(slot.env.scene(), slot.env.blueprint()));
-        let decisions = policy.act(&batch, &mut rngs, rules.acting)?;
+        let steps = running.envs.step(running.agent, &vec![rules.acting; running.slots.len()])?;
         let mut free = Vec::new();
-        for (slot_idx, decision) in decisions.into_iter().enumerate() {
-            let slot = &mut slots[slot_idx];
-            let Some(results) = slot.step(rules, &decision.action) else { continue };
-            slot.results.push(results);
+        for (row, step) in steps.into_iter().enumerate() {
+            let Some(result) = running.observe(row, step) else { continue };
+            let slot = &mut running.slots[row];
+            slot.results.push(result);
             if slot.results.len() == slot.sequence.len() {
                 done(slot.sequence_idx, std::mem::take(&mut slot.results));
-                let Some((sequence_idx, sequence)) = next() else {
-                    free.push(slot_idx);
+                let Some(sequence) = next() else {
+                    free.push(row);
                     continue;
                 };
-                (slot.sequence_idx, slot.sequence) = (sequence_idx, sequence);
+                *slot = EnvSlot::new(sequence);
             }
-            rngs[slot_idx] = slot.start(rules, slot.results.len())?;
+            running.start(row)?;
         }
-        for slot_idx in free.into_iter().rev() {
-            slots.remove(slot_idx);
-            rngs.remove(slot_idx);
+        for row in free.into_iter().rev() {
+            running.slots.remove(row);
+            running.envs.remove(row);
         }
     }
     Ok(())
 }
 
-/// A world and its current episode.
-pub(crate) struct EnvSlot<E> {
-    pub(crate) env: E,
+/// Worlds, who acts in them, and their episodes.
+struct EnvironmentLoop<'a, E, A, O: EpisodeObserver<A>> {
+    rules: &'a Rules<'a, O>,
+    agent: &'a mut A,
+    envs: VecEnv<E>,
+    /// One for each world.
+    slots: Vec<EnvSlot<O::Record>>,
+}
+
+/// The sequence of a world and its current episode.
+struct EnvSlot<R> {
     sequence_idx: usize,
+    /// Has at least one.
     sequence: Arc<[EpisodeSpec]>,
-    job_idx: usize,
+    /// Of the episodes before the current one.
     results: Vec<EpisodeResult>,
     forced_reset: bool,
     n_steps: u32,
     episode_return: RewardTerms,
-    /// Of the last step.
-    pub(crate) reward: RewardTerms,
-    /// The scene of a success, as the world goes on after it to see whether it is stable.
-    pub(crate) end_scene: Option<Scene>,
-    /// Of the current episode, if that may become a film.
-    recording: Option<Recording>,
+    record: Option<R>,
 }
 
-impl<E: Env> EnvSlot<E> {
-    /// Starts the first episode of a sequence, which has at least one, and returns the generator of its actions.
-    pub(crate) fn begin(
-        rules: &Rules<'_>,
-        env: E,
-        sequence_idx: usize,
-        sequence: Arc<[EpisodeSpec]>,
-    ) -> Result<(Self, ChaCha8Rng), EvalError> {
-        let mut slot = Self {
-            env,
-            sequence_idx,
-            sequence,
-            job_idx: 0,
-            results: Vec::new(),
-            forced_reset: false,
-            n_steps: 0,
-            episode_return: RewardTerms::default(),
-            reward: RewardTerms::default(),
-            end_scene: None,
-            recording: None,
+impl<R> EnvSlot<R> {
+    fn new((sequence_idx, sequence): (usize, Arc<[EpisodeSpec]>)) -> Self {
+        let (results, episode_return, record) = (Vec::new(), RewardTerms::default(), None);
+        Self { sequence_idx, sequence, results, forced_reset: false, n_steps: 0, episode_return, record }
+    }
+}
+
+impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
+    /// Starts the next episode of a world's sequence.
+    fn start(&mut self, row: usize) -> Result<(), EvalError> {
+        let slot = &mut self.slots[row];
+        let place = Place { sequence_idx: slot.sequence_idx, episode_idx: slot.results.len() };
+        let spec = &slot.sequence[place.episode_idx];
+        slot.forced_reset = false;
+        let retry = |task: &mut Task, error: &ResetError| match error {
+            ResetError::NothingToKeep if task.start == Start::AsItIs => {
+                task.start = Start::Scattered;
+                slot.forced_reset = true;
+                true
+            }
+            ResetError::NoRoom(_) => {
+                task.seed = task.seed.wrapping_add(1);
+                true
+            }
+            _ => false,
         };
-        let rng = slot.start(rules, 0)?;
-        Ok((slot, rng))
-    }
-
-    /// Starts an episode of the sequence and returns the generator of its actions.
-    pub(crate) fn start(&mut self, rules: &Rules<'_>, job_idx: usize) -> Result<ChaCha8Rng, EvalError> {
-        let seed = self.sequence[job_idx].task.seed;
-        let mut task = self.sequence[job_idx].task.clone();
-        let mut n_tried = 0;
-        self.forced_reset = false;
-        while let Err(source) = self.env.reset(&task, rules.catalog) {
-            match source {
-                ResetError::NothingToKeep if task.start == Start::AsItIs => {
-                    task.start = Start::Scattered;
-                    self.forced_reset = true;
-                }
-                ResetError::NoRoom(_) if n_tried < MAX_RESETS => {
-                    n_tried += 1;
-                    task.seed = task.seed.wrapping_add(1);
-                }
-                source => return Err(EvalError::Reset { blueprint: task.blueprint, source }),
-            }
-        }
-        (self.job_idx, self.n_steps) = (job_idx, 0);
-        self.episode_return = RewardTerms::default();
-        self.end_scene = None;
-        let spec = &self.sequence[job_idx];
-        self.recording = rules.films.and_then(|films| films.begin(&spec.task, spec.split, spec.n_blocks, rules.acting));
+        self.envs.reset(row, spec.task.clone(), self.rules.catalog, retry)?;
         // Stream 0 of the seed belongs to the world.
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(1);
-        Ok(rng)
+        self.envs.seed(row, generator(spec.task.seed, 1));
+        (slot.n_steps, slot.episode_return) = (0, RewardTerms::default());
+        let start = self.envs.env(row).observation();
+        slot.record = self.rules.observer.and_then(|observer| observer.begin(place, spec, self.rules.acting, start));
+        Ok(())
     }
 
-    /// One step; the episode if that ended it.
-    pub(crate) fn step(&mut self, rules: &Rules<'_>, action: &Action) -> Option<EpisodeResult> {
-        let before = self.recording.is_some().then(|| self.env.scene().clone());
-        let result = self.env.step(action);
-        if let (Some(recording), Some(before)) = (&mut self.recording, before) {
-            recording.note(before, action.clone(), result.reward);
+    /// Takes a step that was made; the episode if that ended it.
+    fn observe(&mut self, row: usize, step: Step) -> Option<EpisodeResult> {
+        let (rules, slot) = (self.rules, &mut self.slots[row]);
+        let (StepResult { reward, status }, choices) = (step.result, step.decision.action.choices);
+        slot.n_steps += 1;
+        slot.episode_return = slot.episode_return + reward;
+        if let (Some(observer), Some(record)) = (rules.observer, &mut slot.record) {
+            observer.observe(record, step, self.agent, row, self.envs.env(row).observation());
         }
-        self.n_steps += 1;
-        self.reward = result.reward;
-        self.episode_return = self.episode_return + result.reward;
-        let end = match result.status {
-            Status::Running => return None,
-            Status::Success => {
-                self.end_scene = Some(self.env.scene().clone());
-                End::Success { stable: self.settles(rules, action) }
-            }
-            Status::TimeLimit => End::TimeLimit,
+        if status == Status::Running {
+            return None;
+        }
+        let env = self.envs.env_mut(row);
+        // Before a success goes on, to see whether it is stable.
+        let last = env.scene().clone();
+        let end = match status {
+            Status::Success => End::Success { stable: settles(env, rules.success, choices) },
+            Status::Running | Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };
-        let spec = &self.sequence[self.job_idx];
-        let results = spec.result(rules.acting, end, self.n_steps, self.episode_return, self.forced_reset);
-        if let (Some(films), Some(recording)) = (rules.films, self.recording.take()) {
-            let last = self.end_scene.as_ref().unwrap_or_else(|| self.env.scene());
-            films.end(recording, &spec.task, last, &results.episode);
+        let spec = &slot.sequence[slot.results.len()];
+        let result = spec.result(rules.acting, end, slot.n_steps, slot.episode_return, slot.forced_reset);
+        if let (Some(observer), Some(record)) = (rules.observer, slot.record.take()) {
+            observer.end(record, spec, &last, &result);
         }
-        Some(results)
+        Some(result)
     }
+}
 
-    /// Whether a success proves stable while the grippers hold the last chosen blocks still.
-    fn settles(&mut self, rules: &Rules<'_>, last: &Action) -> bool {
-        let still = Action { choices: last.choices, moves: [[0.0; 6]; blueprints::N_BLOCKS] };
-        let mut stable = StableSuccess::default();
-        (0..SETTLE_STEPS).any(|_| {
-            let holds = stable.observe(self.env.scene(), self.env.blueprint(), rules.success);
-            holds || {
-                self.env.step(&still);
-                false
-            }
-        })
-    }
+/// Whether a success proves stable while the grippers hold the last chosen blocks still.
+fn settles<E: Env>(env: &mut E, success: &SuccessConfig, choices: [Option<BlockIdx>; N_GRIPPERS]) -> bool {
+    let still = Action { choices, ..Action::IDLE };
+    let mut stable = StableSuccess::default();
+    (0..SETTLE_STEPS).any(|_| {
+        let holds = stable.observe(env.scene(), env.blueprint(), success);
+        holds || {
+            env.step(&still);
+            false
+        }
+    })
 }
 
 /// One number from all that names an episode.

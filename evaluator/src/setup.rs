@@ -1,7 +1,9 @@
-//! What an evaluation is made of besides weights, and why it may have no result.
+//! What an evaluation is made of besides who acts, and why it may have no result.
 
-use blueprints::{BlueprintId, Catalog};
-use environment::{EnvironmentConfig, ResetError};
+use std::convert::Infallible;
+
+use blueprints::Catalog;
+use environment::{EnvironmentConfig, StartError};
 use policy::{PolicyConfig, PolicyError};
 use proto::InvalidSetting;
 use proto::config_hash;
@@ -9,20 +11,18 @@ use runlog::RunPaths;
 
 use crate::config::{EpisodeConfig, EvaluatorConfig, ResetFreeConfig};
 
-/// All that an evaluation needs besides weights and blueprints.
+/// All that an evaluation needs besides who acts and the blueprints.
 #[derive(Clone, Debug)]
 pub struct EvalSetup<'c> {
     /// Where blueprints come from.
     pub catalog: &'c Catalog,
-    /// The policy; it must be the learner's.
-    pub policy: PolicyConfig,
     /// The world.
     pub environment: EnvironmentConfig,
     /// How episodes are run.
     pub episodes: EpisodeConfig,
     /// Reset-free runs as well, when given.
     pub reset_free: Option<ResetFreeConfig>,
-    /// Seed of start states and sampled actions: passes with the same seed can be compared episode by episode.
+    /// Seed of start states and sampled actions: evaluations with the same seed can be compared episode by episode.
     pub seed: u64,
 }
 
@@ -36,13 +36,8 @@ pub enum EvalError {
     #[error(transparent)]
     Environment(#[from] InvalidSetting),
     /// A start state cannot be made.
-    #[error("an episode of blueprint {blueprint} cannot be started")]
-    Reset {
-        /// The goal.
-        blueprint: BlueprintId,
-        /// Why.
-        source: ResetError,
-    },
+    #[error(transparent)]
+    Start(#[from] StartError),
     /// No training blueprint is large enough for the reset-free runs.
     #[error("no training blueprint has {min_blocks} blocks or more for the reset-free runs")]
     NoGoals {
@@ -52,6 +47,12 @@ pub enum EvalError {
     /// The caller asked for the end.
     #[error("the evaluation was interrupted")]
     Interrupted,
+}
+
+impl From<Infallible> for EvalError {
+    fn from(never: Infallible) -> Self {
+        match never {}
+    }
 }
 
 /// What an evaluator process needs besides the bus.

@@ -81,7 +81,7 @@ fn header(text: &mut String, what: &str) {
     );
 }
 
-/// A line for each way of acting that was judged.
+/// A line for each way of acting that was evaluated.
 fn lines(text: &mut String, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
     for (acting, outcome) in [("mode", mode), ("sampled", sampled)] {
         if outcome.success.n_episodes > 0 {
@@ -116,15 +116,15 @@ mod tests {
     use proto::{RewardTerms, WeightsVersion};
 
     use super::*;
-    use crate::report::{Episode, Judged, summarize};
+    use crate::report::{EpisodeResult, summarize};
     use proto::ActionMode;
     use proto::unit::End;
 
     #[test]
-    fn the_table_shows_what_was_judged() {
+    fn the_table_shows_what_was_evaluated() {
         // 1 of 2: the interval is 1/2 ± z/2 / √(2 + z²) = 1/2 ± 0.979982 / √5.841459 = 0.0945 to 0.9055.
         let ends = [(End::Success { stable: true }, 8), (End::TimeLimit, 100)];
-        let episodes = ends.map(|(end, n_steps)| Episode {
+        let episodes = ends.map(|(end, n_steps)| EpisodeResult {
             blueprint: BlueprintId::try_from("2_003".to_owned()).unwrap(),
             split: Split::Train,
             n_blocks: 2,
@@ -132,10 +132,9 @@ mod tests {
             end,
             n_steps,
             episode_return: RewardTerms { connected: 1.0, wrong: -0.25, ..RewardTerms::default() },
+            forced_reset: false,
         });
-        let judged =
-            Judged { weights_version: WeightsVersion(4), n_env_steps: 8192, seed: 0, n_planned: 3, is_complete: true };
-        let text = render(&summarize(judged, &episodes), Detail::Blueprints);
+        let text = render(&summarize(WeightsVersion(4), 8192, &episodes), Detail::Blueprints);
         let expected = "\
 weights 4 after 8192 environment steps
 group (blueprints)       actions  episodes      %    interval     stable  steps  return

@@ -1,13 +1,13 @@
 //! What physics says of a blueprint: whether it stands, and whether it can be built.
 
-use blueprints::{Blueprint, Catalog, N_BLOCKS};
-use environment::{Env, EnvironmentConfig, World};
+use blueprints::{Blueprint, Catalog};
+use environment::{Env, EnvironmentConfig, StartError, World};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use proto::{Action, N_GRIPPERS, Pose, Start, Task};
+use proto::{Action, Pose, Start, Task};
 
-use crate::config::Starts;
-use crate::expert::{ExpertSetup, evaluate_expert};
-use crate::setup::EvalError;
+use crate::config::EpisodeConfig;
+use crate::expert::evaluate_expert;
+use crate::setup::{EvalError, EvalSetup};
 
 /// Greatest distance that a block of a standing blueprint may move, m (0.2 units).
 pub const MAX_DRIFT_M: f32 = 0.02;
@@ -51,7 +51,7 @@ pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<
         let id = blueprint.id().clone();
         let assignment = std::array::from_fn(|i| blueprints::BlockIdx::all().nth(i).expect("there are 16 blocks"));
         let task = Task { blueprint: id.clone(), assignment, start: Start::Prebuilt(id.clone()), seed };
-        world.reset(&task, &catalog).map_err(|source| EvalError::Reset { blueprint: id, source })?;
+        world.reset(&task, &catalog).map_err(|source| StartError { blueprint: id, source })?;
         let found = stand(&mut world, blueprint);
         worst.drift_m = worst.drift_m.max(found.drift_m);
         worst.turn_rad = worst.turn_rad.max(found.turn_rad);
@@ -62,10 +62,9 @@ pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<
 
 fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
     let before = world.scene().clone();
-    let nothing = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
     let mut found = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for _ in 0..SETTLE_STEPS {
-        world.step(&nothing);
+        world.step(&Action::IDLE);
         // Some that break snap again.
         let n_lost = before.joints.iter().filter(|joint| !world.scene().joints.contains(joint)).count();
         found.n_lost = found.n_lost.max(n_lost);
@@ -86,14 +85,11 @@ fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
 /// When the world cannot be made or has no room.
 pub fn try_building(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<(u64, u64), EvalError> {
     let catalog = Catalog::of_one(blueprint.clone());
-    let setup = ExpertSetup {
+    let setup = EvalSetup {
         catalog: &catalog,
         environment: environment.clone(),
-        n_episodes: N_EPISODES,
-        starts: Starts::Scattered,
+        episodes: EpisodeConfig { n_episodes: N_EPISODES, ..EpisodeConfig::default() },
         reset_free: None,
-        keeps_successes: false,
-        n_threads: 1,
         seed: 0,
     };
     let report = evaluate_expert(&setup, &[blueprint], &|| true)?;

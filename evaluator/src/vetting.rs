@@ -1,4 +1,4 @@
-//! Keeps weights that cannot be acted by from all that judge and show them.
+//! Keeps weights that cannot be acted by from all that evaluate and show them.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use tokio_util::task::AbortOnDropHandle;
 type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 
 /// The newest weights by which a policy can act, which go to `usable` for as long as the handle lives; others are counted by the bus. Weights of
-/// another network pass, since waiting does not mend them: whoever judges says what is wrong.
+/// another network pass, since waiting does not mend them: whoever evaluates says what is wrong.
 pub(crate) fn vetted(
     mut arrivals: Arrivals,
     usable: watch::Sender<Option<Arc<Weights>>>,
@@ -39,9 +39,9 @@ pub(crate) fn vetted(
 async fn passes(config: &PolicyConfig, weights: &Arc<Weights>, bus: &Bus) -> bool {
     let (config, tried) = (config.clone(), weights.clone());
     // Off the runtime, because a forward pass computes for a moment.
-    let trial = tokio::task::spawn_blocking(move || Policy::new(&config)?.load(&tried));
+    let trial = tokio::task::spawn_blocking(move || Policy::with_weights(&config, &tried));
     let error = match trial.await {
-        Ok(Ok(())) => return true,
+        Ok(Ok(_)) => return true,
         Ok(Err(error)) if !error.is_of_weights() => return true,
         Ok(Err(error)) => error.to_string(),
         Err(panic) => panic.to_string(),

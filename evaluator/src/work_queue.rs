@@ -1,4 +1,4 @@
-//! Where the sequences of a pass lie until somebody runs them: threads of this process, or remote workers.
+//! Where the sequences of an evaluation lie until somebody runs them: threads of this process, or remote workers.
 //!
 //! Every sequence is given to one at a time. What is not brought back goes to the next who asks; of two who bring the same
 //! sequence the first counts.
@@ -7,26 +7,25 @@ use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::Weights;
+use proto::ActionMode;
 use tokio::sync::watch;
 
-use crate::sequences::{EpisodeResult, EpisodeSpec};
-use proto::ActionMode;
+use crate::report::EpisodeResult;
+use crate::sequences::EpisodeSpec;
 
 /// Most sequences that a remote worker takes at a time: a few seconds of work, and the most that is done again when it is gone.
 const MAX_LEASED: usize = 64;
 
-/// The work of one pass.
-#[derive(Debug)]
+/// The work of one evaluation.
+#[derive(Debug, Default)]
 pub(crate) struct WorkQueue {
-    weights: Arc<Weights>,
     table: Mutex<Table>,
     brought: Condvar,
     posted: watch::Sender<()>,
 }
 
 /// The sequences that are run with one way of acting.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Table {
     /// Counts what was posted; what is brought for an earlier round is of no use any more.
     round: u64,
@@ -65,24 +64,6 @@ pub(crate) struct Lease {
 pub(crate) struct WorkerGuard(Arc<WorkQueue>);
 
 impl WorkQueue {
-    /// An empty work queue for a pass over `weights`.
-    pub(crate) fn new(weights: Arc<Weights>) -> Self {
-        let table = Table {
-            round: 0,
-            acting: ActionMode::Greedy,
-            sequences: Vec::new(),
-            n_missing: 0,
-            n_workers: 0,
-            n_assisted: 0,
-        };
-        Self { weights, table: Mutex::new(table), brought: Condvar::new(), posted: watch::Sender::new(()) }
-    }
-
-    /// The frozen weights.
-    pub(crate) fn weights(&self) -> &Arc<Weights> {
-        &self.weights
-    }
-
     /// Sequences that remote workers have brought so far.
     pub(crate) fn n_assisted(&self) -> u64 {
         self.table().n_assisted
@@ -177,7 +158,7 @@ impl WorkerGuard {
         Self(queue)
     }
 
-    /// Lanes for it, if any wait: no more than leave the others as much to do.
+    /// Sequences for it, if any wait: no more than leave the others as much to do.
     pub(crate) fn take(&self) -> Option<Lease> {
         let mut table = self.0.table();
         let n_waiting = table.sequences.iter().filter(|sequence| matches!(sequence.state, State::Waiting)).count();

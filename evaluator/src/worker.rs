@@ -5,18 +5,19 @@ use std::sync::Arc;
 use anyhow::Context;
 use blueprints::Catalog;
 use bus::{Bus, Pulse};
+use policy::Policy;
 use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
-use proto::{Role, Weights};
+use proto::{ActionMode, Role, Weights};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::EpisodeConfig;
+use crate::films::EpisodeSelector;
 use crate::nice::on_thread;
 use crate::pool::EvaluationPool;
-use crate::sequences::{EpisodeResult, EpisodeSpec};
-use crate::setup::{EvalError, EvalSetup};
-use crate::setup::{EvaluatorSetup, setup_hash};
+use crate::report::EpisodeResult;
+use crate::sequences::EpisodeSpec;
+use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
 use crate::work_queue::WorkQueue;
-use proto::ActionMode;
 
 /// Runs units of evaluators under the name `setup.id` until `shutdown`; returns how many. Of the setup, its threads, its
 /// worlds side by side and its niceness are used, and its policy and environment must be those of the evaluator, whose
@@ -77,9 +78,10 @@ impl RemoteWorker {
         let (setup, shutdown, pulse) = (self.setup.clone(), shutdown.clone(), self.pulse.clone());
         let ran = on_thread(self.setup.config.nice, move || {
             let EpisodeConfig { n_threads, n_worlds, .. } = setup.config.episodes;
+            let policy = setup.policy;
+            let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
             let setup = EvalSetup {
                 catalog: Catalog::builtin(),
-                policy: setup.policy,
                 environment: setup.environment,
                 episodes: EpisodeConfig { n_threads, n_worlds, ..EpisodeConfig::default() },
                 reset_free: None,
@@ -89,7 +91,8 @@ impl RemoteWorker {
                 pulse.beat();
                 !shutdown.is_cancelled()
             };
-            EvaluationPool { setup: &setup, queue: &WorkQueue::new(weights), films: None, keep_going: &keep_going }
+            let (queue, observer) = (&WorkQueue::default(), None::<&EpisodeSelector>);
+            EvaluationPool { setup: &setup, agent: &agent, queue, observer, keep_going: &keep_going }
                 .run(&sequences, acting)
         });
         Ok(match ran.await? {
@@ -107,12 +110,12 @@ fn sequences(unit: &EvalUnit) -> Option<Vec<Vec<EpisodeSpec>>> {
 }
 
 fn to_answer(sequences: &[Vec<EpisodeResult>]) -> EvalAnswer {
-    let to_wire = |results: &EpisodeResult| EvalEpisode {
-        end: results.episode.end,
+    let to_wire = |result: &EpisodeResult| EvalEpisode {
+        end: result.end,
         // Episodes are far shorter; the limit of the message is that of trajectories.
-        n_steps: u16::try_from(results.episode.n_steps).unwrap_or(u16::MAX),
-        episode_return: results.episode.episode_return,
-        forced_reset: results.forced_reset,
+        n_steps: u16::try_from(result.n_steps).unwrap_or(u16::MAX),
+        episode_return: result.episode_return,
+        forced_reset: result.forced_reset,
     };
     EvalAnswer::Episodes(sequences.iter().map(|sequence| sequence.iter().map(to_wire).collect()).collect())
 }

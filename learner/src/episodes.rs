@@ -30,12 +30,7 @@ impl EpisodeTally {
     /// Counts one episode.
     pub fn add(&mut self, blueprint: &BlueprintId, outcome: &Outcome) {
         self.n_steps += u64::from(outcome.n_steps);
-        let (sum, term) = (&mut self.episode_return, &outcome.episode_return);
-        sum.connected += term.connected;
-        sum.wrong += term.wrong;
-        sum.magnets += term.magnets;
-        sum.blocks += term.blocks;
-        sum.force += term.force;
+        self.episode_return = self.episode_return + outcome.episode_return;
         let (n_successes, n_episodes) = self.by_blueprint.entry(blueprint.clone()).or_default();
         *n_successes += u64::from(outcome.success);
         *n_episodes += 1;

@@ -38,4 +38,4 @@ pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;
 pub use model::Model;
 pub use policy::device::{DeviceError, DeviceKind};
-pub use run::{Feed, LearnerReport, RunOptions, run};
+pub use run::{Feed, RunOptions, Summary, run};

@@ -29,7 +29,6 @@ const NAME_TIMEOUT: Duration = Duration::from_secs(15);
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Options of a run.
-#[derive(Clone, Debug)]
 pub struct RunOptions {
     /// The inputs of the learner.
     pub setup: LearnerSetup,
@@ -39,6 +38,8 @@ pub struct RunOptions {
     pub resume: Option<PathBuf>,
     /// Environment steps after which the run ends; `None` runs until shutdown.
     pub max_env_steps: Option<u64>,
+    /// The source of trajectories between updates, instead of the bus. Nothing depends on time then.
+    pub feed: Option<Feed>,
 }
 
 /// Steps worlds with the given weights and returns the finished trajectories; true requests new episodes that depend
@@ -47,7 +48,7 @@ pub type Feed = Box<dyn FnMut(&Weights, bool) -> anyhow::Result<Vec<Trajectory>>
 
 /// The result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LearnerReport {
+pub struct Summary {
     /// The newest weights.
     pub weights_version: WeightsVersion,
     /// Updates, including those before a resume.
@@ -75,12 +76,7 @@ struct Publication {
 /// # Errors
 /// If the feed fails, a setting is invalid, the checkpoint cannot be resumed, the session fails, or the last checkpoint
 /// cannot be written.
-pub async fn run(
-    options: RunOptions,
-    feed: Option<Feed>,
-    bus: &Bus,
-    shutdown: CancellationToken,
-) -> anyhow::Result<LearnerReport> {
+pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Summary> {
     let folder = options.run_dir.folder();
     fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     // Wait before any cleanup, because another learner may be writing there.
@@ -100,7 +96,6 @@ pub async fn run(
     let worker = Worker {
         newest: Arc::new(learner.weights()),
         learner,
-        feed,
         records: MetricsWriter::open(&options.run_dir, Role::Learner)?,
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
@@ -156,7 +151,6 @@ struct Worker {
     learner: Learner,
     /// The learner's newest weights.
     newest: Arc<Weights>,
-    feed: Option<Feed>,
     options: RunOptions,
     records: MetricsWriter,
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
@@ -167,7 +161,7 @@ struct Worker {
 }
 
 impl Worker {
-    fn work(mut self) -> anyhow::Result<LearnerReport> {
+    fn work(mut self) -> anyhow::Result<Summary> {
         let checkpoints = self.options.run_dir.checkpoints();
         let settings = self.options.setup.config.clone();
         let mailbox = self.learner.mailbox();
@@ -177,7 +171,7 @@ impl Worker {
         let mut open = self.send(None);
         while open && !self.is_over() {
             self.pulse.beat();
-            let enough = match &mut self.feed {
+            let enough = match &mut self.options.feed {
                 None => mailbox.wait(settings.steps_per_update, POLL_INTERVAL),
                 Some(_) if self.learner.ready() => true,
                 Some(feed) => {
@@ -213,7 +207,7 @@ impl Worker {
         mailbox.close();
         let checkpoint = self.save(&checkpoints).map_err(|error| self.lost(error, &checkpoints))?;
         let weights_version = self.learner.version();
-        Ok(LearnerReport {
+        Ok(Summary {
             weights_version,
             n_updates: self.learner.n_updates(),
             n_env_steps: self.learner.n_env_steps(),

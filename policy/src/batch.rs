@@ -1,7 +1,7 @@
 //! Features of several scenes side by side.
 
 use blueprints::{BlockIdx, Blueprint, N_BLOCKS};
-use proto::Scene;
+use proto::{Observation, Scene};
 
 use crate::config::FeatureConfig;
 use crate::features::{FeatureSizes, N_EDGES, write_features};
@@ -36,6 +36,12 @@ impl FeatureBatch {
             sizes: FeatureSizes::new(config),
             config: *config,
         }
+    }
+
+    /// Takes these scenes in place of those before.
+    pub fn fill(&mut self, observations: &[Observation<'_>]) {
+        self.clear();
+        observations.iter().for_each(|seen| self.push(seen.scene, seen.blueprint));
     }
 
     /// Appends a scene.

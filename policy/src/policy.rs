@@ -3,8 +3,9 @@
 mod attention;
 mod trial;
 
+use blueprints::{Catalog, N_BLOCKS};
 use burn::tensor::{Device, Tensor};
-use proto::{Action, ActionMode, InvalidSetting, Normalization, Weights, WeightsVersion};
+use proto::{ActionMode, Agent, Decision, InvalidSetting, Normalization, Observation, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
 use crate::FeatureBatch;
@@ -15,17 +16,6 @@ use crate::normalization::normalize;
 use crate::parameters::{self, ParameterError};
 
 pub use attention::Attention;
-
-/// An action and what the policy thought of it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Decision {
-    /// What to do.
-    pub action: Action,
-    /// Its joint log-probability in the configured form.
-    pub log_prob: f32,
-    /// Value of the scene in reward units.
-    pub value: f32,
-}
 
 /// Why a policy or its weights are refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -113,6 +103,8 @@ pub struct Policy {
     normalization: Normalization,
     version: Option<WeightsVersion>,
     device: Device,
+    /// Kept for its memory.
+    batch: FeatureBatch,
 }
 
 impl Policy {
@@ -126,7 +118,18 @@ impl Policy {
         let network = Network::init(&config.network, &config.sizes(), 0, &device);
         let folded = network.fold();
         let normalization = Normalization { value_std: 1.0, ..Normalization::default() };
-        Ok(Self { config: config.clone(), network, folded, normalization, version: None, device })
+        let batch = FeatureBatch::new(&config.features);
+        Ok(Self { config: config.clone(), network, folded, normalization, version: None, device, batch })
+    }
+
+    /// A policy that acts by `weights`.
+    ///
+    /// # Errors
+    /// When the configuration is not valid, or the weights are refused as by [`Policy::load`].
+    pub fn with_weights(config: &PolicyConfig, weights: &Weights) -> Result<Self, PolicyError> {
+        let mut policy = Self::new(config)?;
+        policy.load(weights)?;
+        Ok(policy)
     }
 
     /// Version of the loaded weights; `None` before the first.
@@ -137,11 +140,6 @@ impl Policy {
     /// The configuration that it was made with.
     pub fn config(&self) -> &PolicyConfig {
         &self.config
-    }
-
-    /// An empty batch for [`Policy::act`].
-    pub fn batch(&self) -> FeatureBatch {
-        FeatureBatch::new(&self.config.features)
     }
 
     /// Takes over new weights, after a forward pass on a scene; on an error the old ones stay.
@@ -157,86 +155,37 @@ impl Policy {
         self.check_normalization(weights)?;
         let network = parameters::load(self.network.clone(), &weights.parameters)
             .map_err(|source| PolicyError::Parameters { version, source })?;
-        let tried = Self {
+        let mut tried = Self {
             config: self.config.clone(),
             folded: network.fold(),
             network,
             normalization: weights.normalization.clone(),
             version: Some(version),
             device: self.device.clone(),
+            batch: FeatureBatch::new(&self.config.features),
         };
-        tried.run(&trial::batch(&self.config.features))?;
+        if let Some(blueprint) = Catalog::builtin().iter().next() {
+            tried.run(&[Observation { scene: &trial::scene(blueprint), blueprint }])?;
+        }
         *self = tried;
         Ok(())
     }
 
-    /// Decides for every scene of the batch, in its order.
-    ///
-    /// `rngs` holds one generator per scene; they are not touched in [`ActionMode::Greedy`].
+    /// Values of the observed scenes, in reward units.
     ///
     /// # Errors
-    /// [`PolicyError::NoDistribution`] if there is none for one of the scenes; nothing is decided then.
-    ///
-    /// # Panics
-    /// When there are not as many generators as scenes, or the batch has other feature sizes.
-    pub fn act(
-        &self,
-        batch: &FeatureBatch,
-        rngs: &mut [ChaCha8Rng],
-        mode: ActionMode,
-    ) -> Result<Vec<Decision>, PolicyError> {
-        self.act_each(batch, rngs, &vec![mode; batch.n])
+    /// [`PolicyError::NoDistribution`] if a forward pass gives none for one of the scenes.
+    pub fn values(&mut self, observations: &[Observation<'_>]) -> Result<Vec<f32>, PolicyError> {
+        Ok(self.run(observations)?.values)
     }
 
-    /// As [`Policy::act`], with a mode for every scene.
-    ///
-    /// # Errors
-    /// As for [`Policy::act`].
-    ///
-    /// # Panics
-    /// When there are not as many generators and modes as scenes, or the batch has other feature sizes.
-    pub fn act_each(
-        &self,
-        batch: &FeatureBatch,
-        rngs: &mut [ChaCha8Rng],
-        modes: &[ActionMode],
-    ) -> Result<Vec<Decision>, PolicyError> {
-        assert_eq!((rngs.len(), modes.len()), (batch.n, batch.n), "one generator and one mode per scene");
-        let mut output = self.run(batch)?;
-        let per_scene = output.logits.len() / batch.n.max(1);
-        let mut decisions = Vec::with_capacity(batch.n);
-        for (row, (rng, mode)) in rngs.iter_mut().zip(modes).enumerate() {
-            let logits = &mut output.logits[row * per_scene..(row + 1) * per_scene];
-            if self.config.mask == BlockMask::Blueprint {
-                mask_logits(logits, &batch.allowed[row * 16..(row + 1) * 16]);
-            }
-            let moves = row * 96..(row + 1) * 96;
-            let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
-            let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
-            let action = match mode {
-                ActionMode::Sampled => distribution.sample(rng).ok_or(self.no_distribution("a logit", f32::NAN))?,
-                ActionMode::Greedy => distribution.mode(),
-            };
-            let log_prob = distribution.log_prob(&action);
-            self.check("a log-probability", &[log_prob])?;
-            decisions.push(Decision { action, log_prob, value: output.values[row] });
-        }
-        Ok(decisions)
-    }
-
-    /// Values of all scenes of the batch, in reward units.
-    ///
-    /// # Errors
-    /// As for [`Policy::act`].
-    pub fn values(&self, batch: &FeatureBatch) -> Result<Vec<f32>, PolicyError> {
-        Ok(self.run(batch)?.values)
-    }
-
-    fn run(&self, batch: &FeatureBatch) -> Result<RawOutput, PolicyError> {
-        if batch.n == 0 {
+    fn run(&mut self, observations: &[Observation<'_>]) -> Result<RawOutput, PolicyError> {
+        if observations.is_empty() {
             return Ok(RawOutput::default());
         }
-        let output = self.network.forward_folded(&self.folded, &self.tensors(batch));
+        self.batch.fill(observations);
+        normalize(&mut self.batch, &self.normalization);
+        let output = self.network.forward_folded(&self.folded, &self.tensors(&self.batch));
         let Normalization { value_mean, value_std, .. } = self.normalization;
         let output = RawOutput {
             locs: to_vec(output.locs),
@@ -265,11 +214,9 @@ impl Policy {
         PolicyError::NoDistribution { version: self.version, output, value }
     }
 
-    /// The normalized features on the device.
+    /// Normalized features on the device.
     fn tensors(&self, batch: &FeatureBatch) -> BatchTensors {
-        let mut batch = batch.clone();
-        normalize(&mut batch, &self.normalization);
-        BatchTensors::new(&batch, self.network.edge_layout(), &self.device)
+        BatchTensors::new(batch, self.network.edge_layout(), &self.device)
     }
 
     fn check_normalization(&self, weights: &Weights) -> Result<(), PolicyError> {
@@ -299,6 +246,44 @@ impl Policy {
             }
         }
         Ok(())
+    }
+}
+
+impl Agent for Policy {
+    type Error = PolicyError;
+
+    /// [`PolicyError::NoDistribution`] if a forward pass gives none for one of the scenes.
+    ///
+    /// # Panics
+    /// When there are not as many generators and modes as observations.
+    fn act(
+        &mut self,
+        observations: &[Observation<'_>],
+        modes: &[ActionMode],
+        rngs: &mut [ChaCha8Rng],
+    ) -> Result<Vec<Decision>, PolicyError> {
+        let n = observations.len();
+        assert_eq!((rngs.len(), modes.len()), (n, n), "one generator and one mode per observation");
+        let mut output = self.run(observations)?;
+        let per_scene = output.logits.len() / n.max(1);
+        let mut decisions = Vec::with_capacity(n);
+        for (row, (rng, mode)) in rngs.iter_mut().zip(modes).enumerate() {
+            let logits = &mut output.logits[row * per_scene..(row + 1) * per_scene];
+            if self.config.mask == BlockMask::Blueprint {
+                mask_logits(logits, &self.batch.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS]);
+            }
+            let moves = row * 96..(row + 1) * 96;
+            let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
+            let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
+            let action = match mode {
+                ActionMode::Sampled => distribution.sample(rng).ok_or(self.no_distribution("a logit", f32::NAN))?,
+                ActionMode::Greedy => distribution.mode(),
+            };
+            let log_prob = distribution.log_prob(&action);
+            self.check("a log-probability", &[log_prob])?;
+            decisions.push(Decision { action, log_prob, value: output.values[row] });
+        }
+        Ok(decisions)
     }
 }
 

@@ -12,7 +12,9 @@ use policy::{
     BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig, ResnetConfig,
     ScaleConfig,
 };
-use proto::{ActionMode, Gripper, Joint, Normalization, Pose, Scene, Weights, WeightsVersion};
+use proto::{
+    ActionMode, Agent, Decision, Gripper, Joint, Normalization, Observation, Pose, Scene, Weights, WeightsVersion,
+};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -62,10 +64,23 @@ fn scene(seed: u64) -> Scene {
     }
 }
 
-fn batch(config: &PolicyConfig, seeds: &[u64]) -> FeatureBatch {
-    let mut batch = FeatureBatch::new(&config.features);
-    seeds.iter().for_each(|seed| batch.push(&scene(*seed), blueprint()));
-    batch
+fn scenes(seeds: &[u64]) -> Vec<Scene> {
+    seeds.iter().map(|seed| scene(*seed)).collect()
+}
+
+/// The first goal of the catalog in each of the scenes.
+fn observations(scenes: &[Scene]) -> Vec<Observation<'_>> {
+    scenes.iter().map(|scene| Observation { scene, blueprint: blueprint() }).collect()
+}
+
+/// Decisions in the scenes of these seeds, each with the generator of its own.
+fn act(policy: &mut Policy, seeds: &[u64]) -> Vec<Decision> {
+    let modes = vec![ActionMode::Sampled; seeds.len()];
+    policy.act(&observations(&scenes(seeds)), &modes, &mut rngs(seeds)).unwrap()
+}
+
+fn values(policy: &mut Policy, seeds: &[u64]) -> Vec<f32> {
+    policy.values(&observations(&scenes(seeds))).unwrap()
 }
 
 fn rngs(seeds: &[u64]) -> Vec<ChaCha8Rng> {
@@ -77,7 +92,7 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
     let config = small();
     let mut policy = Policy::new(&config).unwrap();
     policy.load(&weights(&config, 1)).unwrap();
-    let before = policy.values(&batch(&config, &[1, 2])).unwrap();
+    let before = values(&mut policy, &[1, 2]);
     type Spoil = fn(&mut Weights);
     let cases: [(Spoil, &str); 9] = [
         (|w| w.network_hash ^= 1, "this process runs"),
@@ -97,7 +112,7 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
         let error = policy.load(&spoilt).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
         assert_eq!(policy.version(), Some(WeightsVersion(1)));
-        assert_eq!(policy.values(&batch(&config, &[1, 2])).unwrap(), before);
+        assert_eq!(values(&mut policy, &[1, 2]), before);
     }
 }
 
@@ -118,13 +133,12 @@ fn a_scene_without_a_distribution_is_an_error() {
         at += spec.len();
     }
     policy.load(&trap).unwrap();
-    policy.act(&batch(&config, &[1]), &mut rngs(&[1]), ActionMode::Sampled).unwrap();
+    act(&mut policy, &[1]);
     let mut holding = scene(1);
     holding.grippers[0].as_mut().unwrap().held = Some(stray);
-    let mut sprung = policy.batch();
-    sprung.push(&holding, blueprint());
+    let sprung = observations(std::slice::from_ref(&holding));
     let mut generators = rngs(&[1]);
-    let error = policy.act(&sprung, &mut generators, ActionMode::Sampled).unwrap_err();
+    let error = policy.act(&sprung, &[ActionMode::Sampled], &mut generators).unwrap_err();
     assert!(error.is_of_weights() && error.to_string().contains("weights Some(WeightsVersion(1)) give"), "{error}");
     assert_eq!(generators, rngs(&[1]), "nothing was drawn");
     assert!(policy.values(&sprung).is_err());
@@ -136,25 +150,24 @@ fn a_decision_depends_on_its_own_scene_and_generator_alone() {
     let mut policy = Policy::new(&config).unwrap();
     policy.load(&weights(&config, 3)).unwrap();
     let seeds = [4, 5, 6];
-    let together = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled).unwrap();
+    let together = act(&mut policy, &seeds);
     for (seed, decision) in seeds.iter().zip(&together) {
-        let alone = &policy.act(&batch(&config, &[*seed]), &mut rngs(&[*seed]), ActionMode::Sampled).unwrap()[0];
+        let alone = &act(&mut policy, &[*seed])[0];
         assert_eq!(alone.action.choices, decision.action.choices);
         assert!((alone.log_prob - decision.log_prob).abs() < 1e-4);
         assert!((alone.value - decision.value).abs() < 1e-5);
     }
     let mut generators = rngs(&seeds);
-    policy.act(&batch(&config, &seeds), &mut generators, ActionMode::Greedy).unwrap();
+    policy.act(&observations(&scenes(&seeds)), &[ActionMode::Greedy; 3], &mut generators).unwrap();
     assert_eq!(generators, rngs(&seeds), "the mode draws nothing");
-    assert!(policy.act(&policy.batch(), &mut [], ActionMode::Sampled).unwrap().is_empty());
+    assert!(act(&mut policy, &[]).is_empty());
 }
 
 #[test]
 fn the_mask_keeps_choices_in_the_blueprint() {
     let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
-    let policy = Policy::new(&config).unwrap();
-    let seeds: Vec<u64> = (0..64).collect();
-    for decision in policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled).unwrap() {
+    let mut policy = Policy::new(&config).unwrap();
+    for decision in act(&mut policy, &(0..64).collect::<Vec<_>>()) {
         assert!(decision.action.choices.iter().flatten().all(|block| blueprint().contains(*block)));
         assert!(decision.log_prob.is_finite());
     }
@@ -180,9 +193,9 @@ fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
     let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
     let mut policy = Policy::new(&config).unwrap();
     policy.load(&weights(&config, 5)).unwrap();
-    let batch = batch(&config, &[7, 8]);
-    let attention = policy.attention(&batch);
-    let decisions = policy.act(&batch, &mut rngs(&[7, 8]), ActionMode::Greedy).unwrap();
+    let scenes = scenes(&[7, 8]);
+    let attention = policy.attention(&observations(&scenes));
+    let decisions = policy.act(&observations(&scenes), &[ActionMode::Greedy; 2], &mut rngs(&[7, 8])).unwrap();
     assert_eq!(attention.len(), 2);
     for (seen, decision) in attention.iter().zip(decisions) {
         assert_eq!((seen.n_layers(), seen.n_heads(), seen.n_grippers()), (1, 2, 2));
@@ -198,7 +211,7 @@ fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
             assert!(BlockIdx::all().all(|block| blueprint().contains(block) || row[block.get()] == 0.0));
         }
     }
-    assert!(policy.attention(&policy.batch()).is_empty());
+    assert!(policy.attention(&[]).is_empty());
 }
 
 #[test]
@@ -207,17 +220,18 @@ fn values_come_back_in_reward_units() {
     let mut policy = Policy::new(&config).unwrap();
     let mut scaled = weights(&config, 1);
     policy.load(&scaled).unwrap();
-    let raw = policy.values(&batch(&config, &[1])).unwrap()[0];
+    let raw = values(&mut policy, &[1])[0];
     scaled.normalization.value_mean = -2.0;
     scaled.normalization.value_std = 3.0;
     policy.load(&scaled).unwrap();
-    assert!((policy.values(&batch(&config, &[1])).unwrap()[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
+    assert!((values(&mut policy, &[1])[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
 }
 
 #[test]
 fn statistics_leave_bits_alone_and_center_the_rest() {
     let config = small();
-    let data = batch(&config, &(0..50).collect::<Vec<_>>());
+    let mut data = FeatureBatch::new(&config.features);
+    data.fill(&observations(&scenes(&(0..50).collect::<Vec<_>>())));
     let mut moments = FeatureMoments::default();
     moments.push(&data);
     let mut statistics = Normalization { value_std: 1.0, ..Normalization::default() };
@@ -282,9 +296,7 @@ fn the_initial_standard_deviation_is_as_configured() {
         let mut config = small();
         config.network.scale = ScaleConfig { init_std, max_std, ..ScaleConfig::default() };
         config.validate().unwrap();
-        let policy = Policy::new(&config).unwrap();
-        let seeds: Vec<u64> = (0..200).collect();
-        let decisions = policy.act(&batch(&config, &seeds), &mut rngs(&seeds), ActionMode::Sampled).unwrap();
+        let decisions = act(&mut Policy::new(&config).unwrap(), &(0..200).collect::<Vec<_>>());
         let squares: Vec<f32> =
             decisions.iter().flat_map(|d| d.action.moves.into_iter().flatten()).map(|x| x * x).collect();
         let std = (squares.iter().sum::<f32>() / squares.len() as f32).sqrt();

@@ -1,6 +1,6 @@
 //! The interface between processes: validated plain types, their wire format, and key expressions. No I/O.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`trajectory`] → [`weights`] and the reports [`metrics`],
+//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`] and the reports [`metrics`],
 //! [`mod@unit`] of distributed evaluations → [`codec`] → [`keys`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -8,6 +8,7 @@
 #[cfg(test)]
 extern crate self as proto; // The unit tests share the samples of the integration tests.
 
+pub mod agent;
 pub mod codec;
 mod config_hash;
 pub mod keys;
@@ -21,6 +22,7 @@ pub mod weights;
 pub mod wilson;
 mod wire;
 
+pub use agent::{Agent, Decision, Observation};
 pub use codec::{Ack, DecodeError, Refusal};
 pub use config_hash::config_hash;
 pub use keys::Role;

@@ -19,6 +19,11 @@ pub struct Action {
     pub moves: [Move; N_BLOCKS],
 }
 
+impl Action {
+    /// Leaves the world alone: no gripper chooses a block.
+    pub const IDLE: Self = Self { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
+}
+
 /// The reward of a step, or a potential, by term (paper, appendix "Rewards").
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RewardTerms {
@@ -35,10 +40,11 @@ pub struct RewardTerms {
 }
 
 /// The choice of actions from the policy's distribution.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActionMode {
     /// Greedy: the most probable block and the mean move.
+    #[default]
     #[serde(rename = "mode", alias = "greedy")]
     Greedy,
     /// Sampled, as in training. The noise alone can undo a snap, so this underestimates a policy.

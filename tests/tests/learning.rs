@@ -1,6 +1,6 @@
 //! The ring in one thread, without the bus: worlds, rollouts, updates, evaluation.
 
-use actor::{Lockstep, TaskFilter};
+use actor::{ActorSetup, Lockstep, TaskFilter};
 use blueprints::Catalog;
 use deploy::config::{Config, PRESETS};
 use evaluator::{EvalSetup, evaluate};
@@ -37,8 +37,13 @@ impl Ring {
 
     fn new(config: Config) -> Self {
         let learner = Learner::new(Self::setup(&config)).unwrap();
-        let (actor, policy, environment) = (config.actor.clone(), config.policy.clone(), config.environment.clone());
-        let worlds = Lockstep::new(actor, policy, environment, config.seed);
+        let worlds = Lockstep::new(ActorSetup {
+            config: config.actor.clone(),
+            policy: config.policy.clone(),
+            environment: config.environment.clone(),
+            id: "lockstep".parse().unwrap(),
+            seed: config.seed,
+        });
         Self { config, learner, worlds }
     }
 
@@ -52,18 +57,17 @@ impl Ring {
         self.learner.update().unwrap();
     }
 
-    /// Of mode actions, as the preset's evaluator judges.
+    /// Of greedy actions, as the preset's evaluator counts it.
     fn success_rate(&self) -> f64 {
         let setup = EvalSetup {
             catalog: Catalog::builtin(),
-            policy: self.config.policy.clone(),
             environment: self.config.environment.clone(),
             episodes: self.config.evaluator.episodes.clone(),
             reset_free: None,
             seed: self.config.seed,
         };
         let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();
-        let report = evaluate(&setup, &self.learner.weights(), &blueprints, &|| true).unwrap();
+        let report = evaluate(&setup, &self.config.policy, &self.learner.weights(), &blueprints, &|| true).unwrap();
         report.summary.all.mode.success.rate
     }
 }

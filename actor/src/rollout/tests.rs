@@ -58,7 +58,7 @@ fn bootstrap_values_after_a_cut_a_success_and_the_time_limit() {
 }
 
 #[test]
-fn a_lead_in_counts_but_is_not_learned_from() {
+fn a_burn_in_counts_but_is_not_learned_from() {
     use Status::{Running, Success};
     let script = [Running, Running, Running, Success];
     let burn_in = BurnInConfig { probability: 1.0, max_steps: 3 };

@@ -32,13 +32,13 @@ pub(super) fn step_worlds(
     let life = Life { run_seed: setup.seed, actor, epoch, version: first.version };
     setup.seed = life.thread_seed(thread_idx);
     let rollout = Rollout::new(setup, worlds.context("invalid environment configuration")?, &first)?;
-    let mut acting = ActionMode { rollout, current: first, previous: None };
+    let mut stepper = Stepper { rollout, current: first, previous: None };
     while !shared.stop.is_cancelled() {
         if weights.has_changed().unwrap_or(false) {
-            acting.take_newest(&mut weights, shared)?;
+            stepper.take_newest(&mut weights, shared)?;
         }
         shared.bus.pulse().beat();
-        match acting.rollout.step() {
+        match stepper.rollout.step() {
             Ok(segments) => {
                 for segment in segments {
                     // A full backlog may wait for the learner.
@@ -47,13 +47,13 @@ pub(super) fn step_worlds(
                 }
             }
             Err(RolloutError::Policy(error)) if error.is_of_weights() => {
-                if !acting.fall_back(&error, &mut weights, shared)? {
+                if !stepper.fall_back(&error, &mut weights, shared)? {
                     return Ok(());
                 }
             }
             Err(error) => return Err(error.into()),
         }
-        let progress = Progress { counters: acting.rollout.counters(), version: acting.rollout.version() };
+        let progress = Progress { counters: stepper.rollout.counters(), version: stepper.rollout.version() };
         shared.progress()[thread_idx] = progress;
     }
     Ok(())
@@ -91,15 +91,15 @@ fn wait_for_others(weights: &mut Arrivals, shared: &Shared) -> bool {
     })
 }
 
-/// Worlds and the weights that act in them.
-struct ActionMode {
+/// A rollout, and the weights that act in it.
+struct Stepper {
     rollout: Rollout<'static, World>,
     current: Arc<Weights>,
     /// What acted before, in case the current ones turn out to be of no use in some scene.
     previous: Option<Arc<Weights>>,
 }
 
-impl ActionMode {
+impl Stepper {
     /// Acts by the newest weights if they are of use.
     fn take_newest(&mut self, weights: &mut Arrivals, shared: &Shared) -> Result<(), RolloutError> {
         let Some(newest) = weights.borrow_and_update().clone() else { return Ok(()) };

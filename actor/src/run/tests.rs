@@ -3,13 +3,14 @@
 use std::collections::BTreeSet;
 
 use blueprints::{BlockIdx, Catalog};
+use environment::EnvironmentConfig;
 use policy::Network;
 use proto::Status;
 use tokio::sync::mpsc;
 use tokio::sync::watch;
 
 use super::*;
-use crate::config::FullBacklog;
+use crate::config::{ActorConfig, FullBacklog};
 use crate::task::{TaskConfig, TaskFilter};
 use crate::toy;
 
@@ -26,6 +27,11 @@ fn config() -> ActorConfig {
     }
 }
 
+fn setup(config: ActorConfig) -> ActorSetup {
+    let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
+    ActorSetup { config, policy: toy::policy(), environment, id: toy::identity().actor, seed: 1 }
+}
+
 /// Ends a test that waits for what does not come.
 async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(60), future).await.expect("it takes a moment only")
@@ -34,7 +40,7 @@ async fn within<T>(future: impl Future<Output = T>) -> T {
 struct Actor {
     bus: Bus,
     shutdown: CancellationToken,
-    task: tokio::task::JoinHandle<anyhow::Result<ActorReport>>,
+    task: tokio::task::JoinHandle<anyhow::Result<Summary>>,
     _dir: tempfile::TempDir,
 }
 
@@ -44,14 +50,11 @@ impl Actor {
         let bus = Bus::isolated(dir.path()).await.unwrap();
         let shutdown = CancellationToken::new();
         let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-        let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
-        let id = toy::identity().actor;
-        let task =
-            tokio::spawn(async move { run(config, toy::policy(), environment, id, 1, &its_bus, its_shutdown).await });
+        let task = tokio::spawn(async move { run(setup(config), &its_bus, its_shutdown).await });
         Self { bus, shutdown, task, _dir: dir }
     }
 
-    async fn stop(self) -> ActorReport {
+    async fn stop(self) -> Summary {
         self.shutdown.cancel();
         let report = within(self.task).await.unwrap().unwrap();
         self.bus.close().await;
@@ -123,7 +126,7 @@ async fn it_waits_for_the_first_weights_and_refuses_other_networks() {
     assert!(format!("{error:#}").contains("are for network 0000000000000001"), "{error:#}");
 
     let actor = Actor::start(config()).await;
-    assert_eq!(actor.stop().await, ActorReport::default());
+    assert_eq!(actor.stop().await, Summary::default());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -133,10 +136,8 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let taken = bus.declare_alive(Role::Actor, "toy").await.unwrap();
     let start = || {
-        let (bus, id) = (bus.clone(), toy::identity().actor);
-        let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
-        let policy = toy::policy();
-        tokio::spawn(async move { run(config(), policy, environment, id, 1, &bus, CancellationToken::new()).await })
+        let bus = bus.clone();
+        tokio::spawn(async move { run(setup(config()), &bus, CancellationToken::new()).await })
     };
     let expected = "another live actor of this run is called \"toy\"; choose another --id";
     assert_eq!(within(start()).await.unwrap().unwrap_err().to_string(), expected);

@@ -30,14 +30,14 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     episodes.n_threads = args.threads.map_or_else(n_cores, usize::from);
     let setup = EvalSetup {
         catalog,
-        policy: config.policy,
         environment: config.environment,
         episodes,
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
         seed: config.seed,
     };
     // A signal ends the process: nothing is lost but the episodes so far.
-    let report = evaluate(&setup, &source.model.weights, &blueprints, &|| true).map_err(anyhow::Error::from)?;
+    let report =
+        evaluate(&setup, &config.policy, &source.model.weights, &blueprints, &|| true).map_err(anyhow::Error::from)?;
     if args.json {
         terminal.print(&serde_json::to_string_pretty(&report).map_err(anyhow::Error::from)?);
     } else {

@@ -1,4 +1,4 @@
-//! `expert eval`: judges the scripted expert on blueprints.
+//! `expert eval`: evaluates the scripted expert on blueprints.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -10,7 +10,8 @@ use anyhow::Context;
 use blueprints::Group;
 use blueprints::{Blueprint, Catalog, Split};
 use evaluator::{
-    Detail, ExpertFailure, ExpertReport, ExpertSetup, ResetFreeConfig, Starts, evaluate_expert, render_expert,
+    Detail, EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, ResetFreeConfig, Starts, evaluate_expert,
+    render_expert,
 };
 use proto::Trajectory;
 use proto::codec::encode_trajectory;
@@ -33,7 +34,7 @@ struct Explained<'a> {
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-struct Judged<'a> {
+struct Timed<'a> {
     #[serde(flatten)]
     report: &'a ExpertReport,
     /// Environment steps per second of all threads together, planning included.
@@ -64,19 +65,18 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     }
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
     let n_threads = args.threads.map_or_else(n_cores, usize::from);
-    let setup = ExpertSetup {
+    let starts = match args.start {
+        StartArg::Scattered => Starts::Scattered,
+        StartArg::Prebuilt => Starts::Prebuilt,
+        StartArg::Mixed => Starts::Mixed,
+    };
+    let setup = EvalSetup {
         catalog,
         environment,
-        n_episodes: args.episodes,
-        starts: match args.start {
-            StartArg::Scattered => Starts::Scattered,
-            StartArg::Prebuilt => Starts::Prebuilt,
-            StartArg::Mixed => Starts::Mixed,
-        },
+        // The expert decides for each world by itself, so a second one for a thread gains nothing.
+        episodes: EpisodeConfig { n_episodes: args.episodes, starts, n_threads, n_worlds: 1, ..Default::default() },
         reset_free: args.reset_free.then(ResetFreeConfig::default),
-        n_threads,
         seed: args.seed,
-        keeps_successes: args.record.is_some(),
     };
     let start = Instant::now();
     // A signal ends the process: nothing is lost but the episodes so far.
@@ -89,8 +89,8 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         record(folder, catalog, &report)?;
     }
     if args.json {
-        let judged = Judged { report: &report, steps_per_second, n_threads };
-        terminal.print(&serde_json::to_string_pretty(&judged).map_err(anyhow::Error::from)?);
+        let timed = Timed { report: &report, steps_per_second, n_threads };
+        terminal.print(&serde_json::to_string_pretty(&timed).map_err(anyhow::Error::from)?);
     } else {
         terminal.print(render_expert(&report, Detail::Blueprints).trim_end());
         terminal.print(&format!("{steps_per_second:.0} steps/s on {n_threads} threads, planning included"));

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use actor::Lockstep;
+use actor::{ActorSetup, Lockstep};
 use blueprints::Catalog;
 use bus::Bus;
 use dashboard::{Page, Source};
 use evaluator::{EvaluatorSetup, Listeners, Stop};
-use learner::{Feed, LearnerReport, LearnerSetup, RunOptions};
+use learner::{Feed, LearnerSetup, RunOptions};
 use proto::metrics::EvalReport;
 use proto::{ActorId, Role};
 use runlog::RunPaths;
@@ -31,7 +31,8 @@ const WAIT_NOTICE: Duration = Duration::from_secs(10);
 pub(super) async fn run_actor(config: &Config, args: &MemberArgs, shutdown: CancellationToken) -> Result<(), Failure> {
     let id = actor_id(args.id.clone())?;
     let health = Reporter::start(Role::Actor.as_str(), args.health.health_file.as_deref())?;
-    on_bus(config, &health, &shutdown, async |bus| actor(config.clone(), id, bus, shutdown.clone()).await).await
+    let setup = actor_setup(config, id);
+    on_bus(config, &health, &shutdown, async |bus| actor(setup, bus, shutdown.clone()).await).await
 }
 
 /// Runs `learner`.
@@ -47,7 +48,7 @@ pub(super) async fn run_learner(
     let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let options = run_options(setup, config, &run_dir, origin.checkpoint);
-    on_bus(config, &health, &shutdown, async |bus| learner(options, None, bus, shutdown.clone()).await.map(drop)).await
+    on_bus(config, &health, &shutdown, async |bus| learner(options, bus, shutdown.clone()).await.map(drop)).await
 }
 
 /// Runs `evaluator`, which prints its reports, or works on behalf of another.
@@ -106,26 +107,18 @@ async fn on_bus(
 }
 
 /// An actor's life; what it draws differs from all others of the same run.
-pub(super) async fn actor(config: Config, id: ActorId, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
-    actor::run(config.actor, config.policy, config.environment, id, config.seed, &bus, shutdown).await?;
+pub(super) async fn actor(setup: ActorSetup, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
+    actor::run(setup, &bus, shutdown).await?;
     Ok(())
 }
 
-/// A learner's life; with a `feed` it asks that for trajectories instead of the bus.
+/// A learner's life.
 pub(super) async fn learner(
     options: RunOptions,
-    feed: Option<Feed>,
     bus: Bus,
     shutdown: CancellationToken,
-) -> Result<LearnerReport, Failure> {
-    Ok(learner::run(options, feed, &bus, shutdown).await?)
-}
-
-/// Worlds that step in turns with the learner.
-pub(super) fn lockstep_feed(config: &Config) -> Feed {
-    let (actor, policy, environment) = (config.actor.clone(), config.policy.clone(), config.environment.clone());
-    let mut worlds = Lockstep::new(actor, policy, environment, config.seed);
-    Box::new(move |weights, restart| worlds.step(weights, restart))
+) -> Result<learner::Summary, Failure> {
+    Ok(learner::run(options, &bus, shutdown).await?)
 }
 
 /// An evaluator's life, and the page beside it.
@@ -142,7 +135,7 @@ pub(super) async fn evaluator(
         return Ok(());
     };
     let ((passes, its_passes), (weights, its_weights)) = (mpsc::unbounded_channel(), watch::channel(None));
-    (listeners.passes, listeners.weights) = (Some(passes), Some(weights));
+    (listeners.evaluations, listeners.weights) = (Some(passes), Some(weights));
     let (policy, run) = (setup.policy.clone(), setup.records.clone());
     let source = Source { passes: its_passes, weights: its_weights, policy, run };
     tokio::try_join!(evaluator::run(setup, &bus, listeners, stop), page.serve(&bus, source))?;
@@ -155,6 +148,17 @@ pub(super) async fn page(config: &Config, terminal: &Terminal) -> Result<Option<
     let page = Page::bind(web).await?;
     terminal.print(&format!("page at http://{}", page.address()));
     Ok(Some(page))
+}
+
+/// What an actor needs.
+pub(super) fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
+    ActorSetup {
+        config: config.actor.clone(),
+        policy: config.policy.clone(),
+        environment: config.environment.clone(),
+        id,
+        seed: config.seed,
+    }
 }
 
 /// What an evaluator needs; its reports are kept in `run_dir`.
@@ -194,7 +198,14 @@ pub(super) fn run_options(
     run_dir: &RunDir,
     resume: Option<PathBuf>,
 ) -> RunOptions {
-    RunOptions { setup, run_dir: run_dir.paths().clone(), resume, max_env_steps: Some(config.n_env_steps) }
+    RunOptions { setup, run_dir: run_dir.paths().clone(), resume, max_env_steps: Some(config.n_env_steps), feed: None }
+}
+
+/// Worlds that step in turns with the learner.
+pub(super) fn lockstep_feed(config: &Config) -> Feed {
+    let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
+    let mut worlds = Lockstep::new(actor_setup(config, id));
+    Box::new(move |weights, restart| worlds.step(weights, restart))
 }
 
 fn actor_id(id: Option<String>) -> Result<ActorId, Failure> {

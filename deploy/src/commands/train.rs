@@ -47,13 +47,13 @@ pub(super) async fn run(
     let judging = tokio::spawn(live::show_reports(judged, terminal.clone()));
 
     let mut running = JoinSet::new();
-    let options = services::run_options(setup, config, &run_dir, origin.checkpoint);
+    let mut options = services::run_options(setup, config, &run_dir, origin.checkpoint);
+    options.feed = config.lockstep.then(|| services::lockstep_feed(config));
     let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
-    let feed = config.lockstep.then(|| services::lockstep_feed(config));
     let (tell, last) = watch::channel(None);
     let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
     let training = shutdown.child_token();
-    let learner = services::learner(options, feed, bus.clone(), training.clone());
+    let learner = services::learner(options, bus.clone(), training.clone());
     let (interrupted, told) = (shutdown.clone(), config.evaluator.evaluate_last.then(|| terminal.clone()));
     running.spawn(async move {
         let report = learner.await?;
@@ -64,7 +64,7 @@ pub(super) async fn run(
         Ok(())
     });
     if !config.lockstep {
-        running.spawn(services::actor(config.clone(), id, bus.clone(), training.clone()));
+        running.spawn(services::actor(services::actor_setup(config, id), bus.clone(), training.clone()));
     }
     running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), stop));
     let mut ended = Ok(());

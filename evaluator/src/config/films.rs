@@ -1,4 +1,4 @@
-//! Settings of the films of an evaluator's passes.
+//! Settings of the films of an evaluator's evaluations.
 
 use blueprints::{BlueprintId, Catalog};
 use serde::{Deserialize, Serialize};
@@ -7,10 +7,10 @@ use super::{EvaluatorConfigError, check};
 use blueprints::Group;
 use render::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 
-/// Which episodes of a pass become films, and how. Only an evaluator that keeps records makes any.
+/// Which episodes of an evaluation become films, and how. Only an evaluator that keeps records makes any.
 ///
 /// They are made by default, because numbers do not say what a policy does wrong, and cost little: two films for each
-/// group and pass, each about a second on one core.
+/// group and evaluation, each about a second on one core.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FilmsConfig {
@@ -18,8 +18,8 @@ pub struct FilmsConfig {
     pub groups: Vec<Group>,
     /// Blueprints of which films are made besides; none twice. Default: none.
     pub blueprints: Vec<BlueprintId>,
-    /// Successes, and as many failures, that a pass films of each of those, 0 to 10; the first ones with the first way of
-    /// acting. Default 1.
+    /// Successes, and as many failures, that an evaluation films of each of those, 0 to 10; the first ones with the first
+    /// way of acting. Default 1.
     pub n_of_each: u32,
     /// Width of the frames in pixels, 480 to 1920. Default 640.
     pub width: usize,

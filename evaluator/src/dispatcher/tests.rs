@@ -1,4 +1,4 @@
-//! Remote workers on an isolated bus do the work of a pass in which the evaluator itself does nothing.
+//! Remote workers on an isolated bus do the work of an evaluation in which the evaluator itself does nothing.
 
 use blueprints::{Blueprint, Catalog, Split};
 use bus::UnitServer;
@@ -7,18 +7,17 @@ use tokio_util::sync::CancellationToken;
 
 use super::*;
 use crate::config::{EpisodeConfig, EvaluatorConfig};
-use crate::episodes::tests::{small_setup, weights};
+use crate::episodes::tests::{agent, small_policy, small_setup, weights};
+use crate::films::EpisodeSelector;
 use crate::pool::EvaluationPool;
-use crate::sequences::EpisodeSpec;
-use crate::setup::EvaluatorSetup;
-use crate::setup::setup_hash;
+use crate::setup::{EvaluatorSetup, setup_hash};
 use crate::worker::run_worker;
 
 fn setup(id: &str, episode_steps: u16) -> EvaluatorSetup {
     let small = small_setup(EpisodeConfig::default());
     EvaluatorSetup {
         config: EvaluatorConfig::default(),
-        policy: small.policy,
+        policy: small_policy(),
         environment: environment::EnvironmentConfig { episode_steps, ..small.environment },
         id: id.to_owned(),
         seed: 3,
@@ -52,7 +51,7 @@ async fn brought(queue: &Arc<WorkQueue>) -> Vec<Vec<EpisodeResult>> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn assistants_find_what_the_evaluator_would() {
+async fn remote_workers_find_what_the_evaluator_would() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let shutdown = CancellationToken::new();
@@ -66,18 +65,18 @@ async fn assistants_find_what_the_evaluator_would() {
     let token = bus.declare_alive(Role::Worker, "idle").await.unwrap();
 
     let small = small_setup(EpisodeConfig::default());
-    let queue = Arc::new(WorkQueue::new(Arc::new(weights(&small))));
+    let queue = Arc::new(WorkQueue::default());
     queue.post(&sequences(), ActionMode::Sampled);
     let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8))).await.unwrap();
-    workers.open(queue.clone());
+    workers.open(queue.clone(), Arc::new(weights()));
     let taken = within(idle.recv()).await.unwrap();
     assert!(taken.unit.is_sampled && taken.unit.weights.is_none());
     drop(token);
     drop(taken);
     let shared = brought(&queue).await;
 
-    let alone = WorkQueue::new(queue.weights().clone());
-    let pool = EvaluationPool { setup: &small, queue: &alone, films: None, keep_going: &|| true };
+    let (alone, observer) = (WorkQueue::default(), None::<&EpisodeSelector>);
+    let pool = EvaluationPool { setup: &small, agent: &agent, queue: &alone, observer, keep_going: &|| true };
     assert_eq!(shared, pool.run(&sequences(), ActionMode::Sampled).unwrap());
     assert_eq!((queue.n_assisted(), alone.n_assisted()), (12, 0));
     shutdown.cancel();

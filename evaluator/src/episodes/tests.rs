@@ -8,14 +8,18 @@ use proto::{ActionMode, Normalization, WeightsVersion};
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig};
 
-/// A network small enough for tests and short episodes.
-pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
+/// A network small enough for tests.
+pub(crate) fn small_policy() -> PolicyConfig {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
     let network = NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
+    PolicyConfig { network, ..Default::default() }
+}
+
+/// Short episodes.
+pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
     EvalSetup {
         catalog: Catalog::builtin(),
-        policy: PolicyConfig { network, ..Default::default() },
         environment: EnvironmentConfig { episode_steps: 8, ..Default::default() },
         episodes,
         reset_free: None,
@@ -23,17 +27,22 @@ pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
     }
 }
 
-pub(crate) fn weights(setup: &EvalSetup<'_>) -> Weights {
-    let device = DeviceKind::Cpu.open().unwrap();
-    let network = Network::init(&setup.policy.network, &setup.policy.sizes(), 1, &device);
+pub(crate) fn weights() -> Weights {
+    let config = small_policy();
+    let network = Network::init(&config.network, &config.sizes(), 1, &DeviceKind::Cpu.open().unwrap());
     Weights {
         version: WeightsVersion(2),
         n_env_steps: 77,
-        network_hash: setup.policy.hash(),
+        network_hash: config.hash(),
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: [(blueprints(1)[0].id().clone(), 1.0)].into(),
     }
+}
+
+/// Acts by these weights.
+pub(crate) fn agent() -> Result<Policy, EvalError> {
+    Ok(Policy::with_weights(&small_policy(), &weights())?)
 }
 
 fn blueprints(n: usize) -> Vec<&'static Blueprint> {
@@ -41,7 +50,7 @@ fn blueprints(n: usize) -> Vec<&'static Blueprint> {
 }
 
 fn report(setup: &EvalSetup<'_>, n_blueprints: usize) -> EvalReport {
-    evaluate(setup, &weights(setup), &blueprints(n_blueprints), &|| true).unwrap()
+    evaluate(setup, &small_policy(), &weights(), &blueprints(n_blueprints), &|| true).unwrap()
 }
 
 #[test]
@@ -61,9 +70,9 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     // 62 of 2 to 4 blocks: 124 episodes in parts of 32, 64 and 124.
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
-    let queue = WorkQueue::new(Arc::new(weights(&setup)));
-    let pool = EvaluationPool { setup: &setup, queue: &queue, films: None, keep_going: &|| true };
-    let whole = evaluate_in_parts(&pool, &blueprints, &mut |part| parts.push(part)).unwrap();
+    let (queue, observer) = (WorkQueue::default(), None::<&EpisodeSelector>);
+    let pool = EvaluationPool { setup: &setup, agent: &agent, queue: &queue, observer, keep_going: &|| true };
+    let whole = evaluate_in_parts(&pool, &weights(), &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));
@@ -72,7 +81,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let first: Vec<_> = parts[0].blueprints.iter().map(|score| &score.blueprint).collect();
     assert!(blueprints.iter().step_by(2).all(|blueprint| first.contains(&blueprint.id())), "{first:?}");
     assert_eq!(parts[1].blueprints.len(), 62);
-    assert_eq!(whole, evaluate(&setup, &weights(&setup), &blueprints, &|| true).unwrap());
+    assert_eq!(whole, evaluate(&setup, &small_policy(), &weights(), &blueprints, &|| true).unwrap());
 }
 
 #[test]
@@ -91,9 +100,19 @@ fn an_episode_is_the_same_whatever_runs_beside_it() {
 #[test]
 fn weights_of_another_network_are_refused() {
     let setup = small_setup(EpisodeConfig { n_episodes: 1, ..Default::default() });
-    let other = Weights { network_hash: 1, ..weights(&setup) };
-    let result = evaluate(&setup, &other, &blueprints(1), &|| true);
+    let other = Weights { network_hash: 1, ..weights() };
+    let result = evaluate(&setup, &small_policy(), &other, &blueprints(1), &|| true);
     assert!(matches!(result, Err(EvalError::Policy(PolicyError::OtherNetwork { .. }))));
+}
+
+#[test]
+fn what_one_thread_cannot_start_ends_the_work_of_all() {
+    let episodes = EpisodeConfig { n_episodes: 1, n_threads: 2, n_worlds: 1, ..Default::default() };
+    let goals = blueprints(2);
+    let catalog = Catalog::of_one(goals[0].clone());
+    let setup = EvalSetup { catalog: &catalog, ..small_setup(episodes) };
+    let result = evaluate(&setup, &small_policy(), &weights(), &goals, &|| true);
+    assert_eq!(result.unwrap_err().to_string(), format!("an episode of blueprint {} cannot be started", goals[1].id()));
 }
 
 #[test]
@@ -106,6 +125,6 @@ fn reset_free_runs_count_every_goal() {
     assert_eq!((runs.mode.outcome.success.n_episodes, runs.mode.n_successes_by_goal.len()), (6, 3));
     assert_eq!(runs.sampled.outcome.success.n_episodes, 0);
     setup.reset_free = Some(ResetFreeConfig { min_blocks: 17, ..Default::default() });
-    let result = evaluate(&setup, &weights(&setup), &blueprints(1), &|| true);
+    let result = evaluate(&setup, &small_policy(), &weights(), &blueprints(1), &|| true);
     assert_eq!(result.unwrap_err().to_string(), "no training blueprint has 17 blocks or more for the reset-free runs");
 }

@@ -1,14 +1,18 @@
-//! What happened in an episode of the expert, so that a failure has a cause and a replay.
+//! What happened in the episodes of the expert, so that a failure has a cause and a replay.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
-use blueprints::Blueprint;
-use environment::{Activity, Decision};
-use proto::{Action, ActorId, Driver, Joint, N_GRIPPERS, RewardTerms, Scene, Status, Task, Trajectory, WeightsVersion};
+use blueprints::{Blueprint, BlueprintId};
+use environment::{Activity, ExpertAgent, Step};
+use parking_lot::Mutex;
+use proto::unit::End;
+use proto::{ActionMode, ActorId, Driver, Joint, Observation, Scene, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
 use crate::recording::Recording;
-use crate::report::Episode;
+use crate::report::EpisodeResult;
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
 /// This many steps of one trouble are enough to call it the cause.
 const MANY_STEPS: u32 = 15;
@@ -16,7 +20,7 @@ const MANY_STEPS: u32 = 15;
 const STUCK_STEPS: u32 = 30;
 
 /// Why an episode failed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Cause {
     /// The blueprint has no order of assembly.
@@ -32,11 +36,12 @@ pub enum Cause {
     /// For a long time nothing new connected.
     Stuck,
     /// It went on well but was not over.
+    #[default]
     Time,
 }
 
 /// What an episode went through.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Trouble {
     /// Why it failed.
     pub cause: Cause,
@@ -58,67 +63,119 @@ pub struct Trouble {
     pub n_missing: u32,
 }
 
+/// An episode that failed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpertFailure {
+    /// The goal.
+    pub blueprint: BlueprintId,
+    /// Number of the episode, from 0.
+    pub episode_idx: u64,
+    /// What went wrong.
+    #[serde(flatten)]
+    pub trouble: Trouble,
+    /// Every step, for a replay; not part of the report's JSON. `None` if the episode has no step to show.
+    #[serde(skip)]
+    pub replay: Option<Trajectory>,
+}
+
+/// What is kept of an evaluation of the expert.
+#[derive(Default)]
+pub(super) struct Diaries(Mutex<Replays>);
+
+#[derive(Default)]
+struct Replays {
+    failures: BTreeMap<Place, ExpertFailure>,
+    /// The first of each sequence: one is enough to look at, and all of them would be gigabytes.
+    successes: BTreeMap<usize, Trajectory>,
+}
+
 /// The record of an episode.
 pub(super) struct Diary {
+    place: Place,
     recording: Recording,
     trouble: Trouble,
+    has_no_order: bool,
     has_fetched: bool,
     n_right: u32,
     steps_since_gain: u32,
 }
 
-impl Diary {
-    pub(super) fn new(scene: &Scene, blueprint: &Blueprint) -> Self {
-        let n_right = count(scene, |joint| is_right(blueprint, joint));
-        let trouble = Trouble {
-            cause: Cause::Time,
-            n_steps: 0,
-            n_repair_steps: 0,
-            n_takedown_steps: 0,
-            n_clearing_steps: 0,
-            n_wrong_snaps: 0,
-            n_breaks: 0,
-            n_wrong_left: 0,
-            n_missing: 0,
-        };
-        Self { recording: Recording::default(), trouble, has_fetched: false, n_right, steps_since_gain: 0 }
+impl Diaries {
+    /// The failures and the first success of each sequence, in the order of the sequences.
+    pub(super) fn into_replays(self) -> (Vec<ExpertFailure>, Vec<Trajectory>) {
+        let Replays { failures, successes } = self.0.into_inner();
+        (failures.into_values().collect(), successes.into_values().collect())
+    }
+}
+
+impl EpisodeObserver<ExpertAgent> for Diaries {
+    type Record = Diary;
+
+    fn begin(&self, place: Place, _: &EpisodeSpec, _: ActionMode, start: Observation<'_>) -> Option<Diary> {
+        Some(Diary::new(place, start))
     }
 
-    /// Takes a step: the scene before, what was decided, what that earned, the scene after.
-    pub(super) fn note(
-        &mut self,
-        before: Scene,
-        decision: Decision,
-        reward: RewardTerms,
-        after: &Scene,
-        blueprint: &Blueprint,
-    ) {
+    fn observe(&self, diary: &mut Diary, step: Step, agent: &ExpertAgent, row: usize, after: Observation<'_>) {
+        diary.note(step, agent.activity(row), after);
+    }
+
+    fn end(&self, diary: Diary, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
+        let (place, trouble) = (diary.place, diary.trouble(result.end));
+        let replay = ActorId::try_from("expert".to_owned()).ok().and_then(|actor| {
+            let (driver, version) = (Driver::Expert, WeightsVersion(0));
+            diary.recording.into_trajectory(actor, driver, version, spec.task(), last, result)
+        });
+        let mut kept = self.0.lock();
+        match (result.end, replay) {
+            (End::Success { .. }, Some(replay)) => {
+                kept.successes.entry(place.sequence_idx).or_insert(replay);
+            }
+            (End::Success { .. }, None) => {}
+            (End::TimeLimit | End::Diverged, replay) => {
+                let (blueprint, episode_idx) = (result.blueprint.clone(), place.episode_idx as u64);
+                kept.failures.insert(place, ExpertFailure { blueprint, episode_idx, trouble, replay });
+            }
+        }
+    }
+}
+
+impl Diary {
+    fn new(place: Place, start: Observation<'_>) -> Self {
+        let n_right = count(start.scene, |joint| is_right(start.blueprint, joint));
+        let (recording, trouble) = (Recording::default(), Trouble::default());
+        Self { place, recording, trouble, has_no_order: false, has_fetched: false, n_right, steps_since_gain: 0 }
+    }
+
+    /// Takes a step: what was done, what for (`None` without an order of assembly), what it led to.
+    fn note(&mut self, step: Step, activity: Option<Activity>, after: Observation<'_>) {
         let trouble = &mut self.trouble;
         trouble.n_steps += 1;
-        match decision.activity {
-            Activity::TakingDown if self.has_fetched => trouble.n_repair_steps += 1,
-            Activity::TakingDown => trouble.n_takedown_steps += 1,
-            Activity::Clearing => trouble.n_clearing_steps += 1,
-            Activity::Adding => self.has_fetched = true,
-            Activity::Settling => {}
+        match activity {
+            Some(Activity::TakingDown) if self.has_fetched => trouble.n_repair_steps += 1,
+            Some(Activity::TakingDown) => trouble.n_takedown_steps += 1,
+            Some(Activity::Clearing) => trouble.n_clearing_steps += 1,
+            Some(Activity::Adding) => self.has_fetched = true,
+            Some(Activity::Settling) => {}
+            None => self.has_no_order = true,
         }
+        let (before, Observation { scene: after, blueprint }) = (&step.scene, after);
         let is_new = |joint: &Joint| !before.joints.contains(joint);
         trouble.n_wrong_snaps += count(after, |joint| is_new(joint) && !is_right(blueprint, joint));
-        trouble.n_breaks += count(&before, |joint| !after.joints.contains(joint) && is_right(blueprint, joint));
+        trouble.n_breaks += count(before, |joint| !after.joints.contains(joint) && is_right(blueprint, joint));
         let n_right = count(after, |joint| is_right(blueprint, joint));
         self.steps_since_gain = if n_right > self.n_right { 0 } else { self.steps_since_gain + 1 };
         self.n_right = n_right;
         trouble.n_wrong_left = after.joints.len() as u32 - n_right;
         trouble.n_missing = blueprint.links().len() as u32 - n_right;
-        self.recording.note(before, decision.action, reward);
+        self.recording.push(step);
     }
 
     /// What went wrong in an episode that ended so.
-    pub(super) fn trouble(&self, status: Status, has_no_order: bool) -> Trouble {
+    fn trouble(&self, end: End) -> Trouble {
         let t = &self.trouble;
-        let cause = if has_no_order {
+        let cause = if self.has_no_order {
             Cause::NoOrder
-        } else if status == Status::Diverged {
+        } else if end == End::Diverged {
             Cause::Diverged
         } else if t.n_wrong_left > 0 || t.n_repair_steps >= MANY_STEPS {
             Cause::WrongConnection
@@ -132,12 +189,6 @@ impl Diary {
             Cause::Time
         };
         Trouble { cause, ..*t }
-    }
-
-    /// The episode as a trajectory of no weights.
-    pub(super) fn into_replay(self, task: &Task, last: &Scene, end: &Episode) -> Option<Trajectory> {
-        let actor = ActorId::try_from("expert".to_owned()).ok()?;
-        self.recording.into_trajectory(actor, Driver::Expert, WeightsVersion(0), task, last, end)
     }
 }
 
@@ -153,12 +204,6 @@ impl fmt::Display for Cause {
             Self::Time => "time",
         })
     }
-}
-
-/// An action that leaves the world alone.
-pub(super) fn nothing() -> Decision {
-    let action = Action { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; blueprints::N_BLOCKS] };
-    Decision { action, activity: Activity::Settling }
 }
 
 fn is_right(blueprint: &Blueprint, joint: &Joint) -> bool {

@@ -1,18 +1,19 @@
-//! Episodes are shared out, judged and explained as they happened.
+//! Episodes are shared out, evaluated and explained as they happened.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use super::*;
+use blueprints::Catalog;
+use environment::EnvironmentConfig;
 
-fn setup() -> ExpertSetup<'static> {
-    ExpertSetup {
+use super::*;
+use crate::config::{EpisodeConfig, ResetFreeConfig, Starts};
+
+fn setup() -> EvalSetup<'static> {
+    EvalSetup {
         catalog: Catalog::builtin(),
         environment: EnvironmentConfig::default(),
-        n_episodes: 5,
-        starts: Starts::Mixed,
+        episodes: EpisodeConfig { n_episodes: 5, starts: Starts::Mixed, n_threads: 2, ..Default::default() },
         reset_free: None,
-        keeps_successes: false,
-        n_threads: 2,
         seed: 1,
     }
 }
@@ -33,13 +34,18 @@ fn the_expert_builds_a_sample_of_the_catalog() {
 #[test]
 fn a_report_does_not_depend_on_the_threads() {
     let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(40).collect();
-    let report = |n_threads| evaluate_expert(&ExpertSetup { n_threads, ..setup() }, &sample, &|| true).unwrap();
-    assert_eq!(report(1), report(3));
+    let report = |n_threads, n_worlds| {
+        let mut setup = setup();
+        (setup.episodes.n_threads, setup.episodes.n_worlds) = (n_threads, n_worlds);
+        evaluate_expert(&setup, &sample, &|| true).unwrap()
+    };
+    assert_eq!(report(1, 1), report(3, 2));
 }
 
 #[test]
 fn a_failure_has_a_cause_and_a_replay_that_can_be_sent() {
-    let mut setup = ExpertSetup { n_episodes: 1, starts: Starts::Scattered, ..setup() };
+    let mut setup = setup();
+    (setup.episodes.n_episodes, setup.episodes.starts) = (1, Starts::Scattered);
     setup.environment.episode_steps = 5;
     let goal = Catalog::builtin().get(&"16_000".parse().unwrap()).unwrap();
     let report = evaluate_expert(&setup, &[goal], &|| true).unwrap();
@@ -57,14 +63,15 @@ fn an_evaluation_ends_when_it_is_told_to() {
     let n_asked = AtomicUsize::new(0);
     let keep_going = || n_asked.fetch_add(1, Ordering::Relaxed) < 3;
     let goal = &Catalog::builtin().of_split(Split::Train)[..1];
-    let setup = ExpertSetup { n_threads: 1, ..setup() };
+    let mut setup = setup();
+    setup.episodes.n_threads = 1;
     assert!(matches!(evaluate_expert(&setup, goal, &keep_going), Err(EvalError::Interrupted)));
 }
 
 #[test]
 fn goals_in_a_row_are_built_where_the_last_one_ended() {
     let config = ResetFreeConfig { n_runs: 2, n_goals: 3, min_blocks: 12 };
-    let setup = ExpertSetup { reset_free: Some(config), ..setup() };
+    let setup = EvalSetup { reset_free: Some(config), ..setup() };
     let goal = &Catalog::builtin().of_split(Split::Train)[..1];
     let found = evaluate_expert(&setup, goal, &|| true).unwrap().reset_free.unwrap();
     assert_eq!((found.n_runs, found.n_goals, found.runs.outcome.success.n_episodes), (2, 3, 6));

@@ -7,7 +7,7 @@ use proto::Trajectory;
 use proto::metrics::FilmCounts;
 use runlog::clips::Ending;
 
-/// Episodes that may wait: three passes of the default films, each up to about a megabyte.
+/// Episodes that may wait: three evaluations of the default films, each up to about a megabyte.
 pub(super) const ROOM: usize = 32;
 
 /// An episode that becomes a film.
@@ -16,7 +16,7 @@ pub(super) struct Clip {
     pub(super) trajectory: Trajectory,
     pub(super) n_env_steps: u64,
     pub(super) ending: Ending,
-    /// From 1 among those of the same blueprint and ending in the pass.
+    /// From 1 among those of the same blueprint and ending in the evaluation.
     pub(super) number: u32,
     /// What it is shown as.
     pub(super) tags: Vec<String>,

@@ -1,6 +1,6 @@
 //! The thread that makes films, and the queue on which episodes wait for it.
 //!
-//! A pass never waits for films: what finds no room on the queue is counted and dropped.
+//! An evaluation never waits for films: what finds no room on the queue is counted and dropped.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ use render::video::{Episode, Film, Miniature, miniature, mp4};
 use runlog::RunPaths;
 use runlog::clips::{ClipName, ClipStore, RECORDING};
 
-/// A thread that makes films of what passes leave on its queue.
+/// A thread that makes films of what evaluations leave on its queue.
 #[derive(Debug)]
 pub(crate) struct VideoRecorder {
     config: FilmsConfig,
@@ -76,7 +76,7 @@ impl VideoRecorder {
         Ok(Some(Self { config: config.clone(), queue, thread: Some(thread) }))
     }
 
-    /// The films of a pass that judges `weights`.
+    /// The films of an evaluation of `weights`.
     pub(crate) fn selector(&self, weights: &Arc<Weights>, acting: &[ActionMode]) -> Option<EpisodeSelector> {
         EpisodeSelector::new(&self.config, weights.clone(), *acting.first()?, self.queue.clone())
     }

@@ -1,25 +1,26 @@
-//! Which episodes of a pass are recorded: those that could be the success or the failure that a film is wanted of.
+//! Which episodes of an evaluation are recorded: those that could be the success or the failure that a film is wanted
+//! of.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use blueprints::{BlueprintId, Split};
-use proto::{ActorId, Driver, Scene, Task, Weights};
+use blueprints::{BlueprintId, Group};
+use environment::Step;
+use proto::unit::End;
+use proto::{ActionMode, ActorId, Driver, Observation, Scene, Weights};
 
 use super::queue::{Clip, ClipQueue};
 use crate::config::FilmsConfig;
 use crate::recording::Recording;
-use crate::report::Episode;
-use blueprints::Group;
-use proto::ActionMode;
-use proto::unit::End;
+use crate::report::EpisodeResult;
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 use runlog::clips::Ending;
 
 /// Episodes that are recorded at a time; at a kilobyte for a step, some tens of megabytes.
 const MAX_RECORDING: usize = 256;
 
-/// The films that are wanted of one pass.
+/// The films that are wanted of one evaluation.
 ///
 /// Until one has ended nobody knows which episode will succeed, so all are recorded that may be wanted, and most of them
 /// are forgotten.
@@ -47,7 +48,7 @@ struct Open {
 }
 
 impl EpisodeSelector {
-    /// The films of a pass that judges `weights`; what is acted otherwise than `acting` is not filmed.
+    /// The films of an evaluation of `weights`; what is acted otherwise than `acting` is not filmed.
     pub(super) fn new(
         config: &FilmsConfig,
         weights: Arc<Weights>,
@@ -64,14 +65,21 @@ impl EpisodeSelector {
         Some(Self { actor, weights, acting, open, queue })
     }
 
-    /// A recording to fill, if an episode of this goal may be wanted.
-    pub(crate) fn begin(&self, task: &Task, split: Split, n_blocks: usize, acting: ActionMode) -> Option<Recording> {
+    fn open(&self) -> MutexGuard<'_, Open> {
+        self.open.lock()
+    }
+}
+
+impl<A> EpisodeObserver<A> for EpisodeSelector {
+    type Record = Recording;
+
+    fn begin(&self, _: Place, spec: &EpisodeSpec, acting: ActionMode, _: Observation<'_>) -> Option<Recording> {
         if acting != self.acting {
             return None;
         }
         let mut open = self.open();
         let is_wanted = |subject: &Subject| Ending::ALL.iter().any(|ending| open.lacks(subject, *ending));
-        if !subjects(&task.blueprint, split, n_blocks).any(|subject| is_wanted(&subject)) {
+        if !subjects(spec).any(|subject| is_wanted(&subject)) {
             return None;
         }
         if open.n_recording >= MAX_RECORDING {
@@ -82,26 +90,27 @@ impl EpisodeSelector {
         Some(Recording::default())
     }
 
-    /// Takes back a recording that [`begin`](Self::begin) gave, of an episode that has ended.
-    pub(crate) fn end(&self, recording: Recording, task: &Task, last: &Scene, episode: &Episode) {
-        let ending = match episode.end {
+    fn observe(&self, recording: &mut Recording, step: Step, _: &A, _: usize, _: Observation<'_>) {
+        recording.push(step);
+    }
+
+    fn end(&self, recording: Recording, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
+        let ending = match result.end {
             End::Success { .. } => Ending::Success,
             End::TimeLimit | End::Diverged => Ending::Failure,
         };
         let mut open = self.open();
         open.n_recording = open.n_recording.saturating_sub(1);
-        let wanted: Vec<Subject> = subjects(&task.blueprint, episode.split, episode.n_blocks)
-            .filter(|subject| open.lacks(subject, ending))
-            .collect();
+        let wanted: Vec<Subject> = subjects(spec).filter(|subject| open.lacks(subject, ending)).collect();
         if wanted.is_empty() {
             return;
         }
-        let (actor, version) = (self.actor.clone(), self.weights.version);
-        let driver = match episode.acting {
+        let (actor, version, task) = (self.actor.clone(), self.weights.version, spec.task());
+        let driver = match result.acting {
             ActionMode::Greedy => Driver::Mode,
             ActionMode::Sampled => Driver::Sample,
         };
-        let Some(trajectory) = recording.into_trajectory(actor, driver, version, task, last, episode) else { return };
+        let Some(trajectory) = recording.into_trajectory(actor, driver, version, task, last, result) else { return };
         let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();
         for subject in wanted {
             open.missing.entry((subject, ending)).and_modify(|n| *n -= 1);
@@ -109,10 +118,6 @@ impl EpisodeSelector {
         let number = open.n_taken.entry((task.blueprint.clone(), ending)).or_insert(0);
         *number += 1;
         self.queue.offer(Clip { trajectory, n_env_steps: self.weights.n_env_steps, ending, number: *number, tags });
-    }
-
-    fn open(&self) -> MutexGuard<'_, Open> {
-        self.open.lock()
     }
 }
 
@@ -123,7 +128,7 @@ impl Open {
 }
 
 impl Subject {
-    /// The name by which films can be followed from pass to pass.
+    /// The name by which films can be followed from evaluation to evaluation.
     fn tag(&self) -> String {
         match self {
             Self::Group(group) => group.name().replace(' ', "-"),
@@ -132,7 +137,7 @@ impl Subject {
     }
 }
 
-fn subjects(blueprint: &BlueprintId, split: Split, n_blocks: usize) -> impl Iterator<Item = Subject> {
-    let group = Group::of(split, n_blocks).map(Subject::Group);
-    group.into_iter().chain([Subject::Blueprint(blueprint.clone())])
+fn subjects(spec: &EpisodeSpec) -> impl Iterator<Item = Subject> {
+    let group = Group::of(spec.split, spec.n_blocks).map(Subject::Group);
+    group.into_iter().chain([Subject::Blueprint(spec.task().blueprint.clone())])
 }

@@ -1,27 +1,27 @@
-//! Films of small passes in real worlds.
+//! Films of small evaluations in real worlds.
 
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
 use blueprints::{Blueprint, Catalog, Split};
+use environment::{Step, StepResult};
 use proto::codec::decode_trajectory;
 use proto::metrics::FilmCounts;
-use proto::{RewardTerms, Scene, Start, Task};
+use proto::unit::End;
+use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Scene, Start, Status};
+use runlog::RunPaths;
 
 use super::VideoRecorder;
 use super::queue::{ClipQueue, ROOM};
 use super::selector::EpisodeSelector;
 use crate::config::{EpisodeConfig, FilmsConfig};
 use crate::episodes::evaluate_in_parts;
-use crate::episodes::tests::{small_setup, weights};
+use crate::episodes::tests::{agent, small_setup, weights};
 use crate::pool::EvaluationPool;
-use crate::report::Episode;
-use crate::sequences::EpisodeSpec;
+use crate::recording::Recording;
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 use crate::work_queue::WorkQueue;
-use proto::ActionMode;
-use proto::unit::End;
-use runlog::RunPaths;
 
 fn blueprint() -> &'static Blueprint {
     Catalog::builtin().of_split(Split::Train)[0]
@@ -38,15 +38,15 @@ fn names(folder: &Path) -> Vec<String> {
 fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let dir = tempfile::tempdir().unwrap();
     let setup = small_setup(EpisodeConfig { n_episodes: 2, ..Default::default() });
-    let weights = Arc::new(weights(&setup));
+    let weights = Arc::new(weights());
     let config = FilmsConfig { width: 480, fps: 10, ..Default::default() };
     let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path())).unwrap().unwrap();
     let selector = recorder.selector(&weights, &setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
-    let evaluate = |films: Option<&EpisodeSelector>| {
-        let queue = WorkQueue::new(weights.clone());
-        let pool = EvaluationPool { setup: &setup, queue: &queue, films, keep_going: &|| true };
-        evaluate_in_parts(&pool, &goals, &mut |_| {}).unwrap()
+    let evaluate = |observer: Option<&EpisodeSelector>| {
+        let queue = WorkQueue::default();
+        let pool = EvaluationPool { setup: &setup, agent: &agent, queue: &queue, observer, keep_going: &|| true };
+        evaluate_in_parts(&pool, &weights, &goals, &mut |_| {}).unwrap()
     };
     assert_eq!(evaluate(selector.as_ref()), evaluate(None));
     let written = recorder.wait_until(|counts| counts.written_total + counts.failed_total > 0);
@@ -66,22 +66,15 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
 
 /// An episode of one step that ended so.
 fn play(selector: &EpisodeSelector, scene: &Scene, acting: ActionMode, end: End) -> bool {
-    let goal = blueprint();
-    let spec = EpisodeSpec::new(goal, Start::Scattered, 1, 0);
-    let task: &Task = spec.task();
-    let Some(mut recording) = selector.begin(task, goal.split(), goal.n_blocks(), acting) else { return false };
-    let action = proto::Action { choices: [None, None], moves: [[0.0; 6]; blueprints::N_BLOCKS] };
-    recording.note(scene.clone(), action, RewardTerms::default());
-    let episode = Episode {
-        blueprint: goal.id().clone(),
-        split: goal.split(),
-        n_blocks: goal.n_blocks(),
-        acting,
-        end,
-        n_steps: 1,
-        episode_return: RewardTerms::default(),
-    };
-    selector.end(recording, task, scene, &episode);
+    let selector: &dyn EpisodeObserver<(), Record = Recording> = selector;
+    let spec = EpisodeSpec::new(blueprint(), Start::Scattered, 1, 0);
+    let seen = Observation { scene, blueprint: blueprint() };
+    let place = Place { sequence_idx: 0, episode_idx: 0 };
+    let Some(mut recording) = selector.begin(place, &spec, acting, seen) else { return false };
+    let decision = Decision { action: Action::IDLE, log_prob: 0.0, value: 0.0 };
+    let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
+    selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, &(), 0, seen);
+    selector.end(recording, &spec, scene, &spec.result(acting, end, 1, RewardTerms::default(), false));
     true
 }
 
@@ -97,8 +90,7 @@ fn scene() -> Scene {
 }
 
 fn selector(config: &FilmsConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
-    let setup = small_setup(EpisodeConfig::default());
-    EpisodeSelector::new(config, Arc::new(weights(&setup)), ActionMode::Greedy, queue.clone()).unwrap()
+    EpisodeSelector::new(config, Arc::new(weights()), ActionMode::Greedy, queue.clone()).unwrap()
 }
 
 #[test]
@@ -119,7 +111,7 @@ fn nothing_is_recorded_once_every_wanted_film_is_taken() {
 }
 
 #[test]
-fn a_full_desk_drops_and_counts_and_nobody_waits() {
+fn a_full_queue_drops_and_counts_and_nobody_waits() {
     let queue = Arc::new(ClipQueue::default());
     let config = FilmsConfig { n_of_each: 10, ..Default::default() };
     // Nobody takes anything off this queue.

@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use blueprints::Split;
+use proto::ActionMode;
 use proto::metrics::{EvalBlueprint, EvalSummary};
 
 use super::*;
 use crate::config::{EpisodeConfig, EvaluatorConfig, Every, Selection};
-use crate::episodes::tests::{small_setup, weights};
-use proto::ActionMode;
+use crate::episodes::tests::{small_policy, small_setup, weights};
 
 /// Ends a test that waits for what does not come.
 async fn within<T>(future: impl Future<Output = T>) -> T {
@@ -26,7 +26,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let records = RunPaths::new(dir.path());
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, ..Default::default() },
-        policy: small.policy.clone(),
+        policy: small_policy(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
         seed: 3,
@@ -40,8 +40,8 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
 
     let publisher = bus.weights_publisher().await.unwrap();
-    let untrained = weights(&small);
-    // Neither judged nor the end: those after them are.
+    let untrained = weights();
+    // Neither evaluated nor the end: those after them are.
     // Of a lower version: within one epoch only newer weights are pulled.
     let version = WeightsVersion(untrained.version.0 - 1);
     let huge = Weights { version, parameters: vec![1e6; untrained.parameters.len()], ..untrained.clone() };
@@ -82,16 +82,19 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let first: EvalBlueprint = serde_json::from_value(lines[1].clone()).unwrap();
     assert_eq!(first, report.blueprints[0]);
     assert_eq!(lines[1]["key"], format!("eval/train/{}", first.blueprint));
-    let passes = History::read(&records.history()).unwrap();
-    assert_eq!(passes.len(), 3);
-    assert_eq!(passes[0], Pass::new(&report, passes[0].ended_unix_ms));
+    let evaluations = History::read(&records.history()).unwrap();
+    assert_eq!(evaluations.len(), 3);
+    assert_eq!(evaluations[0], Pass::new(&report, evaluations[0].ended_unix_ms));
     // Ended in order, after 2026 began.
-    assert!(1_767_225_600_000 < passes[0].ended_unix_ms && passes[0].ended_unix_ms <= passes[1].ended_unix_ms);
+    assert!(
+        1_767_225_600_000 < evaluations[0].ended_unix_ms
+            && evaluations[0].ended_unix_ms <= evaluations[1].ended_unix_ms
+    );
     bus.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
+async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let episodes = EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() };
@@ -100,7 +103,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
     let setup = EvaluatorSetup {
         config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() },
-        policy: small.policy.clone(),
+        policy: small_policy(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
         seed: 3,
@@ -113,7 +116,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
     let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
     let publisher = bus.weights_publisher().await.unwrap();
-    publisher.publish(Arc::new(weights(&small))).await.unwrap();
+    publisher.publish(Arc::new(weights())).await.unwrap();
 
     let mut progress = Vec::new();
     while !progress.last().is_some_and(|&(is_complete, _)| is_complete) {
@@ -125,7 +128,7 @@ async fn the_first_numbers_of_a_pass_are_told_before_it_ends() {
     assert_eq!(progress, [(false, 32), (true, 45)]);
     stop.now.cancel();
     within(service).await.unwrap().unwrap();
-    // Whoever follows the caller's channel sees whole passes only.
+    // Whoever follows the caller's channel sees whole evaluations only.
     assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
     bus.close().await;
 }

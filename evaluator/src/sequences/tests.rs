@@ -1,10 +1,10 @@
-//! Lanes of toy worlds whose endings are scripted.
+//! Sequences of toy worlds whose endings are scripted.
 
-use environment::StepResult;
-use policy::PolicyConfig;
-use proto::{Gripper, Pose, Scene};
+use policy::{Policy, PolicyConfig};
+use proto::{Gripper, Pose};
 
 use super::*;
+use crate::films::EpisodeSelector;
 
 /// A world in which nothing moves and a script says how each step ends.
 struct Toy {
@@ -66,17 +66,18 @@ fn run(
     sequences: &[Vec<EpisodeSpec>],
     keep_going: bool,
 ) -> Result<Vec<Vec<EpisodeResult>>, EvalError> {
-    let policy = Policy::new(&PolicyConfig::default()).unwrap();
-    let rules = Rules {
+    let mut policy = Policy::new(&PolicyConfig::default()).unwrap();
+    let rules: Rules<'_, EpisodeSelector> = Rules {
         catalog: Catalog::builtin(),
         acting: ActionMode::Sampled,
         success: &SuccessConfig::default(),
         keep_going: &|| keep_going,
-        films: None,
+        observer: None,
     };
     let mut waiting = sequences.iter().map(|sequence| Arc::from(sequence.as_slice())).enumerate();
     let mut all = vec![Vec::new(); sequences.len()];
-    run_sequences(&rules, &policy, worlds, || waiting.next(), |sequence_idx, results| all[sequence_idx] = results)?;
+    let done = |sequence_idx: usize, results| all[sequence_idx] = results;
+    run_sequences(&rules, &mut policy, worlds, || waiting.next(), done)?;
     Ok(all)
 }
 
@@ -85,25 +86,25 @@ fn sequence(starts: &[Start]) -> Vec<EpisodeSpec> {
 }
 
 #[test]
-fn worlds_share_more_lanes_than_there_are_worlds() {
+fn worlds_share_more_sequences_than_there_are_worlds() {
     use Status::{Running, Success, TimeLimit};
     let worlds = vec![toy(&[Success]), toy(&[Running, Running, TimeLimit])];
     let sequences = vec![sequence(&[Start::Scattered]); 5];
     let results = run(worlds, &sequences, true).unwrap();
-    let steps: Vec<u32> = results.iter().map(|sequence| sequence[0].episode.n_steps).collect();
+    let steps: Vec<u32> = results.iter().map(|sequence| sequence[0].n_steps).collect();
     // The first world ends an episode at every step, the second at the third, when the last sequence is taken already.
     assert_eq!(steps, [1, 3, 1, 1, 1]);
     // Nothing is connected in the toy's scene, so its success proves unstable.
-    assert_eq!(results[0][0].episode.end, End::Success { stable: false });
-    assert_eq!((results[1][0].episode.end, results[1][0].episode.episode_return.wrong), (End::TimeLimit, -3.0));
+    assert_eq!(results[0][0].end, End::Success { stable: false });
+    assert_eq!((results[1][0].end, results[1][0].episode_return.wrong), (End::TimeLimit, -3.0));
 }
 
 #[test]
-fn a_lane_keeps_its_world_until_that_diverges() {
+fn a_sequence_keeps_its_world_until_that_diverges() {
     use Status::{Diverged, Success, TimeLimit};
     let sequences = [sequence(&[Start::Scattered, Start::AsItIs, Start::AsItIs, Start::AsItIs])];
     let results = run(vec![toy(&[Success, TimeLimit, Diverged, Success])], &sequences, true).unwrap();
-    let ends: Vec<(End, bool)> = results[0].iter().map(|results| (results.episode.end, results.forced_reset)).collect();
+    let ends: Vec<(End, bool)> = results[0].iter().map(|result| (result.end, result.forced_reset)).collect();
     let success = End::Success { stable: false };
     assert_eq!(ends, [(success, false), (End::TimeLimit, false), (End::Diverged, false), (success, true)]);
 }

@@ -1,14 +1,13 @@
-//! Lanes that are taken, brought, lost and brought too late.
+//! Sequences that are taken, brought, lost and brought too late.
 
 use blueprints::{Catalog, Split};
+use proto::unit::End;
 use proto::{RewardTerms, Start};
 
 use super::*;
-use crate::episodes::tests::{small_setup, weights};
-use proto::unit::End;
 
 fn queue() -> Arc<WorkQueue> {
-    Arc::new(WorkQueue::new(Arc::new(weights(&small_setup(Default::default())))))
+    Arc::default()
 }
 
 fn sequences(n: u64) -> Vec<Vec<EpisodeSpec>> {
@@ -31,11 +30,11 @@ fn bring(lease: Lease, n_steps: u32) {
 
 /// Who ran each sequence.
 fn runners(queue: &WorkQueue) -> Vec<u32> {
-    queue.clear().iter().map(|sequence| sequence[0].episode.n_steps).collect()
+    queue.clear().iter().map(|sequence| sequence[0].n_steps).collect()
 }
 
 #[test]
-fn every_lane_is_given_to_one() {
+fn every_sequence_is_given_to_one() {
     let queue = queue();
     queue.post(&sequences(20), ActionMode::Greedy);
     let (first, second) = (WorkerGuard::new(queue.clone()), WorkerGuard::new(queue.clone()));
@@ -66,9 +65,9 @@ fn what_is_not_brought_is_for_others() {
 #[test]
 fn what_comes_too_late_changes_nothing() {
     let queue = queue();
-    let assisting = WorkerGuard::new(queue.clone());
+    let guard = WorkerGuard::new(queue.clone());
     queue.post(&sequences(1), ActionMode::Greedy);
-    let (late, lost) = (assisting.take().unwrap(), sequences(1));
+    let (late, lost) = (guard.take().unwrap(), sequences(1));
     queue.post(&lost, ActionMode::Sampled);
     bring(late, 1);
     assert!(!queue.is_done());

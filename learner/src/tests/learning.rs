@@ -5,9 +5,8 @@ use std::sync::Arc;
 use blueprints::{BlockIdx, Catalog, Inventory};
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
-use policy::{FeatureBatch, NetworkConfig, Policy, PolicyConfig};
-use proto::ActionMode;
-use proto::{Driver, Label, Outcome, RewardTerms, Status, Trajectory, Weights};
+use policy::{NetworkConfig, Policy, PolicyConfig};
+use proto::{ActionMode, Agent, Driver, Label, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -38,14 +37,14 @@ pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
     let mut policy = Policy::new(&setup.policy).unwrap();
     policy.load(weights).unwrap();
     let mut trajectories: Vec<_> = (0..n).map(|_| random_trajectory(1, weights.version.0, rng)).collect();
-    let mut features = FeatureBatch::new(&setup.policy.features);
     let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
-    trajectories.iter().for_each(|t| features.push(&t.transitions[0].scene, blueprint));
+    let scenes: Vec<Scene> = trajectories.iter().map(|t| t.transitions[0].scene.clone()).collect();
+    let observations: Vec<_> = scenes.iter().map(|scene| Observation { scene, blueprint }).collect();
     let mut rngs = vec![ChaCha8Rng::from_rng(rng); n];
     for (i, action_rng) in rngs.iter_mut().enumerate() {
         action_rng.set_stream(i as u64);
     }
-    let decisions = policy.act(&features, &mut rngs, ActionMode::Sampled).unwrap();
+    let decisions = policy.act(&observations, &vec![ActionMode::Sampled; n], &mut rngs).unwrap();
     for (trajectory, decision) in trajectories.iter_mut().zip(decisions) {
         let success = decision.action.choices[0].is_some_and(|block| blueprint.contains(block));
         let reward = RewardTerms { connected: f32::from(u8::from(success)), ..RewardTerms::default() };

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
-use crate::{Checkpoint, CheckpointError, LearnerReport, LearnerSetup, RunOptions, run};
+use crate::{Checkpoint, CheckpointError, LearnerSetup, RunOptions, Summary, run};
 use runlog::RunPaths;
 
 /// Sends enough trajectories for one update with each of the next `n_updates` weights.
@@ -39,14 +39,14 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
 }
 
 /// Runs a learner in `dir` until an actor has received `n_updates` updates.
-async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (LearnerReport, Weights) {
+async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (Summary, Weights) {
     let setup = small_setup(5);
     let resume = resume.then(|| dir.folder().to_owned());
-    let options = RunOptions { setup: setup.clone(), run_dir: dir.clone(), resume, max_env_steps: None };
+    let options = RunOptions { setup: setup.clone(), run_dir: dir.clone(), resume, max_env_steps: None, feed: None };
     let shutdown = CancellationToken::new();
     let learning = tokio::spawn({
         let (bus, shutdown) = (bus.clone(), shutdown.clone());
-        async move { run(options, None, &bus, shutdown).await }
+        async move { run(options, &bus, shutdown).await }
     });
     let weights = act(bus, &setup, n_updates).await;
     shutdown.cancel();
@@ -84,11 +84,12 @@ async fn failed_final_save_names_lost_and_newest_checkpoints() {
     std::fs::create_dir(checkpoints.join(".new-512")).unwrap();
     let setup = small_setup(5);
     let resume = Some(run_dir.folder().to_owned());
-    let options = RunOptions { setup: setup.clone(), run_dir: run_dir.clone(), resume, max_env_steps: None };
+    let options =
+        RunOptions { setup: setup.clone(), run_dir: run_dir.clone(), resume, max_env_steps: None, feed: None };
     let shutdown = CancellationToken::new();
     let learning = tokio::spawn({
         let (bus, shutdown) = (bus.clone(), shutdown.clone());
-        async move { run(options, None, &bus, shutdown).await }
+        async move { run(options, &bus, shutdown).await }
     });
     act(&bus, &setup, 1).await;
     assert!(!checkpoints.join(".new-512").exists());
@@ -112,8 +113,9 @@ async fn run_ends_at_its_number_of_steps() {
         run_dir: RunPaths::new(dir.path().join("run")),
         resume: None,
         max_env_steps: Some(0),
+        feed: None,
     };
-    let report = run(options, None, &bus, CancellationToken::new()).await.unwrap();
+    let report = run(options, &bus, CancellationToken::new()).await.unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
     assert!(report.checkpoint.ends_with("checkpoints/step-0"));
     bus.close().await;

@@ -1,11 +1,13 @@
 //! What the network looks at in a scene: read out beside a forward pass, which keeps nothing of it otherwise.
 
 use blueprints::{BlockIdx, N_BLOCKS};
+use proto::Observation;
 
 use super::{Policy, to_vec};
 use crate::FeatureBatch;
 use crate::config::BlockMask;
 use crate::distribution::{mask_logits, probabilities};
+use crate::normalization::normalize;
 
 /// Who attends to whom in one scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,15 +56,15 @@ impl Attention {
 }
 
 impl Policy {
-    /// What the network attends to in every scene of the batch, in its order.
-    ///
-    /// # Panics
-    /// When the batch has other feature sizes.
-    pub fn attention(&self, batch: &FeatureBatch) -> Vec<Attention> {
-        if batch.n == 0 {
+    /// What the network attends to in every observed scene, in their order.
+    pub fn attention(&self, observations: &[Observation<'_>]) -> Vec<Attention> {
+        if observations.is_empty() {
             return Vec::new();
         }
-        let (output, layers) = self.network.attention(&self.folded, &self.tensors(batch));
+        let mut batch = FeatureBatch::new(&self.config.features);
+        batch.fill(observations);
+        normalize(&mut batch, &self.normalization);
+        let (output, layers) = self.network.attention(&self.folded, &self.tensors(&batch));
         let n_heads = layers.first().map_or(0, |weights| weights.dims()[2]);
         let layers: Vec<Vec<f32>> = layers.into_iter().map(to_vec).collect();
         let mut logits = to_vec(output.logits);

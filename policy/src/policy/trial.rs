@@ -1,22 +1,11 @@
 //! The scene on which new weights are tried before they act.
 
-use blueprints::{Blueprint, Catalog, N_BLOCKS};
+use blueprints::{Blueprint, N_BLOCKS};
 use proto::{Gripper, Pose, Scene};
 
-use crate::FeatureBatch;
-use crate::config::FeatureConfig;
-
-/// Blocks in a spiral on the ground, two of them held, with the first goal of the catalog: no entry of the features that
-/// can be other than 0 is 0 throughout but for those of connections.
-pub(super) fn batch(config: &FeatureConfig) -> FeatureBatch {
-    let mut batch = FeatureBatch::new(config);
-    if let Some(goal) = Catalog::builtin().iter().next() {
-        batch.push(&scene(goal), goal);
-    }
-    batch
-}
-
-fn scene(goal: &Blueprint) -> Scene {
+/// Blocks in a spiral on the ground, two of the goal's held: no entry of the features that can be other than 0 is 0
+/// throughout but for those of connections.
+pub(super) fn scene(goal: &Blueprint) -> Scene {
     // A turn by 2 atan(3/4) about an axis between x and z.
     let orientation = [0.36, 0.0, 0.48, 0.8];
     let mut held = goal.placements().iter().map(|placement| placement.block);

@@ -4,7 +4,7 @@ use std::fmt;
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use policy::{Attention, Policy};
-use proto::Scene;
+use proto::{Observation, Scene};
 
 use super::episode::Episode;
 use super::stage::Stage;
@@ -88,11 +88,9 @@ impl<'e> EpisodeAttention<'e> {
             return Err(AttentionError::Grippers { episode: grippers, network });
         }
         let mut scenes = Vec::with_capacity(episode.scenes().len());
-        let mut batch = policy.batch();
+        let seen = |scene| Observation { scene, blueprint: episode.goal() };
         for some in episode.scenes().chunks(BATCH) {
-            batch.clear();
-            some.iter().for_each(|scene| batch.push(scene, episode.goal()));
-            scenes.extend(policy.attention(&batch));
+            scenes.extend(policy.attention(&some.iter().map(seen).collect::<Vec<_>>()));
         }
         if scenes[0].n_layers() == 0 { Err(AttentionError::NoAttention) } else { Ok(Self { episode, scenes }) }
     }

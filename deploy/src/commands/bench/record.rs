@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use actor::{ActorConfig, Lockstep};
+use actor::Lockstep;
 use anyhow::Context;
 use learner::Learner;
 use proto::codec::encode_trajectory;
 use proto::{ActorId, Trajectory};
 
-use crate::commands::services::learner_setup;
+use crate::commands::services::{actor_setup, learner_setup};
 use crate::config::Config;
 use crate::exit::Failure;
 
@@ -39,18 +39,19 @@ pub(super) struct Recording {
 /// When the configuration cannot be used or the folder not written.
 pub(super) fn record(config: &Config, folder: &Path) -> Result<Recording, Failure> {
     let weights = Learner::new(learner_setup(config)?).map_err(anyhow::Error::new)?.weights();
-    let actor = ActorConfig { n_worlds: N_WORLDS, n_threads: 1, ..config.actor.clone() };
-    let mut worlds = Lockstep::new(actor, config.policy.clone(), config.environment.clone(), config.seed);
+    let id = ActorId::try_from(NAME.to_owned()).context("naming a simulated actor")?;
+    let mut setup = actor_setup(config, id);
+    (setup.config.n_worlds, setup.config.n_threads) = (N_WORLDS, 1);
+    let mut worlds = Lockstep::new(setup);
     let mut segments = Vec::new();
     while segments.len() < N_SEGMENTS {
         segments.extend(worlds.step(&weights, false)?);
     }
     segments.truncate(N_SEGMENTS);
-    let actor = ActorId::try_from(NAME.to_owned()).context("naming a simulated actor")?;
     let n_steps = segments.iter().map(|segment| segment.transitions.len()).sum();
     let mut recording = Recording { files: Vec::new(), n_steps, n_bytes: 0, n_parameters: weights.parameters.len() };
     for (i, segment) in segments.into_iter().enumerate() {
-        let bytes = encode_trajectory(&Trajectory { actor: actor.clone(), epoch: EPOCH, ..segment });
+        let bytes = encode_trajectory(&Trajectory { epoch: EPOCH, ..segment });
         let path = folder.join(format!("segment-{i}.bin"));
         recording.n_bytes += bytes.len();
         std::fs::write(&path, bytes).with_context(|| format!("writing {}", path.display()))?;

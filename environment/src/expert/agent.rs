@@ -1,0 +1,63 @@
+//! The expert as the agent of many worlds.
+
+use std::convert::Infallible;
+
+use blueprints::Blueprint;
+use proto::{Action, ActionMode, Agent, Decision, Observation};
+use rand_chacha::ChaCha8Rng;
+
+use super::{Activity, Expert};
+use crate::config::EnvironmentConfig;
+
+/// An [`Expert`] for each world, made anew when the blueprint changes. Where there is no order of assembly it does nothing.
+#[derive(Clone, Debug)]
+pub struct ExpertAgent {
+    config: EnvironmentConfig,
+    rows: Vec<Option<Row>>,
+}
+
+#[derive(Clone, Debug)]
+struct Row {
+    blueprint: Blueprint,
+    /// None if there is no order of assembly.
+    expert: Option<Expert>,
+    activity: Option<Activity>,
+}
+
+impl ExpertAgent {
+    /// An agent in worlds of this configuration.
+    pub fn new(config: &EnvironmentConfig) -> Self {
+        Self { config: config.clone(), rows: Vec::new() }
+    }
+
+    /// What its last decision for a row was about; `None` if the blueprint has no order of assembly.
+    pub fn activity(&self, row: usize) -> Option<Activity> {
+        self.rows.get(row)?.as_ref()?.activity
+    }
+}
+
+impl Agent for ExpertAgent {
+    type Error = Infallible;
+
+    fn act(
+        &mut self,
+        observations: &[Observation<'_>],
+        _: &[ActionMode],
+        _: &mut [ChaCha8Rng],
+    ) -> Result<Vec<Decision>, Infallible> {
+        self.rows.resize(observations.len(), None);
+        let decide = |(row, seen): (&mut Option<Row>, &Observation<'_>)| {
+            row.take_if(|row| row.blueprint != *seen.blueprint);
+            let row = row.get_or_insert_with(|| Row {
+                blueprint: seen.blueprint.clone(),
+                expert: Expert::new(&self.config, seen.blueprint).ok(),
+                activity: None,
+            });
+            let decided = row.expert.as_mut().map(|expert| expert.decide(seen.scene));
+            let (action, activity) = decided.unzip();
+            row.activity = activity;
+            Decision { action: action.unwrap_or(Action::IDLE), log_prob: 0.0, value: 0.0 }
+        };
+        Ok(self.rows.iter_mut().zip(observations).map(decide).collect())
+    }
+}

@@ -1,0 +1,180 @@
+//! Many worlds that step together, as Gymnasium's vector environments do.
+
+use blueprints::Catalog;
+use proto::{ActionMode, Agent, Decision, Observation, Scene, Task};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::env::{Env, ResetError, StartError, StepResult};
+
+/// Tasks that a world is given before an episode is given up; blocks may find no room.
+const MAX_RESETS: usize = 16;
+
+/// Worlds, each with the generator of its actions. A row is the place of a world among them, from 0.
+#[derive(Debug)]
+pub struct VecEnv<E> {
+    envs: Vec<E>,
+    rngs: Vec<ChaCha8Rng>,
+}
+
+/// A step of one world.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// The scene before.
+    pub scene: Scene,
+    /// What was done in it.
+    pub decision: Decision,
+    /// What came of that.
+    pub result: StepResult,
+}
+
+/// An independent generator for each `stream` of a seed.
+pub fn generator(seed: u64, stream: u64) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(stream);
+    rng
+}
+
+impl<E: Env> VecEnv<E> {
+    /// Worlds that wait for [`reset`](Self::reset) and [`seed`](Self::seed), each on its own.
+    pub fn new(envs: Vec<E>) -> Self {
+        let rngs = vec![generator(0, 0); envs.len()];
+        Self { envs, rngs }
+    }
+
+    /// Number of worlds.
+    pub fn n_envs(&self) -> usize {
+        self.envs.len()
+    }
+
+    /// The world of a row.
+    ///
+    /// # Panics
+    /// When there is no such row, as all that take one.
+    pub fn env(&self, row: usize) -> &E {
+        &self.envs[row]
+    }
+
+    /// The world of a row, to be stepped by itself.
+    pub fn env_mut(&mut self, row: usize) -> &mut E {
+        &mut self.envs[row]
+    }
+
+    /// Draws the actions in a row by `rng` from now on.
+    pub fn seed(&mut self, row: usize, rng: ChaCha8Rng) {
+        self.rngs[row] = rng;
+    }
+
+    /// Starts an episode in a row: of `task`, or of what `retry` makes of a task that the world cannot start, as long as it
+    /// returns true. Returns the task that was started.
+    ///
+    /// # Errors
+    /// When `retry` returns false, or after 16 tasks.
+    pub fn reset(
+        &mut self,
+        row: usize,
+        mut task: Task,
+        catalog: &Catalog,
+        mut retry: impl FnMut(&mut Task, &ResetError) -> bool,
+    ) -> Result<Task, StartError> {
+        let mut n_tried = 1;
+        while let Err(source) = self.envs[row].reset(&task, catalog) {
+            if n_tried == MAX_RESETS || !retry(&mut task, &source) {
+                return Err(StartError { blueprint: task.blueprint, source });
+            }
+            n_tried += 1;
+        }
+        Ok(task)
+    }
+
+    /// Moves every world by one step: asks `agent` once for all of them, with a mode for each row. Worlds whose episode ends
+    /// wait for [`reset`](Self::reset).
+    ///
+    /// # Errors
+    /// When the agent has no decision; no world has moved then.
+    pub fn step<A: Agent>(&mut self, agent: &mut A, modes: &[ActionMode]) -> Result<Vec<Step>, A::Error> {
+        let observations: Vec<Observation<'_>> = self.envs.iter().map(Env::observation).collect();
+        let decisions = agent.act(&observations, modes, &mut self.rngs)?;
+        let step = |(env, decision): (&mut E, Decision)| {
+            let scene = env.scene().clone();
+            let result = env.step(&decision.action);
+            Step { scene, decision, result }
+        };
+        Ok(self.envs.iter_mut().zip(decisions).map(step).collect())
+    }
+
+    /// Takes a world away; later rows move up.
+    pub fn remove(&mut self, row: usize) {
+        self.envs.remove(row);
+        self.rngs.remove(row);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::Start;
+
+    use super::*;
+    use crate::{EnvironmentConfig, Expert, ExpertAgent, World, sample_assignment};
+
+    fn worlds(n: usize) -> Vec<World> {
+        (0..n).map(|_| World::new(&EnvironmentConfig::default()).unwrap()).collect()
+    }
+
+    fn task(goal: &str, seed: u64) -> Task {
+        let assignment = sample_assignment(&mut generator(seed, 0));
+        Task { blueprint: goal.parse().unwrap(), assignment, start: Start::Scattered, seed }
+    }
+
+    #[test]
+    fn an_episode_is_given_up_after_sixteen_tasks() {
+        let mut envs = VecEnv::new(worlds(1));
+        let (good, bad) = (task("2_000", 1), task("nowhere_2_999", 1));
+        // The retry with this number, from 1, is of a task that can be started.
+        let mut tries = |mended: usize| {
+            let mut n_retries = 0;
+            let retry = |task: &mut Task, error: &ResetError| {
+                assert_eq!(error, &ResetError::UnknownBlueprint(bad.blueprint.clone()));
+                n_retries += 1;
+                if n_retries == mended {
+                    task.clone_from(&good);
+                }
+                true
+            };
+            let started = envs.reset(0, bad.clone(), Catalog::builtin(), retry);
+            (started, n_retries)
+        };
+        assert_eq!(tries(15), (Ok(good.clone()), 15));
+        let (refused, n_retries) = tries(16);
+        assert_eq!((refused.unwrap_err().blueprint, n_retries), (bad.blueprint.clone(), 15));
+    }
+
+    #[test]
+    fn worlds_step_together_as_they_would_alone() {
+        let config = EnvironmentConfig::default();
+        let mut envs = VecEnv::new(worlds(2));
+        let mut alone = Vec::new();
+        for (row, mut world) in worlds(2).into_iter().enumerate() {
+            let task = task(["2_000", "4_000"][row], row as u64);
+            world.reset(&task, Catalog::builtin()).unwrap();
+            envs.reset(row, task, Catalog::builtin(), |_, _| false).unwrap();
+            let expert = Expert::new(&config, world.blueprint()).unwrap();
+            alone.push((world, expert));
+        }
+        let mut agent = ExpertAgent::new(&config);
+        while envs.n_envs() > 0 {
+            for _ in 0..5 {
+                let Ok(steps) = envs.step(&mut agent, &vec![ActionMode::Greedy; alone.len()]);
+                assert_eq!(steps.len(), alone.len());
+                for (row, (step, (world, expert))) in steps.into_iter().zip(&mut alone).enumerate() {
+                    let (action, activity) = expert.decide(world.scene());
+                    assert_eq!((&step.scene, &step.decision.action), (world.scene(), &action));
+                    assert_eq!((step.result, agent.activity(row)), (world.step(&action), Some(activity)));
+                }
+            }
+            // The second world moves up.
+            envs.remove(0);
+            alone.remove(0);
+        }
+    }
+}
