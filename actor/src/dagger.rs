@@ -6,41 +6,36 @@
 use blueprints::{BlockIdx, Blueprint, N_BLOCKS};
 use environment::EnvironmentConfig;
 use environment::expert::Expert;
-use proto::{Action, Driver, InvalidSetting, Label, Scene, WeightsVersion};
+use proto::{Action, Driver, Label, Scene, WeightsVersion, settings};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-use serde::{Deserialize, Serialize};
 
-use crate::config::check;
+settings! {
+    /// The DAgger mixture: who acts in an episode, the expert or the policy. Whoever it is, every scene gets the
+    /// expert's label.
+    pub struct DaggerConfig {
+        /// Share of the episodes in which the expert acts: with weights version 0, and from version `mixing_versions`
+        /// on; in between on a straight line.
+        pub expert_share: [f64; 2] = [1.0, 0.1], in 0.0..=1.0;
+        /// Versions until the second share.
+        pub mixing_versions: u64 = 100, in 1..;
+        /// Share of the other episodes in which actions are sampled from the policy, so that PPO can learn from them;
+        /// in the rest the most probable ones are taken.
+        pub sampled_share: f64 = 0.0, in 0.0..=1.0;
+        /// Noise on the expert's actions.
+        pub expert_noise: NoiseConfig;
+        /// Noise on the policy's most probable actions.
+        pub policy_noise: NoiseConfig;
+    }
 
-/// The DAgger mixture: who acts in an episode, the expert or the policy. Whoever it is, every scene gets the expert's label.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct DaggerConfig {
-    /// Share of the episodes in which the expert acts: with weights version 0, and from version `mixing_versions` on; in
-    /// between on a straight line. 0 to 1 each, default 1 and 0.1.
-    pub expert_share: [f64; 2],
-    /// Versions until the second share, at least 1. Default 100.
-    pub mixing_versions: u64,
-    /// Share of the other episodes in which actions are sampled from the policy, so that PPO can learn from them; in the
-    /// rest the most probable ones are taken. 0 to 1, default 0.
-    pub sampled_share: f64,
-    /// Noise on the expert's actions.
-    pub expert_noise: NoiseConfig,
-    /// Noise on the policy's most probable actions.
-    pub policy_noise: NoiseConfig,
-}
-
-/// Noise that leads an episode off the beaten track.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct NoiseConfig {
-    /// Standard deviations of the noise on each entry of a move, of which an episode draws one; 0 to 1 each, at least one.
-    /// Default 0.
-    pub sigmas: Vec<f32>,
-    /// Probability that a gripper chooses any of the 16 blocks in a step; 0 to 1, default 0.
-    pub random_block: f64,
+    /// Noise that leads an episode off the beaten track.
+    pub struct NoiseConfig {
+        /// Standard deviations of the noise on each entry of a move, of which an episode draws one.
+        pub sigmas: Vec<f32> = vec![0.0], in 0.0..=1.0, where |c| !c.sigmas.is_empty() => "at least one number";
+        /// Probability that a gripper chooses any of the 16 blocks in a step.
+        pub random_block: f64 = 0.0, in 0.0..=1.0;
+    }
 }
 
 /// The settings and what the expert needs to know of the world.
@@ -61,41 +56,7 @@ pub struct DaggerEpisode {
     n_grippers: usize,
 }
 
-impl Default for DaggerConfig {
-    fn default() -> Self {
-        Self {
-            expert_share: [1.0, 0.1],
-            mixing_versions: 100,
-            sampled_share: 0.0,
-            expert_noise: NoiseConfig::default(),
-            policy_noise: NoiseConfig::default(),
-        }
-    }
-}
-
-impl Default for NoiseConfig {
-    fn default() -> Self {
-        Self { sigmas: vec![0.0], random_block: 0.0 }
-    }
-}
-
 impl DaggerConfig {
-    pub(crate) fn validate(&self) -> Result<(), InvalidSetting> {
-        let is_share = |share: f64| (0.0..=1.0).contains(&share);
-        check("dagger.expert_share", self.expert_share, self.expert_share.iter().all(|&s| is_share(s)), "0..=1")?;
-        check("dagger.mixing_versions", self.mixing_versions, self.mixing_versions >= 1, "at least 1")?;
-        check("dagger.sampled_share", self.sampled_share, is_share(self.sampled_share), "0..=1")?;
-        for (noise, sigmas, random_block) in [
-            (&self.expert_noise, "dagger.expert_noise.sigmas", "dagger.expert_noise.random_block"),
-            (&self.policy_noise, "dagger.policy_noise.sigmas", "dagger.policy_noise.random_block"),
-        ] {
-            let ok = !noise.sigmas.is_empty() && noise.sigmas.iter().all(|sigma| (0.0..=1.0).contains(sigma));
-            check(sigmas, &noise.sigmas, ok, "at least one number from 0 to 1")?;
-            check(random_block, noise.random_block, is_share(noise.random_block), "0..=1")?;
-        }
-        Ok(())
-    }
-
     /// Probability that the expert acts in an episode begun with weights `version`.
     fn expert_share_at(&self, version: WeightsVersion) -> f64 {
         let [first, last] = self.expert_share;

@@ -5,38 +5,38 @@ use std::collections::BTreeMap;
 use blueprints::generator::{Draws, MAX_DRAWN_SEED, MAX_INDEX, Request, Style};
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::sample_assignment;
-use proto::{InvalidSetting, Start, Task};
+use proto::{Start, Task, settings};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::config::check;
-
 /// Generated structures that are tried before a goal of the catalog is taken after all.
 const MAX_GENERATED: usize = 8;
 
-/// Which training blueprints are goals, and how their episodes begin.
-///
-/// What remains after the probabilities of `prebuilt` and `near_goal` starts scattered.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TaskConfig {
-    /// The goals. Default: all training blueprints.
-    pub filter: TaskFilter,
-    /// Probability that another training blueprint stands at the start, 0 to 1. Default 0.2 (paper, "Initial State").
-    pub prebuilt_probability: f64,
-    /// Probability that the goal stands but for some blocks, 0 to 1. Default 0 (an extension, not the paper's).
-    pub near_goal_probability: f64,
-    /// Fewest and most blocks taken off in a start near the goal, at least 1; the goal's size less one is the limit.
-    /// Default 1 and 2.
-    pub near_goal_undone: [u8; 2],
-    /// Probability that a structure of the generator takes the goal's place, of the same number of blocks; 0 to 1. Default 0
-    /// (an extension). It is seeded like everything else, and never one of the held-out structures.
-    pub generated_probability: f64,
-    /// What those look like, all alike where the size allows; at least one. Default: every style.
-    pub generated_styles: Vec<Style>,
-    /// Lets equal blocks swap roles from episode to episode, since the policy sees slot numbers. Default true.
-    pub shuffle_blocks: bool,
+settings! {
+    /// Which training blueprints are goals, and how their episodes begin.
+    ///
+    /// What remains after the probabilities of `prebuilt` and `near_goal` starts scattered.
+    pub struct TaskConfig {
+        /// The goals.
+        pub filter: TaskFilter = TaskFilter::All;
+        /// Probability that another training blueprint stands at the start (paper, "Initial State").
+        pub prebuilt_probability: f64 = 0.2, in 0.0..=1.0;
+        /// Probability that the goal stands but for some blocks (an extension, not the paper's).
+        pub near_goal_probability: f64 = 0.0, in 0.0..=1.0,
+            where |c| c.prebuilt_probability + c.near_goal_probability <= 1.0 => "at most 1 with prebuilt_probability";
+        /// Fewest and most blocks taken off in a start near the goal; the goal's size less one is the limit.
+        pub near_goal_undone: [u8; 2] = [1, 2],
+            in 1..=15, where |c| c.near_goal_undone.is_sorted() => "two ascending numbers";
+        /// Probability that a structure of the generator takes the goal's place, of the same number of blocks (an
+        /// extension). It is seeded like everything else, and never one of the held-out structures.
+        pub generated_probability: f64 = 0.0, in 0.0..=1.0;
+        /// What those look like, all alike where the size allows.
+        pub generated_styles: Vec<Style> = Style::ALL.to_vec(),
+            where |c| !c.generated_styles.is_empty() => "at least one style";
+        /// Lets equal blocks swap roles from episode to episode, since the policy sees slot numbers.
+        pub shuffle_blocks: bool = true;
+    }
 }
 
 /// A choice of training blueprints.
@@ -86,40 +86,7 @@ pub struct TaskSampler {
     prebuilt: Vec<BlueprintId>,
 }
 
-impl Default for TaskConfig {
-    fn default() -> Self {
-        Self {
-            filter: TaskFilter::All,
-            prebuilt_probability: 0.2,
-            near_goal_probability: 0.0,
-            near_goal_undone: [1, 2],
-            generated_probability: 0.0,
-            generated_styles: Style::ALL.to_vec(),
-            shuffle_blocks: true,
-        }
-    }
-}
-
 impl TaskConfig {
-    /// Checks the probabilities and the range of blocks taken off.
-    ///
-    /// # Errors
-    /// Names the first field that is out of range.
-    pub fn validate(&self) -> Result<(), InvalidSetting> {
-        let (prebuilt, near) = (self.prebuilt_probability, self.near_goal_probability);
-        check("tasks.prebuilt_probability", prebuilt, (0.0..=1.0).contains(&prebuilt), "0..=1")?;
-        check("tasks.near_goal_probability", near, (0.0..=1.0).contains(&near), "0..=1")?;
-        let sum = prebuilt + near;
-        check("tasks.prebuilt_probability + tasks.near_goal_probability", sum, sum <= 1.0, "0..=1")?;
-        let generated = self.generated_probability;
-        check("tasks.generated_probability", generated, (0.0..=1.0).contains(&generated), "0..=1")?;
-        let some = !self.generated_styles.is_empty();
-        check("tasks.generated_styles", &self.generated_styles, some, "at least one style")?;
-        let [low, high] = self.near_goal_undone;
-        let ok = 1 <= low && low <= high && usize::from(high) < N_BLOCKS;
-        check("tasks.near_goal_undone", self.near_goal_undone, ok, "two ascending numbers from 1 to 15")
-    }
-
     /// The structures of the generator that a sampler draws as goals; `None` if it draws none.
     ///
     /// # Errors

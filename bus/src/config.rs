@@ -7,35 +7,37 @@ use serde_json::json;
 
 use super::access;
 use super::security::{Keys, KeysError, SecurityConfig, is_endpoint, is_quic, is_reachable};
-use proto::InvalidSetting;
 use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
-use proto::keys;
+use proto::setting::Section;
+use proto::{InvalidSetting, keys, settings};
 
-/// Configuration of a process's bus session.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BusConfig {
-    /// Name of the run, 1 to 64 characters of `a-z`, `0-9`, `-`; runs on one router do not see each other.
-    /// Default `default`.
-    pub run: String,
-    /// Role in the network. Default [`BusMode::Router`]: everything in one process, no other process needed.
-    pub mode: BusMode,
-    /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with
-    /// keys, `quic/0.0.0.0:7447`. Default none: no other process can join.
-    pub listen: Vec<String>,
-    /// Endpoints to connect to: of the router for a client, of other routers for a router. Default none.
-    pub connect: Vec<String>,
-    /// Timeout of the learner's answer to a trajectory, in milliseconds, 100 to 600 000. Default 10 000.
-    pub ack_timeout_ms: u64,
-    /// Timeout of a pull of the weights, in milliseconds, 100 to 600 000. Default 15 000.
-    pub pull_timeout_ms: u64,
-    /// Trajectories that can wait for decoding at the learner, 1 to 65 536; more are refused as `Full`. Default 256.
-    pub ingest_queue: usize,
-    /// Largest message that this process receives, in bytes; at least the largest trajectory and weights that the
-    /// codec allows. Default 72 MiB.
-    pub max_message_bytes: usize,
-    /// Credentials of this process. Listening where other machines can connect needs keys.
-    pub security: SecurityConfig,
+settings! {
+    /// Configuration of a process's bus session.
+    #[derive(Eq)]
+    pub struct BusConfig {
+        /// Name of the run; runs on one router do not see each other.
+        pub run: String = "default".to_owned(),
+            where |c| keys::is_valid_run(&c.run) => "1 to 64 characters of a-z, 0-9 and -";
+        /// Role in the network. As a router the process needs no other.
+        pub mode: BusMode = BusMode::Router;
+        /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with
+        /// keys, `quic/0.0.0.0:7447`. Without any, no other process can join.
+        pub listen: Vec<String> = Vec::new(),
+            where |c| c.mode == BusMode::Router || c.listen.is_empty() => "none for a client";
+        /// Endpoints to connect to: of the router for a client, of other routers for a router.
+        pub connect: Vec<String> = Vec::new(),
+            where |c| c.mode == BusMode::Router || !c.connect.is_empty() => "a router's endpoint for a client";
+        /// Timeout of the learner's answer to a trajectory, in milliseconds.
+        pub ack_timeout_ms: u64 = 10_000, in 100..=600_000;
+        /// Timeout of a pull of the weights, in milliseconds.
+        pub pull_timeout_ms: u64 = 15_000, in 100..=600_000;
+        /// Trajectories that may wait to be decoded at the learner; more are refused as `Full`.
+        pub ingest_queue: usize = 256, in 1..=65_536;
+        /// Largest message that this process receives, in bytes; at least what the codec allows.
+        pub max_message_bytes: usize = 72 << 20, in MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES)..=1 << 30;
+        /// Credentials of this process. Listening where other machines can connect needs keys.
+        pub security: SecurityConfig;
+    }
 }
 
 /// A process's role in the network.
@@ -89,22 +91,6 @@ pub enum BusConfigError {
     },
 }
 
-impl Default for BusConfig {
-    fn default() -> Self {
-        Self {
-            run: "default".to_owned(),
-            mode: BusMode::Router,
-            listen: Vec::new(),
-            connect: Vec::new(),
-            ack_timeout_ms: 10_000,
-            pull_timeout_ms: 15_000,
-            ingest_queue: 256,
-            max_message_bytes: 72 << 20,
-            security: SecurityConfig::default(),
-        }
-    }
-}
-
 impl BusConfig {
     /// A router that only processes with access to the folder `dir` can join, through a Unix socket in it.
     pub fn isolated_router(dir: &Path) -> Self {
@@ -116,36 +102,12 @@ impl BusConfig {
         Self { mode: BusMode::Client, connect: vec![isolated_endpoint(dir)], ..Self::default() }
     }
 
-    /// Checks every field.
+    /// Checks every setting.
     ///
     /// # Errors
-    /// Names the first field out of its range, its value and the range.
+    /// Names the first setting that is refused, its value and what is expected.
     pub fn validate(&self) -> Result<(), BusConfigError> {
-        let check = |field: &str, ok: bool, value: String, expected: &str| {
-            InvalidSetting::check(format_args!("bus.{field}"), value, ok, expected)
-        };
-        let name = "1 to 64 characters of a-z, 0-9 and -";
-        check("run", keys::is_valid_run(&self.run), format!("{:?}", self.run), name)?;
-        let is_router = self.mode == BusMode::Router;
-        check("listen", is_router || self.listen.is_empty(), format!("{:?}", self.listen), "none for a client")?;
-        check(
-            "connect",
-            is_router || !self.connect.is_empty(),
-            "empty".to_owned(),
-            "a router's endpoint for a client",
-        )?;
-        for (field, ms) in [("ack_timeout_ms", self.ack_timeout_ms), ("pull_timeout_ms", self.pull_timeout_ms)] {
-            check(field, (100..=600_000).contains(&ms), ms.to_string(), "100..=600000")?;
-        }
-        let queue = self.ingest_queue;
-        check("ingest_queue", (1..=65_536).contains(&queue), queue.to_string(), "1..=65536")?;
-        let bytes = self.max_message_bytes;
-        let least = MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES);
-        check("max_message_bytes", (least..=1 << 30).contains(&bytes), bytes.to_string(), "68157440..=1073741824")?;
-        self.check_endpoints()
-    }
-
-    fn check_endpoints(&self) -> Result<(), BusConfigError> {
+        self.validate_at("bus")?;
         let has_keys = self.security.keys.is_some();
         for (field, endpoints) in [("listen", &self.listen), ("connect", &self.connect)] {
             if let Some(endpoint) = endpoints.iter().find(|endpoint| !is_endpoint(endpoint)) {
@@ -264,7 +226,7 @@ mod tests {
             assert_eq!(config.validate().unwrap_err().to_string(), message);
         };
         check(|c| c.run = "My Run".into(), r#"bus.run = "My Run": expected 1 to 64 characters of a-z, 0-9 and -"#);
-        check(|c| c.mode = BusMode::Client, "bus.connect = empty: expected a router's endpoint for a client");
+        check(|c| c.mode = BusMode::Client, "bus.connect = []: expected a router's endpoint for a client");
         check(|c| c.ack_timeout_ms = 5, "bus.ack_timeout_ms = 5: expected 100..=600000");
         check(|c| c.ingest_queue = 0, "bus.ingest_queue = 0: expected 1..=65536");
         check(|c| c.max_message_bytes = 1, "bus.max_message_bytes = 1: expected 68157440..=1073741824");

@@ -9,7 +9,7 @@ use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::{Deserialize, Serialize};
+use proto::settings;
 use serde_json::{Value, json};
 use x509_parser::parse_x509_certificate;
 use x509_parser::pem::parse_x509_pem;
@@ -28,13 +28,14 @@ pub const PASSWORD_FILE: &str = "password";
 /// A router's list of all roles and their passwords, one `role:password` per line.
 pub const USERS_FILE: &str = "users";
 
-/// Keys of a process on the bus.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SecurityConfig {
-    /// Folder with the keys of this process's role, as created by `lodestone keys new`. Default none: the process joins
-    /// without credentials and can listen only on loopback addresses and Unix sockets.
-    pub keys: Option<PathBuf>,
+settings! {
+    /// Keys of a process on the bus.
+    #[derive(Eq)]
+    pub struct SecurityConfig {
+        /// Folder with the keys of this process's role, as `lodestone keys new` makes it. Without keys the process
+        /// joins without credentials and may listen on loopback addresses and unix sockets only.
+        pub keys: Option<PathBuf> = None;
+    }
 }
 
 /// Errors of reading keys.

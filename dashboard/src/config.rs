@@ -1,34 +1,35 @@
 //! Settings of the dashboard: where the page is served, and who may see it.
 
 use std::fmt;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 
+use proto::settings;
 use serde::{Deserialize, Serialize};
 
 /// Fewest and most characters of a token. Sixteen letters and digits are 95 bits.
 const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=128;
 
-/// What a run is shown on.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct DashboardConfig {
-    /// A page about the training, served beside the evaluator; absent means none. Default: absent.
-    pub web: Option<WebConfig>,
-}
+settings! {
+    /// What a run is shown on.
+    #[derive(Eq)]
+    pub struct DashboardConfig {
+        /// A page about the training, served beside the evaluator; absent means none.
+        pub web: Option<WebConfig> = None;
+    }
 
-/// Where the page is served, and who may see it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct WebConfig {
-    /// Address and port; port 0 lets the system choose one. Any other than a loopback address needs a token or `hosts`.
-    /// There is no encryption: beyond one's own network, put it behind a proxy that has it. Default `127.0.0.1:0`.
-    pub listen: SocketAddr,
-    /// What a browser must know: 16 to 128 characters of `A-Z`, `a-z`, `0-9`, `-` and `_`. Like every setting it is
-    /// written into the run's `config.toml`. Default: absent, which only loopback addresses allow.
-    pub token: Option<Token>,
-    /// Without a token the page answers requests to these names only, besides those of its own machine. For a container, whose
-    /// port is published on loopback addresses alone: whoever else reaches it can say any name. Default none.
-    pub hosts: Vec<String>,
+    /// Where the page is served, and who may see it.
+    #[derive(Eq)]
+    pub struct WebConfig {
+        /// Address and port; port 0 lets the system choose one. Any other than a loopback address needs a token or
+        /// `hosts`. There is no encryption: beyond one's own network, put it behind a proxy that has it.
+        pub listen: SocketAddr = SocketAddr::from(([127, 0, 0, 1], 0));
+        /// What a browser must know: 16 to 128 characters of `A-Z`, `a-z`, `0-9`, `-` and `_`. Like every setting it is
+        /// written into the run's `config.toml`. Only loopback addresses allow that it is absent.
+        pub token: Option<Token> = None;
+        /// Without a token the page answers requests to these names only, besides those of its own machine. For a
+        /// container, whose port is published on loopback addresses alone: whoever else reaches it can say any name.
+        pub hosts: Vec<String> = Vec::new();
+    }
 }
 
 /// A shared secret. Its `Debug` shows nothing of it.
@@ -60,12 +61,6 @@ impl DashboardConfig {
     /// When others could reach the page and nothing keeps them out, or its token is unusable.
     pub fn validate(&self) -> Result<(), WebConfigError> {
         self.web.as_ref().map_or(Ok(()), WebConfig::validate)
-    }
-}
-
-impl Default for WebConfig {
-    fn default() -> Self {
-        Self { listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0), token: None, hosts: Vec::new() }
     }
 }
 

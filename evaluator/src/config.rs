@@ -1,33 +1,96 @@
 //! Settings of an evaluator.
 
-mod films;
-
-use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
+use blueprints::{Blueprint, BlueprintId, Catalog, Group, N_BLOCKS, Split};
+use proto::setting::{Section, Setting, key};
+use proto::{ActionMode, InvalidSetting, settings};
+use render::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 use serde::{Deserialize, Serialize};
 
-use proto::{ActionMode, InvalidSetting};
+settings! {
+    /// When, on which blueprints, and how weights are evaluated.
+    pub struct EvaluatorConfig {
+        /// Time between evaluations. Default: 10 minutes (paper, "Performance Evaluation").
+        pub every: Every;
+        /// Whether `train` evaluates the last weights before it ends, whatever [`Self::every`] says.
+        pub evaluate_last: bool = false;
+        /// Which blueprints.
+        pub selection: Selection;
+        /// How episodes are run.
+        pub episodes: EpisodeConfig;
+        /// Goals in a row without a reset, after the episodes; absent, as by default, means none.
+        pub reset_free: Option<ResetFreeConfig>;
+        /// How far the evaluation's threads stand back when others want the processor, as for the command `nice`; Linux
+        /// only. By default training is not held up.
+        pub nice: i32 = 10, in 0..=19;
+        /// Films of some episodes. Default: a success and a failure of every group.
+        pub films: FilmsConfig;
+    }
 
-pub use films::FilmsConfig;
+    /// A choice of blueprints from the catalog.
+    #[derive(Eq)]
+    pub struct Selection {
+        /// The splits, none twice.
+        pub splits: Vec<Split> = Split::ALL.to_vec();
+        /// Fewest and most blocks.
+        pub sizes: [usize; 2] = [1, N_BLOCKS], in 1..=N_BLOCKS,
+            where |c| c.sizes.is_sorted() => "two ascending numbers";
+        /// These only, when it is not empty.
+        pub blueprints: Vec<BlueprintId> = Vec::new();
+    }
 
-/// When, on what and how weights are evaluated.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EvaluatorConfig {
-    /// How far apart evaluations are. Default: 10 minutes (paper, "Performance Evaluation").
-    pub every: Every,
-    /// Whether `train` evaluates the last weights before it ends, whatever [`Self::every`] says. Default false.
-    pub evaluate_last: bool,
-    /// Which blueprints.
-    pub selection: Selection,
-    /// How episodes are run.
-    pub episodes: EpisodeConfig,
-    /// Goals in a row without a reset, after the episodes; absent means none. Default: absent.
-    pub reset_free: Option<ResetFreeConfig>,
-    /// How far the evaluation's threads stand back when others want the processor, 0 to 19 as for the command `nice`; Linux
-    /// only. Default 10, so that training is not held up.
-    pub nice: i32,
-    /// Films of some episodes. Default: a success and a failure of every group.
-    pub films: FilmsConfig,
+    /// How the episodes of an evaluation are run.
+    #[derive(Eq)]
+    pub struct EpisodeConfig {
+        /// Episodes for each blueprint and way of acting; the default is the paper's.
+        pub n_episodes: u32 = 40, in 1..=10_000;
+        /// How they begin.
+        pub starts: Starts = Starts::Scattered;
+        /// Ways of acting.
+        pub acting: Vec<ActionMode> = vec![ActionMode::Greedy, ActionMode::Sampled],
+            where |c| !c.acting.is_empty() && are_distinct(&c.acting) => "\"mode\", \"sampled\" or both";
+        /// Threads. By default training loses at most one core while an evaluation runs.
+        pub n_threads: usize = 1, in 1..=64;
+        /// Worlds of a thread; each step is one forward pass over them.
+        pub n_worlds: usize = 20, in 1..=1024;
+    }
+
+    /// Runs over several goals in a world that is never reset (paper, "Reset-Free Evaluation", which gives the
+    /// defaults).
+    #[derive(Eq)]
+    pub struct ResetFreeConfig {
+        /// Number of runs.
+        pub n_runs: u32 = 50, in 1..=10_000;
+        /// Goals of a run.
+        pub n_goals: u32 = 10, in 1..=1000;
+        /// Fewest blocks of a goal; goals are training blueprints.
+        pub min_blocks: usize = 12, in 1..=N_BLOCKS;
+    }
+
+    /// Which episodes of an evaluation become films, and how. Only an evaluator that keeps records makes any.
+    ///
+    /// They are made by default, because numbers do not say what a policy does wrong, and cost little: two films for
+    /// each group and evaluation, each about a second on one core.
+    #[derive(Eq)]
+    pub struct FilmsConfig {
+        /// Groups of blueprints, by their names in reports.
+        pub groups: Vec<Group> = Group::ALL.to_vec(),
+            where |c| are_distinct(&c.groups) => "names of groups, none twice";
+        /// Blueprints of which films are made besides.
+        pub blueprints: Vec<BlueprintId> = Vec::new(),
+            where |c| are_distinct(&c.blueprints) => "names of blueprints, none twice";
+        /// Successes, and as many failures, that an evaluation films of each of those; the first ones with the first way of
+        /// acting.
+        pub n_of_each: u32 = 1, in 0..=10;
+        /// Width of the frames in pixels.
+        pub width: usize = 640, in MIN_WIDTH..=MAX_WIDTH;
+        /// Frames per second; a second has ten steps of the world.
+        pub fps: u32 = 20, in 1..=MAX_FPS;
+        /// Films of one blueprint that are kept, as many of successes and of failures; older ones are removed with
+        /// their recordings.
+        pub keep: usize = 10, in 1..=10_000;
+        /// Room for small films for TensorBoard in megabytes; when it is used up the older half goes. 0 makes none.
+        pub tensorboard_mb: u64 = 64, in 0..=10_000;
+    }
 }
 
 /// The distance between the starts of two evaluations; an evaluation that takes longer is followed by the next at once.
@@ -40,18 +103,6 @@ pub enum Every {
     Steps(u64),
     /// Weights versions, at least 1.
     Versions(u64),
-}
-
-/// A choice of blueprints from the catalog.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Selection {
-    /// The splits, none twice. Default: all.
-    pub splits: Vec<Split>,
-    /// Fewest and most blocks, 1 to 16. Default 1 and 16.
-    pub sizes: [usize; 2],
-    /// These only, when it is not empty. Default: empty.
-    pub blueprints: Vec<BlueprintId>,
 }
 
 /// How the episodes of an evaluation begin.
@@ -69,34 +120,6 @@ pub enum Starts {
     NearGoal,
 }
 
-/// How the episodes of an evaluation are run.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EpisodeConfig {
-    /// Episodes for each blueprint and way of acting, 1 to 10 000. Default 40 (paper).
-    pub n_episodes: u32,
-    /// How they begin. Default: scattered.
-    pub starts: Starts,
-    /// Ways of acting, none twice, at least one. Default: both.
-    pub acting: Vec<ActionMode>,
-    /// Threads, 1 to 64. Default 1, so that training loses at most one core while an evaluation runs.
-    pub n_threads: usize,
-    /// Worlds of a thread; each step is one forward pass over them. 1 to 1024. Default 20.
-    pub n_worlds: usize,
-}
-
-/// Runs over several goals in a world that is never reset (paper, "Reset-Free Evaluation").
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ResetFreeConfig {
-    /// Number of runs, 1 to 10 000. Default 50 (paper).
-    pub n_runs: u32,
-    /// Goals of a run, 1 to 1000. Default 10 (paper).
-    pub n_goals: u32,
-    /// Fewest blocks of a goal, 1 to 16; goals are training blueprints. Default 12 (paper).
-    pub min_blocks: usize,
-}
-
 /// A setting that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EvaluatorConfigError {
@@ -111,59 +134,31 @@ pub enum EvaluatorConfigError {
     NothingSelected,
 }
 
-impl Default for EvaluatorConfig {
+impl Default for Every {
     fn default() -> Self {
-        Self {
-            every: Every::Minutes(10.0),
-            evaluate_last: false,
-            selection: Selection::default(),
-            episodes: EpisodeConfig::default(),
-            reset_free: None,
-            nice: 10,
-            films: FilmsConfig::default(),
+        Self::Minutes(10.0)
+    }
+}
+
+impl Section for Every {
+    fn validate_at(&self, path: &str) -> Result<(), InvalidSetting> {
+        match self {
+            Self::Minutes(minutes) => minutes.check_in(&key(path, "minutes"), &(0.0..=10_000.0)),
+            Self::Steps(steps) => steps.check_in(&key(path, "steps"), &(1..)),
+            Self::Versions(versions) => versions.check_in(&key(path, "versions"), &(1..)),
         }
-    }
-}
-
-impl Default for Selection {
-    fn default() -> Self {
-        Self { splits: Split::ALL.to_vec(), sizes: [1, N_BLOCKS], blueprints: Vec::new() }
-    }
-}
-
-impl Default for EpisodeConfig {
-    fn default() -> Self {
-        let acting = vec![ActionMode::Greedy, ActionMode::Sampled];
-        Self { n_episodes: 40, starts: Starts::default(), acting, n_threads: 1, n_worlds: 20 }
-    }
-}
-
-impl Default for ResetFreeConfig {
-    fn default() -> Self {
-        Self { n_runs: 50, n_goals: 10, min_blocks: 12 }
     }
 }
 
 impl EvaluatorConfig {
-    /// Checks every field against its documented range.
+    /// Checks every setting.
     ///
     /// # Errors
-    /// Names the first field that is out of range.
+    /// Names the first setting that is out of range, or a blueprint that there is not.
     pub fn validate(&self) -> Result<(), EvaluatorConfigError> {
-        match self.every {
-            Every::Minutes(minutes) => {
-                check("every.minutes", minutes, (0.0..=10_000.0).contains(&minutes), "0..=10000")?;
-            }
-            Every::Steps(steps) => check("every.steps", steps, steps >= 1, "at least 1")?,
-            Every::Versions(versions) => check("every.versions", versions, versions >= 1, "at least 1")?,
-        }
-        let [low, high] = self.selection.sizes;
-        let sizes_ok = 1 <= low && low <= high && high <= N_BLOCKS;
-        check("selection.sizes", self.selection.sizes, sizes_ok, "two ascending numbers from 1 to 16")?;
-        self.episodes.validate()?;
-        check("nice", self.nice, (0..=19).contains(&self.nice), "0..=19")?;
-        self.reset_free.as_ref().map_or(Ok(()), ResetFreeConfig::validate)?;
-        self.films.validate()
+        self.validate_at("evaluator")?;
+        let unknown = self.films.blueprints.iter().find(|id| Catalog::builtin().get(id).is_none());
+        unknown.map_or(Ok(()), |id| Err(EvaluatorConfigError::UnknownBlueprint(id.clone())))
     }
 }
 
@@ -186,50 +181,25 @@ impl Selection {
     }
 }
 
-impl EpisodeConfig {
-    /// Checks every field against its documented range.
-    ///
-    /// # Errors
-    /// Names the first field that is out of range.
-    pub fn validate(&self) -> Result<(), EvaluatorConfigError> {
-        check("episodes.n_episodes", self.n_episodes, (1..=10_000).contains(&self.n_episodes), "1..=10000")?;
-        let distinct = match self.acting[..] {
-            [] => false,
-            [_] => true,
-            [a, b] => a != b,
-            _ => false,
-        };
-        check("episodes.acting", &self.acting, distinct, "\"mode\", \"sampled\" or both")?;
-        check("episodes.n_threads", self.n_threads, (1..=64).contains(&self.n_threads), "1..=64")?;
-        check("episodes.n_worlds", self.n_worlds, (1..=1024).contains(&self.n_worlds), "1..=1024")
+impl FilmsConfig {
+    /// Whether any film is asked for.
+    pub fn any(&self) -> bool {
+        self.n_of_each > 0 && !(self.groups.is_empty() && self.blueprints.is_empty())
     }
 }
 
-impl ResetFreeConfig {
-    fn validate(&self) -> Result<(), EvaluatorConfigError> {
-        check("reset_free.n_runs", self.n_runs, (1..=10_000).contains(&self.n_runs), "1..=10000")?;
-        check("reset_free.n_goals", self.n_goals, (1..=1000).contains(&self.n_goals), "1..=1000")?;
-        check("reset_free.min_blocks", self.min_blocks, (1..=N_BLOCKS).contains(&self.min_blocks), "1..=16")
-    }
+fn are_distinct<T: PartialEq>(items: &[T]) -> bool {
+    (1..items.len()).all(|i| !items[..i].contains(&items[i]))
 }
 
-pub(crate) fn check(
-    field: &'static str,
-    value: impl std::fmt::Debug,
-    ok: bool,
-    expected: &'static str,
-) -> Result<(), EvaluatorConfigError> {
-    Ok(InvalidSetting::check(format_args!("evaluator.{field}"), format_args!("{value:?}"), ok, expected)?)
-}
 #[cfg(test)]
 mod tests {
     use super::*;
-    use blueprints::Group;
 
     #[test]
     fn the_defaults_are_valid() {
         assert_eq!(EvaluatorConfig::default().validate(), Ok(()));
-        assert_eq!(ResetFreeConfig::default().validate(), Ok(()));
+        assert_eq!(ResetFreeConfig::default().validate_at("reset_free"), Ok(()));
     }
 
     #[test]

@@ -14,7 +14,7 @@ mod config_hash;
 pub mod keys;
 pub mod metrics;
 pub mod scene;
-mod setting;
+pub mod setting;
 pub mod step;
 pub mod trajectory;
 pub mod unit;

@@ -1,6 +1,33 @@
-//! The error of an invalid setting, with the same wording for all configuration sections.
+//! Settings: type, default, unit and range in one place, and one wording of what is refused.
+//!
+//! ```
+//! use proto::setting::above_to;
+//!
+//! proto::settings! {
+//!     /// An inbox.
+//!     pub struct InboxConfig in "inbox" {
+//!         /// Most letters.
+//!         pub capacity: usize = 64, in 1..=1024;
+//!         /// Letters from which on somebody looks.
+//!         pub enough: usize = 8, where |c| c.enough <= c.capacity => "at most capacity";
+//!         /// How the postman walks.
+//!         pub walk: WalkConfig;
+//!     }
+//!
+//!     /// A walk.
+//!     pub struct WalkConfig {
+//!         /// Speed, m/s.
+//!         pub speed_mps: f32 = 1.5, in above_to(0.0, 10.0);
+//!     }
+//! }
+//!
+//! let config = InboxConfig { walk: WalkConfig { speed_mps: f32::NAN }, ..Default::default() };
+//! let error = config.validate().unwrap_err().to_string();
+//! assert_eq!(error, "inbox.walk.speed_mps = NaN: expected above 0 and at most 10");
+//! ```
 
 use std::fmt::Display;
+use std::ops::{Bound, RangeBounds};
 
 /// A setting outside its range.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -27,14 +54,315 @@ impl InvalidSetting {
     }
 }
 
+/// A part of the configuration with keys of its own. [`settings!`](crate::settings) implements it.
+pub trait Section {
+    /// Checks every setting; `path` is where the section stands, for example `learner.loss`, or empty for the whole tree.
+    ///
+    /// # Errors
+    /// The first setting that is refused.
+    fn validate_at(&self, path: &str) -> Result<(), InvalidSetting>;
+}
+
+impl<T: Section> Section for Option<T> {
+    fn validate_at(&self, path: &str) -> Result<(), InvalidSetting> {
+        self.as_ref().map_or(Ok(()), |section| section.validate_at(path))
+    }
+}
+
+/// A value with a range: a number, or what consists of numbers that share the range.
+pub trait Setting {
+    /// What the range is made of.
+    type Number: Number;
+
+    /// Checks every number in the value.
+    ///
+    /// # Errors
+    /// The first number that is infinite or outside the range.
+    fn check_in(&self, key: &str, range: &impl RangeBounds<Self::Number>) -> Result<(), InvalidSetting>;
+}
+
+/// A number, whole or not.
+pub trait Number: Copy + PartialOrd + Display {
+    /// Whether it is neither infinite nor NaN.
+    fn is_finite(self) -> bool;
+}
+
+macro_rules! numbers {
+    ($($number:ty: $is_finite:expr;)*) => {$(
+        impl Number for $number {
+            fn is_finite(self) -> bool {
+                let is_finite: fn(Self) -> bool = $is_finite;
+                is_finite(self)
+            }
+        }
+
+        impl Setting for $number {
+            type Number = Self;
+
+            fn check_in(&self, key: &str, range: &impl RangeBounds<Self>) -> Result<(), InvalidSetting> {
+                InvalidSetting::check(key, self, range.contains(self) && Number::is_finite(*self), expected(range))
+            }
+        }
+    )*};
+}
+
+numbers! {
+    u8: |_| true;
+    u16: |_| true;
+    u32: |_| true;
+    u64: |_| true;
+    usize: |_| true;
+    i32: |_| true;
+    f32: f32::is_finite;
+    f64: f64::is_finite;
+}
+
+macro_rules! collections {
+    ($([$($generics:tt)*] $collection:ty;)*) => {$(
+        impl<T: Setting, $($generics)*> Setting for $collection {
+            type Number = T::Number;
+
+            fn check_in(&self, key: &str, range: &impl RangeBounds<T::Number>) -> Result<(), InvalidSetting> {
+                self.iter().try_for_each(|value| value.check_in(key, range))
+            }
+        }
+    )*};
+}
+
+collections! {
+    [] Option<T>;
+    [] Vec<T>;
+    [const N: usize] [T; N];
+}
+
+/// All numbers above `low`.
+pub fn above<T>(low: T) -> (Bound<T>, Bound<T>) {
+    (Bound::Excluded(low), Bound::Unbounded)
+}
+
+/// All numbers above `low` up to `high`, which belongs to them.
+pub fn above_to<T>(low: T, high: T) -> (Bound<T>, Bound<T>) {
+    (Bound::Excluded(low), Bound::Included(high))
+}
+
+/// A range as errors say it.
+fn expected<T: Number>(range: &impl RangeBounds<T>) -> String {
+    let low = match range.start_bound() {
+        Bound::Included(low) => format!("at least {low}"),
+        Bound::Excluded(low) => format!("above {low}"),
+        Bound::Unbounded => "any number".to_owned(),
+    };
+    match (range.start_bound(), range.end_bound()) {
+        (Bound::Included(low), Bound::Included(high)) => format!("{low}..={high}"),
+        (_, Bound::Included(high)) => format!("{low} and at most {high}"),
+        (_, Bound::Excluded(high)) => format!("{low} and below {high}"),
+        (Bound::Excluded(_), Bound::Unbounded) => format!("{low} and finite"),
+        (_, Bound::Unbounded) => low,
+    }
+}
+
+/// The key of a field of the section at `path`.
+pub fn key(path: &str, field: &str) -> String {
+    if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
+}
+
+/// Defines sections of the configuration: their types with serde's derives, defaults, ranges and checks.
+///
+/// A field is one of
+/// - `pub name: Type = default;`
+/// - `pub name: Type = default, in range;` for a [`Setting`](crate::setting::Setting) and what it must lie in,
+/// - `pub name: Type = default, where |c| predicate => "what is expected";` for a rule about the section `c`, also
+///   after `in`,
+/// - `pub name: Section;` for a part that is a [`Section`](crate::setting::Section) or an `Option` of one.
+///
+/// Default and range join the field's documentation. `struct Name in "key"` also gets `validate()` for a section of that
+/// key. `struct Name, check method` calls `method(&self, path: &str)` last, for what the forms above cannot say.
+///
+/// `enum Name = Variant { … }` is a choice by `kind`, of which `Variant` with the defaults of its section is the default.
+#[macro_export]
+macro_rules! settings {
+    () => {};
+    (@check $self:ident $path:ident $field:ident) => {
+        $crate::setting::Section::validate_at(&$self.$field, &$crate::setting::key($path, stringify!($field)))?;
+    };
+    (@check $self:ident $path:ident $field:ident
+        = $default:expr $(, in $range:expr)? $(, where $rule:expr => $expected:literal)?
+    ) => {
+        $($crate::setting::Setting::check_in(
+            &$self.$field,
+            &$crate::setting::key($path, stringify!($field)),
+            &$range,
+        )?;)?
+        $(
+            let rule: fn(&Self) -> bool = $rule;
+            $crate::InvalidSetting::check(
+                $crate::setting::key($path, stringify!($field)),
+                format_args!("{:?}", $self.$field),
+                rule($self),
+                $expected,
+            )?;
+        )?
+    };
+    (@default) => { ::core::default::Default::default() };
+    (@default $default:expr) => { $default };
+    (
+        $(#[$meta:meta])*
+        $vis:vis struct $name:ident $(in $root:literal)? $(, check $check:ident)? {
+            $(
+                $(#[$field_meta:meta])*
+                $field_vis:vis $field:ident: $type:ty
+                    $(= $default:expr $(, in $range:expr)? $(, where $rule:expr => $expected:literal)?)?;
+            )*
+        }
+        $($rest:tt)*
+    ) => {
+        $(#[$meta])*
+        #[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        $vis struct $name {
+            $(
+                $(#[$field_meta])*
+                $(#[doc = concat!(
+                    " Default `", stringify!($default), "`", $(", range `", stringify!($range), "`",)?
+                    $(", ", $expected,)? "."
+                )])?
+                $field_vis $field: $type,
+            )*
+        }
+
+        impl ::core::default::Default for $name {
+            fn default() -> Self {
+                Self { $($field: $crate::settings!(@default $($default)?),)* }
+            }
+        }
+
+        impl $crate::setting::Section for $name {
+            fn validate_at(&self, path: &str) -> ::core::result::Result<(), $crate::InvalidSetting> {
+                $($crate::settings!(
+                    @check self path $field $(= $default $(, in $range)? $(, where $rule => $expected)?)?
+                );)*
+                $(self.$check(path)?;)?
+                Ok(())
+            }
+        }
+
+        $(impl $name {
+            /// Checks every setting.
+            ///
+            /// # Errors
+            /// Names the first setting that is refused, its value and what is expected.
+            $vis fn validate(&self) -> ::core::result::Result<(), $crate::InvalidSetting> {
+                $crate::setting::Section::validate_at(self, $root)
+            }
+        })?
+
+        $crate::settings! { $($rest)* }
+    };
+    (
+        $(#[$meta:meta])*
+        $vis:vis enum $name:ident = $default:ident {
+            $($(#[$variant_meta:meta])* $variant:ident $(($section:ty))?,)*
+        }
+        $($rest:tt)*
+    ) => {
+        $(#[$meta])*
+        #[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
+        #[serde(tag = "kind", rename_all = "kebab-case")]
+        $vis enum $name {
+            $($(#[$variant_meta])* $variant $(($section))?,)*
+        }
+
+        impl ::core::default::Default for $name {
+            fn default() -> Self {
+                Self::$default(::core::default::Default::default())
+            }
+        }
+
+        impl $crate::setting::Section for $name {
+            fn validate_at(&self, path: &str) -> ::core::result::Result<(), $crate::InvalidSetting> {
+                $($(if let Self::$variant(section) = self {
+                    return <$section as $crate::setting::Section>::validate_at(section, path);
+                })?)*
+                Ok(())
+            }
+        }
+
+        $crate::settings! { $($rest)* }
+    };
+}
+
 #[cfg(test)]
 mod tests {
-    use super::InvalidSetting;
+    use super::*;
+
+    crate::settings! {
+        /// A section with every form of a field.
+        struct Outer in "outer", check even {
+            /// Number.
+            n: usize = 2, in 1..=64;
+            /// Numbers of one range.
+            rates: Vec<f32> = vec![0.5], in 0.0..1.0, where |c| !c.rates.is_empty() => "at least one";
+            /// No range.
+            name: String = "a".to_owned();
+            /// May be absent.
+            rate: Option<f64> = None, in above(0.0);
+            /// A choice.
+            choice: Choice;
+            /// A section that may be absent.
+            inner: Option<Inner>;
+        }
+
+        /// A choice.
+        enum Choice = Some {
+            /// Nothing.
+            None,
+            /// Something.
+            Some(Inner),
+        }
+
+        /// A section in a section.
+        struct Inner {
+            /// Number.
+            weight: f32 = 1.0, in 0.0..;
+        }
+    }
+
+    impl Outer {
+        fn even(&self, path: &str) -> Result<(), InvalidSetting> {
+            InvalidSetting::check(key(path, "n"), self.n, self.n.is_multiple_of(2), "an even number")
+        }
+    }
 
     #[test]
-    fn invalid_setting_names_key_value_and_range() {
-        assert_eq!(InvalidSetting::check("actor.n_threads", 1, true, "1..=64"), Ok(()));
-        let error = InvalidSetting::check("actor.n_threads", 0, false, "1..=64").unwrap_err();
-        assert_eq!(error.to_string(), "actor.n_threads = 0: expected 1..=64");
+    fn the_defaults_are_valid_and_every_key_may_be_left_out() {
+        let config = Outer::default();
+        assert_eq!(config.validate(), Ok(()));
+        assert_eq!(serde_json::from_str::<Outer>("{}").unwrap(), config);
+        assert_eq!((config.choice, config.inner), (Choice::Some(Inner { weight: 1.0 }), None));
+        assert!(serde_json::from_str::<Outer>(r#"{"m": 1}"#).unwrap_err().to_string().contains("unknown field `m`"));
+    }
+
+    #[test]
+    fn the_error_names_key_value_and_range() {
+        type Spoil = fn(&mut Outer);
+        let cases: [(Spoil, &str); 9] = [
+            (|c| c.n = 0, "outer.n = 0: expected 1..=64"),
+            (|c| c.n = 3, "outer.n = 3: expected an even number"),
+            (|c| c.rates.push(1.0), "outer.rates = 1: expected at least 0 and below 1"),
+            (|c| c.rates.push(f32::NAN), "outer.rates = NaN: expected at least 0 and below 1"),
+            (|c| c.rates.clear(), "outer.rates = []: expected at least one"),
+            (|c| c.rate = Some(0.0), "outer.rate = 0: expected above 0 and finite"),
+            (|c| c.rate = Some(f64::INFINITY), "outer.rate = inf: expected above 0 and finite"),
+            (|c| c.choice = Choice::Some(Inner { weight: -1.0 }), "outer.choice.weight = -1: expected at least 0"),
+            (|c| c.inner = Some(Inner { weight: f32::NAN }), "outer.inner.weight = NaN: expected at least 0"),
+        ];
+        for (spoil, message) in cases {
+            let mut config = Outer::default();
+            spoil(&mut config);
+            assert_eq!(config.validate().unwrap_err().to_string(), message);
+        }
+        assert_eq!(Outer { choice: Choice::None, ..Default::default() }.validate(), Ok(()));
+        let ranges = [expected(&above_to(0.0, 1.0)), expected(&(..7)), expected::<u8>(&(..))];
+        assert_eq!(ranges, ["above 0 and at most 1", "any number and below 7", "any number"]);
     }
 }

@@ -75,7 +75,7 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["train", "--set", "actor.n_wolrds=3"], None, &["--set actor.n_wolrds=3", "did you mean `n_worlds`"]),
         (&["train", "--set", "actor"], None, &["--set actor", "KEY=VALUE"]),
         (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
-        (&["actor"], None, &["bus.connect = empty", "router"]),
+        (&["actor"], None, &["bus.connect = []", "router"]),
         (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
         (&["render", "gone", "--out", "films"], None, &["gone", "cannot be read"]),
         (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),

@@ -11,7 +11,8 @@ use bus::BusConfig;
 use dashboard::DashboardConfig;
 use evaluator::EvaluatorConfig;
 use learner::{DeviceKind, LearnerConfig};
-use serde::{Deserialize, Serialize};
+use proto::setting::Section;
+use proto::settings;
 
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion};
@@ -21,53 +22,34 @@ pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 /// Largest seed: TOML's integers are signed.
 const MAX_SEED: u64 = i64::MAX as u64;
 
-/// Everything that determines a run, but for the endpoints and folders of the machine it runs on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Config {
-    /// In a file: the preset that the file's keys are put over. Default none: over the defaults.
-    #[serde(skip_serializing)]
-    pub base: Option<String>,
-    /// Determines weights, tasks, actions and evaluation episodes, 0 to 2⁶³ − 1. Default 1.
-    pub seed: u64,
-    /// `train` and `learner` end when they have consumed this many environment steps, at least 1. Default 10 000 000.
-    pub n_env_steps: u64,
-    /// Where the network runs. Default `cpu`.
-    pub device: DeviceKind,
-    /// `train` steps worlds and learns in turns, so that equal seeds give equal bytes. Default false.
-    pub lockstep: bool,
-    /// How the processes of a run find each other.
-    pub bus: BusConfig,
-    /// The world.
-    pub environment: EnvironmentConfig,
-    /// Features, network and action distribution.
-    pub policy: PolicyConfig,
-    /// Rollouts.
-    pub actor: ActorConfig,
-    /// Training.
-    pub learner: LearnerConfig,
-    /// Evaluation.
-    pub evaluator: EvaluatorConfig,
-    /// What a run is shown on.
-    pub dashboard: DashboardConfig,
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self {
-            base: None,
-            seed: 1,
-            n_env_steps: 10_000_000,
-            device: DeviceKind::default(),
-            lockstep: false,
-            bus: BusConfig::default(),
-            environment: EnvironmentConfig::default(),
-            policy: PolicyConfig::default(),
-            actor: ActorConfig::default(),
-            learner: LearnerConfig::default(),
-            evaluator: EvaluatorConfig::default(),
-            dashboard: DashboardConfig::default(),
-        }
+settings! {
+    /// Everything that determines a run, but for the endpoints and folders of the machine it runs on.
+    pub struct Config {
+        /// In a file: the preset that the file's keys are put over; without one they are put over the defaults.
+        #[serde(skip_serializing)]
+        pub base: Option<String> = None;
+        /// Determines weights, tasks, actions and evaluation episodes.
+        pub seed: u64 = 1, in 0..=MAX_SEED;
+        /// `train` and `learner` end when they have consumed this many environment steps.
+        pub n_env_steps: u64 = 10_000_000, in 1..;
+        /// Where the network runs.
+        pub device: DeviceKind = DeviceKind::default();
+        /// `train` steps worlds and learns in turns, so that equal seeds give equal bytes.
+        pub lockstep: bool = false;
+        /// How the processes of a run find each other.
+        pub bus: BusConfig = BusConfig::default();
+        /// The world.
+        pub environment: EnvironmentConfig;
+        /// Features, network and action distribution.
+        pub policy: PolicyConfig;
+        /// Rollouts.
+        pub actor: ActorConfig;
+        /// Training.
+        pub learner: LearnerConfig;
+        /// Evaluation.
+        pub evaluator: EvaluatorConfig = EvaluatorConfig::default();
+        /// What a run is shown on.
+        pub dashboard: DashboardConfig = DashboardConfig::default();
     }
 }
 
@@ -103,17 +85,9 @@ impl Config {
     }
 
     fn check(&self) -> Result<(), String> {
-        if self.seed > MAX_SEED {
-            return Err(format!("seed = {}: expected 0..={MAX_SEED}", self.seed));
-        }
-        if self.n_env_steps == 0 {
-            return Err("n_env_steps = 0: expected at least 1".to_owned());
-        }
+        self.validate_at("").map_err(|error| error.to_string())?;
+        // These know more than ranges.
         self.bus.validate().map_err(|error| error.to_string())?;
-        self.environment.validate().map_err(|error| error.to_string())?;
-        self.policy.validate().map_err(|error| error.to_string())?;
-        self.actor.validate().map_err(|error| error.to_string())?;
-        self.learner.validate().map_err(|error| error.to_string())?;
         self.evaluator.validate().map_err(|error| error.to_string())?;
         self.dashboard.validate().map_err(|error| error.to_string())?;
         let (worlds, network) = (self.environment.n_grippers, self.policy.network.n_grippers);

@@ -1,5 +1,9 @@
 //! Settings that move with the environment steps consumed.
 
+use std::ops::RangeBounds;
+
+use proto::InvalidSetting;
+use proto::setting::Setting;
 use serde::{Deserialize, Serialize};
 
 /// A number, or one that moves: `0.005`, or `[[0, 0.005], [1000000, 0.0]]` for a straight line between points of
@@ -27,27 +31,26 @@ impl Schedule {
             (None, None) => 0.0,
         }
     }
+}
 
-    /// All values named.
-    pub(crate) fn values(&self) -> Vec<f32> {
-        match self {
-            Self::Constant(value) => vec![*value],
-            Self::Line(points) => points.iter().map(|(_, value)| *value).collect(),
-        }
-    }
+impl Setting for Schedule {
+    type Number = f32;
 
-    /// Whether there is a point and the steps ascend.
-    pub(crate) fn is_ordered(&self) -> bool {
-        match self {
-            Self::Constant(_) => true,
-            Self::Line(points) => !points.is_empty() && points.is_sorted_by(|(a, _), (b, _)| a < b),
-        }
+    fn check_in(&self, key: &str, range: &impl RangeBounds<f32>) -> Result<(), InvalidSetting> {
+        let points = match self {
+            Self::Constant(value) => return value.check_in(key, range),
+            Self::Line(points) => points,
+        };
+        let first = points.first().map_or(f32::NAN, |(_, value)| *value);
+        let ok = !points.is_empty() && points.is_sorted_by(|(a, _), (b, _)| a < b);
+        InvalidSetting::check(key, first, ok, "a number, or points of ascending environment steps")?;
+        points.iter().try_for_each(|(_, value)| value.check_in(key, range))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::Schedule;
+    use super::*;
 
     #[test]
     fn a_line_is_level_outside_its_points() {
@@ -55,8 +58,10 @@ mod tests {
         let values = [0, 100, 150, 300, 350, 400, 1000].map(|steps| line.at(steps));
         assert_eq!(values, [1.0, 1.0, 0.75, 0.0, -0.25, -0.5, -0.5]);
         assert_eq!(Schedule::Constant(0.3).at(7), 0.3);
-        assert!(line.is_ordered() && !Schedule::Line(vec![(3, 0.0), (3, 1.0)]).is_ordered());
-        assert!(!Schedule::Line(Vec::new()).is_ordered());
+        assert_eq!(line.check_in("key", &(-1.0..=1.0)), Ok(()));
+        for unordered in [vec![(3, 0.0), (3, 1.0)], Vec::new()] {
+            assert!(Schedule::Line(unordered).check_in("key", &(-1.0..=1.0)).is_err());
+        }
     }
 
     #[test]

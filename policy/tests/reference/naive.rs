@@ -167,7 +167,7 @@ fn check(gat: GatConfig, n_grippers: u8) {
         value_hidden: vec![20, 9],
         scale: ScaleConfig::default(),
     };
-    config.validate().unwrap();
+    proto::setting::Section::validate_at(&config, "policy.network").unwrap();
     let device = Device::flex();
     let network = Network::init(&config, &sizes, 0, &device);
     let flat: Vec<f32> = generate("naive", 7, network.n_parameters()).iter().map(|x| (0.6 * x) as f32).collect();
