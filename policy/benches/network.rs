@@ -1,70 +1,97 @@
 //! Forward passes and updates of the paper's network in samples per CPU-second, on one thread.
 //!
-//! `cargo bench -p policy` on one thread; `benches/jax_peer.py` runs the same work in JAX and prints the ratio.
-//! With arguments `forward <batch>` or `update <batch>` only that case runs.
+//! `cargo bench -p policy`; `benches/jax_peer.py` runs the same work in JAX and prints the ratio. Arguments choose: `forward` or
+//! `update`, `burn` for the same on burn's tensors, `extended` for all features instead of the paper's.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use burn::tensor::{Device, Tensor, TensorData};
-use policy::{BatchTensors, FeatureConfig, FeatureSizes, Network, NetworkConfig, parameters};
+use burn::tensor::Device;
+use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
+use policy::{BatchTensors, FeatureBatch, FeatureConfig, FeatureSizes, Network, NetworkConfig, parameters};
+
+const FORWARD_BATCHES: [usize; 3] = [1, 16, 64];
+const UPDATE_BATCHES: [usize; 4] = [64, 128, 256, 512];
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
-    let features =
-        if arguments.iter().any(|a| a == "extended") { FeatureConfig::default() } else { FeatureConfig::paper() };
-    let wanted = |kind: &str| arguments.is_empty() || arguments.iter().any(|a| a == kind || a == "extended");
-    let sizes = FeatureSizes::new(&features);
+    let has = |wanted: &str| arguments.iter().any(|a| a == wanted);
+    let config = if has("extended") { FeatureConfig::default() } else { FeatureConfig::paper() };
+    let sizes = FeatureSizes::new(&config);
     println!("features {}/{}/{}", sizes.node, sizes.edge, sizes.global);
-    for b in [1, 16, 64] {
-        if wanted("forward") {
-            forward(&sizes, b);
-        }
+    let network = Network::init(&NetworkConfig::default(), &sizes, 0, &Device::flex().autodiff());
+    for b in FORWARD_BATCHES.into_iter().filter(|_| !has("update")) {
+        if has("burn") { forward_on_burn(&sizes, b) } else { forward(&network, &config, b) }
     }
-    for b in [64, 128, 256, 512] {
-        if wanted("update") {
-            update(&sizes, b);
-        }
+    for b in UPDATE_BATCHES.into_iter().filter(|_| !has("forward")) {
+        if has("burn") { update_on_burn(&network, &config, b) } else { update(&network, &config, b) }
     }
 }
 
-fn forward(sizes: &FeatureSizes, b: usize) {
+/// The kernels that a CPU uses.
+fn cpu(network: &Network, config: &FeatureConfig, with_gradients: bool) -> CpuNetwork {
+    let layout = NetworkLayout::new(&NetworkConfig::default(), &FeatureSizes::new(config), network.table());
+    CpuNetwork::new(&layout.expect("a graph network"), &parameters::flatten(network), with_gradients)
+        .expect("finite parameters")
+}
+
+fn forward(network: &Network, config: &FeatureConfig, b: usize) {
+    let (network, batch) = (cpu(network, config, false), batch(config, b));
+    let (rows, mut tape): (Vec<usize>, _) = ((0..b).collect(), Tape::default());
+    report("forward", b, || {
+        black_box(network.infer(&batch, &rows, &mut tape));
+    });
+}
+
+fn forward_on_burn(sizes: &FeatureSizes, b: usize) {
     let device = Device::flex();
     let network = Network::init(&NetworkConfig::default(), sizes, 0, &device);
-    let batch = batch(sizes, b, &device);
+    let config = if sizes.node == 3 { FeatureConfig::paper() } else { FeatureConfig::default() };
+    let batch = BatchTensors::new(&batch(&config, b), network.edge_layout(), &device);
     let folded = network.fold();
-    report("forward", b, || {
+    report("burn forward", b, || {
         let output = network.forward_folded(&folded, &batch);
         black_box(output.values.into_data());
     });
 }
 
-fn update(sizes: &FeatureSizes, b: usize) {
-    let device = Device::flex().autodiff();
-    let network = Network::init(&NetworkConfig::default(), sizes, 0, &device);
-    let batch = batch(sizes, b, &device);
+/// The loss of the golden files: values + squares of logits and means + logarithms of deviations.
+fn update(network: &Network, config: &FeatureConfig, b: usize) {
+    let (network, batch) = (cpu(network, config, true), batch(config, b));
+    let (rows, mut tape): (Vec<usize>, _) = ((0..b).collect(), Tape::default());
     report("update", b, || {
+        let output = network.forward(&batch, &rows, &mut tape);
+        let by_output = Outputs {
+            locs: output.locs.iter().map(|x| 2.0 * x).collect(),
+            scales: output.scales.iter().map(|s| 1.0 / s).collect(),
+            logits: output.logits.iter().map(|x| 2.0 * x).collect(),
+            values: vec![1.0; b],
+        };
+        black_box(network.backward(&mut tape, &by_output));
+    });
+}
+
+fn update_on_burn(network: &Network, config: &FeatureConfig, b: usize) {
+    let batch = BatchTensors::new(&batch(config, b), network.edge_layout(), &Device::flex().autodiff());
+    report("burn update", b, || {
         let output = network.forward(&batch);
         let loss = output.values.sum()
             + output.logits.powi_scalar(2).sum()
             + output.locs.powi_scalar(2).sum()
             + output.scales.log().sum();
         let mut gradients = loss.backward();
-        black_box(parameters::flatten_gradients(&network, &mut gradients));
+        black_box(parameters::flatten_gradients(network, &mut gradients));
     });
 }
 
-fn batch(sizes: &FeatureSizes, b: usize, device: &Device) -> BatchTensors {
-    let fill = |shape: [usize; 3]| {
-        let n = shape.iter().product::<usize>();
-        let values: Vec<f32> = (0..n).map(|i| ((i * 7919) % 2003) as f32 / 1001.0 - 1.0).collect();
-        Tensor::<3>::from_data(TensorData::new(values, shape), device)
-    };
-    BatchTensors {
-        nodes: fill([b, 16, sizes.node]),
-        edges: fill([b, 256, sizes.edge]),
-        globals: fill([b, 1, sizes.global]).squeeze_dim(1),
-    }
+fn batch(config: &FeatureConfig, b: usize) -> FeatureBatch {
+    let fill = |n: usize| (0..n).map(|i| ((i * 7919) % 2003) as f32 / 1001.0 - 1.0).collect();
+    let mut batch = FeatureBatch::new(config);
+    let FeatureSizes { node, edge, global } = batch.sizes;
+    batch.n = b;
+    (batch.nodes, batch.edges, batch.globals) = (fill(b * 16 * node), fill(b * 240 * edge), fill(b * global));
+    batch.allowed = vec![true; b * 16];
+    batch
 }
 
 /// The best of several rounds, so that other load on the machine counts little.

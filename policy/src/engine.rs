@@ -34,8 +34,7 @@ impl Engine {
     pub fn new(config: &PolicyConfig, seed: u64, device: &Device, with_gradients: bool) -> Self {
         let plain = Network::init(&config.network, &config.sizes(), seed, device);
         let table = plain.table().to_vec();
-        let layout =
-            NetworkLayout::new(&config.network, &config.sizes(), &table).filter(|_| *device == Device::flex());
+        let layout = NetworkLayout::new(&config.network, &config.sizes(), &table).filter(|_| *device == Device::flex());
         let form = match layout {
             Some(layout) => {
                 let network = CpuNetwork::new(&layout, &parameters::flatten(&plain), with_gradients)
@@ -72,16 +71,33 @@ impl Engine {
     /// If their number is wrong or one is not finite.
     pub fn load(&mut self, values: &[f32]) -> Result<(), ParameterError> {
         match &mut self.form {
+            // The tape stays for its memory.
             Form::Cpu { layout, network, .. } => **network = CpuNetwork::new(layout, values, self.with_gradients)?,
-            Form::Burn { plain, folded, tracked } => {
-                **plain = parameters::load((**plain).clone(), values)?;
-                **folded = plain.fold();
-                if let Some(tracked) = tracked {
-                    **tracked = parameters::load((**tracked).clone(), values)?;
-                }
-            }
+            Form::Burn { .. } => *self = self.with(values)?,
         }
         Ok(())
+    }
+
+    /// The same network with other parameters.
+    ///
+    /// # Errors
+    /// As for [`Engine::load`].
+    pub fn with(&self, values: &[f32]) -> Result<Self, ParameterError> {
+        let form = match &self.form {
+            Form::Cpu { layout, .. } => Form::Cpu {
+                network: Box::new(CpuNetwork::new(layout, values, self.with_gradients)?),
+                layout: layout.clone(),
+                tape: Box::default(),
+            },
+            Form::Burn { plain, tracked, .. } => {
+                let plain = parameters::load((**plain).clone(), values)?;
+                let tracked = tracked.as_ref().map(|tracked| parameters::load((**tracked).clone(), values));
+                let tracked = tracked.transpose()?.map(Box::new);
+                Form::Burn { folded: Box::new(plain.fold()), plain: Box::new(plain), tracked }
+            }
+        };
+        let (table, device) = (self.table.clone(), self.device.clone());
+        Ok(Self { table, n_grippers: self.n_grippers, device, with_gradients: self.with_gradients, form })
     }
 
     /// Computes the outputs for `rows` of a batch of normalized features.
@@ -91,11 +107,7 @@ impl Engine {
     pub fn run(&mut self, batch: &FeatureBatch, rows: &[usize]) -> Outputs {
         match &mut self.form {
             Form::Cpu { network, tape, .. } => network.infer(batch, rows, tape).clone(),
-            Form::Burn { plain, folded, .. } => {
-                let batch = BatchTensors::new(&batch.select(rows), plain.edge_layout(), &self.device);
-                let NetworkOutput { locs, scales, logits, values } = plain.forward_folded(folded, &batch);
-                Outputs { locs: to_vec(locs), scales: to_vec(scales), logits: to_vec(logits), values: to_vec(values) }
-            }
+            Form::Burn { plain, folded, .. } => run_on_burn(plain, folded, &batch.select(rows), &self.device),
         }
     }
 
@@ -106,7 +118,8 @@ impl Engine {
     pub fn run_tracked(&mut self, batch: &FeatureBatch, rows: &[usize]) -> (NetworkOutput, Leaves) {
         match &mut self.form {
             Form::Cpu { network, tape, .. } => {
-                let leaves = network.forward(batch, rows, tape).to_tensors(self.n_grippers, &self.device.clone().autodiff());
+                let leaves =
+                    network.forward(batch, rows, tape).to_tensors(self.n_grippers, &self.device.clone().autodiff());
                 let leaves = NetworkOutput {
                     locs: leaves.locs.require_grad(),
                     scales: leaves.scales.require_grad(),
@@ -145,23 +158,30 @@ impl Engine {
 
     /// What each layer attends to in every scene of a batch: for each layer `[n, 16 receivers, heads, 16 senders]`, and the
     /// logits `[n, G, 16]`. No layers for a network without attention.
-    pub fn attention(&mut self, batch: &FeatureBatch) -> (Vec<Vec<f32>>, Vec<f32>) {
-        let rows: Vec<usize> = (0..batch.n).collect();
-        match &mut self.form {
-            Form::Cpu { network, tape, .. } => {
-                let logits = network.forward(batch, &rows, tape).logits.clone();
+    pub fn attention(&self, batch: &FeatureBatch) -> (Vec<Vec<f32>>, Vec<f32>) {
+        match &self.form {
+            Form::Cpu { network, .. } => {
+                let (rows, mut tape): (Vec<usize>, _) = ((0..batch.n).collect(), Tape::default());
+                let logits = network.forward(batch, &rows, &mut tape).logits.clone();
                 (tape.attention(), logits)
             }
-            Form::Burn { .. } => (Vec::new(), self.run(batch, &rows).logits),
+            Form::Burn { plain, folded, .. } => (Vec::new(), run_on_burn(plain, folded, batch, &self.device).logits),
         }
     }
+}
+
+fn run_on_burn(network: &Network, folded: &Folded, batch: &FeatureBatch, device: &Device) -> Outputs {
+    let batch = BatchTensors::new(batch, network.edge_layout(), device);
+    let NetworkOutput { locs, scales, logits, values } = network.forward_folded(folded, &batch);
+    Outputs { locs: to_vec(locs), scales: to_vec(scales), logits: to_vec(logits), values: to_vec(values) }
 }
 
 impl Outputs {
     /// The same numbers as tensors.
     pub fn to_tensors(&self, n_grippers: usize, device: &Device) -> NetworkOutput {
         let n = self.values.len();
-        let cube = |values: &[f32], shape: [usize; 3]| Tensor::from_data(TensorData::new(values.to_vec(), shape), device);
+        let cube =
+            |values: &[f32], shape: [usize; 3]| Tensor::from_data(TensorData::new(values.to_vec(), shape), device);
         NetworkOutput {
             locs: cube(&self.locs, [n, 16, 6]),
             scales: cube(&self.scales, [n, 16, 6]),

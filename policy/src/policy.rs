@@ -4,16 +4,17 @@ mod attention;
 mod trial;
 
 use blueprints::{Catalog, N_BLOCKS};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use proto::{ActionMode, Agent, Decision, InvalidSetting, Normalization, Observation, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
 use crate::FeatureBatch;
 use crate::config::{BlockMask, PolicyConfig};
+use crate::cpu::Outputs;
 use crate::distribution::{ActionDistribution, mask_logits};
-use crate::network::{BatchTensors, Folded, Network};
+use crate::engine::Engine;
 use crate::normalization::normalize;
-use crate::parameters::{self, ParameterError};
+use crate::parameters::ParameterError;
 
 pub use attention::Attention;
 
@@ -98,11 +99,9 @@ const LARGEST_OUTPUT: f32 = 1e6;
 #[derive(Debug)]
 pub struct Policy {
     config: PolicyConfig,
-    network: Network,
-    folded: Folded,
+    engine: Engine,
     normalization: Normalization,
     version: Option<WeightsVersion>,
-    device: Device,
     /// Kept for its memory.
     batch: FeatureBatch,
 }
@@ -114,12 +113,10 @@ impl Policy {
     /// When the configuration is not valid.
     pub fn new(config: &PolicyConfig) -> Result<Self, PolicyError> {
         config.validate()?;
-        let device = Device::flex();
-        let network = Network::init(&config.network, &config.sizes(), 0, &device);
-        let folded = network.fold();
+        let engine = Engine::new(config, 0, &Device::flex(), false);
         let normalization = Normalization { value_std: 1.0, ..Normalization::default() };
         let batch = FeatureBatch::new(&config.features);
-        Ok(Self { config: config.clone(), network, folded, normalization, version: None, device, batch })
+        Ok(Self { config: config.clone(), engine, normalization, version: None, batch })
     }
 
     /// A policy that acts by `weights`.
@@ -153,15 +150,13 @@ impl Policy {
             return Err(PolicyError::OtherNetwork { version, given: weights.network_hash, expected });
         }
         self.check_normalization(weights)?;
-        let network = parameters::load(self.network.clone(), &weights.parameters)
-            .map_err(|source| PolicyError::Parameters { version, source })?;
+        let engine =
+            self.engine.with(&weights.parameters).map_err(|source| PolicyError::Parameters { version, source })?;
         let mut tried = Self {
             config: self.config.clone(),
-            folded: network.fold(),
-            network,
+            engine,
             normalization: weights.normalization.clone(),
             version: Some(version),
-            device: self.device.clone(),
             batch: FeatureBatch::new(&self.config.features),
         };
         if let Some(blueprint) = Catalog::builtin().iter().next() {
@@ -179,20 +174,16 @@ impl Policy {
         Ok(self.run(observations)?.values)
     }
 
-    fn run(&mut self, observations: &[Observation<'_>]) -> Result<RawOutput, PolicyError> {
+    fn run(&mut self, observations: &[Observation<'_>]) -> Result<Outputs, PolicyError> {
         if observations.is_empty() {
-            return Ok(RawOutput::default());
+            return Ok(Outputs::default());
         }
         self.batch.fill(observations);
         normalize(&mut self.batch, &self.normalization);
-        let output = self.network.forward_folded(&self.folded, &self.tensors(&self.batch));
+        let rows: Vec<usize> = (0..self.batch.n).collect();
+        let mut output = self.engine.run(&self.batch, &rows);
         let Normalization { value_mean, value_std, .. } = self.normalization;
-        let output = RawOutput {
-            locs: to_vec(output.locs),
-            scales: to_vec(output.scales),
-            logits: to_vec(output.logits),
-            values: to_vec(output.values).into_iter().map(|v| v * value_std + value_mean).collect(),
-        };
+        output.values.iter_mut().for_each(|v| *v = *v * value_std + value_mean);
         for (name, numbers) in [
             ("a logit", &output.logits),
             ("a mean move", &output.locs),
@@ -212,11 +203,6 @@ impl Policy {
 
     fn no_distribution(&self, output: &'static str, value: f32) -> PolicyError {
         PolicyError::NoDistribution { version: self.version, output, value }
-    }
-
-    /// Normalized features on the device.
-    fn tensors(&self, batch: &FeatureBatch) -> BatchTensors {
-        BatchTensors::new(batch, self.network.edge_layout(), &self.device)
     }
 
     fn check_normalization(&self, weights: &Weights) -> Result<(), PolicyError> {
@@ -285,16 +271,4 @@ impl Agent for Policy {
         }
         Ok(decisions)
     }
-}
-
-#[derive(Default)]
-struct RawOutput {
-    locs: Vec<f32>,
-    scales: Vec<f32>,
-    logits: Vec<f32>,
-    values: Vec<f32>,
-}
-
-fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("the network computes in f32")
 }

@@ -5,9 +5,9 @@ use std::ops::AddAssign;
 use blueprints::N_BLOCKS;
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::config::BlockMask;
+use policy::cpu::Outputs;
 use policy::imitation::{self, LabelTensors};
 use policy::loss_terms::{self, ActionTensors};
-use policy::cpu::Outputs;
 use policy::parameters::ParameterError;
 use policy::{Engine, FeatureBatch, NetworkOutput, PolicyConfig};
 use proto::Label;
@@ -254,8 +254,10 @@ impl Passes {
     /// Masks the logits as configured.
     fn mask(&self, output: &mut NetworkOutput, features: &FeatureBatch, rows: &[usize]) {
         if self.policy.mask == BlockMask::Blueprint {
-            let allowed: Vec<bool> =
-                rows.iter().flat_map(|row| features.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS].iter().copied()).collect();
+            let allowed: Vec<bool> = rows
+                .iter()
+                .flat_map(|row| features.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS].iter().copied())
+                .collect();
             output.logits = loss_terms::mask_logits(output.logits.clone(), &allowed);
         }
     }

@@ -7,7 +7,7 @@
 use pulp::Arch;
 
 use super::matmul::{add_transposed, multiply, multiply_transposed};
-use super::spans::{LayerSpans, Shape, Spans};
+use super::spans::{Context, LayerSpans, Span};
 
 /// What one head of a layer multiplies by, with w the width, d the head's width, `ed` and `nd` the numbers of raw features.
 #[derive(Clone, Debug)]
@@ -55,14 +55,13 @@ pub(super) struct FoldGradient {
 }
 
 impl Fold {
-    pub(super) fn new(arch: Arch, shape: &Shape, spans: &Spans, layer: usize, parameters: &[f32]) -> Self {
+    pub(super) fn new(net: Context<'_>, layer: usize) -> Self {
+        let Context { arch, shape, spans, .. } = net;
         let (w, ed) = (shape.width, shape.sizes.edge);
         let is_raw = shape.attends_to_raw(layer);
-        let embed = &parameters[spans.embed_node.clone()];
-        let edge_bias = &parameters[spans.embed_edge.b.clone()];
-        let heads: Vec<Head> = (0..shape.gat.n_heads)
-            .map(|h| Head::new(arch, shape, spans, &spans.layers[layer], h, parameters))
-            .collect();
+        let (embed, embed_edge, edge_bias) =
+            (net.of(&spans.embed_node), net.of(&spans.embed_edge.w), net.of(&spans.embed_edge.b));
+        let heads: Vec<Head> = (0..shape.gat.n_heads).map(|h| Head::new(net, &spans.layers[layer], h)).collect();
         let mut fold = Self {
             is_raw,
             n_in: if is_raw { shape.sizes.node + 1 } else { w },
@@ -88,7 +87,7 @@ impl Fold {
             to_node.push(compare);
             to_edge.push(edges);
             fold.from_nodes.extend(carry);
-            fold.from_edges.extend(multiply(arch, &parameters[spans.embed_edge.w.clone()], &head.carry[1], w));
+            fold.from_edges.extend(multiply(arch, embed_edge, &head.carry[1], w));
             add(&mut fold.constant, &multiply(arch, edge_bias, &head.carry[1], w));
         }
         fold.to_node = beside(&to_node, fold.n_in);
@@ -115,24 +114,14 @@ impl Fold {
     }
 
     /// Adds the gradients of the parameters that these matrices are made of.
-    #[allow(clippy::too_many_lines, reason = "one derivation")]
-    pub(super) fn unfold(
-        &self,
-        arch: Arch,
-        shape: &Shape,
-        spans: &Spans,
-        layer: usize,
-        parameters: &[f32],
-        folded: &FoldGradient,
-        gradient: &mut [f32],
-    ) {
+    pub(super) fn unfold(&self, net: Context<'_>, layer: usize, folded: &FoldGradient, gradient: &mut [f32]) {
+        let Context { arch, shape, spans, .. } = net;
         let (w, ed, d) = (shape.width, shape.sizes.edge, shape.gat.head_dim);
         let n_heads = shape.gat.n_heads;
         let inner = n_heads * d;
         let LayerSpans { message, query, key, node_proj, .. } = &spans.layers[layer];
-        let embed = &parameters[spans.embed_node.clone()];
-        let embed_edge = &parameters[spans.embed_edge.w.clone()];
-        let edge_bias = &parameters[spans.embed_edge.b.clone()];
+        let (embed, embed_edge, edge_bias) =
+            (net.of(&spans.embed_node), net.of(&spans.embed_edge.w), net.of(&spans.embed_edge.b));
         let scale = 1.0 / (d as f32).sqrt();
         for (h, head) in self.heads.iter().enumerate() {
             let mut compare = columns(&folded.to_node, n_heads * self.n_in, h * self.n_in, self.n_in);
@@ -183,19 +172,20 @@ impl Fold {
 }
 
 impl Head {
-    fn new(arch: Arch, shape: &Shape, spans: &Spans, layer: &LayerSpans, h: usize, parameters: &[f32]) -> Self {
+    fn new(net: Context<'_>, layer: &LayerSpans, h: usize) -> Self {
+        let Context { arch, shape, spans, .. } = net;
         let (w, d) = (shape.width, shape.gat.head_dim);
         let inner = shape.gat.n_heads * d;
-        let by_head = |span: &std::ops::Range<usize>, part: usize| -> Vec<f32> {
-            columns(&parameters[span.clone()][part * w * inner..(part + 1) * w * inner], inner, h * d, d)
+        let by_head = |span: &Span, part: usize| -> Vec<f32> {
+            columns(&net.of(span)[part * w * inner..(part + 1) * w * inner], inner, h * d, d)
         };
         let scale = 1.0 / (d as f32).sqrt();
         let key: Vec<f32> = by_head(&layer.key, 0).into_iter().map(|k| k * scale).collect();
         let query = [0, 1].map(|part| by_head(&layer.query, part));
         let message = [0, 1].map(|part| by_head(&layer.message, part));
-        let project = parameters[layer.node_proj.clone()][h * d * w..(h + 1) * d * w].to_vec();
+        let project = net.of(&layer.node_proj)[h * d * w..(h + 1) * d * w].to_vec();
         let compare = [0, 1].map(|part: usize| multiply_transposed(arch, &key, &query[part], d));
-        let to_edge = multiply_transposed(arch, &compare[1], &parameters[spans.embed_edge.w.clone()], w);
+        let to_edge = multiply_transposed(arch, &compare[1], net.of(&spans.embed_edge.w), w);
         let carry = [0, 1].map(|part: usize| multiply(arch, &message[part], &project, d));
         Self { key, query, message, project, compare, to_edge, carry }
     }

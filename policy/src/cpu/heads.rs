@@ -1,12 +1,10 @@
 //! The policy's and the value's heads (paper, sections "Policy" and "Critic" and the listing).
 
-use pulp::Arch;
-
 use super::activations::Activations;
 use super::layer::Flow;
 use super::matmul::{Base, Packed, add_transposed, product};
 use super::ops::{add, add_rows, dot, relu_backward, softmax};
-use super::spans::{Linear, Shape, Spans};
+use super::spans::{Context, Linear, Shape};
 use crate::config::ScaleConfig;
 
 /// Number of blocks.
@@ -57,41 +55,28 @@ pub(super) struct ValueActivations {
 }
 
 impl PolicyKernels {
-    pub(super) fn new(
-        shape: &Shape,
-        spans: &Spans,
-        parameters: &[f32],
-        pack: impl Fn(&[f32], [usize; 2]) -> Packed,
-    ) -> Self {
+    pub(super) fn new(net: Context<'_>, pack: impl Fn(&[f32], [usize; 2]) -> Packed) -> Self {
+        let Context { shape, spans, .. } = net;
         let (w, g) = (shape.width, shape.n_grippers);
-        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
         Self {
-            act: [pack(of(&spans.act_loc.w), [w, MOVE]), pack(of(&spans.act_scale.w), [w, MOVE])],
-            input_global: pack(of(&spans.input_global), [shape.sizes.global, w]),
-            grip_key: pack(of(&spans.grip_key), [2 * w, g * w]),
-            block_key: pack(&of(&spans.block_key)[..w * w], [w, w]),
+            act: [pack(net.of(&spans.act_loc.w), [w, MOVE]), pack(net.of(&spans.act_scale.w), [w, MOVE])],
+            input_global: pack(net.of(&spans.input_global), [shape.sizes.global, w]),
+            grip_key: pack(net.of(&spans.grip_key), [2 * w, g * w]),
+            block_key: pack(&net.of(&spans.block_key)[..w * w], [w, w]),
         }
     }
 
     /// Appends what the last layer's nodes and graphs say.
-    pub(super) fn forward(
-        &self,
-        arch: Arch,
-        shape: &Shape,
-        spans: &Spans,
-        parameters: &[f32],
-        x: &mut Activations,
-        out: &mut Outputs,
-    ) {
+    pub(super) fn forward(&self, net: Context<'_>, x: &mut Activations, out: &mut Outputs) {
+        let Context { arch, shape, spans, .. } = net;
         let (w, g) = (shape.width, shape.n_grippers);
         let rows = x.n * N;
-        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
         let (nodes, global) = x.layers.last().map_or((&x.embedded, &x.embedded_global), |l| (&l.nodes, &l.global));
         let acts = [(&spans.act_loc, &mut out.locs), (&spans.act_scale, &mut out.scales)];
         for ((linear, to), kernel) in acts.into_iter().zip(&self.act) {
             let at = to.len();
             to.resize(at + rows * MOVE, 0.0);
-            product(arch, nodes, kernel, Base::Bias(of(&linear.b)), false, &mut to[at..]);
+            product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut to[at..]);
         }
         let at = out.scales.len() - rows * MOVE;
         out.scales[at..].iter_mut().for_each(|s| *s = scale(&shape.scale, *s));
@@ -107,7 +92,7 @@ impl PolicyKernels {
         product(arch, &x.grip_input, &self.grip_key, Base::Zero, false, &mut x.grip);
         x.block_keys.resize(rows * w, 0.0);
         product(arch, nodes, &self.block_key, Base::Zero, false, &mut x.block_keys);
-        let of_held = &of(&spans.block_key)[w * w..];
+        let of_held = &net.of(&spans.block_key)[w * w..];
         let keys = x.block_keys.chunks_exact_mut(N * w);
         for ((keys, grips), raw) in keys.zip(x.grip.chunks_exact(g * w)).zip(x.raw_global.chunks_exact(raw_len(shape)))
         {
@@ -126,17 +111,15 @@ impl PolicyKernels {
 
     /// Sets the gradient of the last layer's nodes and adds to that of its graphs; `self` has the transposes. `gradients` are those
     /// of these scenes' means, unbounded deviations, and logits.
-    #[allow(clippy::too_many_arguments, reason = "a head, what it did, what flows back, and where gradients go")]
     pub(super) fn backward(
         &self,
-        arch: Arch,
-        shape: &Shape,
-        spans: &Spans,
+        net: Context<'_>,
         x: &Activations,
         [locs, scales, logits]: [&[f32]; 3],
         flow: &mut Flow,
         gradient: &mut [f32],
     ) {
+        let Context { arch, shape, spans, .. } = net;
         let (w, g) = (shape.width, shape.n_grippers);
         let rows = x.n * N;
         let nodes = x.layers.last().map_or(&x.embedded, |layer| &layer.nodes);
@@ -190,32 +173,20 @@ impl PolicyKernels {
 }
 
 impl ValueKernels {
-    pub(super) fn new(
-        shape: &Shape,
-        spans: &Spans,
-        parameters: &[f32],
-        pack: impl Fn(&[f32], [usize; 2]) -> Packed,
-    ) -> Self {
+    pub(super) fn new(net: Context<'_>, pack: impl Fn(&[f32], [usize; 2]) -> Packed) -> Self {
+        let Context { shape, spans, .. } = net;
         let w = shape.width;
-        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
-        let mlp = |linear: &Linear| pack(of(&linear.w), [linear.w.len() / linear.n_out, linear.n_out]);
+        let mlp = |linear: &Linear| pack(net.of(&linear.w), [linear.w.len() / linear.n_out, linear.n_out]);
         Self {
-            input_global: pack(of(&spans.value_input_global), [shape.sizes.global, w]),
-            graph_global: pack(of(&spans.value_graph_global), [w, w]),
+            input_global: pack(net.of(&spans.value_input_global), [shape.sizes.global, w]),
+            graph_global: pack(net.of(&spans.value_graph_global), [w, w]),
             mlp: spans.value_mlp.iter().map(mlp).collect(),
         }
     }
 
     /// Values of all scenes; their choices are read from the logits.
-    pub(super) fn forward(
-        &self,
-        arch: Arch,
-        shape: &Shape,
-        spans: &Spans,
-        parameters: &[f32],
-        x: &mut ValueActivations,
-        out: &mut Outputs,
-    ) {
+    pub(super) fn forward(&self, net: Context<'_>, x: &mut ValueActivations, out: &mut Outputs) {
+        let Context { arch, shape, spans, .. } = net;
         let (w, n_choices) = (shape.width, shape.n_grippers * N);
         let n = out.logits.len() / n_choices;
         let [mut own, mut graph] = [vec![0.0; n * w], vec![0.0; n * w]];
@@ -235,7 +206,7 @@ impl ValueKernels {
         }
         out.values.resize(n, 0.0);
         for (j, (linear, kernel)) in spans.value_mlp.iter().zip(&self.mlp).enumerate() {
-            let bias = Base::Bias(&parameters[linear.b.clone()]);
+            let bias = Base::Bias(net.of(&linear.b));
             let (inputs, next) = x.inputs.split_at_mut(j + 1);
             match next.first_mut() {
                 Some(next) => {
@@ -250,13 +221,12 @@ impl ValueKernels {
     /// The gradient of the graphs, `[B, w]`; `self` has the transposes. None flows into the choices (listing).
     pub(super) fn backward(
         &self,
-        arch: Arch,
-        shape: &Shape,
-        spans: &Spans,
+        net: Context<'_>,
         x: &ValueActivations,
         values: &[f32],
         gradient: &mut [f32],
     ) -> Vec<f32> {
+        let Context { arch, shape, spans, .. } = net;
         let w = shape.width;
         let mut flow = values.to_vec();
         for (j, (linear, kernel)) in spans.value_mlp.iter().zip(&self.mlp).enumerate().rev() {

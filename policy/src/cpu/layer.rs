@@ -1,13 +1,11 @@
 //! One layer of the encoder: attention, the nodes' MLP, the graph's MLP.
 
-use pulp::Arch;
-
 use super::activations::{Activations, LayerActivations};
 use super::attend::{Graphs, attend, attend_backward};
 use super::fold::{Fold, FoldGradient};
 use super::matmul::{Base, Packed, add_transposed, product};
 use super::ops::{add_rows, add_to_nodes, layer_norm, layer_norm_backward, relu_backward, sum_nodes};
-use super::spans::{LayerSpans, Shape, Spans};
+use super::spans::{Context, LayerSpans};
 
 /// A layer's parameters, ready to be multiplied by.
 #[derive(Clone, Debug)]
@@ -48,59 +46,46 @@ pub(super) struct Flow {
 }
 
 impl Kernels {
-    fn new(
-        shape: &Shape,
-        spans: &LayerSpans,
-        fold: &Fold,
-        parameters: &[f32],
-        pack: impl Fn(&[f32], [usize; 2]) -> Packed,
-    ) -> Self {
+    fn new(net: Context<'_>, spans: &LayerSpans, fold: &Fold, pack: impl Fn(&[f32], [usize; 2]) -> Packed) -> Self {
+        let shape = net.shape;
         let (w, ed, heads, hidden) = (shape.width, shape.sizes.edge, shape.gat.n_heads, shape.gat.mlp_hidden);
-        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
-        let (on_node, on_graph) = of(&spans.mlp_node[0].w).split_at(w * hidden);
+        let (on_node, on_graph) = net.of(&spans.mlp_node[0].w).split_at(w * hidden);
         Self {
             to_node: pack(&fold.to_node, [fold.n_in, heads * fold.n_in]),
             to_edge: pack(&fold.to_edge, [fold.n_in, heads * ed]),
             from_nodes: pack(&fold.from_nodes, [heads * fold.n_in, w]),
             from_edges: pack(&fold.from_edges, [heads * ed, w]),
             mlp_node: [pack(on_node, [w, hidden]), pack(on_graph, [w, hidden])],
-            mlp_node_out: pack(of(&spans.mlp_node[1].w), [hidden, w]),
+            mlp_node_out: pack(net.of(&spans.mlp_node[1].w), [hidden, w]),
             mlp_global: [
-                pack(of(&spans.mlp_global[0].w), [2 * w, hidden]),
-                pack(of(&spans.mlp_global[1].w), [hidden, w]),
+                pack(net.of(&spans.mlp_global[0].w), [2 * w, hidden]),
+                pack(net.of(&spans.mlp_global[1].w), [hidden, w]),
             ],
         }
     }
 }
 
 impl Layer {
-    pub(super) fn new(
-        arch: Arch,
-        shape: &Shape,
-        spans: &Spans,
-        layer: usize,
-        parameters: &[f32],
-        with_gradients: bool,
-    ) -> Self {
-        let fold = Fold::new(arch, shape, spans, layer, parameters);
-        let spans = spans.layers[layer].clone();
+    pub(super) fn new(net: Context<'_>, layer: usize, with_gradients: bool) -> Self {
+        let fold = Fold::new(net, layer);
+        let spans = net.spans.layers[layer].clone();
         let plain = |w: &[f32], [k, n]: [usize; 2]| Packed::new(w, k, n);
         let transposed = |w: &[f32], [k, n]: [usize; 2]| Packed::transposed(w, n, k);
         Self {
-            forward: Kernels::new(shape, &spans, &fold, parameters, plain),
-            backward: with_gradients.then(|| Kernels::new(shape, &spans, &fold, parameters, transposed)),
+            forward: Kernels::new(net, &spans, &fold, plain),
+            backward: with_gradients.then(|| Kernels::new(net, &spans, &fold, transposed)),
             spans,
             fold,
         }
     }
 
     /// Computes layer `l` of `x` from what the layers before it left.
-    pub(super) fn forward(&self, arch: Arch, shape: &Shape, l: usize, parameters: &[f32], x: &mut Activations) {
+    pub(super) fn forward(&self, net: Context<'_>, l: usize, x: &mut Activations) {
+        let Context { arch, shape, .. } = net;
         let (w, heads, hidden) = (shape.width, shape.gat.n_heads, shape.gat.mlp_hidden);
         let (n, rows) = (x.n, x.n * 16);
         let (before, y) = x.split(l);
         let (forward, spans) = (&self.forward, &self.spans);
-        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
         y.resize(n, w, heads, hidden, self.fold.n_in, shape.sizes.edge);
 
         product(arch, before.input, &forward.to_node, Base::Zero, false, &mut y.compare_nodes);
@@ -120,16 +105,16 @@ impl Layer {
         let mut residual = vec![0.0; rows * w];
         product(arch, &y.mean_nodes, &forward.from_nodes, Base::Bias(&self.fold.constant), false, &mut residual);
         product(arch, &y.mean_edges, &forward.from_edges, Base::Kept, false, &mut residual);
-        let norm = [of(&spans.ln_attn[0]), of(&spans.ln_attn[1])];
+        let norm = [net.of(&spans.ln_attn[0]), net.of(&spans.ln_attn[1])];
         layer_norm(arch, [before.nodes, &residual], norm, &mut y.ln_attn, &mut y.attended);
 
         let mut shared = vec![0.0; n * hidden];
-        let bias = Base::Bias(of(&spans.mlp_node[0].b));
+        let bias = Base::Bias(net.of(&spans.mlp_node[0].b));
         product(arch, before.global, &forward.mlp_node[1], bias, false, &mut shared);
         product(arch, &y.attended, &forward.mlp_node[0], Base::PerGraph(&shared), true, &mut y.hidden);
-        let bias = Base::Bias(of(&spans.mlp_node[1].b));
+        let bias = Base::Bias(net.of(&spans.mlp_node[1].b));
         product(arch, &y.hidden, &forward.mlp_node_out, bias, false, &mut residual);
-        let norm = [of(&spans.ln_mlp[0]), of(&spans.ln_mlp[1])];
+        let norm = [net.of(&spans.ln_mlp[0]), net.of(&spans.ln_mlp[1])];
         layer_norm(arch, [&y.attended, &residual], norm, &mut y.ln_mlp, &mut y.nodes);
 
         let mut sums = vec![0.0; n * w];
@@ -139,38 +124,35 @@ impl Layer {
             to[..w].copy_from_slice(global);
             to[w..].copy_from_slice(sum);
         }
-        let bias = Base::Bias(of(&spans.mlp_global[0].b));
+        let bias = Base::Bias(net.of(&spans.mlp_global[0].b));
         product(arch, &y.global_input, &forward.mlp_global[0], bias, true, &mut y.global_hidden);
-        let bias = Base::Bias(of(&spans.mlp_global[1].b));
+        let bias = Base::Bias(net.of(&spans.mlp_global[1].b));
         product(arch, &y.global_hidden, &forward.mlp_global[1], bias, false, &mut sums);
-        let norm = [of(&spans.ln_global[0]), of(&spans.ln_global[1])];
+        let norm = [net.of(&spans.ln_global[0]), net.of(&spans.ln_global[1])];
         layer_norm(arch, [before.global, &sums], norm, &mut y.ln_global, &mut y.global);
     }
 
     /// Turns the gradient of this layer's output into that of its input, and adds those of its parameters.
-    #[allow(clippy::too_many_arguments, reason = "a layer, what it did, what flows back, and where gradients go")]
     pub(super) fn backward(
         &self,
-        arch: Arch,
-        shape: &Shape,
+        net: Context<'_>,
         l: usize,
-        parameters: &[f32],
         x: &mut Activations,
         flow: &mut Flow,
         folded: &mut FoldGradient,
         gradient: &mut [f32],
     ) {
+        let Context { arch, shape, .. } = net;
         let (w, heads, hidden, ed) = (shape.width, shape.gat.n_heads, shape.gat.mlp_hidden, shape.sizes.edge);
         let (n, rows) = (x.n, x.n * 16);
         let (before, y) = x.split(l);
         let spans = &self.spans;
         let back = self.backward.as_ref().expect("the network was made for gradients");
-        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
 
         // The graph's MLP.
         let Flow { nodes, global, hidden: of_hidden, shared, global_hidden, global_input, means, compare } = flow;
         let norm = gradient.get_disjoint_mut(spans.ln_global.clone()).expect("parameters lie apart");
-        layer_norm_backward(arch, &y.ln_global, of(&spans.ln_global[0]), global, norm);
+        layer_norm_backward(arch, &y.ln_global, net.of(&spans.ln_global[0]), global, norm);
         let [first, second] = &spans.mlp_global;
         add_rows(arch, global, &mut gradient[second.b.clone()]);
         add_transposed(arch, &y.global_hidden, hidden, global, w, &mut gradient[second.w.clone()]);
@@ -191,7 +173,7 @@ impl Layer {
 
         // The nodes' MLP.
         let norm = gradient.get_disjoint_mut(spans.ln_mlp.clone()).expect("parameters lie apart");
-        layer_norm_backward(arch, &y.ln_mlp, of(&spans.ln_mlp[0]), nodes, norm);
+        layer_norm_backward(arch, &y.ln_mlp, net.of(&spans.ln_mlp[0]), nodes, norm);
         let [first, second] = &spans.mlp_node;
         add_rows(arch, nodes, &mut gradient[second.b.clone()]);
         add_transposed(arch, &y.hidden, hidden, nodes, w, &mut gradient[second.w.clone()]);
@@ -209,7 +191,7 @@ impl Layer {
 
         // The attention; its residual leaves the gradient of the nodes as it is.
         let norm = gradient.get_disjoint_mut(spans.ln_attn.clone()).expect("parameters lie apart");
-        layer_norm_backward(arch, &y.ln_attn, of(&spans.ln_attn[0]), nodes, norm);
+        layer_norm_backward(arch, &y.ln_attn, net.of(&spans.ln_attn[0]), nodes, norm);
         let n_in = self.fold.n_in;
         add_rows(arch, nodes, &mut folded.constant);
         add_transposed(arch, &y.mean_nodes, heads * n_in, nodes, w, &mut folded.from_nodes);

@@ -279,11 +279,9 @@ impl Block<'_> {
 #[inline(always)]
 fn vectors<S: Simd, const V: usize>(values: &[f32]) -> [S::f32s; V] {
     let (values, _) = S::as_simd_f32s(&values[..V * S::F32_LANES]);
-    // A loop instead of `array::from_fn`, which is not always inlined.
+    // Not `array::from_fn`, which is not always inlined.
     let mut vectors = [values[0]; V];
-    for v in 1..V {
-        vectors[v] = values[v];
-    }
+    vectors.copy_from_slice(&values[..V]);
     vectors
 }
 
@@ -313,10 +311,10 @@ fn sum_tile<S: Simd, const M: usize, const V: usize>(
     let mut sums = [[simd.splat_f32s(0.0); V]; M];
     for (p, line) in panel.chunks_exact(width).enumerate().take(k) {
         let line = vectors::<S, V>(&line[column..]);
-        for r in 0..M {
-            let x = simd.splat_f32s(a[r][p]);
-            for v in 0..V {
-                sums[r][v] = simd.mul_add_f32s(x, line[v], sums[r][v]);
+        for (sums, a) in sums.iter_mut().zip(&a) {
+            let x = simd.splat_f32s(a[p]);
+            for (sum, line) in sums.iter_mut().zip(line) {
+                *sum = simd.mul_add_f32s(x, line, *sum);
             }
         }
     }

@@ -25,7 +25,7 @@ use self::heads::{PolicyKernels, ValueActivations, ValueKernels, unscale};
 use self::layer::{Flow, Layer};
 use self::matmul::{Base, Packed, add_transposed, product};
 use self::ops::add_rows;
-use self::spans::{Shape, Spans};
+use self::spans::{Context, Shape, Spans};
 use crate::config::NetworkConfig;
 use crate::features::FeatureSizes;
 use crate::parameters::{ParameterError, ParameterSpec};
@@ -76,22 +76,16 @@ impl CpuNetwork {
         let NetworkLayout { shape, spans } = network.clone();
         parameters::check(parameters, spans.n_parameters)?;
         let arch = Arch::new();
-        let of = |span: &std::ops::Range<usize>| &parameters[span.clone()];
+        let net = Context { arch, shape: &shape, spans: &spans, parameters };
         let plain = |w: &[f32], [k, n]: [usize; 2]| Packed::new(w, k, n);
         let transposed = |w: &[f32], [k, n]: [usize; 2]| Packed::transposed(w, n, k);
-        let layer = |l| Layer::new(arch, &shape, &spans, l, parameters, with_gradients);
         Ok(Self {
-            embed_node: plain(of(&spans.embed_node), [shape.sizes.node + 1, shape.width]),
-            embed_global: plain(of(&spans.embed_global.w), [shape.sizes.global, shape.width]),
-            layers: (0..shape.gat.n_layers).map(layer).collect(),
-            policy: PolicyKernels::new(&shape, &spans, parameters, plain),
-            value: ValueKernels::new(&shape, &spans, parameters, plain),
-            backward: with_gradients.then(|| {
-                (
-                    PolicyKernels::new(&shape, &spans, parameters, transposed),
-                    ValueKernels::new(&shape, &spans, parameters, transposed),
-                )
-            }),
+            embed_node: plain(net.of(&spans.embed_node), [shape.sizes.node + 1, shape.width]),
+            embed_global: plain(net.of(&spans.embed_global.w), [shape.sizes.global, shape.width]),
+            layers: (0..shape.gat.n_layers).map(|l| Layer::new(net, l, with_gradients)).collect(),
+            policy: PolicyKernels::new(net, plain),
+            value: ValueKernels::new(net, plain),
+            backward: with_gradients.then(|| (PolicyKernels::new(net, transposed), ValueKernels::new(net, transposed))),
             arch,
             parameters: parameters.to_vec(),
             shape,
@@ -136,23 +130,28 @@ impl CpuNetwork {
             let x = &mut parts[if *n_parts == 0 { 0 } else { part }];
             x.read(&self.shape, batch, rows);
             self.encode(x);
-            self.policy.forward(self.arch, &self.shape, &self.spans, &self.parameters, x, outputs);
+            self.policy.forward(self.context(), x, outputs);
             value.raw_global.extend_from_slice(&x.raw_global);
             value.global.extend_from_slice(x.layers.last().map_or(&x.embedded_global, |layer| &layer.global));
         }
-        self.value.forward(self.arch, &self.shape, &self.spans, &self.parameters, value, outputs);
+        self.value.forward(self.context(), value, outputs);
         outputs
     }
 
+    fn context(&self) -> Context<'_> {
+        Context { arch: self.arch, shape: &self.shape, spans: &self.spans, parameters: &self.parameters }
+    }
+
     fn encode(&self, x: &mut Activations) {
-        let (arch, w) = (self.arch, self.shape.width);
+        let net = self.context();
+        let (arch, w) = (net.arch, net.shape.width);
         x.embedded.resize(x.n * 16 * w, 0.0);
         product(arch, &x.raw, &self.embed_node, Base::Zero, false, &mut x.embedded);
         x.embedded_global.resize(x.n * w, 0.0);
-        let bias = Base::Bias(&self.parameters[self.spans.embed_global.b.clone()]);
+        let bias = Base::Bias(net.of(&self.spans.embed_global.b));
         product(arch, &x.raw_global, &self.embed_global, bias, false, &mut x.embedded_global);
         for (l, layer) in self.layers.iter().enumerate() {
-            layer.forward(arch, &self.shape, l, &self.parameters, x);
+            layer.forward(net, l, x);
         }
     }
 
@@ -162,12 +161,13 @@ impl CpuNetwork {
     /// # Panics
     /// When the network was made without gradients, or `by_output` has other lengths than the outputs.
     pub fn backward(&self, tape: &mut Tape, by_output: &Outputs) -> Vec<f32> {
-        let (arch, shape, spans) = (self.arch, &self.shape, &self.spans);
+        let net = self.context();
+        let Context { arch, shape, spans, .. } = net;
         let (policy, value) = self.backward.as_ref().expect("the network was made for gradients");
         let Tape { parts, n_parts, value: of_value, flow, outputs } = tape;
         let mut gradient = vec![0.0; spans.n_parameters];
         let mut folded: Vec<_> = self.layers.iter().map(|layer| layer.fold.gradient()).collect();
-        let global = value.backward(arch, shape, spans, of_value, &by_output.values, &mut gradient);
+        let global = value.backward(net, of_value, &by_output.values, &mut gradient);
         let scales = unscale(&shape.scale, &outputs.scales, &by_output.scales);
         let (mut moves, mut choices) = (0, 0);
         for (x, global) in parts[..*n_parts].iter_mut().zip(global.chunks(GRAPHS * shape.width)) {
@@ -178,9 +178,9 @@ impl CpuNetwork {
             (moves, choices) = (moves + n_moves, choices + n_choices);
             flow.global.clear();
             flow.global.extend_from_slice(global);
-            policy.backward(arch, shape, spans, x, by_head, flow, &mut gradient);
+            policy.backward(net, x, by_head, flow, &mut gradient);
             for (l, (layer, folded)) in self.layers.iter().zip(&mut folded).enumerate().rev() {
-                layer.backward(arch, shape, l, &self.parameters, x, flow, folded, &mut gradient);
+                layer.backward(net, l, x, flow, folded, &mut gradient);
             }
             let (w, nd) = (shape.width, shape.sizes.node);
             add_transposed(arch, &x.raw, nd + 1, &flow.nodes, w, &mut gradient[spans.embed_node.clone()]);
@@ -196,7 +196,7 @@ impl CpuNetwork {
             );
         }
         for (l, (layer, folded)) in self.layers.iter().zip(&folded).enumerate() {
-            layer.fold.unfold(arch, shape, spans, l, &self.parameters, folded, &mut gradient);
+            layer.fold.unfold(net, l, folded, &mut gradient);
         }
         gradient
     }

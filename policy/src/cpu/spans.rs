@@ -2,9 +2,21 @@
 
 use std::ops::Range;
 
+use pulp::Arch;
+
 use crate::config::{EncoderConfig, GatConfig, NetworkConfig, ScaleConfig};
 use crate::features::FeatureSizes;
 use crate::parameters::ParameterSpec;
+
+/// A network as every pass over it sees it.
+#[derive(Clone, Copy)]
+pub(super) struct Context<'a> {
+    pub(super) arch: Arch,
+    pub(super) shape: &'a Shape,
+    pub(super) spans: &'a Spans,
+    /// Flat.
+    pub(super) parameters: &'a [f32],
+}
 
 /// Places in the flat vector.
 pub(super) type Span = Range<usize>;
@@ -61,6 +73,13 @@ pub(super) struct Spans {
     pub(super) value_input_global: Span,
     pub(super) value_graph_global: Span,
     pub(super) value_mlp: Vec<Linear>,
+}
+
+impl<'a> Context<'a> {
+    /// One parameter.
+    pub(super) fn of(&self, span: &Span) -> &'a [f32] {
+        &self.parameters[span.clone()]
+    }
 }
 
 impl Shape {

@@ -3,7 +3,7 @@
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::Observation;
 
-use super::{Policy, to_vec};
+use super::Policy;
 use crate::FeatureBatch;
 use crate::config::BlockMask;
 use crate::distribution::{mask_logits, probabilities};
@@ -64,10 +64,8 @@ impl Policy {
         let mut batch = FeatureBatch::new(&self.config.features);
         batch.fill(observations);
         normalize(&mut batch, &self.normalization);
-        let (output, layers) = self.network.attention(&self.folded, &self.tensors(&batch));
-        let n_heads = layers.first().map_or(0, |weights| weights.dims()[2]);
-        let layers: Vec<Vec<f32>> = layers.into_iter().map(to_vec).collect();
-        let mut logits = to_vec(output.logits);
+        let (layers, mut logits) = self.engine.attention(&batch);
+        let n_heads = layers.first().map_or(0, |weights| weights.len() / (batch.n * N_BLOCKS * N_BLOCKS));
         let per_layer = N_BLOCKS * n_heads * N_BLOCKS;
         let per_scene = logits.len() / batch.n;
         let scenes = logits.chunks_exact_mut(per_scene).enumerate();

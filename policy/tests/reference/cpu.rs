@@ -4,7 +4,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::parameters;
 use policy::{
-    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig, ScaleConfig,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig,
+    ScaleConfig,
 };
 
 use crate::common::{generate, relative_error};
@@ -100,5 +101,10 @@ fn kernels_equal_burn_whatever_the_shape() {
         ..with(GatConfig { n_layers: 2, n_heads: 3, head_dim: 7, mlp_hidden: 21, ..gat })
     };
     check("odd sizes", &odd, FeatureSizes { node: 30, edge: 5, global: 25 }, 9);
-    check("a linear value", &NetworkConfig { value_hidden: Vec::new(), ..odd }, FeatureSizes { node: 2, edge: 1, global: 17 }, 1);
+    check(
+        "a linear value",
+        &NetworkConfig { value_hidden: Vec::new(), ..odd },
+        FeatureSizes { node: 2, edge: 1, global: 17 },
+        1,
+    );
 }

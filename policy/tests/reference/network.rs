@@ -278,7 +278,8 @@ fn check_cpu(golden: &Golden, table: &[ParameterSpec], parameters: &[f32]) {
         assert_eq!(layers.len(), expected.len());
         for (weights, expected) in layers.iter().zip(expected) {
             let rows = weights.as_chunks::<16>().0;
-            let mean = rows.iter().map(|row| f64::from(row.iter().copied().fold(0.0, f32::max))).sum::<f64>() / rows.len() as f64;
+            let mean = rows.iter().map(|row| f64::from(row.iter().copied().fold(0.0, f32::max))).sum::<f64>()
+                / rows.len() as f64;
             assert!((mean - expected.as_f64().unwrap()).abs() < 1e-5, "{mean} instead of {expected}");
         }
     }
