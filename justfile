@@ -54,7 +54,12 @@ launchers:
 
 # Speed, crate by crate; compare with docs/performance.md.
 bench:
-    cargo bench --locked --workspace --benches
+    cargo bench --locked -p environment -p policy -p learner --benches
+
+# Instructions of the hot paths, compared with those in the repository; needs valgrind.
+instructions *ARGS:
+    cargo bench --locked -p tests --bench hot_paths --no-run
+    python3 tests/benches/instructions.py "$(ls -t target/release/deps/hot_paths-* | grep -v '\.d$' | head -1)" {{ ARGS }}
 
 # The program, for development.
 build:

@@ -252,11 +252,11 @@ impl Block<'_> {
         let mut sums = [simd.splat_f32s(0.0); M];
         for (p, line) in self.panel.chunks_exact(self.width).enumerate().take(k) {
             let line = simd.partial_load_f32s(&line[column..]);
-            for r in 0..M {
-                sums[r] = simd.mul_add_f32s(simd.splat_f32s(a[r][p]), line, sums[r]);
+            for (sum, a) in sums.iter_mut().zip(&a) {
+                *sum = simd.mul_add_f32s(simd.splat_f32s(a[p]), line, *sum);
             }
         }
-        for r in 0..M {
+        for (r, sum) in sums.into_iter().enumerate() {
             let at = (row + r) * self.n + self.first + column;
             let out = &mut c[at..at + n];
             let base = match self.base {
@@ -268,7 +268,7 @@ impl Block<'_> {
                     simd.partial_load_f32s(&rows[at..at + n])
                 }
             };
-            let sum = simd.add_f32s(sums[r], base);
+            let sum = simd.add_f32s(sum, base);
             let sum = if self.relu { simd.max_f32s(sum, simd.splat_f32s(0.0)) } else { sum };
             simd.partial_store_f32s(out, sum);
         }

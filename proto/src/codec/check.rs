@@ -6,7 +6,7 @@ use super::DecodeError;
 
 /// Upper limit of coordinates, velocities, and parameters, far above plausible values: sums of products of a few
 /// thousand numbers below it stay far below the largest f32, and trained networks have parameters below 100.
-const LARGEST_MAGNITUDE: f32 = 1e6;
+pub(super) const LARGEST_MAGNITUDE: f32 = 1e6;
 
 /// Tolerance of a quaternion's norm: far above f32 rounding, far below a visible distortion.
 const UNIT_TOLERANCE: f32 = 1e-3;

@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 
 use prost::Message;
 
-use super::check::{blueprint_id, invalid, number, positive, present, probability};
+use super::check::{LARGEST_MAGNITUDE, blueprint_id, invalid, number, positive, present, probability};
 use super::{DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
 use crate::{Normalization, Weights, WeightsVersion, wire};
+
+/// Parameters that are checked at a time.
+const BLOCK: usize = 1024;
 
 /// Maximum number of network parameters.
 pub const MAX_PARAMETERS: usize = 1 << 24;
@@ -55,7 +58,7 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
         version: weights.version.0,
         n_env_steps: weights.n_env_steps,
         network_hash: weights.network_hash,
-        parameters: weights.parameters.clone(),
+        parameters: parameters_to_wire(&weights.parameters),
         normalization: Some(wire::Normalization {
             nodes: statistics(0),
             edges: statistics(1),
@@ -82,20 +85,41 @@ pub fn decode_weights(bytes: &[u8]) -> Result<PublishedWeights, DecodeError> {
 /// Validates a message as [`decode_weights`] does.
 pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeights, DecodeError> {
     check_version(message.protocol_version)?;
-    let n_parameters = message.parameters.len();
-    if !(1..=MAX_PARAMETERS).contains(&n_parameters) {
-        return Err(invalid("parameters", format!("{n_parameters} values"), "1 to 16777216 values"));
-    }
-    message.parameters.iter().try_for_each(|&parameter| number("parameters", parameter).map(drop))?;
+    let parameters = parameters_from_wire(&message.parameters)?;
     let weights = Weights {
         version: WeightsVersion(message.version),
         n_env_steps: message.n_env_steps,
         network_hash: message.network_hash,
-        parameters: message.parameters,
+        parameters,
         normalization: normalization_from_wire(present("normalization", message.normalization)?)?,
         task_probabilities: probabilities_from_wire(message.task_probabilities)?,
     };
     Ok(PublishedWeights { epoch: message.epoch, weights })
+}
+
+fn parameters_to_wire(parameters: &[f32]) -> Vec<u8> {
+    let mut bytes = vec![0; 4 * parameters.len()];
+    let places = bytes.as_chunks_mut::<4>().0;
+    places.iter_mut().zip(parameters).for_each(|(place, parameter)| *place = parameter.to_le_bytes());
+    bytes
+}
+
+fn parameters_from_wire(bytes: &[u8]) -> Result<Vec<f32>, DecodeError> {
+    let (places, rest) = bytes.as_chunks::<4>();
+    if !rest.is_empty() {
+        return Err(invalid("parameters", format!("{} bytes", bytes.len()), "four bytes per value"));
+    }
+    if !(1..=MAX_PARAMETERS).contains(&places.len()) {
+        return Err(invalid("parameters", format!("{} values", places.len()), "1 to 16777216 values"));
+    }
+    let parameters: Vec<f32> = places.iter().map(|place| f32::from_le_bytes(*place)).collect();
+    for block in parameters.chunks(BLOCK) {
+        // Without an early exit the check of a block takes a few instructions for 16 values.
+        if !block.iter().fold(true, |all, parameter| all & (parameter.abs() <= LARGEST_MAGNITUDE)) {
+            block.iter().try_for_each(|&parameter| number("parameters", parameter).map(drop))?;
+        }
+    }
+    Ok(parameters)
 }
 
 /// Encodes a notice.
