@@ -141,10 +141,13 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     };
     let expected = "another live actor of this run is called \"toy\"; choose another --id";
     assert_eq!(within(start()).await.unwrap().unwrap_err().to_string(), expected);
+    let alive = bus.alive(Role::Actor).await.unwrap();
+    within(alive.watch().wait_for(|names| names.contains("toy"))).await.unwrap();
     drop(taken);
+    // A learner that still saw the old token go would forget whose the name is.
+    within(alive.watch().wait_for(BTreeSet::is_empty)).await.unwrap();
 
     // Both looked at the same moment and found nobody; the learner took a trajectory of the other first.
-    let alive = bus.alive(Role::Actor).await.unwrap();
     let (_version, current_version) = watch::channel(WeightsVersion(0));
     let server = bus.serve_trajectories(|_| Ok(()), current_version).await.unwrap();
     let actor = start();

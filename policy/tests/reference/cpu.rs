@@ -2,6 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
+use policy::features::N_EDGES;
 use policy::parameters;
 use policy::{
     BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig,
@@ -20,11 +21,11 @@ fn widened(values: &[f32]) -> Vec<f64> {
     values.iter().copied().map(f64::from).collect()
 }
 
-fn batch(sizes: FeatureSizes, n: usize, n_edges: usize) -> FeatureBatch {
+fn batch(sizes: FeatureSizes, n: usize) -> FeatureBatch {
     let mut batch = FeatureBatch::new(&FeatureConfig::paper());
     (batch.n, batch.sizes) = (n, sizes);
     batch.nodes = numbers("nodes", n * 16 * sizes.node);
-    batch.edges = numbers("edges", n * n_edges * sizes.edge);
+    batch.edges = numbers("edges", n * N_EDGES * sizes.edge);
     batch.globals = numbers("globals", n * sizes.global);
     batch.allowed = vec![true; n * 16];
     batch
@@ -37,7 +38,7 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
     let values: Vec<f32> = parameters::flatten(&network).iter().zip(noise).map(|(p, x)| p + 0.1 * x).collect();
     let network = parameters::load(network, &values).unwrap();
     // More rows than the batch has scenes, in another order.
-    let batch = batch(sizes, n, config.n_edges());
+    let batch = batch(sizes, n);
     let rows: Vec<usize> = (0..n).rev().chain([0]).collect();
     let inputs = BatchTensors::new(&batch.select(&rows), network.edge_layout(), &device);
     let expected = network.forward(&inputs);
