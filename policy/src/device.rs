@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DeviceKind {
-    /// burn's pure Rust backend `flex`; always built in.
+    /// The CPU: kernels of our own for the graph network, burn's backend `flex` for the rest. Always built in.
     #[default]
     Cpu,
     /// burn's `wgpu` backend (Vulkan or Metal, any vendor); built in with the cargo feature `gpu`.

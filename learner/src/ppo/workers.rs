@@ -8,7 +8,8 @@ use super::passes::{Evaluation, GradientPass, ImitationBatch, ImitationPass, Pas
 use crate::batch::Batch;
 use crate::config::ImitationConfig;
 
-/// One set of networks per thread: gradients of graphs that share a tensor would block each other.
+/// One set of networks per thread: each has buffers of its own, and on burn gradients of graphs that share a tensor would
+/// block each other.
 ///
 /// The split into pieces does not depend on the number of workers, and results are combined in piece order, so the sums
 /// do not depend on it either.

@@ -1,7 +1,7 @@
 //! The graph network on the CPU: forward and backward passes written out.
 //!
 //! The same numbers as [`crate::Network`] on burn, which is the oracle of its tests, and what runs on a GPU and for the
-//! ablations. Here nothing is allocated per operation, a few graphs at a time stay in the cache, and the first layer attends to
+//! ablations. Here large buffers are kept from pass to pass, a few graphs at a time stay in the cache, and the first layer attends to
 //! raw features.
 //!
 //! Reading order: `matmul` and `ops` (what everything is made of) → `spans` (where parameters lie) → `fold` → `attend` → `layer` →
@@ -159,12 +159,15 @@ impl CpuNetwork {
     /// tape.
     ///
     /// # Panics
-    /// When the network was made without gradients, or `by_output` has other lengths than the outputs.
+    /// When the network was made without gradients, the last pass on the tape was not a [`CpuNetwork::forward`], or `by_output` has
+    /// other lengths than its outputs.
     pub fn backward(&self, tape: &mut Tape, by_output: &Outputs) -> Vec<f32> {
         let net = self.context();
         let Context { arch, shape, spans, .. } = net;
         let (policy, value) = self.backward.as_ref().expect("the network was made for gradients");
         let Tape { parts, n_parts, value: of_value, flow, outputs } = tape;
+        let n_kept: usize = parts[..*n_parts].iter().map(|part| part.n).sum();
+        assert_eq!(by_output.values.len(), n_kept, "gradients of the last forward pass");
         let mut gradient = vec![0.0; spans.n_parameters];
         let mut folded: Vec<_> = self.layers.iter().map(|layer| layer.fold.gradient()).collect();
         let global = value.backward(net, of_value, &by_output.values, &mut gradient);
