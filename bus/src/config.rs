@@ -30,7 +30,11 @@ settings! {
         /// Timeout of the learner's answer to a trajectory, in milliseconds.
         pub ack_timeout_ms: u64 = 10_000, in 100..=600_000;
         /// Timeout of a pull of the weights, in milliseconds.
-        pub pull_timeout_ms: u64 = 15_000, in 100..=600_000;
+        pub pull_timeout_ms: u64 = 60_000, in 100..=600_000;
+        /// Rate at which the learner answers pulls of the weights, in 10^6 bytes per second. Pulls that come at the
+        /// same moment wait for their turn, so that thousands do not fill all buffers at once. The bytes of one second
+        /// go out at once.
+        pub weights_mb_per_s: u64 = 1000, in 1..=1_000_000;
         /// Trajectories that may wait to be decoded at the learner; more are refused as `Full`.
         pub ingest_queue: usize = 256, in 1..=65_536;
         /// Largest message that this process receives, in bytes; at least what the codec allows.

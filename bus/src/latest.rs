@@ -4,6 +4,7 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 
 use tokio::sync::mpsc;
+use tokio::time::{Duration, Instant};
 use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::{Query, Queryable};
@@ -14,8 +15,11 @@ use proto::WeightsVersion;
 use proto::codec::{Refusal, Refused, encode_refused};
 use tokio_util::task::AbortOnDropHandle;
 
-/// Maximum number of waiting queries.
-const QUEUE: usize = 1024;
+/// Maximum number of waiting queries: as many as a router has sessions.
+const QUEUE: usize = 8192;
+
+/// Answers can be ahead of their rate by this time.
+const BURST: Duration = Duration::from_secs(1);
 
 /// Answers queries on one key with the newest value; gives no reply before there is one.
 #[derive(Debug)]
@@ -44,6 +48,7 @@ impl Latest {
             .map_err(BusError::during(format!("declaring {key}")))?;
         let value: Arc<Mutex<Option<ZBytes>>> = Arc::default();
         let (shared, counters) = (value.clone(), bus.counters.clone());
+        let mut pace = Pace::new(bus.config.weights_mb_per_s, Instant::now());
         let worker = AbortOnDropHandle::new(tokio::spawn(async move {
             while let Some(query) = queries.recv().await {
                 if query.payload().is_some_and(|payload| !payload.is_empty()) {
@@ -51,7 +56,9 @@ impl Latest {
                     refuse(&query);
                     continue;
                 }
+                tokio::time::sleep_until(pace.free_at()).await;
                 let Some(value) = lock(&shared).clone() else { continue };
+                pace.add(value.len(), Instant::now());
                 let (key, encoding) = (key.clone(), encoding.clone());
                 // Sending megabytes to a slow reader can block, and must not delay other answers.
                 tokio::task::spawn_blocking(move || {
@@ -69,6 +76,30 @@ impl Latest {
     }
 }
 
+/// Spreads answers over time, so that their bytes stay below a rate.
+#[derive(Debug)]
+struct Pace {
+    bytes_per_s: f64,
+    /// When all answers so far are sent at the rate.
+    end: Instant,
+}
+
+impl Pace {
+    fn new(mb_per_s: u64, now: Instant) -> Self {
+        Self { bytes_per_s: mb_per_s as f64 * 1e6, end: now }
+    }
+
+    /// When the next answer may be sent.
+    fn free_at(&self) -> Instant {
+        self.end.checked_sub(BURST).unwrap_or(self.end)
+    }
+
+    /// Counts an answer that is sent now.
+    fn add(&mut self, n_bytes: usize, now: Instant) {
+        self.end = self.end.max(now) + Duration::from_secs_f64(n_bytes as f64 / self.bytes_per_s);
+    }
+}
+
 fn refuse(query: &Query) {
     let refusal = Refusal::Invalid(format!("a query for {} has no payload", query.key_expr()));
     let refused = Refused { refusal, weights_version: WeightsVersion::default() };
@@ -81,4 +112,32 @@ fn refuse(query: &Query) {
 fn lock(value: &Mutex<Option<ZBytes>>) -> parking_lot::MutexGuard<'_, Option<ZBytes>> {
     // The lock is held only to copy or replace the value, so a panic elsewhere cannot leave it inconsistent.
     value.lock()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn answers_of_one_second_go_at_once_and_later_ones_wait_for_their_turn() {
+        // At 10 MB/s an answer of 5 MB takes half a second.
+        let start = Instant::now();
+        let (mut now, mut pace) = (start, Pace::new(10, start));
+        let mut sent_at = Vec::new();
+        for _ in 0..5 {
+            now = now.max(pace.free_at());
+            pace.add(5_000_000, now);
+            sent_at.push((now - start).as_millis());
+        }
+        assert_eq!(sent_at, [0, 0, 0, 500, 1000]);
+    }
+
+    #[test]
+    fn a_pause_gives_back_no_more_than_one_second() {
+        let start = Instant::now();
+        let mut pace = Pace::new(10, start);
+        let now = start + Duration::from_secs(60);
+        (0..3).for_each(|_| pace.add(5_000_000, now));
+        assert_eq!(pace.free_at() - now, Duration::from_millis(500));
+    }
 }

@@ -187,8 +187,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
         let Ok(replies) = self.learner.get().await else { return failed(&self.counters) };
         let Ok(reply) = replies.recv_async().await else { return Ok(()) };
         let Ok(sample) = reply.result() else { return failed(&self.counters) };
-        let payload = sample.payload().clone();
-        match decode_weights(&payload.to_bytes()) {
+        match decode_weights(sample.payload().to_bytes().into_owned().into()) {
             Ok(PublishedWeights { epoch, weights }) => {
                 let pulled = Some(WeightsNotice { epoch, version: weights.version });
                 if self.held != pulled {

@@ -9,7 +9,11 @@ use proto::codec::*;
 
 fuzz_target!(|bytes: &[u8]| {
     round_trip(bytes, decode_trajectory, encode_trajectory);
-    round_trip(bytes, decode_weights, |published| encode_weights(&published.weights, published.epoch));
+    round_trip(
+        bytes,
+        |bytes| decode_weights(Bytes::copy_from_slice(bytes)),
+        |published| encode_weights(&published.weights, published.epoch),
+    );
     round_trip(bytes, decode_notice, |notice| encode_notice(*notice));
     round_trip(bytes, decode_unit, encode_unit);
     round_trip(bytes, decode_answer, encode_answer);

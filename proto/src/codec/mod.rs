@@ -12,8 +12,10 @@ mod unit;
 mod weights;
 
 use prost::Message;
+use prost::bytes::Buf;
 
 pub use error::DecodeError;
+pub use prost::bytes::Bytes;
 pub use reply::{Ack, Refusal, Refused, decode_ack, decode_refused, encode_ack, encode_refused};
 pub use trajectory::{MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, decode_trajectory, encode_trajectory};
 pub use unit::{MAX_UNIT_BYTES, decode_answer, decode_unit, encode_answer, encode_unit};
@@ -29,9 +31,9 @@ pub const PROTOCOL_VERSION: u32 = 1;
 const MAX_SMALL_BYTES: usize = 4096;
 
 /// Parses `bytes` if they are at most `limit` long.
-fn parse<M: Message + Default>(message: &'static str, bytes: &[u8], limit: usize) -> Result<M, DecodeError> {
-    if bytes.len() > limit {
-        return Err(DecodeError::TooLarge { message, bytes: bytes.len(), limit });
+fn parse<M: Message + Default>(message: &'static str, bytes: impl Buf, limit: usize) -> Result<M, DecodeError> {
+    if bytes.remaining() > limit {
+        return Err(DecodeError::TooLarge { message, bytes: bytes.remaining(), limit });
     }
     M::decode(bytes).map_err(|source| DecodeError::Malformed { message, source })
 }

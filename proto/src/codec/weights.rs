@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use prost::Message;
 
 use super::check::{LARGEST_MAGNITUDE, blueprint_id, invalid, number, positive, present, probability};
-use super::{DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
+use super::{Bytes, DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
 use crate::{Normalization, Weights, WeightsVersion, wire};
 
 /// Parameters that are checked at a time.
@@ -74,11 +74,11 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
     }
 }
 
-/// Decodes weights and checks every rule that [`Weights`] documents.
+/// Decodes weights and checks every rule that [`Weights`] documents. The parameters are copied once.
 ///
 /// # Errors
 /// Names the first field that breaks a rule, and its value.
-pub fn decode_weights(bytes: &[u8]) -> Result<PublishedWeights, DecodeError> {
+pub fn decode_weights(bytes: Bytes) -> Result<PublishedWeights, DecodeError> {
     weights_from_wire(parse("Weights", bytes, MAX_WEIGHTS_BYTES)?)
 }
 
@@ -97,11 +97,11 @@ pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeigh
     Ok(PublishedWeights { epoch: message.epoch, weights })
 }
 
-fn parameters_to_wire(parameters: &[f32]) -> Vec<u8> {
+fn parameters_to_wire(parameters: &[f32]) -> Bytes {
     let mut bytes = vec![0; 4 * parameters.len()];
     let places = bytes.as_chunks_mut::<4>().0;
     places.iter_mut().zip(parameters).for_each(|(place, parameter)| *place = parameter.to_le_bytes());
-    bytes
+    bytes.into()
 }
 
 fn parameters_from_wire(bytes: &[u8]) -> Result<Vec<f32>, DecodeError> {

@@ -36,7 +36,12 @@ fn encoded_bytes_match_the_golden_file() {
         line("trajectory-success", samples::successful("actor-1", 8), encode_trajectory, decode_trajectory),
         line("trajectory-one-gripper", near_goal, encode_trajectory, decode_trajectory),
         line("trajectory-labelled", samples::labeled("actor-1", 9), encode_trajectory, decode_trajectory),
-        line("weights", published, |p| encode_weights(&p.weights, p.epoch), decode_weights),
+        line(
+            "weights",
+            published,
+            |p| encode_weights(&p.weights, p.epoch),
+            |bytes| decode_weights(Bytes::copy_from_slice(bytes)),
+        ),
         line("notice", notice, |&n| encode_notice(n), decode_notice),
         line("unit", samples::unit(), encode_unit, decode_unit),
         line("episodes", samples::episodes(), encode_answer, decode_answer),

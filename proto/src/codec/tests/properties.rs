@@ -137,7 +137,7 @@ prop_compose! {
 /// Runs all decoders; they must return without a panic.
 fn decode_all(bytes: &[u8]) {
     let _ = decode_trajectory(bytes);
-    let _ = decode_weights(bytes);
+    let _ = decode_weights(Bytes::copy_from_slice(bytes));
     let _ = decode_notice(bytes);
     let _ = decode_ack(bytes);
     let _ = decode_unit(bytes);
@@ -165,7 +165,7 @@ proptest! {
         weights.normalization.value_mean = mean;
         weights.normalization.feature_std[2] = vec![std];
         weights.normalization.feature_mean[2] = vec![-mean];
-        let decoded = decode_weights(&encode_weights(&weights, epoch)).unwrap();
+        let decoded = decode_weights(encode_weights(&weights, epoch).into()).unwrap();
         prop_assert_eq!(decoded, PublishedWeights { epoch, weights });
     }
 

@@ -147,7 +147,7 @@ fn invalid_weights_are_refused() {
     fn check(change: impl Fn(&mut Weights), message: &str) {
         let mut weights = samples::weights(1);
         change(&mut weights);
-        assert_eq!(decode_weights(&encode_weights(&weights, 1)).unwrap_err().to_string(), message);
+        assert_eq!(decode_weights(encode_weights(&weights, 1).into()).unwrap_err().to_string(), message);
     }
     check(|w| w.parameters.clear(), "parameters is 0 values, expected 1 to 16777216 values");
     check(|w| w.parameters[2] = f32::NEG_INFINITY, "parameters is -inf, expected a number in −1e6..=1e6");
