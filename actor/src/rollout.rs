@@ -163,7 +163,7 @@ impl<'c, E: Env> Rollout<'c, E> {
     pub fn new(setup: RolloutSetup<'c>, worlds: Vec<E>, weights: &Weights) -> Result<Self, RolloutError> {
         let policy = Policy::with_weights(&setup.policy, weights)?;
         let mut tasks = TaskSampler::new(&setup.tasks, setup.catalog)?;
-        tasks.set_probabilities(&weights.task_probabilities);
+        tasks.follow(weights);
         let (seed, version, envs) = (setup.seed, weights.version, VecEnv::new(worlds));
         let counters = RolloutCounters::default();
         let mut rollout = Self { setup, policy, version, tasks, envs, slots: Vec::new(), counters };
@@ -177,7 +177,7 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// When the weights do not fit the policy; the old ones then stay in force.
     pub fn set_weights(&mut self, weights: &Weights) -> Result<(), RolloutError> {
         self.policy.load(weights)?;
-        self.tasks.set_probabilities(&weights.task_probabilities);
+        self.tasks.follow(weights);
         self.version = weights.version;
         Ok(())
     }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::generator::{Draws, MAX_DRAWN_SEED, MAX_INDEX, Request, Style};
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::sample_assignment;
-use proto::{Start, Task, settings};
+use proto::{Start, Task, Weights, settings};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,9 @@ settings! {
         /// Probability that the goal stands but for some blocks (an extension, not the paper's).
         pub near_goal_probability: f64 = 0.0, in 0.0..=1.0,
             where |c| c.prebuilt_probability + c.near_goal_probability <= 1.0 => "at most 1 with prebuilt_probability";
-        /// Fewest and most blocks taken off in a start near the goal; the goal's size less one is the limit.
+        /// Fewest and most blocks taken off in a start near the goal; the goal's size less one is the limit. With a
+        /// reverse curriculum the learner decides instead: half of these starts go as far as it lets them, to scattered
+        /// blocks in the end, and the others are spread evenly over what comes before.
         pub near_goal_undone: [u8; 2] = [1, 2],
             in 1..=15, where |c| c.near_goal_undone.is_sorted() => "two ascending numbers";
         /// Probability that a structure of the generator takes the goal's place, of the same number of blocks (an
@@ -84,6 +86,8 @@ pub struct TaskSampler {
     goals: Vec<(BlueprintId, usize, f64)>,
     /// What may stand at the start: the whole training split, whatever the filter.
     prebuilt: Vec<BlueprintId>,
+    /// Most blocks taken off by number of blocks; empty without a reverse curriculum.
+    reach: BTreeMap<u8, u8>,
 }
 
 impl TaskConfig {
@@ -144,7 +148,7 @@ impl TaskSampler {
         let goals =
             ids.into_iter().filter_map(|id| catalog.find(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
         let prebuilt = catalog.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
-        Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
+        Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt, reach: BTreeMap::new() })
     }
 
     /// The goals, in order.
@@ -152,8 +156,14 @@ impl TaskSampler {
         self.goals.iter().map(|(id, ..)| id)
     }
 
-    /// Takes over the learner's probabilities, restricted to the goals; uniform where they leave nothing.
-    pub fn set_probabilities(&mut self, probabilities: &BTreeMap<BlueprintId, f32>) {
+    /// Takes over the learner's curriculum: its probabilities, restricted to the goals and uniform where they leave
+    /// nothing, and how far from the goal episodes begin.
+    pub fn follow(&mut self, weights: &Weights) {
+        self.reach.clone_from(&weights.reverse_reach);
+        self.set_probabilities(&weights.task_probabilities);
+    }
+
+    fn set_probabilities(&mut self, probabilities: &BTreeMap<BlueprintId, f32>) {
         for (id, _, probability) in &mut self.goals {
             *probability = probabilities.get(id).map_or(0.0, |&p| f64::from(p)).max(0.0);
         }
@@ -220,6 +230,11 @@ impl TaskSampler {
             return Start::Prebuilt(others[rng.random_range(0..others.len())].clone());
         }
         if u < self.config.prebuilt_probability + self.config.near_goal_probability {
+            let size = u8::try_from(n_blocks).unwrap_or(u8::MAX);
+            if let Some(&reach) = self.reach.get(&size) {
+                let undone = if rng.random() { reach } else { rng.random_range(1..=reach) };
+                return if undone < size { Start::NearGoal { undone } } else { Start::Scattered };
+            }
             let most = u8::try_from(n_blocks.saturating_sub(1)).unwrap_or(u8::MAX).max(1);
             let [low, high] = self.config.near_goal_undone.map(|undone| undone.min(most));
             return Start::NearGoal { undone: rng.random_range(low..=high) };

@@ -129,5 +129,6 @@ pub(crate) fn weights(version: u64, value: f32) -> Weights {
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_mean: value, value_std: 1e-3, ..Normalization::default() },
         task_probabilities: [(id("2_000"), 1.0)].into(),
+        reverse_reach: Default::default(),
     }
 }

@@ -66,6 +66,7 @@ mod tests {
             parameters: Vec::new(),
             normalization: Default::default(),
             task_probabilities: Default::default(),
+            reverse_reach: Default::default(),
         }
     }
 

@@ -9,7 +9,7 @@ use proto::setting::{InvalidSetting, Section, Setting, above, above_to, key};
 use proto::settings;
 use serde::{Deserialize, Serialize};
 
-pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, UniformConfig, WideningConfig};
+pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, ReverseConfig, UniformConfig, WideningConfig};
 pub use imitation::{ImitationConfig, ReplayConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
 pub use schedule::Schedule;
@@ -47,6 +47,8 @@ settings! {
         pub mailbox: MailboxConfig;
         /// Which blueprints to train on.
         pub curriculum: CurriculumConfig;
+        /// How far from the goal episodes begin; absent, as by default, leaves that to the actors.
+        pub reverse: Option<ReverseConfig>;
         /// When to save and how many to keep.
         pub checkpoints: CheckpointConfig;
     }

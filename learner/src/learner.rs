@@ -25,6 +25,7 @@ use crate::metrics::UpdateMetrics;
 use crate::normalization::ValueStatistics;
 use crate::ppo::{ImitationSource, Ppo, Progress};
 use crate::replay::Replay;
+use crate::reverse::ReverseCurriculum;
 use crate::state::LearnerState;
 
 /// The inputs of a learner.
@@ -107,6 +108,10 @@ impl Learner {
             learning_rate: LearningRate(setup.config.optimizer.learning_rate),
             rng: ChaCha8Rng::seed_from_u64(setup.seed),
             curriculum: Curriculum::new(setup.config.curriculum.clone(), setup.tasks.iter().cloned()),
+            reverse: match &setup.config.reverse {
+                Some(_) => ReverseCurriculum::new(&setup.tasks),
+                None => ReverseCurriculum::default(),
+            },
             features: FeatureMoments::default(),
             n_feature_scenes: 0,
             values: ValueStatistics::default(),
@@ -156,7 +161,10 @@ impl Learner {
         let Checkpoint { state, mailbox, .. } = checkpoint;
         learner.mailbox.restore(state.version, state.mailbox, mailbox);
         let curriculum = state.curriculum.with_config(learner.setup.config.curriculum.clone());
-        learner.state = LearnerState { curriculum, ..state };
+        // A run that turns the reverse curriculum on or off begins with the new setting.
+        let is_new = state.reverse.reach().is_empty() || learner.setup.config.reverse.is_none();
+        let reverse = if is_new { learner.state.reverse } else { state.reverse };
+        learner.state = LearnerState { curriculum, reverse, ..state };
         Ok(learner)
     }
 
@@ -191,6 +199,9 @@ impl Learner {
         for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
             if let Some(outcome) = &trajectory.outcome {
                 self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
+                if let Some(reverse) = &self.setup.config.reverse {
+                    self.state.reverse.record(&trajectory.task, outcome.success, reverse);
+                }
             }
         }
         if let Some(replay) = &mut self.replay {

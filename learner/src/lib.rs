@@ -1,6 +1,6 @@
 //! The learner: PPO from trajectories to weights, with checkpoints, curriculum, and imitation.
 //!
-//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`] → [`admission`],
+//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`], [`reverse`] → [`admission`],
 //! [`mailbox`] → [`batch`] and [`replay`] → [`learner`] (the synchronous core) → [`checkpoint`], [`model`] →
 //! [`mod@run`] (the service on the bus). [`sink`] measures the bus with a learner that computes nothing.
 
@@ -24,6 +24,7 @@ pub mod model;
 pub mod normalization;
 mod ppo;
 pub mod replay;
+pub mod reverse;
 pub mod run;
 pub mod sink;
 pub mod state;

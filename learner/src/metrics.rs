@@ -44,6 +44,8 @@ pub struct UpdateMetrics {
     pub episodes: EpisodeMetrics,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
+    /// Most blocks taken off at the start, by the goal's number of blocks.
+    pub reverse_reach: BTreeMap<u8, u8>,
 }
 
 impl UpdateMetrics {
@@ -73,6 +75,7 @@ impl UpdateMetrics {
             imitation,
             episodes,
             task_probabilities: state.curriculum.probabilities(),
+            reverse_reach: state.reverse.reach(),
         }
     }
 }

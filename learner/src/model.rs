@@ -91,6 +91,7 @@ impl Model {
             parameters,
             normalization: header.normalization,
             task_probabilities: Default::default(),
+            reverse_reach: Default::default(),
         };
         Ok(Self { policy: header.policy, weights, table: header.table })
     }

@@ -276,6 +276,7 @@ impl Worker {
             ingest,
             bus,
             task_probabilities: update.task_probabilities.clone(),
+            reverse_reach: update.reverse_reach.clone(),
         }
     }
 }

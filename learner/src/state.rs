@@ -9,6 +9,7 @@ use crate::adam::LearningRate;
 use crate::curriculum::Curriculum;
 use crate::mailbox::MailboxCounts;
 use crate::normalization::ValueStatistics;
+use crate::reverse::ReverseCurriculum;
 
 /// Counters, statistics, curriculum, and random number generator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,6 +29,9 @@ pub struct LearnerState {
     pub rng: ChaCha8Rng,
     /// Task probabilities.
     pub curriculum: Curriculum,
+    /// Starts of episodes; empty without a reverse curriculum.
+    #[serde(default)]
+    pub reverse: ReverseCurriculum,
     /// Statistics of node, edge, and global features.
     pub features: FeatureMoments,
     /// Scenes in `features`.
@@ -52,6 +56,7 @@ impl LearnerState {
             parameters,
             normalization: self.normalization.clone(),
             task_probabilities: self.curriculum.probabilities(),
+            reverse_reach: self.reverse.reach(),
         }
     }
 }

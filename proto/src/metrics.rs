@@ -59,6 +59,10 @@ pub struct LearnerMetrics {
     pub bus: BusCounts,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
+    /// Most blocks taken off at the start of an episode, by the goal's number of blocks; empty without a reverse
+    /// curriculum.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub reverse_reach: BTreeMap<u8, u8>,
 }
 
 /// Means over the minibatches of one PPO update, under their usual names.

@@ -132,3 +132,33 @@ fn assignments_permute_equal_blocks_only() {
     let fixed = draw(&sampler(&TaskConfig { shuffle_blocks: false, ..Default::default() }), 2);
     assert!(fixed.iter().all(|task| BlockIdx::all().all(|block| task.assignment[block.get()] == block)));
 }
+
+#[test]
+fn a_reverse_curriculum_sets_how_much_is_taken_off() {
+    let config = TaskConfig {
+        filter: TaskFilter::Blueprints(vec![id("3_000"), id("4_000")]),
+        prebuilt_probability: 0.0,
+        near_goal_probability: 1.0,
+        ..TaskConfig::default()
+    };
+    let mut sampler = TaskSampler::new(&config, Catalog::builtin()).unwrap();
+    sampler.reach = [(3, 3), (4, 2)].into();
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for _ in 0..6000 {
+        let task = sampler.sample(Catalog::builtin(), &mut rng);
+        let n_blocks = task.blueprint.size();
+        let undone = match task.start {
+            Start::NearGoal { undone } => usize::from(undone),
+            Start::Scattered => n_blocks,
+            other => panic!("{other:?}"),
+        };
+        *counts.entry((n_blocks, undone)).or_default() += 1;
+    }
+    // Half at the reach, the rest even: of 3000 each, 500, 500, and 2000, or 750 and 2250.
+    for (key, wanted) in [((3, 1), 500.0), ((3, 2), 500.0), ((3, 3), 2000.0), ((4, 1), 750.0), ((4, 2), 2250.0)] {
+        let found = counts.remove(&key).unwrap_or(0) as f64;
+        assert!((found - wanted).abs() < 150.0, "{key:?}: {found}");
+    }
+    assert!(counts.is_empty(), "{counts:?}");
+}

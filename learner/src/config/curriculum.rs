@@ -17,6 +17,16 @@ settings! {
         Widening(WideningConfig),
     }
 
+    /// Settings of the reverse curriculum (an extension): goals of every size begin with one block taken off, and with
+    /// one more whenever the episodes that begin with the most succeed often enough.
+    #[derive(Copy)]
+    pub struct ReverseConfig {
+        /// Weight of one episode in the success rate.
+        pub tau: f64 = 0.05, in above_to(0.0, 1.0);
+        /// Success rate from which on one more block is taken off.
+        pub gate: f64 = 0.7, in above_to(0.0, 1.0);
+    }
+
     /// Settings of the uniform curriculum: none.
     pub struct UniformConfig {}
 

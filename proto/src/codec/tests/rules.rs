@@ -155,6 +155,9 @@ fn invalid_weights_are_refused() {
     check(|w| w.normalization.feature_std[0].push(1.0), "normalization.std is 3 values, expected as many as the means");
     check(|w| w.normalization.feature_std[0][1] = 0.0, "normalization.std is 0, expected a finite number above 0");
     check(|w| w.normalization.value_std = f32::NAN, "normalization.value_std is NaN, expected a finite number above 0");
+    check(|w| w.reverse_reach = [(17, 1)].into(), "reverse_reach.n_blocks is 17, expected 2 to 16");
+    check(|w| w.reverse_reach = [(3, 4)].into(), "reverse_reach.undone is 4, expected 1 to n_blocks");
+    check(|w| w.reverse_reach = [(3, 0)].into(), "reverse_reach.undone is 0, expected 1 to n_blocks");
     check(|w| w.task_probabilities.clear(), "task_probabilities is a sum of 0, expected a sum of 1");
     check(
         |w| *w.task_probabilities.values_mut().next().unwrap() = -0.5,

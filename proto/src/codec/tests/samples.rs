@@ -123,6 +123,7 @@ pub(crate) fn weights(version: u64) -> Weights {
             .into_iter()
             .map(|(id, p)| (id.parse().unwrap(), p))
             .collect::<BTreeMap<_, _>>(),
+        reverse_reach: BTreeMap::new(),
     }
 }
 

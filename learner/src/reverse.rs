@@ -1,0 +1,85 @@
+//! The reverse curriculum: episodes begin next to the goal, and farther from it as they succeed (Florensa et al.,
+//! "Reverse curriculum generation for reinforcement learning", 2017).
+
+use std::collections::BTreeMap;
+
+use blueprints::BlueprintId;
+use proto::{Start, Task};
+use serde::{Deserialize, Serialize};
+
+use crate::config::ReverseConfig;
+
+/// How far from the goal episodes begin, by the goal's number of blocks.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct ReverseCurriculum(BTreeMap<u8, Frontier>);
+
+/// The farthest starts in use for goals of one size.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Frontier {
+    /// Most blocks taken off; all of them means scattered starts.
+    pub reach: u8,
+    /// Running success rate of the episodes that begin there.
+    pub success_rate: f64,
+}
+
+impl ReverseCurriculum {
+    /// One block taken off, for goals of every size among `goals`.
+    pub fn new<'a>(goals: impl IntoIterator<Item = &'a BlueprintId>) -> Self {
+        Self(goals.into_iter().map(|goal| (goal.size() as u8, Frontier { reach: 1, success_rate: 0.0 })).collect())
+    }
+
+    /// Records one finished episode. Only those at the frontier count.
+    pub fn record(&mut self, task: &Task, success: bool, config: &ReverseConfig) {
+        let n_blocks = task.blueprint.size() as u8;
+        let undone = match task.start {
+            Start::NearGoal { undone } => undone,
+            Start::Scattered => n_blocks,
+            Start::Prebuilt(_) | Start::AsItIs => return,
+        };
+        let Some(frontier) = self.0.get_mut(&n_blocks).filter(|frontier| frontier.reach == undone) else { return };
+        let hit = f64::from(u8::from(success));
+        frontier.success_rate += config.tau * (hit - frontier.success_rate);
+        if frontier.success_rate >= config.gate && frontier.reach < n_blocks {
+            *frontier = Frontier { reach: frontier.reach + 1, success_rate: 0.0 };
+        }
+    }
+
+    /// Most blocks taken off by number of blocks, as sent with the weights.
+    pub fn reach(&self) -> BTreeMap<u8, u8> {
+        self.0.iter().map(|(&n_blocks, frontier)| (n_blocks, frontier.reach)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::trajectory;
+
+    fn near(id: &str, undone: u8) -> Task {
+        Task { blueprint: id.parse().unwrap(), start: Start::NearGoal { undone }, ..trajectory(1, 0).task }
+    }
+
+    #[test]
+    fn the_frontier_moves_by_its_own_successes_up_to_scattered_starts() {
+        let config = ReverseConfig { tau: 0.5, gate: 0.7 };
+        let goals = ["2_000", "3_000"].map(|id| id.parse().unwrap());
+        let mut curriculum = ReverseCurriculum::new(&goals);
+        assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into());
+        // 0.5, then 0.75.
+        curriculum.record(&near("3_000", 1), true, &config);
+        curriculum.record(&near("3_000", 2), true, &config);
+        assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into(), "an episode beyond the frontier does not count");
+        curriculum.record(&near("3_000", 1), true, &config);
+        assert_eq!(curriculum.reach(), [(2, 1), (3, 2)].into());
+        // 0.5, 0.25, 0.625, 0.8125.
+        for success in [true, false, true, true] {
+            assert_eq!(curriculum.reach()[&3], 2);
+            curriculum.record(&near("3_000", 2), success, &config);
+        }
+        let scattered = Task { start: Start::Scattered, ..near("3_000", 1) };
+        (0..9).for_each(|_| curriculum.record(&scattered, true, &config));
+        assert_eq!(curriculum.reach(), [(2, 1), (3, 3)].into(), "three of three blocks is as far as it goes");
+    }
+}
