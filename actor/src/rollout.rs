@@ -84,7 +84,7 @@ pub struct RolloutCounters {
     pub n_diverged_episodes: u64,
     /// Steps of those episodes that were dropped.
     pub n_diverged_steps: u64,
-    /// Steps of burn-ins.
+    /// Steps of burn-ins, with the last ones of episodes that end in one.
     pub n_burn_in_steps: u64,
     /// Tasks that a world could not start and that were replaced by others.
     pub n_failed_resets: u64,
@@ -239,8 +239,11 @@ impl<'c, E: Env> Rollout<'c, E> {
             if slot.n_burn_in > 0 {
                 slot.n_burn_in -= 1;
                 self.counters.n_burn_in_steps += 1;
-                slot.segment.skip(&result.reward);
-                continue;
+                if matches!(result.status, Status::Running | Status::Diverged) {
+                    slot.segment.skip(&result.reward);
+                    continue;
+                }
+                slot.segment.end_in_burn_in();
             }
             let transition = Transition {
                 scene,

@@ -30,6 +30,8 @@ pub struct SegmentBuilder {
     oldest_version: Option<WeightsVersion>,
     /// Index of the first collected step in its episode.
     first_step: u16,
+    /// Steps that are in no segment and that no segment tells of yet.
+    n_burn_in_steps: u16,
     /// Of the whole episode so far.
     episode_return: RewardTerms,
 }
@@ -63,6 +65,7 @@ impl SegmentBuilder {
             transitions: Vec::with_capacity(segment_len),
             oldest_version: None,
             first_step: 0,
+            n_burn_in_steps: 0,
             episode_return: RewardTerms::default(),
         }
     }
@@ -76,6 +79,13 @@ impl SegmentBuilder {
     pub fn skip(&mut self, reward: &RewardTerms) {
         self.episode_return = self.episode_return + *reward;
         self.first_step = self.first_step.saturating_add(1);
+        self.n_burn_in_steps = self.n_burn_in_steps.saturating_add(1);
+    }
+
+    /// The episode ends in its burn-in: the last step becomes a segment of the policy's mode, so that its outcome counts
+    /// although nothing is learned from it.
+    pub fn end_in_burn_in(&mut self) {
+        self.driver = Driver::Mode;
     }
 
     /// Adds a step that led to `after` with `status`, acted by `version`.
@@ -117,6 +127,7 @@ impl SegmentBuilder {
             task: self.task.clone(),
             driver: self.driver,
             first_step,
+            n_burn_in_steps: std::mem::take(&mut self.n_burn_in_steps),
             transitions,
             last_scene: after.clone(),
             status,

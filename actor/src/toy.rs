@@ -98,6 +98,7 @@ pub(crate) fn trajectory() -> Trajectory {
         task: task(),
         driver: Driver::Sample,
         first_step: 0,
+        n_burn_in_steps: 0,
         transitions: vec![transition],
         last_scene: scene(),
         status: Status::Running,

@@ -160,6 +160,11 @@ pub struct RunArgs {
     /// restarts this process need not know which.
     #[arg(long, env = "LODESTONE_AUTO_RESUME", requires = "run_dir", conflicts_with = "resume")]
     pub auto_resume: bool,
+    /// Start from this policy, with a fresh optimizer: a file that `export` wrote, the folder of a run for its newest
+    /// checkpoint, or `pretrained` for the policy that comes with the program. The network must be the same; the settings
+    /// of its standard deviations (policy.network.scale) may differ.
+    #[arg(long, value_name = "MODEL", conflicts_with = "resume")]
+    pub init_from: Option<PathBuf>,
 }
 
 /// Arguments of a process that joins a run.

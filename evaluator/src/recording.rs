@@ -49,6 +49,7 @@ impl Recording {
             task: task.clone(),
             driver,
             first_step: 0,
+            n_burn_in_steps: 0,
             transitions: self.transitions,
             last_scene: last.clone(),
             status,

@@ -35,6 +35,7 @@ fn main() {
         generated: None,
         seed: 0,
         device: DeviceKind::Cpu,
+        init: None,
     };
     let n_epochs = setup.config.n_epochs;
     let mut learner = Learner::new(setup).unwrap();
@@ -75,6 +76,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
         driver: proto::Driver::Sample,
         first_step: 0,
+        n_burn_in_steps: 0,
         transitions,
         last_scene: scene(rng),
         status: Status::Running,

@@ -6,6 +6,7 @@ use blueprints::Catalog;
 use policy::{FeatureBatch, PolicyConfig};
 use proto::{Action, Status, Trajectory, WeightsVersion};
 
+use crate::config::RewardFactors;
 use crate::gae;
 use crate::mailbox::policy_lag;
 
@@ -25,6 +26,8 @@ pub struct Batch {
     pub rewards: Vec<f32>,
     /// Ranges of samples, each of one episode.
     pub segments: Vec<Segment>,
+    /// Whether advantages count per connection of the goal.
+    advantages_per_link: bool,
 }
 
 /// Consecutive samples of one episode.
@@ -36,6 +39,8 @@ pub struct Segment {
     pub status: Status,
     /// Versions between the acting weights and the newest.
     pub policy_lag: u64,
+    /// Connections of the goal, at least 1.
+    pub n_links: usize,
 }
 
 impl Batch {
@@ -46,6 +51,7 @@ impl Batch {
         version: WeightsVersion,
         catalog: &Catalog,
         policy: &PolicyConfig,
+        factors: &RewardFactors,
     ) -> Self {
         let mut batch = Self {
             features: FeatureBatch::new(&policy.features),
@@ -53,6 +59,7 @@ impl Batch {
             behavior_log_probs: Vec::new(),
             rewards: Vec::new(),
             segments: Vec::new(),
+            advantages_per_link: factors.advantages_per_link,
         };
         let mut last_scenes = Vec::new();
         for trajectory in trajectories {
@@ -64,10 +71,17 @@ impl Batch {
                 batch.features.push(&transition.scene, &blueprint);
                 batch.actions.push(transition.action);
                 batch.behavior_log_probs.push(transition.behavior_log_prob);
-                batch.rewards.push(transition.reward.total());
+                let reward = transition.reward;
+                batch.rewards.push(reward.total() + (factors.wrong_weight - 1.0) * reward.wrong);
+            }
+            if trajectory.status == Status::Success
+                && let Some(last) = batch.rewards.last_mut()
+            {
+                *last += factors.success_bonus;
             }
             let samples = first..batch.actions.len();
-            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag });
+            let n_links = blueprint.links().len().max(1);
+            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag, n_links });
             last_scenes.push((trajectory.last_scene, blueprint));
         }
         for (scene, blueprint) in &last_scenes {
@@ -94,6 +108,19 @@ impl Batch {
         advantages
     }
 
+    /// Advantages as the policy loss takes them: per connection of the goal where that is set, then normalized.
+    pub fn scaled(&self, mut advantages: Vec<f32>) -> Vec<f32> {
+        if self.advantages_per_link {
+            for segment in &self.segments {
+                advantages[segment.samples.clone()]
+                    .iter_mut()
+                    .for_each(|advantage| *advantage /= segment.n_links as f32);
+            }
+        }
+        gae::normalize(&mut advantages);
+        advantages
+    }
+
     /// Samples by policy lag: entry `i` counts the samples with lag `i`.
     pub fn lag_histogram(&self) -> Vec<u64> {
         let longest = self.segments.iter().map(|s| s.policy_lag).max().unwrap_or(0);
@@ -110,13 +137,40 @@ mod tests {
     use super::*;
     use crate::fixtures::trajectory;
 
+    fn batch_of(trajectories: Vec<Trajectory>, factors: &RewardFactors) -> Batch {
+        Batch::new(trajectories, WeightsVersion(5), Catalog::builtin(), &PolicyConfig::default(), factors)
+    }
+
+    #[test]
+    fn success_is_worth_more_and_wrong_connections_cost_less_where_that_is_set() {
+        let mut ended = trajectory(2, 5);
+        ended.status = Status::Success;
+        (ended.transitions[0].reward.wrong, ended.transitions[1].reward.connected) = (-1.0, 1.0);
+        let factors = RewardFactors { success_bonus: 3.0, wrong_weight: 0.25, advantages_per_link: false };
+        let plain = batch_of(vec![ended.clone()], &RewardFactors::default()).rewards;
+        assert_eq!(plain, [-1.0, 1.0]);
+        assert_eq!(batch_of(vec![ended], &factors).rewards, [-0.25, 4.0]);
+    }
+
+    #[test]
+    fn advantages_per_link_are_divided_before_they_are_normalized() {
+        let factors = RewardFactors { advantages_per_link: true, ..RewardFactors::default() };
+        let mut large = trajectory(1, 5);
+        large.task.blueprint = "3_000".parse().unwrap();
+        let batch = batch_of(vec![trajectory(1, 5), large], &factors);
+        assert_eq!(batch.segments[0].n_links, 1);
+        let n_links = batch.segments[1].n_links as f32;
+        assert!(n_links >= 2.0);
+        // Equal after the division, so 0 after the normalization.
+        assert_eq!(batch.scaled(vec![1.0, n_links]), [0.0, 0.0]);
+    }
+
     #[test]
     fn advantages_do_not_cross_segments() {
         let mut ended = trajectory(2, 3);
         ended.status = Status::Success;
         ended.transitions[1].reward.connected = 1.0;
-        let policy = PolicyConfig::default();
-        let batch = Batch::new(vec![ended, trajectory(3, 5)], WeightsVersion(5), Catalog::builtin(), &policy);
+        let batch = batch_of(vec![ended, trajectory(3, 5)], &RewardFactors::default());
         assert_eq!((batch.n_samples(), batch.features.n), (5, 7));
         assert_eq!(batch.lag_histogram(), [3, 0, 2]);
         // γ = λ = 1; all values are 0 except those of the last scenes, 7 (ignored: success) and 4.

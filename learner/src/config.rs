@@ -3,6 +3,7 @@
 mod curriculum;
 mod imitation;
 mod loss;
+mod reward;
 mod schedule;
 
 use proto::setting::{InvalidSetting, Section, Setting, above, above_to, key};
@@ -12,6 +13,7 @@ use serde::{Deserialize, Serialize};
 pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, ReverseConfig, UniformConfig, WideningConfig};
 pub use imitation::{ImitationConfig, ReplayConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
+pub use reward::{RewardFactors, RewardsConfig};
 pub use schedule::Schedule;
 
 settings! {
@@ -35,6 +37,8 @@ settings! {
         pub gamma: f32 = 0.99, in 0.0..=1.0;
         /// GAE's λ.
         pub lambda: f32 = 0.95, in 0.0..=1.0;
+        /// What the learner changes in the rewards.
+        pub rewards: RewardsConfig;
         /// PPO loss.
         pub loss: LossConfig;
         /// What is learned from the expert's labels; absent, as by default, means nothing, as in the paper.

@@ -13,7 +13,7 @@ use proto::{Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights,
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::adam::LearningRate;
+use crate::adam::{Adam, LearningRate};
 use crate::admission::Admission;
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
@@ -22,6 +22,7 @@ use crate::curriculum::Curriculum;
 use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::metrics::UpdateMetrics;
+use crate::model::Model;
 use crate::normalization::ValueStatistics;
 use crate::ppo::{ImitationSource, Ppo, Progress};
 use crate::replay::Replay;
@@ -45,6 +46,9 @@ pub struct LearnerSetup {
     pub seed: u64,
     /// The device for gradients.
     pub device: DeviceKind,
+    /// A policy to start from instead of untrained parameters, with a fresh optimizer. It has the same network and
+    /// features; the settings of its standard deviations may differ, since they have no parameters.
+    pub init: Option<Arc<Model>>,
 }
 
 /// Errors of creating a learner.
@@ -65,6 +69,9 @@ pub enum LearnerError {
     /// The checkpoint cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// The policy to start from has another network.
+    #[error("the policy to start from does not fit: {0}")]
+    Init(String),
 }
 
 /// Turns trajectories into weights. Synchronous and without a clock: equal inputs in equal order give equal weights.
@@ -127,7 +134,32 @@ impl Learner {
         });
         let replay = setup.config.imitation.as_ref().map(|imitation| Replay::new(imitation.replay.clone()));
         let ppo = Ppo::new(&setup.policy, setup.seed, &device, n_threads);
-        Ok(Self { ppo, state, mailbox, replay, n_unmade: 0, setup })
+        let init = setup.init.clone();
+        let mut learner = Self { ppo, state, mailbox, replay, n_unmade: 0, setup };
+        if let Some(model) = init {
+            learner.start_from(&model)?;
+        }
+        Ok(learner)
+    }
+
+    /// Takes over the parameters and statistics of a policy.
+    fn start_from(&mut self, model: &Model) -> Result<(), LearnerError> {
+        let mut theirs = model.policy.clone();
+        theirs.network.scale = self.setup.policy.network.scale;
+        if theirs.hash() != self.setup.policy.hash() {
+            let error = "its network or its features are configured otherwise (`policy.network`, `policy.features`)";
+            return Err(LearnerError::Init(error.to_owned()));
+        }
+        let Weights { parameters, normalization, .. } = &model.weights;
+        let adam = Adam::new(parameters.len());
+        self.ppo.restore(parameters.clone(), adam, None).map_err(|error| LearnerError::Init(error.to_string()))?;
+        self.state.values = ValueStatistics::new(normalization.value_mean, normalization.value_std);
+        if normalization.feature_mean.iter().any(|means| !means.is_empty()) {
+            // Moments are not in a model file, so its statistics stay as they are.
+            self.state.n_feature_scenes = u64::MAX;
+        }
+        self.state.normalization = normalization.clone();
+        Ok(())
     }
 
     /// Resumes from `checkpoint`. The settings may have changed since, except those of the network, its features, and
@@ -195,7 +227,7 @@ impl Learner {
             return None;
         }
         let tally = EpisodeTally::of(&trajectories);
-        let n_steps: usize = trajectories.iter().map(|trajectory| trajectory.transitions.len()).sum();
+        let n_steps: usize = trajectories.iter().map(n_env_steps).sum();
         for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
             if let Some(outcome) = &trajectory.outcome {
                 self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
@@ -207,8 +239,10 @@ impl Learner {
         if let Some(replay) = &mut self.replay {
             trajectories.iter().for_each(|trajectory| replay.push(trajectory.clone(), &self.setup.catalog));
         }
-        let batch =
-            |trajectories| Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy);
+        let factors = self.setup.config.rewards.at(self.state.n_env_steps);
+        let batch = |trajectories| {
+            Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy, &factors)
+        };
         let (sampled, others): (Vec<_>, Vec<_>) =
             trajectories.into_iter().partition(|trajectory| trajectory.driver == Driver::Sample);
         let own = batch(sampled);
@@ -342,6 +376,11 @@ impl Learner {
         self.state.features = features;
         self.state.n_feature_scenes += n_scenes as u64;
     }
+}
+
+/// Steps of the environment that a trajectory tells of: its own, and those of its episode's burn-in.
+fn n_env_steps(trajectory: &Trajectory) -> usize {
+    trajectory.transitions.len() + usize::from(trajectory.n_burn_in_steps)
 }
 
 fn n_cores() -> usize {

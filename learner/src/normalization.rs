@@ -26,6 +26,12 @@ impl Default for ValueStatistics {
 }
 
 impl ValueStatistics {
+    /// Statistics known from elsewhere; they move from then on as if many batches had been seen.
+    pub fn new(mean: f32, std: f32) -> Self {
+        let (mean, std) = (f64::from(mean), f64::from(std));
+        Self { mean, std, mean_square: std * std + mean * mean, n_batches: 1_000 }
+    }
+
     /// The statistics after a batch of targets, which has weight `rate`, or more while few batches were seen.
     pub fn after(&self, targets: &[f32], rate: f64, floor: f32) -> Self {
         if targets.is_empty() {

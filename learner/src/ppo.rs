@@ -16,13 +16,15 @@ use rand_chacha::ChaCha8Rng;
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
 use crate::config::{LearnerConfig, LossTerms, Objective, RateRule};
-use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalization::ValueStatistics;
 pub(crate) use imitation_update::ImitationSource;
 use imitation_update::ImitationUpdate;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
+
+/// Most samples from which the KL divergence of an update is estimated.
+const KL_SAMPLES: usize = 2048;
 
 /// The trained network and its optimizer.
 #[derive(Debug)]
@@ -185,11 +187,10 @@ impl Ppo {
             loss: terms,
             reference,
             weights,
-            advantages,
+            advantages: batch.scaled(advantages),
             old_values: normalized(&values[..batch.n_samples()], progress.values),
             value_targets: normalized(&returns, progress.values),
         };
-        gae::normalize(&mut targets.advantages);
 
         let mut steps = Steps::default();
         let mut moved = RatioStatistics::default();
@@ -204,6 +205,9 @@ impl Ppo {
             moved =
                 self.epoch(batch, imitation_update.as_deref_mut(), config, &targets, rate, progress.rng, &mut steps);
             n_epochs += 1;
+            if epoch + 1 == config.n_epochs || config.optimizer.stop_kl.is_some() {
+                moved.approx_kl = self.divergence(batch, targets.reference, config);
+            }
             if config.optimizer.stop_kl.is_some_and(|limit| moved.approx_kl > f64::from(limit)) {
                 break;
             }
@@ -270,6 +274,15 @@ impl Ppo {
         RatioStatistics::new(&log_probs, targets.reference, config.loss.clip)
     }
 
+    /// Approximate KL(reference ‖ policy) of the policy as it is now, over evenly spaced samples, nats.
+    fn divergence(&mut self, batch: &Batch, reference: &[f32], config: &LearnerConfig) -> f64 {
+        let n_samples = batch.n_samples();
+        let rows: Vec<usize> = (0..n_samples).step_by(n_samples.div_ceil(KL_SAMPLES).max(1)).collect();
+        let log_probs = self.workers.log_probs(batch, &rows, config.forward_size);
+        let reference: Vec<f32> = rows.iter().map(|&row| reference[row]).collect();
+        RatioStatistics::new(&log_probs, &reference, config.loss.clip).approx_kl
+    }
+
     /// One gradient step.
     fn step(&mut self, gradient: &mut [f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
         let norm = clip_global_norm(gradient, config.optimizer.max_grad_norm);
@@ -295,11 +308,10 @@ impl Ppo {
     ) {
         let values = self.workers.values(batch, config.forward_size);
         let values = in_reward_units(&values, statistics);
-        let mut advantages = batch.advantages(&values, config.gamma, config.lambda);
+        let advantages = batch.advantages(&values, config.gamma, config.lambda);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
         targets.value_targets = normalized(&returns, statistics);
-        gae::normalize(&mut advantages);
-        targets.advantages = advantages;
+        targets.advantages = batch.scaled(advantages);
     }
 
     fn rescale_value_head(&mut self, from: &ValueStatistics, to: &ValueStatistics) {

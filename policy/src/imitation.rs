@@ -28,6 +28,9 @@ pub struct ImitationTensors {
     /// Σ over labeled blocks of the mean smooth L1 distance between mean move and label, `[B]`. A block that both grippers
     /// hold counts once, as it moves once.
     pub moves: Tensor<1>,
+    /// Σ over labeled blocks of the mean of `ln σ + (μ − label)² / 2σ²` over entries with the mean move μ held fixed, nats
+    /// without the constant, `[B]`.
+    pub scales: Tensor<1>,
 }
 
 impl LabelTensors {
@@ -62,8 +65,13 @@ pub fn imitation(output: &NetworkOutput, labels: &LabelTensors, delta: f32) -> I
     // With c = min(|e|, δ): c²/(2δ) + |e| − c is e²/(2δ) inside and |e| − δ/2 outside, without a branch.
     let inside = error.clone().clamp_max(delta);
     let smooth = inside.clone().powi_scalar(2).div_scalar(2.0 * delta) + error - inside;
-    let by_block = smooth.mean_dim(2).squeeze_dim::<2>(2) * labels.labeled.clone();
-    ImitationTensors { blocks, moves: by_block.sum_dim(1).squeeze_dim(1) }
+    let by_block = |entries: Tensor<3>| {
+        let by_block = entries.mean_dim(2).squeeze_dim::<2>(2) * labels.labeled.clone();
+        by_block.sum_dim(1).squeeze_dim(1)
+    };
+    let z = (output.locs.clone().detach() - labels.moves.clone()) / output.scales.clone();
+    let likelihood = z.powi_scalar(2).mul_scalar(0.5) + output.scales.clone().log();
+    ImitationTensors { blocks, moves: by_block(smooth), scales: by_block(likelihood) }
 }
 
 /// KL(`reference` ‖ `output`) of the block choices and of those moves that the reference may choose, nats, `[B]`.
@@ -125,7 +133,10 @@ mod tests {
         let blocks = (18.0_f32 / 3.0).ln() + 16.0_f32.ln();
         // First scene: block 2 is off by 0.5 (0.45) and 0.05 (0.0125), block 7 by 0.6 (0.55), over 6 entries each. Second:
         // block 2 once, off by 0.12 (0.07).
-        for (found, expected) in [(loss.blocks, [blocks; 2]), (loss.moves, [1.0125 / 6.0, 0.07 / 6.0])] {
+        // ln 1 is 0; half the squared errors, 0.25 + 0.0025 + 0.36 and 0.0144, over 6 entries.
+        let scales = [0.6125 / 12.0, 0.0144 / 12.0];
+        let losses = [(loss.blocks, [blocks; 2]), (loss.moves, [1.0125 / 6.0, 0.07 / 6.0]), (loss.scales, scales)];
+        for (found, expected) in losses {
             for (found, expected) in values(found).into_iter().zip(expected) {
                 assert!((found - expected).abs() < 1e-5, "{found} {expected}");
             }

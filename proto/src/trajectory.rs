@@ -132,6 +132,9 @@ pub struct Trajectory {
     pub driver: Driver,
     /// Index of the first transition in its episode.
     pub first_step: u16,
+    /// Steps before the first transition that are in no segment, because they were not learned from; on the first segment
+    /// of an episode only.
+    pub n_burn_in_steps: u16,
     /// At least one step.
     pub transitions: Vec<Transition>,
     /// Scene after the last action.

@@ -32,6 +32,7 @@ impl Ring {
             generated: config.actor.tasks.draws(Catalog::builtin()).unwrap(),
             seed: config.seed,
             device: config.device,
+            init: None,
         }
     }
 

@@ -69,6 +69,8 @@ fn a_burn_in_counts_but_is_not_learned_from() {
     assert!(skipped.iter().all(|n| (1..=3).contains(n)) && (1..=3).all(|n| skipped.contains(&n)), "{skipped:?}");
     let n_learned: usize = segments.iter().map(|segment| segment.transitions.len()).sum();
     assert_eq!(rollout.counters().n_burn_in_steps as usize + n_learned, 400);
+    let n_told: usize = segments.iter().map(|segment| usize::from(segment.n_burn_in_steps)).sum();
+    assert_eq!(n_told, rollout.counters().n_burn_in_steps as usize, "each step of a burn-in is told of once");
     // The return is that of the whole episode.
     let returns = segments.iter().filter_map(|segment| segment.outcome).map(|outcome| outcome.episode_return.connected);
     assert!(returns.into_iter().all(|sum| sum == 10.0));
@@ -151,4 +153,20 @@ fn weights_of_another_network_are_refused_and_change_nothing() {
     let refused = rollout.set_weights(&weights);
     assert!(matches!(refused, Err(RolloutError::Policy(PolicyError::OtherNetwork { .. }))), "{refused:?}");
     assert_eq!(rollout.version(), WeightsVersion(0));
+}
+
+#[test]
+fn an_episode_that_ends_in_its_burn_in_tells_its_outcome() {
+    use Status::{Running, Success};
+    let burn_in = BurnInConfig { probability: 1.0, max_steps: 1 };
+    let mut rollout = with_burn_in(&[&[Success]], 1, burn_in);
+    let segments = run(&mut rollout, 3);
+    assert_eq!(segments.len(), 3);
+    for segment in &segments {
+        assert_eq!((segment.driver, segment.status), (Driver::Mode, Success));
+        assert_eq!((segment.first_step, segment.n_burn_in_steps, segment.transitions.len()), (0, 0, 1));
+    }
+    // One step of burn-in, then the steps that are learned from.
+    let segments = run(&mut with_burn_in(&[&[Running, Success]], 1, burn_in), 4);
+    assert!(segments.iter().all(|segment| segment.driver == Driver::Sample && segment.n_burn_in_steps == 1));
 }

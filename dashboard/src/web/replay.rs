@@ -235,6 +235,7 @@ pub(super) mod tests {
             },
             driver: proto::Driver::Sample,
             first_step,
+            n_burn_in_steps: 0,
             transitions: (0..n_steps).map(transition).collect(),
             last_scene: scene(9.0),
             status: if ends { Status::Success } else { Status::Running },

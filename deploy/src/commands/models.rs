@@ -31,13 +31,20 @@ impl Source {
     pub(super) fn open(args: &ModelArgs) -> Result<Self, Failure> {
         match &args.checkpoint {
             Some(path) => Self::read(path),
-            None => {
-                let model = Model::from_bytes(PRETRAINED, Path::new("the program's own policy"));
-                let preset = Preset::find(PRETRAINED_PRESET)?;
-                let config = (preset.text.to_owned(), format!("preset {}", preset.name));
-                Ok(Self { model: model.map_err(|error| Failure::Checkpoint(error.into()))?, config })
-            }
+            None => Self::pretrained(),
         }
+    }
+
+    /// The policy that a training starts from: `pretrained`, or what [`Self::read`] takes.
+    pub(super) fn named(name: &Path) -> Result<Self, Failure> {
+        if name == Path::new("pretrained") && !name.exists() { Self::pretrained() } else { Self::read(name) }
+    }
+
+    fn pretrained() -> Result<Self, Failure> {
+        let model = Model::from_bytes(PRETRAINED, Path::new("the program's own policy"));
+        let preset = Preset::find(PRETRAINED_PRESET)?;
+        let config = (preset.text.to_owned(), format!("preset {}", preset.name));
+        Ok(Self { model: model.map_err(|error| Failure::Checkpoint(error.into()))?, config })
     }
 
     /// Reads an exported file, or the newest checkpoint of a folder.

@@ -16,6 +16,7 @@ use runlog::RunPaths;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
+use super::models;
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
@@ -43,7 +44,7 @@ pub(super) async fn run_learner(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let setup = learner_setup(config)?;
+    let setup = learner_setup(config, args.run.init_from.as_deref())?;
     let health = Reporter::start(Role::Learner.as_str(), args.member.health.health_file.as_deref())?;
     let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
@@ -174,7 +175,9 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
 }
 
 /// What a learner is made of; says why the device or the choice of goals cannot be used before anything is written.
-pub(super) fn learner_setup(config: &Config) -> Result<LearnerSetup, Failure> {
+///
+/// `init` names a policy to start from.
+pub(super) fn learner_setup(config: &Config, init: Option<&Path>) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
     let catalog = Catalog::builtin();
     let unusable = |error| invalid("actor.tasks.filter", error);
@@ -188,6 +191,7 @@ pub(super) fn learner_setup(config: &Config) -> Result<LearnerSetup, Failure> {
         generated,
         seed: config.seed,
         device: config.device,
+        init: init.map(|name| models::Source::named(name).map(|source| Arc::new(source.model))).transpose()?,
     })
 }
 

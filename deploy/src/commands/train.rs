@@ -31,7 +31,7 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let setup = services::learner_setup(config)?;
+    let setup = services::learner_setup(config, args.run.init_from.as_deref())?;
     // Before anything is written, because the address may be taken.
     let page = services::page(config, terminal).await?;
     let health = Reporter::start("train", args.health.health_file.as_deref())?;

@@ -20,6 +20,9 @@ settings! {
         pub kl_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
         /// Weight of the loss of moves against that of block choices.
         pub move_weight: f32 = 20.0, in 0.0..;
+        /// Weight of the negative log-likelihood of the labels' moves under the standard deviations, nats per entry; the
+        /// means are held fixed in it. Above 0 the policy's noise becomes as large as its errors.
+        pub scale_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
         /// Errors of a move's entries count by their square below this and by their size above.
         pub move_delta: f32 = 0.1, in above(0.0);
         /// Scenes of one gradient step.

@@ -28,6 +28,7 @@ pub(crate) struct ImitationSource<'a> {
 pub(super) struct ImitationUpdate<'a> {
     imitation_source: ImitationSource<'a>,
     weight: f32,
+    scale_weight: f32,
     n_left: usize,
     n_steps: u64,
     sums: ImitationSums,
@@ -37,9 +38,17 @@ impl<'a> ImitationUpdate<'a> {
     /// `None` without labeled scenes, or with a weight of 0.
     pub(super) fn new(imitation_source: ImitationSource<'a>, n_env_steps: u64) -> Option<Self> {
         let weight = imitation_source.config.weight.at(n_env_steps);
+        let scale_weight = imitation_source.config.scale_weight.at(n_env_steps);
         let n_left = imitation_source.config.steps_per_update;
         let is_active = weight > 0.0 && imitation_source.replay.n_steps() > 0;
-        is_active.then(|| Self { imitation_source, weight, n_left, n_steps: 0, sums: ImitationSums::default() })
+        is_active.then(|| Self {
+            imitation_source,
+            weight,
+            scale_weight,
+            n_left,
+            n_steps: 0,
+            sums: ImitationSums::default(),
+        })
     }
 
     /// Gradient steps that remain after those of PPO.
@@ -59,7 +68,7 @@ impl<'a> ImitationUpdate<'a> {
         let mut features = FeatureBatch::new(features);
         let labels = replay.draw(config.minibatch_size, rng, &mut features);
         normalize(&mut features, normalization);
-        for pass in workers.imitate(&ImitationBatch { features, labels }, forward_size, config) {
+        for pass in workers.imitate(&ImitationBatch { features, labels }, forward_size, config, self.scale_weight) {
             gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += self.weight * g);
             self.sums += pass.sums;
         }

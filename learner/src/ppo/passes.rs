@@ -166,6 +166,7 @@ impl Passes {
         batch: &ImitationBatch,
         rows: &[usize],
         config: &ImitationConfig,
+        scale_weight: f32,
         share: f32,
     ) -> ImitationPass {
         // Not masked: the expert may move an obstructing block that a mask would forbid.
@@ -175,8 +176,11 @@ impl Passes {
         let tensors = LabelTensors::new(&labels, usize::from(self.policy.network.n_grippers), device);
         let loss = imitation::imitation(&output, &tensors, config.move_delta);
         let (blocks, moves) = (loss.blocks.sum(), loss.moves.sum());
-        let loss = (blocks.clone() + moves.clone() * config.move_weight) * share;
-        let gradient = self.engine.gradient(leaves, &loss);
+        let mut total = blocks.clone() + moves.clone() * config.move_weight;
+        if scale_weight > 0.0 {
+            total = total + loss.scales.sum() * scale_weight;
+        }
+        let gradient = self.engine.gradient(leaves, &(total * share));
         let sums = to_vec(Tensor::cat(vec![blocks, moves], 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let n_hits = n_hits(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);

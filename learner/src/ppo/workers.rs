@@ -50,10 +50,11 @@ impl Workers {
         batch: &ImitationBatch,
         size: usize,
         config: &ImitationConfig,
+        scale_weight: f32,
     ) -> Vec<ImitationPass> {
         let rows: Vec<usize> = (0..batch.labels.len()).collect();
         let share = 1.0 / rows.len() as f32;
-        self.map(&pieces(&rows, size), |passes, piece| passes.imitate(batch, piece, config, share))
+        self.map(&pieces(&rows, size), |passes, piece| passes.imitate(batch, piece, config, scale_weight, share))
     }
 
     /// Values of all rows and log-probabilities of all actions, in pieces of about `size` rows.
@@ -65,6 +66,11 @@ impl Workers {
             whole.log_probs.extend(piece.log_probs);
         }
         whole
+    }
+
+    /// Log-probabilities of the actions of samples, whose rows must ascend.
+    pub(super) fn log_probs(&mut self, batch: &Batch, rows: &[usize], size: usize) -> Vec<f32> {
+        self.map(&pieces(rows, size), |passes, rows| passes.evaluate(batch, rows).log_probs).concat()
     }
 
     /// Values of all rows, in pieces of about `size` rows.

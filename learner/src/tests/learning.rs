@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{ImitationConfig, LearnerConfig, Objective, RateLine, RateRule, Schedule};
 use crate::fixtures::{blueprint_id, random_trajectory};
-use crate::{Learner, LearnerSetup};
+use crate::{Learner, LearnerSetup, Model};
 
 /// A network like the paper's, small enough for a test of seconds.
 pub(super) fn small_setup(seed: u64) -> LearnerSetup {
@@ -29,6 +29,7 @@ pub(super) fn small_setup(seed: u64) -> LearnerSetup {
         generated: None,
         seed,
         device: DeviceKind::Cpu,
+        init: None,
     }
 }
 
@@ -224,4 +225,55 @@ fn ppo_uses_only_sampled_actions() {
     // The imitator is the policy before the update, and the update moves away from it.
     assert!(update.ppo.imitator_kl > 0.0, "{}", update.ppo.imitator_kl);
     assert!(learner.checkpoint().imitator.is_some());
+}
+
+#[test]
+fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_network() {
+    let mut learner = Learner::new(small_setup(1)).unwrap();
+    let trajectories = bandit(&small_setup(1), &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5));
+    feed(&learner, trajectories);
+    learner.update().unwrap();
+    let model = Model::from(&learner.checkpoint());
+    let mut setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
+    setup.policy.network.scale.init_std = Some(0.1);
+    let started = Learner::new(setup.clone()).unwrap();
+    assert_eq!(started.weights().parameters, learner.weights().parameters);
+    assert_eq!(started.weights().normalization, learner.weights().normalization);
+    assert_eq!((started.version().0, started.n_env_steps()), (0, 0));
+    assert!(started.checkpoint().adam.first.iter().all(|moment| *moment == 0.0));
+    setup.policy.network.value_hidden = vec![16];
+    let error = Learner::new(setup).unwrap_err().to_string();
+    assert!(error.contains("policy.network"), "{error}");
+}
+
+#[test]
+fn deviations_become_as_small_as_the_errors_where_labels_train_them() {
+    let log_deviation = |scale_weight: f32| {
+        let mut setup = small_setup(3);
+        let imitation = ImitationConfig {
+            minibatch_size: 32,
+            steps_per_update: 40,
+            scale_weight: Schedule::Constant(scale_weight),
+            ..Default::default()
+        };
+        setup.config.imitation = Some(imitation);
+        setup.config.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Constant(3e-3) });
+        let mut learner = Learner::new(setup.clone()).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        for _ in 0..6 {
+            feed(&learner, labeled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
+            learner.update().unwrap();
+        }
+        // The density of the label under the policy says how large its noise is.
+        let mut policy = Policy::with_weights(&setup.policy, &learner.weights()).unwrap();
+        let trajectory = random_trajectory(1, 0, &mut rng);
+        let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
+        let observation = Observation { scene: &trajectory.transitions[0].scene, blueprint };
+        let mut rngs = [ChaCha8Rng::seed_from_u64(1)];
+        let decisions = policy.act(&[observation], &[ActionMode::Greedy], &mut rngs).unwrap();
+        // The mode's own density: 12 entries of ln(1 / (σ √2π)).
+        f64::from(decisions[0].log_prob)
+    };
+    let (untrained, trained) = (log_deviation(0.0), log_deviation(1.0));
+    assert!(trained > untrained + 3.0, "{untrained} {trained}");
 }

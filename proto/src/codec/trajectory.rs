@@ -42,6 +42,7 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
             Driver::Expert => wire::Driver::Expert,
         }
         .into(),
+        n_burn_in_steps: trajectory.n_burn_in_steps.into(),
     }
     .encode_to_vec()
 }
@@ -64,6 +65,7 @@ pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
         weights_version: WeightsVersion(message.weights_version),
         task: task_from_wire(present("task", message.task)?)?,
         first_step: narrow("first_step", message.first_step, "a number in 0..=65535")?,
+        n_burn_in_steps: narrow("n_burn_in_steps", message.n_burn_in_steps, "a number in 0..=65535")?,
         transitions: message.transitions.into_iter().map(transition_from_wire).collect::<Result<_, _>>()?,
         last_scene: scene_from_wire(present("last_scene", message.last_scene)?)?,
         status: status_from_wire(message.status)?,
@@ -108,6 +110,9 @@ fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
 }
 
 fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
+    if trajectory.n_burn_in_steps > trajectory.first_step {
+        return Err(invalid("n_burn_in_steps", trajectory.n_burn_in_steps, "at most first_step"));
+    }
     let ended = trajectory.status != Status::Running;
     let Some(outcome) = trajectory.outcome else {
         return if ended { Err(DecodeError::Missing { field: "outcome" }) } else { Ok(()) };

@@ -54,6 +54,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         },
         driver: proto::Driver::Sample,
         first_step: first,
+        n_burn_in_steps: 0,
         transitions: (first..last).map(transition).collect(),
         last_scene: scene(0.4 * f32::from(last)),
         status,
