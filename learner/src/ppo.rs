@@ -50,9 +50,12 @@ pub(crate) struct Progress<'a> {
     pub(crate) n_env_steps: u64,
 }
 
-/// Position of the last layer of the value head in the flat vector.
+/// Positions of the value head in the flat vector.
 #[derive(Clone, Debug)]
 struct ValueHead {
+    /// Of all its parameters.
+    parameters: Vec<Range<usize>>,
+    /// Of its last layer.
     weights: Range<usize>,
     bias: usize,
 }
@@ -269,7 +272,11 @@ impl Ppo {
             {
                 imitation_update.add_gradient(&mut self.workers, config.forward_size, rng, &mut gradient);
             }
-            self.step(&mut gradient, rate, config, steps);
+            if targets.loss.policy == 0.0 && imitation_update.is_none() {
+                self.step_critic(&gradient, rate, config, steps);
+            } else {
+                self.step(&mut gradient, rate, config, steps);
+            }
         }
         RatioStatistics::new(&log_probs, targets.reference, config.loss.clip)
     }
@@ -295,6 +302,23 @@ impl Ppo {
         steps.grad_norm += f64::from(norm);
         steps.n_steps += 1;
         self.adam.step(&mut self.parameters, gradient, rate, &config.optimizer);
+        self.load();
+    }
+
+    /// One gradient step of the value head alone. While nothing trains the policy, the critic's gradient must not move it
+    /// either through the layers that they share.
+    fn step_critic(&mut self, gradient: &[f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
+        let mut of_critic = vec![0.0; gradient.len()];
+        let mut next = self.parameters.clone();
+        for range in &self.value_head.parameters {
+            of_critic[range.clone()].copy_from_slice(&gradient[range.clone()]);
+        }
+        self.step(&mut of_critic, rate, config, steps);
+        // Moments from before would move the rest.
+        for range in &self.value_head.parameters {
+            next[range.clone()].copy_from_slice(&self.parameters[range.clone()]);
+        }
+        self.parameters = next;
         self.load();
     }
 
@@ -328,13 +352,16 @@ impl Ppo {
 }
 
 impl ValueHead {
-    /// Finds the last kernel named `value.mlp.*` and its bias.
+    /// Finds all parameters named `value.*`, the last kernel named `value.mlp.*` and its bias.
     fn find(table: &[ParameterSpec]) -> Self {
-        let mut found = Self { weights: 0..0, bias: 0 };
+        let mut found = Self { parameters: Vec::new(), weights: 0..0, bias: 0 };
         let mut at = 0;
         for spec in table {
             let range = at..at + spec.len();
             at = range.end;
+            if spec.name.starts_with("value.") {
+                found.parameters.push(range.clone());
+            }
             if spec.name.starts_with("value.mlp.") {
                 if spec.name.ends_with(".w") {
                     found.weights = range;

@@ -13,7 +13,7 @@ settings! {
         /// Weight of PPO's policy loss and entropies.
         pub ppo_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
         /// Factor of the value loss. It may rise before `ppo_weight`, so that the critic knows the policy's returns
-        /// when PPO begins.
+        /// when PPO begins. While `ppo_weight` and `weight` are 0, it trains the value head alone.
         pub value_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
         /// Weight of KL(imitator ‖ policy) on PPO's samples, where the imitator is the policy when this first was above
         /// 0.

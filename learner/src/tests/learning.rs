@@ -277,3 +277,28 @@ fn deviations_become_as_small_as_the_errors_where_labels_train_them() {
     let (untrained, trained) = (log_deviation(0.0), log_deviation(1.0));
     assert!(trained > untrained + 3.0, "{untrained} {trained}");
 }
+
+#[test]
+fn a_critic_that_learns_alone_leaves_the_policy_as_it_is() {
+    let mut setup = small_setup(3);
+    setup.config.imitation = Some(ImitationConfig {
+        weight: Schedule::Constant(0.0),
+        value_weight: Schedule::Constant(1.0),
+        ..Default::default()
+    });
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let before = learner.weights();
+    feed(&learner, bandit(&setup, &before, 256, &mut ChaCha8Rng::seed_from_u64(5)));
+    assert!(learner.update().unwrap().ppo.n_gradient_steps > 0);
+    let after = learner.weights();
+    let mut at = 0;
+    let mut n_moved = 0;
+    for info in learner.checkpoint().table {
+        let range = at..at + info.shape.iter().product::<usize>();
+        at = range.end;
+        let is_same = before.parameters[range.clone()] == after.parameters[range];
+        assert!(is_same || info.name.starts_with("value."), "{} moved", info.name);
+        n_moved += usize::from(!is_same);
+    }
+    assert!(n_moved > 2, "{n_moved} tensors of the value head moved");
+}
