@@ -13,7 +13,7 @@ settings! {
         pub every: Every;
         /// Whether `train` evaluates the last weights before it ends, whatever [`Self::every`] says.
         pub evaluate_last: bool = false;
-        /// Which blueprints.
+        /// Which blueprints. By default the paper's splits.
         pub selection: Selection;
         /// How episodes are run.
         pub episodes: EpisodeConfig;
@@ -30,7 +30,7 @@ settings! {
     #[derive(Eq)]
     pub struct Selection {
         /// The splits, none twice.
-        pub splits: Vec<Split> = Split::ALL.to_vec();
+        pub splits: Vec<Split> = Split::PAPER.to_vec();
         /// Fewest and most blocks.
         pub sizes: [usize; 2] = [1, N_BLOCKS], in 1..=N_BLOCKS,
             where |c| c.sizes.is_sorted() => "two ascending numbers";
