@@ -1,6 +1,6 @@
 //! The built-in catalog, and the errors of loading one.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
@@ -54,6 +54,15 @@ fn builtin_catalog_has_the_expected_sizes() {
 }
 
 #[test]
+fn no_two_splits_share_an_outline() {
+    let catalog = Catalog::builtin();
+    assert!(catalog.of_split(Split::Train).iter().all(|blueprint| catalog.is_for_training(blueprint)));
+    let held_out: Vec<_> = catalog.iter().filter(|blueprint| blueprint.split() != Split::Train).collect();
+    let outlines: BTreeSet<u64> = held_out.iter().map(|blueprint| blueprint.outline_hash()).collect();
+    assert_eq!(outlines.len(), held_out.len());
+}
+
+#[test]
 fn builtin_files_pass_every_check() {
     for report in check_all(BUILTIN_FILES.iter().copied()) {
         assert!(report.passed(), "{report:#?}");
@@ -79,7 +88,7 @@ fn two_block_set_uses_every_type_and_the_catalog_every_rotation() {
         assert!(two.iter().any(|b| b.placements().iter().any(|p| of_type(p.block))), "{}", block_type.name);
     }
     let all = Catalog::builtin().iter().flat_map(Blueprint::placements);
-    assert_eq!(all.map(|p| p.rotation).collect::<std::collections::BTreeSet<_>>().len(), 24);
+    assert_eq!(all.map(|p| p.rotation).collect::<BTreeSet<_>>().len(), 24);
 }
 
 /// Checks the invariants of the type: sorted, linked exactly where magnets attract, no repulsion, no shared cell.
