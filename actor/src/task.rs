@@ -31,10 +31,12 @@ settings! {
         pub near_goal_undone: [u8; 2] = [1, 2],
             in 1..=15, where |c| c.near_goal_undone.is_sorted() => "two ascending numbers";
         /// Probability that a structure of the generator takes the goal's place, of the same number of blocks (an
-        /// extension). It is seeded like everything else, and never one of the held-out structures.
+        /// extension). It is seeded like everything else, and never has the shape of a held-out structure, mirrored,
+        /// with other poles, and built of other blocks included.
         pub generated_probability: f64 = 0.0, in 0.0..=1.0;
-        /// What those look like, all alike where the size allows.
-        pub generated_styles: Vec<Style> = Style::ALL.to_vec(),
+        /// What those look like, all alike where the size allows. By default not `longest` and `tallest`, of which the
+        /// held-out structures of those splits are made.
+        pub generated_styles: Vec<Style> = Style::TRAINING.to_vec(),
             where |c| !c.generated_styles.is_empty() => "at least one style";
         /// Lets equal blocks swap roles from episode to episode, since the policy sees slot numbers.
         pub shuffle_blocks: bool = true;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::assembly::{Plan, PlanStep, Shared};
 use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT_M};
 
-/// Name of a blueprint, `<size>_<index>` as in the paper (`6_005`), with a prefix for the test sets.
+/// Name of a blueprint, `<size>_<index>` as in the paper (`6_005`), with a prefix for the held-out splits.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct BlueprintId(String);
@@ -27,6 +27,9 @@ pub enum Split {
     TestLongest,
     /// Held out: greatest height.
     TestTallest,
+    /// Held out from training, for every decision during development; not the paper's. It comes last, so that the order
+    /// of the others does not depend on it.
+    Validation,
 }
 
 /// One block of a blueprint on the lattice.
@@ -73,7 +76,7 @@ pub struct InvalidBlueprintId(pub String);
 
 /// An unknown split name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a split; the splits are train, test, test-literal, test-longest and test-tallest")]
+#[error("{0:?} is not a split; the splits are train, test, test-literal, test-longest, test-tallest and validation")]
 pub struct InvalidSplit(pub String);
 
 impl BlueprintId {
@@ -133,7 +136,11 @@ impl fmt::Display for BlueprintId {
 
 impl Split {
     /// All splits, training first.
-    pub const ALL: [Self; 5] = [Self::Train, Self::Test, Self::TestLiteral, Self::TestLongest, Self::TestTallest];
+    pub const ALL: [Self; 6] =
+        [Self::Train, Self::Test, Self::TestLiteral, Self::TestLongest, Self::TestTallest, Self::Validation];
+
+    /// The paper's splits: training and its test sets, 142 and 24 blueprints of the built-in catalog.
+    pub const PAPER: [Self; 5] = [Self::Train, Self::Test, Self::TestLiteral, Self::TestLongest, Self::TestTallest];
 
     /// The name used in files and flags.
     pub fn as_str(self) -> &'static str {
@@ -143,6 +150,7 @@ impl Split {
             Self::TestLiteral => "test-literal",
             Self::TestLongest => "test-longest",
             Self::TestTallest => "test-tallest",
+            Self::Validation => "validation",
         }
     }
 }

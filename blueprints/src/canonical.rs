@@ -1,7 +1,11 @@
-//! A hash that is independent of rotation, translation, and numbering, to find duplicates.
+//! Hashes of a structure and of its outline that do not depend on how it is turned, moved, and numbered, to find
+//! duplicates and structures of equal shape.
 
 use crate::hash::fnv1a;
 use crate::{Blueprint, CubeRotation, Inventory};
+
+/// The ways to order three axes.
+const AXIS_ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
 
 impl Blueprint {
     /// A hash that is the same for two blueprints exactly when one can be turned (24 rotations) and moved onto the
@@ -11,6 +15,16 @@ impl Blueprint {
     /// magnets. The hash does not depend on id, split, title, or the program's version.
     pub fn canonical_hash(&self) -> u64 {
         fnv1a(self.canonical_form())
+    }
+
+    /// A hash that is the same for two blueprints exactly when the cells that they fill are the same up to moves and the
+    /// 48 symmetries of the cube, up to collisions of 64 bits.
+    ///
+    /// So it does not change if a structure is turned or mirrored, if its poles are exchanged, or if the same cells are
+    /// filled with other blocks. It costs about as much as [`Self::canonical_hash`].
+    pub fn outline_hash(&self) -> u64 {
+        let inventory = Inventory::standard();
+        outline_hash(self.placements().iter().flat_map(|p| p.filled_cells(inventory)).collect())
     }
 
     /// The smallest, over the 24 rotations, of the sorted lists of (size, center, rotation) as bytes.
@@ -39,14 +53,36 @@ impl Blueprint {
     }
 }
 
+/// The hash of the smallest sorted list of cells over the symmetries that put the extents in ascending order: those lists
+/// are the same for every pose of an outline, and there are 8 of them instead of 48 if all extents differ.
+fn outline_hash(cells: Vec<[i32; 3]>) -> u64 {
+    let low: [i32; 3] = std::array::from_fn(|k| cells.iter().map(|cell| cell[k]).min().unwrap_or(0));
+    let high: [i32; 3] = std::array::from_fn(|k| cells.iter().map(|cell| cell[k]).max().unwrap_or(0));
+    let ascending = |order: &&[usize; 3]| order.map(|k| high[k] - low[k]).is_sorted();
+    let posed = AXIS_ORDERS.iter().filter(ascending).flat_map(|order| {
+        let cells = &cells;
+        (0..8).map(move |flips| {
+            let along =
+                |cell: &[i32; 3], k: usize| if (flips >> k) & 1 == 0 { cell[k] - low[k] } else { high[k] - cell[k] };
+            let mut posed: Vec<[i32; 3]> = cells.iter().map(|cell| order.map(|k| along(cell, k))).collect();
+            posed.sort_unstable();
+            posed
+        })
+    });
+    let smallest = posed.min().unwrap_or_default();
+    fnv1a(smallest.into_iter().flatten().flat_map(i32::to_le_bytes))
+}
+
 #[cfg(test)]
 mod tests {
+    use super::outline_hash;
     use crate::assembly::Shared;
-    use crate::{BlockIdx, Blueprint, Catalog, CubeRotation, N_BLOCKS, Placement, Split};
+    use crate::{BlockIdx, Blueprint, Catalog, CubeRotation, Inventory, N_BLOCKS, Placement, Split};
 
     fn turned(blueprint: &Blueprint, turn: CubeRotation) -> Blueprint {
         let place = |p: &Placement| Placement {
-            center_half_units: turn.apply(p.center_half_units).map(|x| x + 7),
+            // By whole units, so that blocks stay on cells.
+            center_half_units: turn.apply(p.center_half_units).map(|x| x + 8),
             rotation: turn.compose(p.rotation),
             ..*p
         };
@@ -84,5 +120,81 @@ mod tests {
         };
         assert_ne!(bars(true).canonical_hash(), bars(false).canonical_hash());
         assert_eq!(bars(true).canonical_hash(), bars(true).canonical_hash());
+    }
+
+    /// The blueprint with other placements; the links are left as they were.
+    fn placed(blueprint: &Blueprint, placements: Vec<Placement>) -> Blueprint {
+        Blueprint { assembly: Shared::new(&placements), placements, ..blueprint.clone() }
+    }
+
+    /// The mirror image in the plane between negative and positive coordinates of an axis. A box is its own mirror image.
+    fn mirrored(blueprint: &Blueprint, axis: usize) -> Blueprint {
+        let mirror = |p: &Placement| {
+            let mut mirrored = *p;
+            mirrored.center_half_units[axis] = -p.center_half_units[axis];
+            mirrored
+        };
+        placed(blueprint, blueprint.placements.iter().map(mirror).collect())
+    }
+
+    /// Every block turned by half a turn about an axis of its own, which brings other poles where its poles were.
+    fn with_other_poles(blueprint: &Blueprint, half_turn: CubeRotation) -> Blueprint {
+        let turn = |p: &Placement| Placement { rotation: p.rotation.compose(half_turn), ..*p };
+        placed(blueprint, blueprint.placements.iter().map(turn).collect())
+    }
+
+    /// The same cells, each filled by a cube; there are not that many, but the outline does not ask.
+    fn retiled(blueprint: &Blueprint) -> Blueprint {
+        let cells = blueprint.placements.iter().flat_map(|p| p.filled_cells(Inventory::standard()));
+        let cube = |cell: [i32; 3]| Placement {
+            block: BlockIdx::try_from(0).unwrap(),
+            center_half_units: cell.map(|x| 2 * x + 1),
+            rotation: CubeRotation::IDENTITY,
+        };
+        placed(blueprint, cells.map(cube).collect())
+    }
+
+    #[test]
+    fn held_out_outlines_are_refused_mirrored_with_other_poles_and_retiled() {
+        let catalog = Catalog::builtin();
+        let half_turns: Vec<CubeRotation> = CubeRotation::all()
+            .filter(|&turn| {
+                turn != CubeRotation::IDENTITY
+                    && [[1, 0, 0], [0, 1, 0], [0, 0, 1]].into_iter().all(|axis| turn.apply(axis).map(i32::abs) == axis)
+            })
+            .collect();
+        assert_eq!(half_turns.len(), 3);
+        let held_out: Vec<&Blueprint> = catalog.iter().filter(|b| b.split() != Split::Train).collect();
+        assert_eq!(held_out.len(), 24 + 24);
+        for blueprint in held_out {
+            let mut others: Vec<Blueprint> = (0..3).map(|axis| mirrored(blueprint, axis)).collect();
+            others.extend(half_turns.iter().map(|&turn| with_other_poles(blueprint, turn)));
+            others.push(retiled(blueprint));
+            // One of them is another structure, which the canonical hash would let pass.
+            assert!(others.iter().any(|other| other.canonical_hash() != blueprint.canonical_hash()));
+            for other in others {
+                for turn in [CubeRotation::IDENTITY, half_turns[0], CubeRotation::try_from(7).unwrap()] {
+                    assert!(!catalog.is_for_training(&turned(&other, turn)), "{} {turn:?}", blueprint.id());
+                }
+            }
+            // One block less is another outline.
+            let less = placed(blueprint, blueprint.placements[1..].to_vec());
+            assert!(catalog.is_for_training(&less), "{}", blueprint.id());
+        }
+    }
+
+    #[test]
+    fn outlines_are_equal_up_to_the_symmetries_of_the_cube() {
+        // A chiral piece of five cells, its mirror image, and a piece of as many cells with the same extents.
+        let chiral = vec![[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 2, 1]];
+        let hash = outline_hash(chiral.clone());
+        for [x, y, z] in [[0, 1, 2], [2, 0, 1], [1, 0, 2]] {
+            for signs in [[1, 1, 1], [-1, 1, 1], [1, -1, -1]] {
+                let posed =
+                    chiral.iter().map(|cell| [signs[0] * cell[x] + 5, signs[1] * cell[y], signs[2] * cell[z] - 3]);
+                assert_eq!(outline_hash(posed.rev().collect()), hash);
+            }
+        }
+        assert_ne!(outline_hash(vec![[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 2, 0], [1, 2, 1]]), hash);
     }
 }

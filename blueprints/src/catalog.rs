@@ -29,7 +29,7 @@ pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/c
 pub struct Catalog {
     blueprints: Vec<Blueprint>,
     positions: BTreeMap<BlueprintId, usize>,
-    /// Canonical hashes of the held-out blueprints.
+    /// Hashes of the outlines of the held-out blueprints.
     held_out: BTreeSet<u64>,
 }
 
@@ -158,7 +158,7 @@ impl Catalog {
 
     fn of_sorted(blueprints: Vec<Blueprint>) -> Self {
         let positions = blueprints.iter().enumerate().map(|(i, b)| (b.id().clone(), i)).collect();
-        let held_out = blueprints.iter().filter(|b| b.split() != Split::Train).map(Blueprint::canonical_hash).collect();
+        let held_out = blueprints.iter().filter(|b| b.split() != Split::Train).map(Blueprint::outline_hash).collect();
         Self { blueprints, positions, held_out }
     }
 
@@ -175,9 +175,10 @@ impl Catalog {
         self.get(id).map(Cow::Borrowed).or_else(generated)
     }
 
-    /// Whether training may use a structure: it equals no held-out structure up to rotation and renumbering.
+    /// Whether training may use a structure: it has the outline of no held-out structure. A mirror image of a held-out
+    /// structure, the same with other poles, and another tiling of its cells have that outline.
     pub fn is_for_training(&self, blueprint: &Blueprint) -> bool {
-        !self.held_out.contains(&blueprint.canonical_hash())
+        !self.held_out.contains(&blueprint.outline_hash())
     }
 
     /// All blueprints by split, then size, then id.

@@ -1,9 +1,9 @@
-//! The groups of blueprints that the paper reports.
+//! The groups of blueprints in reports: the paper's, and that of the validation split.
 
 use crate::Split;
 use serde::{Deserialize, Serialize};
 
-/// A column of the paper's ablation table, in the paper's order.
+/// A column of the paper's ablation table, in the paper's order, or the validation split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Group {
@@ -17,11 +17,13 @@ pub enum Group {
     Test12To16,
     /// Held-out literal, longest and tallest blueprints.
     TestSpecial,
+    /// Blueprints of the validation split, which is not the paper's.
+    Validation,
 }
 
 /// A text that is not a group name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16 or test special")]
+#[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16, test special or validation")]
 pub struct InvalidGroup(pub String);
 
 impl TryFrom<String> for Group {
@@ -39,9 +41,9 @@ impl From<Group> for String {
 }
 
 impl Group {
-    /// All groups in the paper's order.
-    pub const ALL: [Self; 5] =
-        [Self::Train2To6, Self::Train7To11, Self::Train12To16, Self::Test12To16, Self::TestSpecial];
+    /// All groups in the paper's order, then validation.
+    pub const ALL: [Self; 6] =
+        [Self::Train2To6, Self::Train7To11, Self::Train12To16, Self::Test12To16, Self::TestSpecial, Self::Validation];
 
     /// The group of a blueprint of `n_blocks` blocks; `None` for a size outside the paper's groups.
     pub fn of(split: Split, n_blocks: usize) -> Option<Self> {
@@ -51,6 +53,7 @@ impl Group {
             (Split::Train, 12..=16) => Some(Self::Train12To16),
             (Split::Test, 12..=16) => Some(Self::Test12To16),
             (Split::TestLiteral | Split::TestLongest | Split::TestTallest, _) => Some(Self::TestSpecial),
+            (Split::Validation, _) => Some(Self::Validation),
             (Split::Train | Split::Test, _) => None,
         }
     }
@@ -63,6 +66,7 @@ impl Group {
             Self::Train12To16 => "train 12-16",
             Self::Test12To16 => "test 12-16",
             Self::TestSpecial => "test special",
+            Self::Validation => "validation",
         }
     }
 }
@@ -86,6 +90,8 @@ mod tests {
             (Split::TestLiteral, 10, Some(Group::TestSpecial)),
             (Split::TestLongest, 12, Some(Group::TestSpecial)),
             (Split::TestTallest, 16, Some(Group::TestSpecial)),
+            (Split::Validation, 7, Some(Group::Validation)),
+            (Split::Validation, 16, Some(Group::Validation)),
         ];
         for (split, n_blocks, group) in table {
             assert_eq!(Group::of(split, n_blocks), group, "{split:?} {n_blocks}");

@@ -1,6 +1,6 @@
 //! The built-in catalog, and the errors of loading one.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
@@ -41,11 +41,25 @@ fn builtin_catalog_has_the_expected_sizes() {
     assert_eq!(counts(Split::TestLiteral), [10, 12, 14, 16].map(|n| (n, 1)));
     assert_eq!(counts(Split::TestLongest), [12, 13, 14, 15, 16].map(|n| (n, 1)));
     assert_eq!(counts(Split::TestTallest), [12, 13, 14, 15, 16].map(|n| (n, 1)));
+    assert_eq!(Split::PAPER.iter().map(|&split| Catalog::builtin().of_split(split).len()).sum::<usize>(), 142 + 24);
+    // Ours, besides those of the paper.
+    let validation = [2, 2, 2, 2, 2, 3, 3, 3, 3, 2];
+    assert_eq!(validation.iter().sum::<i32>(), 24);
+    assert_eq!(counts(Split::Validation), (7..=16).zip(validation).collect::<Vec<_>>());
     // The paper's single-blueprint runs.
     for name in ["6_005", "12_000", "16_001"] {
         assert!(Catalog::builtin().get(&id(name)).is_some(), "{name}");
     }
     assert_eq!(Catalog::builtin().get(&id("2_999")), None);
+}
+
+#[test]
+fn no_two_splits_share_an_outline() {
+    let catalog = Catalog::builtin();
+    assert!(catalog.of_split(Split::Train).iter().all(|blueprint| catalog.is_for_training(blueprint)));
+    let held_out: Vec<_> = catalog.iter().filter(|blueprint| blueprint.split() != Split::Train).collect();
+    let outlines: BTreeSet<u64> = held_out.iter().map(|blueprint| blueprint.outline_hash()).collect();
+    assert_eq!(outlines.len(), held_out.len());
 }
 
 #[test]
@@ -74,7 +88,7 @@ fn two_block_set_uses_every_type_and_the_catalog_every_rotation() {
         assert!(two.iter().any(|b| b.placements().iter().any(|p| of_type(p.block))), "{}", block_type.name);
     }
     let all = Catalog::builtin().iter().flat_map(Blueprint::placements);
-    assert_eq!(all.map(|p| p.rotation).collect::<std::collections::BTreeSet<_>>().len(), 24);
+    assert_eq!(all.map(|p| p.rotation).collect::<BTreeSet<_>>().len(), 24);
 }
 
 /// Checks the invariants of the type: sorted, linked exactly where magnets attract, no repulsion, no shared cell.

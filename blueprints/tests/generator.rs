@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use blueprints::catalog::BUILTIN_FILES;
 use blueprints::checks::check_text;
 use blueprints::generator::{GenerateError, MAX_INDEX, Request, Style, from_id, generate, generate_many};
 use blueprints::{Assembly, Blueprint, BlueprintId, Catalog, Split};
@@ -87,6 +88,60 @@ fn catalog_records_match_their_provenance() {
         assert_eq!(kept.title(), made.title());
         assert!(matches!(kept.split(), Split::TestLongest | Split::TestTallest), "{file}");
     }
+}
+
+/// The validation split was drawn by these requests: two or three styles for each size, index 0, and the first seed from 24
+/// on whose structure passes the checks of `lodestone blueprints check`, those in a simulated world included.
+#[test]
+fn validation_goals_match_their_provenance_and_are_not_for_training() {
+    let catalog = Catalog::builtin();
+    let drawn = [
+        ("validation_7_000", "gen1-arch-18_7_000"),
+        ("validation_7_001", "gen1-stairs-18_7_000"),
+        ("validation_8_000", "gen1-table-18_8_000"),
+        ("validation_8_001", "gen1-ring-18_8_000"),
+        ("validation_9_000", "gen1-tower-18_9_000"),
+        ("validation_9_001", "gen1-cross-18_9_000"),
+        ("validation_10_000", "gen1-bridge-18_10_000"),
+        ("validation_10_001", "gen1-pyramid-18_10_000"),
+        ("validation_11_000", "gen1-wall-18_11_000"),
+        ("validation_11_001", "gen1-letter-18_11_000"),
+        ("validation_12_000", "gen1-any-19_12_000"),
+        ("validation_12_001", "gen1-bridge-18_12_000"),
+        ("validation_12_002", "gen1-tallest-23_12_000"),
+        ("validation_13_000", "gen1-arch-18_13_000"),
+        ("validation_13_001", "gen1-pyramid-18_13_000"),
+        ("validation_13_002", "gen1-longest-18_13_000"),
+        ("validation_14_000", "gen1-tower-18_14_000"),
+        ("validation_14_001", "gen1-stairs-18_14_000"),
+        ("validation_14_002", "gen1-letter-18_14_000"),
+        ("validation_15_000", "gen1-wall-18_15_000"),
+        ("validation_15_001", "gen1-table-18_15_000"),
+        ("validation_15_002", "gen1-ring-19_15_000"),
+        ("validation_16_000", "gen1-cross-29_16_000"),
+        ("validation_16_001", "gen1-longest-1b_16_000"),
+    ];
+    assert_eq!(drawn.len(), catalog.of_split(Split::Validation).len());
+    let mut styles = BTreeSet::new();
+    for (file, generated) in drawn {
+        let kept = catalog.get(&id(file)).expect(file);
+        let made = from_id(&id(generated)).expect(generated).expect(generated);
+        assert_eq!((kept.placements(), kept.links()), (made.placements(), made.links()), "{file}");
+        assert_eq!((kept.title(), kept.split()), (made.title(), Split::Validation), "{file}");
+        assert!(!catalog.is_for_training(&made), "{generated}");
+        let request = Request::from_id(made.id()).expect(generated);
+        let text = BUILTIN_FILES.iter().find(|(name, _)| *name == format!("{file}.toml")).expect(file).1;
+        assert!(text.contains(&format!("provenance = \"{}\"\n", request.provenance())), "{text}");
+        styles.insert(request.style);
+    }
+    assert_eq!(styles, BTreeSet::from(Style::ALL), "every style, the held-out ones included");
+}
+
+#[test]
+fn the_styles_of_training_are_all_but_the_held_out_ones() {
+    let held_out = [Style::Longest, Style::Tallest];
+    let expected: Vec<Style> = Style::ALL.into_iter().filter(|style| !held_out.contains(style)).collect();
+    assert_eq!(Style::TRAINING.to_vec(), expected);
 }
 
 #[test]

@@ -264,8 +264,8 @@ pub struct EvalArgs {
     /// The policy.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// All of this part of the catalog: train, test, test-literal, test-longest or test-tallest [default: what the run's
-    /// evaluator judges].
+    /// All of this part of the catalog: train, test, test-literal, test-longest, test-tallest or validation [default: what
+    /// the run's evaluator judges at last, without validation if there is more].
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,
     /// Episodes per blueprint and way of acting.

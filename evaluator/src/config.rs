@@ -13,8 +13,12 @@ settings! {
         pub every: Every;
         /// Whether `train` evaluates the last weights before it ends, whatever [`Self::every`] says.
         pub evaluate_last: bool = false;
-        /// Which blueprints.
+        /// Which blueprints. By default the paper's splits.
         pub selection: Selection;
+        /// Splits that the evaluation of the last weights covers besides the selection's: those that are to decide
+        /// nothing during training. Only `train` with `evaluate_last` knows which weights are the last.
+        pub last_splits: Vec<Split> = Vec::new(),
+            where |c| are_distinct(&c.last_splits) => "names of splits, none twice";
         /// How episodes are run.
         pub episodes: EpisodeConfig;
         /// Goals in a row without a reset, after the episodes; absent, as by default, means none.
@@ -30,7 +34,7 @@ settings! {
     #[derive(Eq)]
     pub struct Selection {
         /// The splits, none twice.
-        pub splits: Vec<Split> = Split::ALL.to_vec();
+        pub splits: Vec<Split> = Split::PAPER.to_vec();
         /// Fewest and most blocks.
         pub sizes: [usize; 2] = [1, N_BLOCKS], in 1..=N_BLOCKS,
             where |c| c.sizes.is_sorted() => "two ascending numbers";
@@ -160,6 +164,13 @@ impl EvaluatorConfig {
         let unknown = self.films.blueprints.iter().find(|id| Catalog::builtin().get(id).is_none());
         unknown.map_or(Ok(()), |id| Err(EvaluatorConfigError::UnknownBlueprint(id.clone())))
     }
+
+    /// The blueprints of the evaluation of the last weights: the selection with [`Self::last_splits`].
+    pub fn last_selection(&self) -> Selection {
+        let mut selection = self.selection.clone();
+        selection.splits.extend(self.last_splits.iter().filter(|split| !self.selection.splits.contains(split)));
+        selection
+    }
 }
 
 impl Selection {
@@ -200,6 +211,19 @@ mod tests {
     fn the_defaults_are_valid() {
         assert_eq!(EvaluatorConfig::default().validate(), Ok(()));
         assert_eq!(ResetFreeConfig::default().validate_at("reset_free"), Ok(()));
+    }
+
+    #[test]
+    fn the_last_evaluation_covers_more() {
+        let selection = Selection { splits: vec![Split::Train, Split::Validation], ..Default::default() };
+        let last_splits = vec![Split::Test, Split::Train];
+        let config = EvaluatorConfig { selection, last_splits, ..Default::default() };
+        let n = |selection: &Selection| selection.select(Catalog::builtin()).unwrap().len();
+        assert_eq!(n(&EvaluatorConfig::default().selection), 142 + 24);
+        assert_eq!(n(&EvaluatorConfig::default().last_selection()), 142 + 24);
+        assert_eq!(n(&config.selection), 142 + 24);
+        assert_eq!(config.last_selection().splits, [Split::Train, Split::Validation, Split::Test]);
+        assert_eq!(n(&config.last_selection()), 142 + 24 + 10);
     }
 
     #[test]

@@ -71,7 +71,9 @@ pub struct Stop {
 /// started, or the records cannot be written; also when another evaluator writes the same history.
 pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.validate().context("invalid evaluator configuration")?;
-    let selected = setup.config.selection.select(Catalog::builtin())?;
+    let selection = [&setup.config.selection, &setup.config.last_selection()];
+    let [selected, last_selected] = selection.map(|selection| selection.select(Catalog::builtin()));
+    let selected = Selected { usual: selected?, last: last_selected? };
     let records = setup.records.as_ref().map(Records::open).transpose()?;
     let history = past(setup.records.as_ref()).await?;
     let films = match &setup.records {
@@ -119,7 +121,7 @@ async fn evaluate_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
     mut weights: watch::Receiver<Option<Arc<Weights>>>,
-    selected: &[&'static Blueprint],
+    selected: &Selected,
     films: Option<&VideoRecorder>,
     mut outlets: Outlets<'_>,
     stop: &Stop,
@@ -129,23 +131,23 @@ async fn evaluate_all(
         alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
     };
     let mut workers = Dispatcher::start(bus, setup_hash(setup)).await?;
-    let mut last: Option<(Instant, Arc<Weights>)> = None;
+    let mut last: Option<Evaluated> = None;
     let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();
         let newest = tokio::select! {
             () = stop.now.cancelled() => return Ok(n_evaluations),
-            newest = next_due(setup, &mut weights, last.as_ref(), stop.last.clone()) => newest?,
+            newest = next_due(setup, &mut weights, last.as_ref(), selected, stop.last.clone()) => newest?,
         };
         drop(waiting);
-        let Some(newest) = newest else { return Ok(n_evaluations) };
+        let Some((newest, is_last)) = newest else { return Ok(n_evaluations) };
         let start = Instant::now();
-        last = Some((start, newest.clone()));
+        last = Some(Evaluated { start, weights: newest.clone(), is_last });
         let (parts, mut newest_part) = watch::channel(None);
         let selector = films.and_then(|films| films.selector(&newest, &setup.config.episodes.acting));
         let queue = Arc::new(WorkQueue::default());
         workers.open(queue.clone(), newest.clone());
-        let (selected, signals) = (selected.to_vec(), (&stop.now, bus.pulse()));
+        let (selected, signals) = (selected.of(is_last).to_vec(), (&stop.now, bus.pulse()));
         let evaluation = evaluate_once(setup, selected, newest, queue, selector, parts, signals);
         tokio::pin!(evaluation);
         let stamp = |mut report: EvalReport| {
@@ -212,33 +214,63 @@ impl Outlets<'_> {
     }
 }
 
-/// Waits for weights that are to be evaluated; `None` if there will be none.
+/// The blueprints of evaluations.
+struct Selected {
+    /// Of every evaluation but the one of the last weights.
+    usual: Vec<&'static Blueprint>,
+    /// Of that one: the usual ones, and those of [`EvaluatorConfig::last_splits`](crate::EvaluatorConfig::last_splits).
+    last: Vec<&'static Blueprint>,
+}
+
+impl Selected {
+    fn of(&self, is_last: bool) -> &[&'static Blueprint] {
+        if is_last { &self.last } else { &self.usual }
+    }
+
+    /// Whether an evaluation has told all that the evaluation of the last weights would.
+    fn is_covered(&self, evaluated: &Evaluated) -> bool {
+        evaluated.is_last || self.last.len() == self.usual.len()
+    }
+}
+
+/// The newest evaluation, complete or not.
+struct Evaluated {
+    start: Instant,
+    weights: Arc<Weights>,
+    /// Whether it was the one of the last weights.
+    is_last: bool,
+}
+
+/// Waits for weights that are to be evaluated, and says whether they are the last; `None` if there will be none.
 async fn next_due(
     setup: &EvaluatorSetup,
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
-    last: Option<&(Instant, Arc<Weights>)>,
+    last: Option<&Evaluated>,
+    selected: &Selected,
     mut last_version: Option<watch::Receiver<Option<WeightsVersion>>>,
-) -> anyhow::Result<Option<Arc<Weights>>> {
+) -> anyhow::Result<Option<(Arc<Weights>, bool)>> {
     loop {
         if let Some(version) = last_version.as_mut().and_then(|last_version| *last_version.borrow_and_update()) {
             // They may still be on their way. Should they have been lost, those before them are evaluated.
             let are_there = |weights: &Option<Arc<Weights>>| weights.as_ref().is_some_and(|w| w.version >= version);
             drop(tokio::time::timeout(LAST_WEIGHTS_WAIT, weights.wait_for(are_there)).await);
-            let evaluated = last.map(|(_, weights)| (weights.version, weights.n_env_steps));
+            let covered = last.filter(|last| selected.is_covered(last));
+            let evaluated = covered.map(|last| (last.weights.version, last.weights.n_env_steps));
             let newest = weights.borrow_and_update().clone();
-            return Ok(newest.filter(|newest| evaluated != Some((newest.version, newest.n_env_steps))));
+            let newest = newest.filter(|newest| evaluated != Some((newest.version, newest.n_env_steps)));
+            return Ok(newest.map(|newest| (newest, true)));
         }
         let newest = weights.borrow_and_update().clone();
         let rest = match newest {
             None => None,
             Some(newest) => {
-                let last = last.map(|(start, weights)| LastEvaluation {
-                    version: weights.version,
-                    n_env_steps: weights.n_env_steps,
-                    elapsed: start.elapsed(),
+                let last = last.map(|last| LastEvaluation {
+                    version: last.weights.version,
+                    n_env_steps: last.weights.n_env_steps,
+                    elapsed: last.start.elapsed(),
                 });
                 match due(setup.config.every, last, &newest) {
-                    Due::Now => return Ok(Some(newest)),
+                    Due::Now => return Ok(Some((newest, false))),
                     Due::After(rest) => Some(rest),
                     Due::WithNewer => None,
                 }

@@ -160,6 +160,7 @@ mod tests {
             ("gen2-tower-ff_4_003", [false, false]),
             ("16_404", [false, false]),
             (held_out.id().as_str(), [false, false]),
+            ("validation_7_000", [false, false]),
         ] {
             let trajectory = of_goal(goal, Start::Scattered);
             assert_eq!([&none, &some].map(|rules| rules.check(&trajectory).is_ok()), expected, "{goal}");
@@ -173,6 +174,7 @@ mod tests {
         for (start, is_admitted) in [
             (prebuilt("2_001"), true),
             (prebuilt(held_out.id().as_str()), false),
+            (prebuilt("validation_7_000"), false),
             (prebuilt("gen1-tower-ff_4_003"), false),
             (Start::NearGoal { undone: 2 }, true),
             (Start::NearGoal { undone: 3 }, false),

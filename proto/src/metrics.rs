@@ -295,7 +295,7 @@ fn complete() -> bool {
 /// Results of a group of blueprints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvalGroup {
-    /// `train 2-6`, `train 7-11`, `train 12-16`, `test 12-16`, `test special` or `all`.
+    /// `train 2-6`, `train 7-11`, `train 12-16`, `test 12-16`, `test special`, `validation` or `all`.
     pub name: String,
     /// Number of blueprints.
     pub n_blueprints: u64,

@@ -120,6 +120,36 @@ fn generated_goals_have_the_size_of_the_goals_they_replace() {
 }
 
 #[test]
+fn the_held_out_styles_are_not_drawn_by_default() {
+    let filter = TaskFilter::Sizes { min: 5, max: 6 };
+    let config = TaskConfig { filter, generated_probability: 1.0, ..Default::default() };
+    let draws = config.draws(Catalog::builtin()).unwrap().unwrap();
+    for style in Style::ALL {
+        let is_held_out = matches!(style, Style::Longest | Style::Tallest);
+        let request = Request { style, seed: 1, n_blocks: 6, index: 0 };
+        assert_eq!(draws.admit(&request), !is_held_out, "{style}");
+    }
+    for task in draw(&sampler(&config), 40) {
+        let request = Request::from_id(&task.blueprint).unwrap();
+        assert!(draws.admit(&request), "{request:?}");
+    }
+}
+
+#[test]
+fn validation_goals_are_neither_goals_nor_starts() {
+    let catalog = Catalog::builtin();
+    let config = TaskConfig { prebuilt_probability: 1.0, ..Default::default() };
+    let sampler = sampler(&config);
+    let split = |id: &BlueprintId| catalog.find(id).unwrap().split();
+    assert!(sampler.goals().all(|goal| split(goal) == Split::Train));
+    assert!(sampler.prebuilt.iter().all(|start| split(start) == Split::Train));
+    for name in ["validation_7_000", "gen1-arch-18_7_000"] {
+        let error = TaskFilter::Blueprints(vec![id(name)]).select(catalog).unwrap_err();
+        assert_eq!(error, FilterError::NotForTraining(id(name)));
+    }
+}
+
+#[test]
 fn assignments_permute_equal_blocks_only() {
     let inventory = Inventory::standard();
     let tasks = draw(&sampler(&TaskConfig::default()), 50);

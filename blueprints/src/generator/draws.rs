@@ -21,7 +21,7 @@ impl Draws {
     }
 
     /// Whether such a structure can be drawn. This only checks the request and generates nothing. Whether the structure
-    /// equals a held-out one is known only after generation.
+    /// has the outline of a held-out one is known only after generation.
     pub fn admit(&self, request: &Request) -> bool {
         self.styles.contains(&request.style)
             && self.sizes.contains(&request.n_blocks)

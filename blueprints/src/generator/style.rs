@@ -63,6 +63,21 @@ impl Style {
         Self::Tallest,
     ];
 
+    /// The styles of training goals by default: all but the longest and the tallest, which are held out.
+    pub const TRAINING: [Self; 11] = [
+        Self::Any,
+        Self::Tower,
+        Self::Wall,
+        Self::Arch,
+        Self::Bridge,
+        Self::Stairs,
+        Self::Pyramid,
+        Self::Table,
+        Self::Ring,
+        Self::Cross,
+        Self::Letter,
+    ];
+
     /// The name used in ids and flags.
     pub fn as_str(self) -> &'static str {
         match self {

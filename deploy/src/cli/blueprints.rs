@@ -58,7 +58,8 @@ pub struct ShowArgs {
     /// Which blueprints, for example 6_005 [default: all].
     #[arg(value_name = "ID", conflicts_with = "split")]
     pub ids: Vec<String>,
-    /// All of this part of the catalog: train, test, test-literal, test-longest or test-tallest.
+    /// All of this part of the catalog: train, test, test-literal, test-longest, test-tallest or
+    /// validation.
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,
     /// Width of a blueprint's picture in pixels.

@@ -18,7 +18,8 @@ pub struct ExpertEvalArgs {
     /// These blueprints of the catalog only; generated ones by their id as well.
     #[arg(value_name = "ID")]
     pub ids: Vec<String>,
-    /// This part of the catalog: train, test, test-literal, test-longest or test-tallest; may be repeated [default: all].
+    /// This part of the catalog: train, test, test-literal, test-longest, test-tallest or validation; may be repeated
+    /// [default: all but validation].
     #[arg(long, value_name = "S", conflicts_with = "ids")]
     pub split: Vec<Split>,
     /// Episodes per blueprint.

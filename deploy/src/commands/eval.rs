@@ -1,7 +1,7 @@
 //! `eval`: judges a policy on blueprints.
 
-use blueprints::Catalog;
-use evaluator::{Detail, EvalSetup, Selection, evaluate, render};
+use blueprints::{Catalog, Split};
+use evaluator::{Detail, EvalSetup, EvaluatorConfig, Selection, evaluate, render};
 
 use super::models::Source;
 use crate::cli::EvalArgs;
@@ -11,8 +11,8 @@ use crate::live::Terminal;
 
 /// Runs the episodes and prints the report.
 ///
-/// World, seed and, unless a split is asked for, the selection of blueprints are those of the run that the policy is from,
-/// or the defaults.
+/// World, seed and, unless a split is asked for, the blueprints of the evaluation of the last weights are those of the run
+/// that the policy is from, or the defaults.
 ///
 /// # Errors
 /// When the policy or the run's configuration cannot be read, or an episode cannot be started.
@@ -21,7 +21,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let config = source.config(&overrides)?;
     let of_split = |split| Selection { splits: vec![split], ..Selection::default() };
-    let selection = args.split.map_or_else(|| config.evaluator.selection.clone(), of_split);
+    let selection = args.split.map_or_else(|| final_selection(&config.evaluator), of_split);
     let catalog = Catalog::builtin();
     let blueprints = selection.select(catalog).map_err(|error| Failure::Usage(error.to_string()))?;
     let mut episodes = config.evaluator.episodes.clone();
@@ -44,4 +44,42 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         terminal.print(&render(&report, Detail::Blueprints));
     }
     Ok(())
+}
+
+/// What the run's evaluator judges at last. The validation split is for decisions on the way: without it, unless it is all
+/// that there is or its blueprints are named, "all" are the paper's blueprints.
+fn final_selection(config: &EvaluatorConfig) -> Selection {
+    let mut selection = config.last_selection();
+    if selection.splits != [Split::Validation] && selection.blueprints.is_empty() {
+        selection.splits.retain(|split| *split != Split::Validation);
+    }
+    selection
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn validation_is_judged_alone_or_by_name() {
+        let splits = |splits: &[Split], last_splits: &[Split]| {
+            let selection = Selection { splits: splits.to_vec(), ..Default::default() };
+            let last_splits = last_splits.to_vec();
+            final_selection(&EvaluatorConfig { selection, last_splits, ..Default::default() }).splits
+        };
+        assert_eq!(splits(&[Split::Train, Split::Validation], &[Split::Test]), [Split::Train, Split::Test]);
+        assert_eq!(splits(&[Split::Validation], &[]), [Split::Validation]);
+        let blueprints = vec!["validation_7_000".parse().unwrap()];
+        let selection = Selection { splits: vec![Split::Train, Split::Validation], blueprints, ..Default::default() };
+        let named = EvaluatorConfig { selection: selection.clone(), ..Default::default() };
+        assert_eq!(final_selection(&named), selection);
+    }
+
+    #[test]
+    fn the_shipped_policy_is_judged_on_the_papers_blueprints() {
+        let preset = crate::config::Preset::find("laptop").unwrap();
+        let config = crate::config::Config::parse(preset.text, preset.name).unwrap();
+        let judged = final_selection(&config.evaluator).select(Catalog::builtin()).unwrap();
+        assert_eq!(judged.len(), 142 + 24);
+    }
 }

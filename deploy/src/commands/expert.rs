@@ -105,10 +105,11 @@ fn defaults(overrides: &[Override]) -> Result<Config, Failure> {
     Ok(config)
 }
 
-/// The blueprints of those ids, or of those splits, or all.
+/// The blueprints of those ids, or of those splits, or of the paper's.
 fn select<'c>(catalog: &'c Catalog, ids: &[String], splits: &[Split]) -> Result<Vec<Cow<'c, Blueprint>>, Failure> {
     if ids.is_empty() {
-        let wanted = |blueprint: &&Blueprint| splits.is_empty() || splits.contains(&blueprint.split());
+        let splits = if splits.is_empty() { &Split::PAPER[..] } else { splits };
+        let wanted = |blueprint: &&Blueprint| splits.contains(&blueprint.split());
         return Ok(catalog.iter().filter(wanted).map(Cow::Borrowed).collect());
     }
     ids.iter().map(|id| find(catalog, id)).collect()

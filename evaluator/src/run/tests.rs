@@ -132,3 +132,44 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
     bus.close().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let episodes = EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() };
+    let small = small_setup(episodes.clone());
+    let blueprints = ["2_000", "validation_7_000"].map(|id| id.parse().unwrap()).to_vec();
+    let selection = Selection { splits: vec![Split::Train], blueprints, ..Default::default() };
+    let last_splits = vec![Split::Validation];
+    let config = EvaluatorConfig { every: Every::Versions(1), selection, last_splits, episodes, ..Default::default() };
+    let setup = EvaluatorSetup {
+        config,
+        policy: small_policy(),
+        environment: small.environment.clone(),
+        id: "judge".to_owned(),
+        seed: 3,
+        records: None,
+    };
+    let (reports, mut seen) = watch::channel(None);
+    let listeners = Listeners { reports: Some(reports), ..Default::default() };
+    let (tell, last) = watch::channel(None);
+    let stop = Stop { last: Some(last), ..Stop::default() };
+    let (its_bus, its_stop) = (bus.clone(), stop.clone());
+    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
+    let publisher = bus.weights_publisher().await.unwrap();
+    let untrained = weights();
+    publisher.publish(Arc::new(untrained.clone())).await.unwrap();
+    let ids = |report: &EvalReport| -> Vec<String> {
+        report.blueprints.iter().map(|score| score.blueprint.to_string()).collect()
+    };
+    let report = within(seen.wait_for(Option::is_some)).await.unwrap().clone().unwrap();
+    assert_eq!(ids(&report), ["2_000"]);
+    // Evaluated already, but not on the last splits.
+    tell.send_replace(Some(untrained.version));
+    assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 2 });
+    let report = seen.borrow().clone().unwrap();
+    assert_eq!(ids(&report), ["2_000", "validation_7_000"]);
+    assert_eq!(report.summary.groups.last().unwrap().name, "validation");
+    bus.close().await;
+}

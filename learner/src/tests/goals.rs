@@ -22,11 +22,13 @@ fn update(goals: &[String]) -> UpdateMetrics {
 
 #[test]
 fn held_out_structures_are_dropped_under_any_id() {
-    // The generator's id of a held-out tower.
-    let mut goals = vec!["gen1-tallest-16_14_162".to_owned(); 4];
-    goals.resize(32, "gen1-tower-7_3_001".to_owned());
-    let update = update(&goals);
-    assert_eq!((update.unmade_total, update.n_steps, update.n_env_steps), (4, 28 * 8, 28 * 8));
+    // The generator's ids of a tower of the test split and of an arch of the validation split.
+    for held_out in ["gen1-tallest-16_14_162", "gen1-arch-18_7_000"] {
+        let mut goals = vec![held_out.to_owned(); 4];
+        goals.resize(32, "gen1-tower-7_3_001".to_owned());
+        let update = update(&goals);
+        assert_eq!((update.unmade_total, update.n_steps, update.n_env_steps), (4, 28 * 8, 28 * 8), "{held_out}");
+    }
 }
 
 #[test]

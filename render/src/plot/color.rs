@@ -79,7 +79,8 @@ impl Scale {
 }
 
 /// Colors of the curves in order (Okabe and Ito, 2008).
-pub(super) const CURVES: [Rgb; 5] = [[0, 114, 178], [230, 159, 0], [0, 158, 115], [213, 94, 0], [150, 80, 160]];
+pub(super) const CURVES: [Rgb; 6] =
+    [[0, 114, 178], [230, 159, 0], [0, 158, 115], [213, 94, 0], [150, 80, 160], [86, 180, 233]];
 
 /// The color at `share` of the way, 0 to 1.
 fn along(colors: &[Rgb], share: f64) -> Rgb {

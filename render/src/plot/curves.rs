@@ -28,8 +28,8 @@ const LABEL_HEIGHT: f64 = 46.0;
 const MARKER: f64 = 5.5;
 const MAX_MARKED: usize = 40;
 
-/// Maximum number of runs in one plot: the number of colors and markers.
-pub const MAX_RUNS: usize = CURVES.len();
+/// Maximum number of runs in one plot, so that each has a color and a marker of its own.
+pub const MAX_RUNS: usize = 5;
 
 /// One curve of a plot.
 struct Curve {
@@ -69,7 +69,7 @@ pub fn comparison(runs: &[(String, Vec<&Pass>)], acting: ActionMode, title: &str
     let named = runs.iter().zip(rates.of_runs).enumerate();
     let curves = named.map(|(i, ((name, _), points))| Curve {
         name: name.clone(),
-        style: i % CURVES.len(),
+        style: i % MAX_RUNS,
         points: points.into_iter().map(|(steps, rate)| (steps as f64, rate)).collect(),
         n_blueprints: rates.n_blueprints,
     });
@@ -156,7 +156,8 @@ fn marker(drawing: &mut Drawing, style: usize, [x, y]: [f64; 2], color: Rgb) {
         1 => (4, 0.125, 1.25),
         2 => (3, -0.25, 1.4),
         3 => (4, 0.0, 1.3),
-        _ => (3, 0.25, 1.4),
+        4 => (3, 0.25, 1.4),
+        _ => (5, -0.25, 1.25),
     };
     let corner = |i: u32| {
         let angle = std::f64::consts::TAU * (f64::from(i) / f64::from(n_corners) + first);

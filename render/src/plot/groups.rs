@@ -13,7 +13,7 @@ use runlog::series::{group_of, outcome_of};
 /// Results of a group with one action mode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GroupRow {
-    /// `train 2-6` and so on, `all`, or `reset-free`.
+    /// `train 2-6` and so on, `validation`, `all`, or `reset-free`.
     pub name: String,
     /// Number of blueprints, or of goals in a reset-free run.
     pub n_blueprints: usize,
@@ -31,13 +31,11 @@ pub struct GroupRow {
     pub n_diverged: u64,
 }
 
-/// The rows of an evaluation: the paper's groups in its order, all blueprints, and the reset-free runs; those that were
-/// not evaluated are left out.
+/// The rows of an evaluation: the paper's groups in its order, the validation split, all blueprints, and the reset-free
+/// runs; those that were not evaluated are left out.
 pub fn rows(pass: &Pass) -> Vec<GroupRow> {
-    use Group::{Test12To16, TestSpecial, Train2To6, Train7To11, Train12To16};
-    let groups = [Train2To6, Train7To11, Train12To16, Test12To16, TestSpecial].map(Some);
     let mut rows = Vec::new();
-    for group in groups.into_iter().chain([None]) {
+    for group in Group::ALL.map(Some).into_iter().chain([None]) {
         for acting in [ActionMode::Greedy, ActionMode::Sampled] {
             let members = pass.blueprints.iter().filter(|score| group.is_none() || group_of(score) == group);
             let outcomes: Vec<&EvalOutcome> = members.filter_map(|score| outcome_of(score, acting)).collect();

@@ -120,6 +120,7 @@ fn split_label(split: Split) -> &'static str {
         Split::TestLiteral => "test literal",
         Split::TestLongest => "test longest",
         Split::TestTallest => "test tallest",
+        Split::Validation => "validation",
     }
 }
 
