@@ -40,6 +40,10 @@ doc:
 test *ARGS:
     {{ if ARGS == "" { ".ci/run test" } else { "cargo test --locked " + ARGS } }}
 
+# The network in PyTorch, and its export to ONNX.
+python:
+    .ci/run python
+
 # Both fuzz targets, a minute each.
 fuzz:
     .ci/run fuzz
