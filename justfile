@@ -40,6 +40,10 @@ doc:
 test *ARGS:
     {{ if ARGS == "" { ".ci/run test" } else { "cargo test --locked " + ARGS } }}
 
+# The network in PyTorch, and its export to ONNX.
+python:
+    .ci/run python
+
 # Both fuzz targets, a minute each.
 fuzz:
     .ci/run fuzz
@@ -52,9 +56,9 @@ kubernetes:
 launchers:
     .ci/run soak compose slurm
 
-# Speed, crate by crate; compare with docs/performance.md.
-bench:
-    cargo bench --locked -p environment -p policy -p learner --benches
+# Speed beside burn, jax, torch and MuJoCo, as in docs/performance.md: `just bench network --rounds 1`.
+bench *ARGS:
+    python3 tests/benches/peers.py --install {{ ARGS }}
 
 # Instructions of the hot paths, compared with those in the repository; needs valgrind.
 instructions *ARGS:

@@ -1,8 +1,6 @@
-"""The same 16 blocks in MuJoCo, timed beside this crate's own bench.
+"""The same 16 blocks in MuJoCo; prints one JSON object: its version, and for each case control steps per CPU-second.
 
-Usage: pip install mujoco numpy; cargo build --release -p environment --benches; python environment/benches/mujoco_peer.py BENCH_BINARY
-BENCH_BINARY is the `world` bench; called with `--json` it prints one JSON object: case name -> control steps per
-CPU-second. Both sides run in turn and the best of each counts. A control step is 10 substeps of 10 ms on either side.
+A control step is 10 substeps of 10 ms, as in this crate's bench `world`. Run by tests/benches/peers.py.
 
 settled: nothing is touched. random: two random blocks get a random velocity for each control step.
 held: the 16 blocks are welded into one row (one weld per joint), gravity compensated, and held still.
@@ -11,8 +9,6 @@ moved: as held, and the row is swung. MuJoCo gets no magnets, no features and no
 
 import json
 import resource
-import subprocess
-import sys
 
 import mujoco
 import numpy as np
@@ -78,17 +74,8 @@ def rate(case, n_steps=400):
 
 
 def main():
-    cases = ["settled", "random", "held", "moved"]
-    ours, peer = {}, {}
-    for _ in range(3):
-        out = json.loads(subprocess.run([sys.argv[1], "--json"], check=True, capture_output=True, text=True).stdout)
-        for case in cases:
-            ours[case] = max(ours.get(case, 0.0), out[case])
-            peer[case] = max(peer.get(case, 0.0), rate(case))
-    print(f"MuJoCo {mujoco.__version__}; control steps per CPU-second, best of 3")
-    print(f"{'case':8} {'ours':>10} {'MuJoCo':>10}  ratio")
-    for case in cases:
-        print(f"{case:8} {ours[case]:10.0f} {peer[case]:10.0f}  {ours[case] / peer[case]:.2f}")
+    rates = {case: rate(case) for case in ("settled", "random", "held", "moved")}
+    print(json.dumps({"version": mujoco.__version__} | rates))
 
 
 if __name__ == "__main__":

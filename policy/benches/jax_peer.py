@@ -1,15 +1,9 @@
-"""The paper's network in JAX on the CPU, folded as in `policy`, against `cargo bench -p policy`; prints the ratio.
+"""The paper's network in JAX on the CPU, folded as in `policy`; prints samples per CPU-second.
 
-    python3 -m venv /tmp/peer && /tmp/peer/bin/pip install jax
-    cargo bench -p policy --bench network > ours.txt
-    /tmp/peer/bin/python policy/benches/jax_peer.py ours.txt
-
-Both use one thread and count CPU time, the best of several rounds. A ratio above 1 means that ours is faster.
+Run by tests/benches/peers.py.
 """
 
 import os
-import sys
-import time
 
 os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -18,8 +12,10 @@ os.environ["JAX_PLATFORMS"] = "cpu"
 import jax
 import jax.numpy as jnp
 
-N, W, H, HIDDEN = 16, 64, 4, 256
-ND, ED, GD = 3, 24, 50
+import peer
+from peer import ED, GD, N, ND
+
+W, H, HIDDEN = 64, 4, 256
 
 
 def init(key):
@@ -103,36 +99,16 @@ def loss(p, *batch):
     return value.sum() + (logits**2).sum() + (locs**2).sum() + jnp.log(scales).sum()
 
 
-def measure(work, b):
-    for _ in range(3):
-        jax.block_until_ready(work())
-    best, end = float("inf"), time.monotonic() + 4
-    while time.monotonic() < end:
-        n = max(64 // b, 1)
-        start = time.process_time()
-        for _ in range(n):
-            jax.block_until_ready(work())
-        best = min(best, (time.process_time() - start) / (n * b))
-    return best * 1e3
-
-
 def main():
-    ours = {}
-    for line in open(sys.argv[1]) if len(sys.argv) > 1 else []:
-        words = line.split()
-        if len(words) > 3 and words[3] == "ms/sample":
-            ours[words[0], int(words[1])] = float(words[2])
+    print(f"version {jax.__version__}")
     p = init(jax.random.key(0))
     folded = jax.jit(fold)(p)
     run, grad = jax.jit(forward), jax.jit(jax.grad(loss))
-    for kind, b in [("forward", 1), ("forward", 16), ("forward", 64), ("update", 256), ("update", 512)]:
+    for kind, b in peer.CASES:
         k = jax.random.split(jax.random.key(b), 3)
         batch = [jax.random.uniform(k[0], (b, N, ND)), jax.random.uniform(k[1], (b, N, N, ED)), jax.random.uniform(k[2], (b, GD))]
-        ms = measure((lambda: run(p, folded, *batch)) if kind == "forward" else (lambda: grad(p, *batch)), b)
-        line = f"{kind} {b}: jax {ms:.4f} ms/sample"
-        if (kind, b) in ours:
-            line += f", ours {ours[kind, b]:.4f}, ratio {ms / ours[kind, b]:.2f}"
-        print(line)
+        work = (lambda: run(p, folded, *batch)) if kind == "forward" else (lambda: grad(p, *batch))
+        peer.report(kind, b, lambda: jax.block_until_ready(work()))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 //! Forward passes and updates of the paper's network in samples per CPU-second, on one thread.
 //!
-//! `cargo bench -p policy`; `benches/jax_peer.py` runs the same work in JAX and prints the ratio. Arguments choose: `forward` or
-//! `update`, `burn` for the same on burn's tensors, `extended` for all features instead of the paper's.
+//! `cargo bench -p policy`; `tests/benches/peers.py` runs it beside jax and torch and prints the ratios. Arguments choose:
+//! `forward` or `update`, `burn` for the same on burn's tensors, `extended` for all features instead of the paper's.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};

@@ -1,0 +1,29 @@
+"""How the peers of the network are timed: as `cargo bench -p policy --bench network` times ours.
+
+One thread, CPU time, the best of several rounds, and the same lines as output. tests/benches/peers.py runs all sides.
+"""
+
+import time
+
+N, ND, ED, GD = 16, 3, 24, 50
+CASES = [("forward", 1), ("forward", 16), ("forward", 64), ("update", 64), ("update", 256)]
+SECONDS = 4.0
+
+
+def best(work, n):
+    """Least CPU-seconds of one call of `work`, called `n` times between looks at the clock."""
+    for _ in range(3):
+        work()
+    least, end = float("inf"), time.monotonic() + SECONDS
+    while time.monotonic() < end:
+        start = time.process_time()
+        for _ in range(n):
+            work()
+        least = min(least, (time.process_time() - start) / n)
+    return least
+
+
+def report(kind, b, work):
+    """Times `work` on a batch of `b` and prints the line of this case."""
+    seconds = best(work, max(64 // b, 1)) / b
+    print(f"{kind} {b} {seconds * 1e3:.4f} ms/sample {1 / seconds:.0f} samples/s", flush=True)

@@ -1,0 +1,78 @@
+"""The paper's network in PyTorch on the CPU, run eagerly, folded as in `policy`; prints samples per CPU-second.
+
+It is the module python/lodestone_torch.py. Beside the speeds it prints what bounds them: how fast this core multiplies two
+matrices of 512 x 512, and the operations of matrix products per sample, with the paper's features and with those that a learner
+has by default. Run by tests/benches/peers.py.
+"""
+
+import sys
+from pathlib import Path
+
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "python"))
+
+import peer
+from lodestone_torch import Config, GraphNetwork
+
+# Numbers of features in `policy::FeatureConfig::paper` and `::default`.
+SIZES = {"paper": (peer.ND, peer.ED, peer.GD), "default": (10, 36, 50)}
+
+
+def network(sizes):
+    """A network with random kernels."""
+    torch.manual_seed(0)
+    made = GraphNetwork(Config(*sizes))
+    with torch.no_grad():
+        for name, value in made.named_parameters():
+            if name.endswith(".w"):
+                value.normal_(std=value.shape[0] ** -0.5)
+    return made
+
+
+def batch(sizes, b):
+    """Nodes, edges from all senders to all receivers, globals."""
+    nd, ed, gd = sizes
+    return torch.rand(b, peer.N, nd), torch.rand(b, peer.N, peer.N, ed), torch.rand(b, gd)
+
+
+def forward(made, folded, inputs):
+    with torch.no_grad():
+        made.forward_dense(*inputs, folded)
+
+
+def update(made, inputs):
+    """Gradients of the loss of the reference values."""
+    logits, locs, scales, values = made.forward_dense(*inputs)
+    loss = values.sum() + logits.square().sum() + locs.square().sum() + scales.log().sum()
+    torch.autograd.grad(loss, list(made.parameters()))
+
+
+def count(work):
+    """Operations of the matrix products in `work`, a multiplication and an addition counted as two."""
+    with FlopCounterMode(display=False) as counter:
+        work()
+    return counter.get_total_flops()
+
+
+def main():
+    torch.set_num_threads(1)
+    print(f"version {torch.__version__.split('+')[0]}")
+    for name, sizes in SIZES.items():
+        made, inputs, b = network(sizes), batch(sizes, 256), 256
+        folded = made.fold()
+        print(f"operations forward {name} {count(lambda: forward(made, folded, inputs)) / b:.0f}")
+        print(f"operations update {name} {count(lambda: update(made, inputs)) / b:.0f}")
+    x, y = torch.rand(512, 512), torch.rand(512, 512)
+    print(f"sgemm 512 {2 * 512**3 / peer.best(lambda: x @ y, 4) / 1e9:.1f} GFLOP/s")
+    made = network(SIZES["paper"])
+    with torch.no_grad():
+        folded = made.fold()
+    for kind, b in peer.CASES:
+        inputs = batch(SIZES["paper"], b)
+        peer.report(kind, b, lambda: forward(made, folded, inputs) if kind == "forward" else update(made, inputs))
+
+
+if __name__ == "__main__":
+    main()

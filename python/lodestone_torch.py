@@ -1,0 +1,419 @@
+"""Lodestone's policy in PyTorch: the folded graph-attention network, in one file.
+
+    policy = Policy.load("policy.safetensors")              # what `lodestone export` writes
+    logits, locs, scales, values = policy(nodes, edges, globals_)
+    policy.export_onnx("policy.onnx")
+
+`python lodestone_torch.py policy.safetensors policy.onnx` does the last. `Policy` acts: it normalizes features, and it
+folds its parameters once. `GraphNetwork` is what learns: it folds in each pass, so gradients reach every parameter.
+
+Shapes, for a batch of B scenes; policy/src/features.rs lists the features, `nd`, `ed` and `gd` are their numbers:
+
+| tensor | shape | meaning |
+|---|---|---|
+| nodes | [B, 16, nd] | features of the blocks |
+| edges | [B, 240, ed] | features of pairs: for each sender, for each other block as the receiver |
+| globals | [B, gd] | features of the grippers; each one's part ends with the one-hot of the block that it held |
+| logits | [B, G, 16] | each gripper's choice of a block, not masked |
+| locs, scales | [B, 16, 6] | mean and standard deviation of each block's move, in fractions of the speed limits |
+| values | [B] | expected return |
+
+Why folding is the same network: every map between an edge and its attention is linear, so the maps are multiplied into
+each other. They then act on 16 nodes instead of 240 edges (policy/src/network/gat.rs has the algebra).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+N_BLOCKS = 16
+MOVE = 6
+FORMAT_VERSION = 1
+MAX_NORMALIZED = 10.0
+LAYER_NORM_EPSILON = 1e-5
+NO_EDGE = -1e9
+
+
+class Output(NamedTuple):
+    """What the network says about a batch; shapes as in the table above."""
+
+    logits: Tensor
+    locs: Tensor
+    scales: Tensor
+    values: Tensor
+
+
+class Folded(NamedTuple):
+    """The edge path of one layer after folding: H heads, width w, `ed` edge features."""
+
+    to_node: Tensor  # [w, H·w]: from a receiver to what its senders are compared with; empty without attention
+    to_edge: Tensor  # [w, H·ed]: the same for its edges
+    from_nodes: Tensor  # [H·w, w], or [w, w] without attention: from averaged senders to the residual
+    from_edges: Tensor  # [H·ed, w], or [ed, w] without attention: from averaged edge features to the residual
+    constant: Tensor  # [w]: the edge encoder's bias on its way to the residual
+
+
+@dataclass(frozen=True)
+class Config:
+    """Sizes of features and network; the defaults are the paper's."""
+
+    node: int = 3
+    edge: int = 24
+    global_: int = 50
+    width: int = 64
+    n_grippers: int = 2
+    value_hidden: tuple[int, ...] = (512, 512, 512)
+    attention: bool = True
+    self_edges: bool = False
+    n_layers: int = 3
+    n_heads: int = 4
+    head_dim: int = 64
+    mlp_hidden: int = 256
+    init_std: float | None = None
+    max_std: float | None = None
+    floor: float = 1e-6
+
+    @classmethod
+    def of(cls, header: dict[str, Any]) -> Config:
+        """Reads the header of an exported policy. Raises ValueError if its encoder is not the graph network."""
+        network = header["policy"]["network"]
+        encoder = dict(network["encoder"])
+        kind = encoder.pop("kind")
+        if kind != "gat":
+            raise ValueError(f"its encoder is `{kind}`; only `gat`, the graph network, is written here")
+        shapes = {entry["name"]: entry["shape"] for entry in header["table"]}
+        sizes = {name: shapes[f"embed_{name.rstrip('_')}.w"][0] for name in ("node", "edge", "global_")}
+        rest = {"width": network["width"], "n_grippers": network["n_grippers"]}
+        return cls(**sizes, **rest, **encoder, **network["scale"], value_hidden=tuple(network["value_hidden"]))
+
+    def scale_offset(self) -> float:
+        """The constant before the softplus, so that an input of 0 gives `init_std`."""
+        if self.init_std is None:
+            return 0.0
+        std = self.init_std
+        if self.max_std is not None:
+            std = self.max_std * math.atanh(std / self.max_std)
+        return math.log(math.expm1(max(std - self.floor, 1e-6)))
+
+
+class Linear(nn.Module):
+    """y = x w + b with a kernel [in, out], as Lodestone stores it."""
+
+    def __init__(self, n_in: int, n_out: int, bias: bool = True):
+        super().__init__()
+        self.w = nn.Parameter(torch.zeros(n_in, n_out))
+        self.b = nn.Parameter(torch.zeros(n_out)) if bias else None
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.linear(x, self.w.t(), self.b)
+
+
+class LayerNorm(nn.Module):
+    """Normalizes the last axis, then scales and shifts it."""
+
+    def __init__(self, width: int):
+        super().__init__()
+        self.scale = nn.Parameter(torch.ones(width))
+        self.offset = nn.Parameter(torch.zeros(width))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.layer_norm(x, self.scale.shape, self.scale, self.offset, LAYER_NORM_EPSILON)
+
+
+def mlp(*widths: int) -> nn.ModuleList:
+    return nn.ModuleList(Linear(a, b) for a, b in zip(widths, widths[1:]))
+
+
+class GraphLayer(nn.Module):
+    """Attention over the senders of each block, then an MLP per node and one for the scene."""
+
+    def __init__(self, c: Config):
+        super().__init__()
+        self.config = c
+        inner = c.n_heads * c.head_dim
+        self.message = Linear(2 * c.width, inner, bias=False)
+        if c.attention:
+            self.query = Linear(2 * c.width, inner, bias=False)
+            self.key = Linear(c.width, inner, bias=False)
+        self.node_proj = Linear(inner, c.width, bias=False)
+        self.ln_attn = LayerNorm(c.width)
+        self.mlp_node = mlp(2 * c.width, c.mlp_hidden, c.width)
+        self.ln_mlp = LayerNorm(c.width)
+        self.mlp_global = mlp(2 * c.width, c.mlp_hidden, c.width)
+        self.ln_global = LayerNorm(c.width)
+
+    def fold(self, embed_edge: Linear) -> Folded:
+        """Multiplies the matrices that follow each other without a non-linearity between them."""
+        c = self.config
+
+        def by_head(w: Tensor) -> Tensor:  # [w, H·d] -> [H, w, d]
+            return w.reshape(c.width, c.n_heads, c.head_dim).transpose(0, 1)
+
+        project = self.node_proj.w.reshape(c.n_heads, c.head_dim, c.width)
+        from_nodes, from_embedded = (by_head(w) @ project for w in self.message.w.split(c.width))
+        constant = embed_edge.b @ from_embedded.sum(0)
+        from_edges = embed_edge.w @ from_embedded
+        if not c.attention:
+            # All heads average alike, so their projections add up.
+            none = self.message.w.new_empty(0)
+            return Folded(none, none, from_nodes.sum(0), from_edges.sum(0), constant)
+        key = by_head(self.key.w) / math.sqrt(c.head_dim)
+        to_node, to_embedded = (key @ by_head(w).transpose(1, 2) for w in self.query.w.split(c.width))
+        to_edge = to_embedded @ embed_edge.w.t()
+        return Folded(
+            to_node.transpose(0, 1).flatten(1),
+            to_edge.transpose(0, 1).flatten(1),
+            from_nodes.flatten(0, 1),
+            from_edges.flatten(0, 1),
+            constant,
+        )
+
+    def attend(self, nodes: Tensor, edges: Tensor, no_edge: Tensor, folded: Folded) -> Tensor:
+        """Attention weights [B, 16 receivers, H, 16 senders]."""
+        c, ed = self.config, edges.shape[-1]
+        by_node = (nodes @ folded.to_node).reshape(-1, N_BLOCKS * c.n_heads, c.width)
+        by_edge = (nodes @ folded.to_edge).reshape(-1, N_BLOCKS, c.n_heads, ed)
+        logits = (by_node @ nodes.transpose(1, 2)).reshape(-1, N_BLOCKS, c.n_heads, N_BLOCKS)
+        return torch.softmax(logits + by_edge @ edges.transpose(2, 3) + no_edge, -1)
+
+    def residual(self, nodes: Tensor, edges: Tensor, no_edge: Tensor, folded: Folded) -> Tensor:
+        """What the edges bring to each node, [B, 16, w]."""
+        c, ed = self.config, edges.shape[-1]
+        if c.attention:
+            weights = self.attend(nodes, edges, no_edge, folded)
+            mean_nodes = weights.reshape(-1, N_BLOCKS * c.n_heads, N_BLOCKS) @ nodes
+            mean_nodes = mean_nodes.reshape(-1, N_BLOCKS, c.n_heads * c.width)
+            mean_edges = (weights @ edges).reshape(-1, N_BLOCKS, c.n_heads * ed)
+        elif c.self_edges:
+            mean_nodes, mean_edges = nodes.mean(1, keepdim=True).expand_as(nodes), edges.mean(2)
+        else:
+            n_senders = N_BLOCKS - 1
+            mean_nodes = (nodes.sum(1, keepdim=True) - nodes) / n_senders
+            mean_edges = edges.sum(2) / n_senders
+        return mean_nodes @ folded.from_nodes + mean_edges @ folded.from_edges + folded.constant
+
+    def forward(
+        self, nodes: Tensor, scene: Tensor, edges: Tensor, no_edge: Tensor, folded: Folded
+    ) -> tuple[Tensor, Tensor]:
+        """nodes [B, 16, w], scene [B, w], edges [B, 16 receivers, 16 senders, ed] -> the new nodes and scene."""
+        y = self.ln_attn(nodes + self.residual(nodes, edges, no_edge, folded))
+        # The scene's half of the first layer is computed once per scene, not once per node.
+        first, second = self.mlp_node
+        on_node, on_scene = first.w.split(self.config.width)
+        shared = scene @ on_scene + first.b
+        nodes = self.ln_mlp(second(torch.relu(y @ on_node + shared.unsqueeze(1))) + y)
+        first, second = self.mlp_global
+        hidden = torch.relu(first(torch.cat([scene, nodes.sum(1)], -1)))
+        return nodes, self.ln_global(second(hidden) + scene)
+
+
+class PolicyHead(nn.Module):
+    """From nodes and scene to the action distribution."""
+
+    def __init__(self, c: Config):
+        super().__init__()
+        self.config = c
+        self.input_global = Linear(c.global_, c.width, bias=False)
+        self.act_loc = Linear(c.width, MOVE)
+        self.act_scale = Linear(c.width, MOVE)
+        self.grip_key = Linear(2 * c.width, c.n_grippers * c.width, bias=False)
+        self.block_key = Linear(c.width + c.n_grippers, c.width, bias=False)
+
+    def forward(self, nodes: Tensor, scene: Tensor, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """nodes [B, 16, w], scene [B, w], features of the scene [B, gd] -> logits, locs, scales."""
+        c = self.config
+        grip = self.grip_key(torch.cat([self.input_global(raw), scene], -1)).reshape(-1, c.n_grippers, c.width)
+        held = raw.reshape(-1, c.n_grippers, c.global_ // c.n_grippers)[:, :, -N_BLOCKS:].transpose(1, 2)
+        keys = self.block_key(torch.cat([nodes, held], -1))
+        logits = grip @ keys.transpose(1, 2) / math.sqrt(c.width)
+        scales = F.softplus(self.act_scale(nodes) + c.scale_offset()) + c.floor
+        if c.max_std is not None:
+            scales = (torch.tanh(scales / c.max_std) * c.max_std).clamp(min=c.floor)
+        return logits, self.act_loc(nodes), scales
+
+
+class ValueHead(nn.Module):
+    """From the scene and the choice of blocks to the value."""
+
+    def __init__(self, c: Config):
+        super().__init__()
+        self.input_global = Linear(c.global_, c.width, bias=False)
+        self.graph_global = Linear(c.width, c.width, bias=False)
+        self.mlp = mlp(2 * c.width + c.n_grippers * N_BLOCKS, *c.value_hidden, 1)
+
+    def forward(self, scene: Tensor, raw: Tensor, logits: Tensor) -> Tensor:
+        """scene [B, w], features of the scene [B, gd], logits [B, G, 16] -> [B]."""
+        # The value shall not steer the choice of blocks.
+        choice = torch.softmax(logits.detach(), -1).flatten(1)
+        x = torch.cat([self.input_global(raw), self.graph_global(scene), choice], -1)
+        for j, layer in enumerate(self.mlp):
+            x = layer(torch.relu(x) if j else x)
+        return x.squeeze(-1)
+
+
+class GraphNetwork(nn.Module):
+    """The actor-critic. Names and order of `state_dict()` are those of the file; parameters begin at 0."""
+
+    def __init__(self, config: Config):
+        super().__init__()
+        c = self.config = config
+        self.embed_node = Linear(c.node, c.width)
+        self.embed_edge = Linear(c.edge, c.width)
+        self.embed_global = Linear(c.global_, c.width)
+        for n in range(c.n_layers):
+            self.add_module(f"layer{n}", GraphLayer(c))
+        self.head = PolicyHead(c)
+        self.value = ValueHead(c)
+        diagonal = torch.eye(N_BLOCKS, dtype=torch.bool)
+        no_edge = torch.zeros(N_BLOCKS, N_BLOCKS).masked_fill(diagonal & (not c.self_edges), NO_EDGE)
+        self.register_buffer("no_edge", no_edge.reshape(1, N_BLOCKS, 1, N_BLOCKS), persistent=False)
+        self.register_buffer("listed", listed(c.self_edges), persistent=False)
+
+    def layers(self) -> list[GraphLayer]:
+        return [self.get_submodule(f"layer{n}") for n in range(self.config.n_layers)]
+
+    def fold(self) -> list[Folded]:
+        """The part of a pass that depends on parameters alone; valid until they change."""
+        return [layer.fold(self.embed_edge) for layer in self.layers()]
+
+    def dense_edges(self, edges: Tensor) -> Tensor:
+        """[B, 240, ed], or [B, 256, ed] with self-edges -> [B, 16 receivers, 16 senders, ed], zeros without an edge."""
+        dense = F.pad(edges, (0, 0, 0, 1)).index_select(1, self.listed)
+        return dense.reshape(-1, N_BLOCKS, N_BLOCKS, edges.shape[-1])
+
+    def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor, folded: list[Folded] | None = None) -> Output:
+        """Features as the network learned to read them -> output; values in the unit of the targets of training."""
+        return self.forward_dense(nodes, self.dense_edges(edges), globals_, folded)
+
+    def forward_dense(self, nodes: Tensor, edges: Tensor, raw: Tensor, folded: list[Folded] | None = None) -> Output:
+        """The same with edges as `dense_edges` gives them."""
+        n, g = self.embed_node(nodes), self.embed_global(raw)
+        for layer, matrices in zip(self.layers(), folded or self.fold()):
+            n, g = layer(n, g, edges, self.no_edge, matrices)
+        logits, locs, scales = self.head(n, g, raw)
+        return Output(logits, locs, scales, self.value(g, raw, logits))
+
+
+def listed(self_edges: bool) -> Tensor:
+    """[256]: where the edge to receiver i from sender j stands in the list of edges, for i, for j. The list has no
+    self-edges as a rule; they stand behind its end, where `dense_edges` puts zeros."""
+    n = N_BLOCKS
+
+    def at(sender: int, receiver: int) -> int:
+        if self_edges:
+            return sender * n + receiver
+        if sender == receiver:
+            return n * (n - 1)
+        return sender * (n - 1) + receiver - (receiver > sender)
+
+    return torch.tensor([at(sender, receiver) for receiver in range(n) for sender in range(n)])
+
+
+class Policy(nn.Module):
+    """A policy that acts: it takes features as they are, and its values are returns.
+
+    Its parameters are folded once and get no gradients. After training `network`, make a new one with it and the same
+    header: `Policy(network, policy.header)`.
+    """
+
+    def __init__(self, network: GraphNetwork, header: dict[str, Any]):
+        super().__init__()
+        self.network = network
+        self.header = header
+        # The spelling of format version 1.
+        normalization = header["normalisation"]
+        self.value_mean, self.value_std = normalization["value_mean"], normalization["value_std"]
+        sizes = (network.config.node, network.config.edge, network.config.global_)
+        for k, size in enumerate(sizes):
+            # Features without statistics stay as they are.
+            mean, std = (
+                normalization["feature_mean"][k] or [0.0] * size,
+                normalization["feature_std"][k] or [1.0] * size,
+            )
+            limit = MAX_NORMALIZED if normalization["feature_mean"][k] else math.inf
+            for name, value in (("mean", mean), ("std", std), ("limit", limit)):
+                self.register_buffer(f"{name}{k}", torch.tensor(value, dtype=torch.float32), persistent=False)
+        with torch.no_grad():
+            for n, matrices in enumerate(network.fold()):
+                for name, value in matrices._asdict().items():
+                    self.register_buffer(f"folded{n}_{name}", value, persistent=False)
+        self.eval()
+
+    @classmethod
+    def load(cls, path: str | Path) -> Policy:
+        """Reads a file that `lodestone export` wrote. Raises ValueError, which names the file, if it is none."""
+        try:
+            with safe_open(str(path), framework="pt") as file:
+                entry = (file.metadata() or {}).get("lodestone")
+                tensors = {name: file.get_tensor(name) for name in file.keys()}
+            if entry is None:
+                raise ValueError("its metadata has no entry `lodestone`; write one with `lodestone export`")
+            header = json.loads(entry)
+            if header["format_version"] != FORMAT_VERSION:
+                raise ValueError(
+                    f"its format version is {header['format_version']}, this module reads {FORMAT_VERSION}"
+                )
+            network = GraphNetwork(Config.of(header))
+            for name, value in network.state_dict().items():
+                if name not in tensors or tensors[name].shape != value.shape:
+                    raise ValueError(f"it has no tensor {name} of shape {list(value.shape)}")
+            network.load_state_dict(tensors)
+        except (OSError, SafetensorError, KeyError, TypeError, RuntimeError, ValueError) as error:
+            raise ValueError(f"{path} is not a policy that this module reads: {error}") from error
+        return cls(network, header)
+
+    def save(self, path: str | Path) -> None:
+        """Writes a file that Lodestone reads, for example `lodestone eval --checkpoint FILE`."""
+        tensors = {name: value.float().contiguous() for name, value in self.network.state_dict().items()}
+        save_file(tensors, str(path), metadata={"lodestone": json.dumps(self.header, separators=(",", ":"))})
+
+    def folded(self) -> list[Folded]:
+        """The folded matrices."""
+        layers = range(self.network.config.n_layers)
+        return [Folded(*(getattr(self, f"folded{n}_{name}") for name in Folded._fields)) for n in layers]
+
+    @torch.no_grad()
+    def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor) -> Output:
+        """Features as policy/src/features.rs lists them -> output."""
+        features = []
+        for k, x in enumerate((nodes, edges, globals_)):
+            mean, std, limit = (getattr(self, f"{name}{k}") for name in ("mean", "std", "limit"))
+            features.append(((x - mean) / std).clamp(-limit, limit))
+        output = self.network(*features, self.folded())
+        return output._replace(values=output.values * self.value_std + self.value_mean)
+
+    def export_onnx(self, path: str | Path) -> None:
+        """Writes an ONNX graph of any batch size: inputs nodes, edges, globals; outputs as the fields of `Output`."""
+        c = self.network.config
+        # Any number but 1, which the exporter would take for a constant.
+        b, n_edges = 2, self.network.listed.unique().numel() - (not c.self_edges)
+        example = tuple(torch.zeros(b, *shape) for shape in [(N_BLOCKS, c.node), (n_edges, c.edge), (c.global_,)])
+        batch = torch.export.Dim("batch")
+        torch.onnx.export(
+            self,
+            example,
+            str(path),
+            input_names=["nodes", "edges", "globals"],
+            output_names=list(Output._fields),
+            dynamic_shapes=({0: batch}, {0: batch}, {0: batch}),
+            dynamo=True,
+            external_data=False,
+            verbose=False,
+        )
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(f"usage: python {sys.argv[0]} policy.safetensors policy.onnx")
+    Policy.load(sys.argv[1]).export_onnx(sys.argv[2])

@@ -1,0 +1,94 @@
+"""Reads the network's reference values, and makes the parameters and inputs that they belong to.
+
+policy/tests/golden/README.md says where they come from. `generate` is the counterpart of the function of that name in
+policy/tests/reference/common.rs.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "python"))
+
+from lodestone_torch import Config, GraphNetwork
+
+GOLDEN = ROOT / "policy/tests/golden"
+PRETRAINED = ROOT / "deploy/pretrained/model.safetensors"
+# Names of the outputs in the files, in the order of `Output`.
+OUTPUTS = ("grip_logits", "block_act_locs", "block_act_scales", "value")
+_RATIO, _ALL = 0x9E3779B97F4A7C15, (1 << 64) - 1
+
+
+def read(name: str) -> dict[str, Any]:
+    return json.loads((GOLDEN / name).read_text())
+
+
+def generate(name: str, seed: int, n: int) -> np.ndarray:
+    """`n` numbers in [-1, 1) for a tensor's name and a seed, float64 that are exact in float32."""
+    h = 0xCBF29CE484222325
+    for byte in name.encode():
+        h = (h ^ byte) * 0x100000001B3 & _ALL
+    start = (h ^ seed * _RATIO) & _ALL
+    with np.errstate(over="ignore"):
+        z = np.uint64(start) + np.arange(1, n + 1, dtype=np.uint64) * np.uint64(_RATIO)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        z ^= z >> np.uint64(31)
+    return (z >> np.uint64(40)).astype(np.float64) / 2.0**23 - 1.0
+
+
+def network(golden: dict[str, Any]) -> GraphNetwork:
+    """The network of a file, in float32."""
+    info = golden["info"]
+    sizes = {"node": info["node_dim"], "edge": info["edge_dim"], "global_": info["global_dim"]}
+    made = GraphNetwork(Config(**sizes, attention=info["kind"] == "gat", self_edges=info["self_edges"]))
+    shapes = {name: list(value.shape) for name, value in made.state_dict().items()}
+    assert shapes == golden["shapes"], "names and shapes of the parameters"
+    values = {}
+    for name, shape in shapes.items():
+        x = generate(f"param.{name}", info["seed"], int(np.prod(shape)))
+        match name.rsplit(".", 1)[1]:
+            case "w":
+                x = min(0.5, 2.5 / np.sqrt(shape[0])) * x
+            case "scale":
+                x = 1.0 + 0.5 * x
+            case _:
+                x = 0.5 * x
+        x = x.astype(np.float32)
+        first = golden["param_check"][name]["first"]
+        assert x[: len(first)].tolist() == first, f"generator at {name}"
+        values[name] = torch.from_numpy(x.reshape(shape))
+    made.load_state_dict(values)
+    return made
+
+
+def inputs(golden: dict[str, Any]) -> list[torch.Tensor]:
+    """Nodes, edges and globals of a file, in float32."""
+    info = golden["info"]
+    b, seed = info["batch"], info["seed"]
+
+    def make(name: str, *shape: int) -> np.ndarray:
+        return (1.5 * generate(f"in.{name}", seed, int(np.prod(shape)))).astype(np.float32).reshape(shape)
+
+    made = {
+        "nodes": make("nodes", b, 16, info["node_dim"]),
+        "edges": make("edges", b, info["n_edge"], info["edge_dim"]),
+        "globals": make("globals", b, info["global_dim"]),
+    }
+    held = made["globals"].reshape(b, 2, -1)[:, :, -16:]
+    held[:] = 0.0
+    for item in range(b):
+        for gripper in range(2):
+            if (item, gripper) != (1, 1):
+                held[item, gripper, (3 * item + 5 * gripper + 1) % 16] = 1.0
+    for name, x in made.items():
+        first = golden["input_check"][name]
+        assert x.ravel()[: len(first)].tolist() == first, f"generator at in.{name}"
+    return [torch.from_numpy(x) for x in made.values()]
