@@ -1,5 +1,7 @@
 //! Worker threads that run the pieces of a batch through their own networks.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use burn::tensor::Device;
 use policy::parameters::ParameterError;
 use policy::{Engine, PolicyConfig};
@@ -32,7 +34,7 @@ impl Workers {
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        let loaded = self.each(|_, passes| passes.load(parameters));
+        let loaded = self.each(|passes| passes.load(parameters));
         loaded.into_iter().collect()
     }
 
@@ -41,7 +43,7 @@ impl Workers {
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        self.each(|_, passes| passes.freeze(parameters)).into_iter().collect()
+        self.each(|passes| passes.freeze(parameters)).into_iter().collect()
     }
 
     /// Gradients of the mean imitation loss of the batch, one for each piece of about `size` scenes.
@@ -91,25 +93,27 @@ impl Workers {
         self.map(&pieces(samples, size), |passes, piece| passes.gradient(batch, piece, targets, share))
     }
 
-    /// Runs `work` on every piece; the results are in piece order.
+    /// Runs `work` on every piece; the results are in piece order. Whoever is done takes the next piece, because other
+    /// threads on the same cores make some workers slower.
     fn map<R: Send>(&mut self, pieces: &[&[usize]], work: impl Fn(&mut Passes, &[usize]) -> R + Sync) -> Vec<R> {
-        let n_workers = self.0.len();
-        let by_worker = self.each(|worker, passes| {
-            let own = pieces.iter().skip(worker).step_by(n_workers);
-            own.map(|piece| work(passes, piece)).collect::<Vec<_>>()
+        let next = AtomicUsize::new(0);
+        let by_worker = self.each(|passes| {
+            // Relaxed: the counter orders no other memory accesses.
+            let take = || Some(next.fetch_add(1, Ordering::Relaxed)).filter(|&i| i < pieces.len());
+            std::iter::from_fn(take).map(|i| (i, work(passes, pieces[i]))).collect::<Vec<_>>()
         });
-        let mut by_worker: Vec<_> = by_worker.into_iter().map(Vec::into_iter).collect();
-        (0..pieces.len()).filter_map(|piece| by_worker[piece % n_workers].next()).collect()
+        let mut results: Vec<(usize, R)> = by_worker.into_iter().flatten().collect();
+        results.sort_unstable_by_key(|(i, _)| *i);
+        results.into_iter().map(|(_, result)| result).collect()
     }
 
     /// Runs `work` on every worker in parallel; the results are in worker order.
-    fn each<R: Send>(&mut self, work: impl Fn(usize, &mut Passes) -> R + Sync) -> Vec<R> {
+    fn each<R: Send>(&mut self, work: impl Fn(&mut Passes) -> R + Sync) -> Vec<R> {
         let (first, others) = self.0.split_first_mut().expect("there is at least one worker");
         std::thread::scope(|scope| {
             let work = &work;
-            let threads: Vec<_> =
-                others.iter_mut().zip(1..).map(|(passes, worker)| scope.spawn(move || work(worker, passes))).collect();
-            let mut results = vec![work(0, first)];
+            let threads: Vec<_> = others.iter_mut().map(|passes| scope.spawn(move || work(passes))).collect();
+            let mut results = vec![work(first)];
             // Propagate a panic with its message to the waiting thread.
             let join = |thread: std::thread::ScopedJoinHandle<'_, R>| {
                 thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
