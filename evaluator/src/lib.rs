@@ -12,6 +12,7 @@ mod dispatcher;
 pub mod episodes;
 pub mod expert;
 pub mod films;
+mod follower;
 mod nice;
 mod pool;
 mod recording;
@@ -32,8 +33,9 @@ pub use config::{
     EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, FilmsConfig, ResetFreeConfig, Selection, Starts,
 };
 pub use environment::EnvironmentConfig;
-pub use episodes::evaluate;
-pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert};
+pub use episodes::{evaluate, evaluate_followed};
+pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_expert_followed};
+pub use follower::Follower;
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
