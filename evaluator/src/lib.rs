@@ -1,9 +1,9 @@
 //! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (worlds side by side) → `work_queue` (who runs which) →
-//! [`episodes`] and [`reset_free`] (what is run) → [`table`] (what is printed) → [`run()`] (the service on the bus), which
-//! shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes video clips in every
-//! evaluation, and [`expert`] evaluates the scripted expert in the same way.
+//! [`episodes`] and [`reset_free`] (what is run) → `follower` (who is told) → [`table`] (what is printed) → [`run()`] (the
+//! service on the bus), which shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes
+//! video clips in every evaluation, and [`expert`] evaluates the scripted expert in the same way.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
