@@ -65,11 +65,15 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
     let metrics = bus.metrics_publisher(&keys::metrics_actor(id)).await?;
     let mut weights = subscriber.watch();
     let waiting = bus.pulse().waiting();
+    if weights.borrow().is_none() {
+        tracing::info!(actor = %id, "waiting for the first weights, which a learner of the run publishes");
+    }
     tokio::select! {
         () = shutdown.cancelled() => return Ok(Summary::default()),
         first = weights.wait_for(Option::is_some) => { first.context("the bus closed before the first weights")?; }
     }
     drop(waiting);
+    tracing::info!(actor = %id, n_threads = config.n_threads, n_worlds = config.n_worlds, "stepping");
 
     let shared = Arc::new(Shared {
         backlog: Backlog::new(config.backlog_limit, config.full_backlog),

@@ -105,7 +105,7 @@ impl Catalog {
         &BUILTIN
     }
 
-    /// Reads every `*.toml` of a folder, or one file.
+    /// Reads every `*.toml` of a folder, or one file. Files of one's own may have any name.
     ///
     /// # Errors
     /// The first error, in file name order; see [`CatalogError`].
@@ -114,16 +114,33 @@ impl Catalog {
         if files.is_empty() {
             return Err(CatalogError::Empty(path.to_owned()));
         }
-        Self::from_files(files.iter().map(|(file, text)| (file.as_str(), text.as_str())))
+        let files = files.iter().map(|(file, text)| (file.as_str(), text.as_str()));
+        Self::from_checked(checked(files)?)
     }
 
-    /// Builds a catalog from `(file name, text)` pairs.
+    /// Builds a catalog from `(file name, text)` pairs; every file is named after its blueprint.
     ///
     /// # Errors
     /// The first error, in the order given.
     pub fn from_files<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, CatalogError> {
-        let checked = files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?)));
-        Self::from_checked(checked.collect::<Result<Vec<_>, CatalogError>>()?)
+        let files = checked(files)?;
+        for (file, blueprint) in &files {
+            let id = blueprint.id();
+            if Path::new(file).file_name().and_then(|name| name.to_str()) != Some(&format!("{id}.toml")) {
+                return Err(CatalogError::FileName { file: (*file).to_owned(), id: id.clone() });
+            }
+        }
+        Self::from_checked(files)
+    }
+
+    /// This catalog and another one, whose blueprints take the place of those with the same id or the same structure.
+    #[must_use]
+    pub fn with(&self, others: &Self) -> Self {
+        let structures: BTreeSet<u64> = others.iter().map(Blueprint::canonical_hash).collect();
+        let stays = |old: &&Blueprint| others.get(old.id()).is_none() && !structures.contains(&old.canonical_hash());
+        let mut blueprints: Vec<Blueprint> = self.iter().filter(stays).chain(others.iter()).cloned().collect();
+        sort(&mut blueprints);
+        Self::of_sorted(blueprints)
     }
 
     /// A catalog of one blueprint.
@@ -136,9 +153,6 @@ impl Catalog {
         let mut by_hash: BTreeMap<u64, (BlueprintId, Split)> = BTreeMap::new();
         for (file, blueprint) in files {
             let (file, id, split) = (file.to_owned(), blueprint.id().clone(), blueprint.split());
-            if Path::new(&file).file_name().and_then(|name| name.to_str()) != Some(&format!("{id}.toml")) {
-                return Err(CatalogError::FileName { file, id });
-            }
             if blueprints.iter().any(|other| *other.id() == id) {
                 return Err(CatalogError::DuplicateId { file, id });
             }
@@ -151,8 +165,7 @@ impl Catalog {
             }
             blueprints.push(blueprint);
         }
-        // By size first, because 12_000 sorts before 2_000 as text.
-        blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
+        sort(&mut blueprints);
         Ok(Self::of_sorted(blueprints))
     }
 
@@ -200,6 +213,16 @@ impl Catalog {
     pub fn is_empty(&self) -> bool {
         self.blueprints.is_empty()
     }
+}
+
+/// By split, then by size, because 12_000 sorts before 2_000 as text.
+fn sort(blueprints: &mut [Blueprint]) {
+    blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
+}
+
+/// The blueprints of files, with the names of the files.
+fn checked<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Vec<(&'a str, Blueprint)>, CatalogError> {
+    files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?))).collect()
 }
 
 /// The `(path, text)` of every `*.toml` of a folder, sorted by name, or of one file with any name.

@@ -13,12 +13,12 @@ pub enum BusError {
     #[error(transparent)]
     Keys(#[from] KeysError),
     /// Zenoh returned an error.
-    #[error("{action}: {source}")]
+    #[error("{action}: {}", reason(error))]
     Zenoh {
         /// The failed operation.
         action: String,
-        /// Zenoh's error.
-        source: zenoh::Error,
+        /// Zenoh's error. Not a source, or its places in zenoh's code would be printed after the reason.
+        error: zenoh::Error,
     },
     /// A name is not valid in a key.
     #[error("name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
@@ -55,8 +55,32 @@ impl BusError {
     /// For `map_err`: names the operation that failed in zenoh.
     pub(super) fn during(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
         let action = action.into();
-        move |source| Self::Zenoh { action, source }
+        move |error| Self::Zenoh { action, error }
     }
+}
+
+/// What zenoh says, without the places in its code that it appends to every error: ` at /…/unicast.rs:338.`
+fn reason(error: &zenoh::Error) -> String {
+    without_places(&error.to_string())
+}
+
+fn without_places(text: &str) -> String {
+    /// Before a path; the path itself begins at the slash.
+    const AT: &str = " at /";
+    let mut plain = String::new();
+    let mut rest = text;
+    while let Some(at) = rest.find(AT) {
+        let (before, place) = rest.split_at(at);
+        let is_end = |c: char| c.is_whitespace() || c == ']';
+        let end = place[AT.len()..].find(is_end).map_or(place.len(), |end| AT.len() + end);
+        let (path, after) = place.split_at(end);
+        plain += before;
+        if !path.contains(".rs:") {
+            plain += path;
+        }
+        rest = after;
+    }
+    plain + rest
 }
 
 /// Reasons why the learner does not have, or may not have, a trajectory.
@@ -83,6 +107,25 @@ pub enum SendError {
     #[error("the learner's answer cannot be read: {0}")]
     BadReply(#[from] DecodeError),
     /// The session is closed or broken.
-    #[error("sending a trajectory: {0}")]
+    #[error("sending a trajectory: {}", reason(.0))]
     Zenoh(zenoh::Error),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_name_no_places_in_code() {
+        let text = "no listener on tcp/127.0.0.1:1: [127.0.0.1:1: Address already in use (os error 98) at \
+                    /root/.cargo/registry/src/commons-1.10.2/src/tcp.rs:61.] at /root/tcp-1.10.2/src/unicast.rs:338.";
+        let plain = "no listener on tcp/127.0.0.1:1: [127.0.0.1:1: Address already in use (os error 98)]";
+        assert_eq!(without_places(text), plain);
+        for text in ["no lock at /run/x.sock for us", "nothing to cut"] {
+            assert_eq!(without_places(text), text);
+        }
+        let error = BusError::during("listening on tcp/127.0.0.1:1")(text.into());
+        assert_eq!(error.to_string(), format!("listening on tcp/127.0.0.1:1: {plain}"));
+        assert!(std::error::Error::source(&error).is_none());
+    }
 }

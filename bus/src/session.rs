@@ -34,8 +34,10 @@ impl Bus {
         config.validate()?;
         let keys = config.read_keys()?;
         let zenoh_config = config.to_zenoh(keys.as_ref()).map_err(BusError::during("configuring the bus"))?;
-        let joining =
-            || format!("joining the bus (listening on {:?}, connecting to {:?})", config.listen, config.connect);
+        let joining = || match &config.listen[..] {
+            [] => format!("joining the bus at {}", config.connect.join(" and ")),
+            listen => format!("listening on {}", listen.join(" and ")),
+        };
         // Zenoh blocks the polling thread until it has joined; a separate task can be abandoned.
         let opening = tokio::spawn(async move { zenoh::open(zenoh_config).await });
         let opened = opening.await.map_err(|panic| BusError::during(joining())(panic.into()))?;
@@ -59,6 +61,11 @@ impl Bus {
     /// The role of this process in the network.
     pub fn mode(&self) -> BusMode {
         self.config.mode
+    }
+
+    /// The name of the run.
+    pub fn run(&self) -> &str {
+        &self.config.run
     }
 
     /// The heartbeat of the service on this session.

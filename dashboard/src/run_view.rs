@@ -12,7 +12,7 @@ use proto::wilson::SuccessRate;
 use proto::{ActorId, WeightsVersion, keys};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// Actors that are remembered, the lost ones included; whoever invents names must not fill the memory.
 pub(crate) const MAX_ACTORS: usize = 10_000;
@@ -23,6 +23,7 @@ pub(crate) const MAX_BLUEPRINTS: usize = 10_000;
 /// A run as its messages tell it. It reads no clock: times are given by the caller, as the time since the watch began.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct RunView {
+    name: String,
     link: Link,
     link_since: Duration,
     learner: Option<Newest<LearnerMetrics>>,
@@ -91,6 +92,8 @@ pub(crate) struct Roster {
 /// What the watch's own session knows at some time.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SessionState {
+    /// Name of the run.
+    pub(crate) run: String,
     /// Whether it reaches the others.
     pub(crate) is_connected: bool,
     /// Who is alive, if it does.
@@ -138,6 +141,7 @@ impl RunView {
             (self.link, self.link_since) = (link, now);
         }
         self.bus = session.counts;
+        self.name.clone_from(&session.run);
         // All tokens vanish with the router; that says nothing about who is alive.
         if session.is_connected {
             has_changed |= self.set_roster(&session.roster);
@@ -160,6 +164,11 @@ impl RunView {
             }
         }
         has_changed
+    }
+
+    /// Name of the run; empty before the session has said it.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
     }
 
     /// How the watch stands to the bus, and since when.
@@ -204,6 +213,19 @@ impl RunView {
     /// What the watch's own session dropped.
     pub(crate) fn bus(&self) -> BusCounts {
         self.bus
+    }
+
+    /// All that is known of the run of this name, for programs.
+    pub(crate) fn to_json(&self, run: &str) -> Value {
+        json!({
+            "run": run,
+            "is_connected": self.link == Link::Connected,
+            "learner": self.learner.as_ref().map(|heard| &heard.value),
+            "evaluation": self.evaluation.as_ref().map(|heard| &heard.value),
+            "blueprints": self.judged_blueprints(),
+            "actors": self.actors.values().filter_map(|actor| actor.metrics.as_ref()).map(|heard| &heard.value).collect::<Vec<_>>(),
+            "alive": &self.roster,
+        })
     }
 
     /// Whether the learner or the evaluator has said anything.

@@ -18,7 +18,7 @@ launch() {
     if [[ -e $folder/run/config.toml ]]; then
         echo "$folder holds a run: it goes on with the settings that it began with"
     else
-        echo "a new run of ${preset:-$config} in $folder"
+        echo "a new run of ${config:-$preset} in $folder"
     fi
     prepare
     if [[ -n $hetjob ]]; then submit_hetjob; else submit_jobs; fi

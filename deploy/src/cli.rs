@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use ::blueprints::{BlueprintId, Split};
-use clap::builder::PossibleValuesParser;
 use clap::{Args, Parser, Subcommand};
+use clap_complete::Shell;
 
 mod bench;
 mod blueprints;
@@ -12,6 +12,8 @@ mod bus;
 mod expert;
 mod render;
 mod report;
+mod settings;
+mod values;
 mod watch;
 
 pub use self::bench::{BenchActorsArgs, BenchCommand, Transport};
@@ -20,11 +22,11 @@ pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCom
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
 pub use self::report::ReportArgs;
+pub use self::settings::{ConfigArgs, Settings};
 pub use self::watch::WatchArgs;
 
-use crate::config::{Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
+use crate::config::Override;
 use crate::telemetry::LogFormat;
-use runlog::RunPaths;
 
 /// Trains an agent to assemble magnet blocks into blueprints.
 #[derive(Debug, Parser)]
@@ -47,7 +49,7 @@ pub enum Command {
     Actor(MemberArgs),
     /// Train on the trajectories of a run's actors.
     Learner(LearnerArgs),
-    /// Judge the weights of a run as they come.
+    /// Evaluate the weights of a run as they come.
     Evaluator(EvaluatorArgs),
     /// Connect the processes of runs, and nothing else.
     Router(RouterArgs),
@@ -58,7 +60,7 @@ pub enum Command {
     Healthcheck(HealthcheckArgs),
     /// Watch a run: success, throughput, losses, actors and drops as they come.
     Watch(WatchArgs),
-    /// Judge a checkpoint, or the policy that comes with the program.
+    /// Evaluate a checkpoint, or the policy that comes with the program.
     Eval(EvalArgs),
     /// Watch a policy build, on a page of its own: success as it is found, episodes to turn and step through, films.
     Play(PlayArgs),
@@ -77,32 +79,27 @@ pub enum Command {
     /// Measure what this machine's processes and their connections can carry.
     #[command(subcommand)]
     Bench(BenchCommand),
+    /// Print completions for a shell; `source <(lodestone completions bash)` loads them.
+    Completions(CompletionsArgs),
+    /// Write man pages, one for each command.
+    #[command(hide = true)]
+    Man(ManArgs),
 }
 
-/// Where the configuration comes from.
-#[derive(Clone, Debug, Default, Args)]
-pub struct ConfigArgs {
-    /// Configuration file; keys that it lacks have their defaults.
-    #[arg(long, value_name = "FILE", env = "LODESTONE_CONFIG", conflicts_with = "preset")]
-    pub config: Option<PathBuf>,
-    /// Configuration that comes with the program [default: quickstart].
-    #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
-    pub preset: Option<String>,
-    /// Set one key of the configuration, for example actor.n_worlds=16; may be repeated.
-    #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
-    /// Seed of everything random.
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(i64).range(0..))]
-    pub seed: Option<i64>,
-    /// Where the network runs: cpu or gpu.
-    #[arg(long, value_name = "DEVICE", value_parser = PossibleValuesParser::new(["cpu", "gpu"]))]
-    pub device: Option<String>,
-    /// Name of the run; processes with the same name and router work together.
-    #[arg(long, value_name = "NAME")]
-    pub run: Option<String>,
-    /// Print the configuration that results and end.
-    #[arg(long)]
-    pub print_config: bool,
+/// Arguments of `completions`.
+#[derive(Debug, Args)]
+pub struct CompletionsArgs {
+    /// Which shell.
+    #[arg(value_name = "SHELL", value_enum)]
+    pub shell: Shell,
+}
+
+/// Arguments of `man`.
+#[derive(Debug, Args)]
+pub struct ManArgs {
+    /// Folder for the pages, for example ~/.local/share/man/man1; made if it is not there.
+    #[arg(value_name = "DIR")]
+    pub dir: PathBuf,
 }
 
 /// Arguments of `train`.
@@ -114,6 +111,9 @@ pub struct TrainArgs {
     /// The run.
     #[command(flatten)]
     pub run: RunArgs,
+    /// Learn and evaluate this blueprint of the catalog only; may be repeated.
+    #[arg(long, value_name = "ID")]
+    pub blueprint: Vec<String>,
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
     pub actors: Option<i64>,
@@ -121,8 +121,14 @@ pub struct TrainArgs {
     /// from one of its periodic checkpoints.
     #[arg(long)]
     pub lockstep: bool,
+    /// Print every blueprint after an evaluation, not only the groups and the worst.
+    #[arg(long)]
+    pub verbose: bool,
+    /// Print what came of the training as JSON at the end; everything else goes to stderr.
+    #[arg(long)]
+    pub json: bool,
     /// Let other processes join here, for example tcp/127.0.0.1:7447; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',')]
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = values::endpoint)]
     pub listen: Vec<String>,
     /// Keys of those who join.
     #[command(flatten)]
@@ -138,17 +144,17 @@ pub struct TrainArgs {
 /// Where the evaluator's page is.
 #[derive(Clone, Debug, Default, Args)]
 pub struct PageArgs {
-    /// Serve a page about the training here, for example 127.0.0.1:0 for a free port; an address that others can reach
-    /// needs dashboard.web.token.
-    #[arg(long, value_name = "ADDRESS:PORT", env = "LODESTONE_WEB")]
+    /// Serve a page about the training here, for example 8080, or 127.0.0.1:0 for a free port; an address that others can
+    /// reach needs dashboard.web.token.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "LODESTONE_WEB", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
 }
 
 /// What a learner writes and how long it goes on.
 #[derive(Clone, Debug, Default, Args)]
 pub struct RunArgs {
-    /// End after this many environment steps, those before a resume included.
-    #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = clap::value_parser!(i64).range(1..))]
+    /// End after this many environment steps, for example 1e6 or 1_000_000, those before a resume included.
+    #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = values::steps)]
     pub steps: Option<i64>,
     /// Folder for checkpoints and metrics [default: runs/DATE-NAME].
     #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR")]
@@ -207,6 +213,9 @@ pub struct EvaluatorArgs {
     /// Run episodes on behalf of the run's evaluator. Start as many as you like.
     #[arg(long, alias = "assist")]
     pub worker: bool,
+    /// Print every blueprint after an evaluation, not only the groups and the worst.
+    #[arg(long)]
+    pub verbose: bool,
     /// The page.
     #[command(flatten)]
     pub page: PageArgs,
@@ -248,7 +257,7 @@ pub struct PlayArgs {
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
     /// Where the page is [default: 127.0.0.1 with a free port].
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
     /// Folder for episodes and films [default: runs/DATE-play].
     #[arg(long, value_name = "DIR")]
@@ -264,8 +273,11 @@ pub struct EvalArgs {
     /// The policy.
     #[command(flatten)]
     pub model: ModelArgs,
+    /// This blueprint only: an id, also of a generated one, a file, or a folder of files; may be repeated.
+    #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
+    pub blueprint: Vec<String>,
     /// All of this part of the catalog: train, test, test-literal, test-longest, test-tallest or validation [default: what
-    /// the run's evaluator judges at last, without validation if there is more].
+    /// the run's evaluator evaluates at last, without validation if there is more].
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,
     /// Episodes per blueprint and way of acting.
@@ -280,53 +292,12 @@ pub struct EvalArgs {
     /// Set one key of the run's configuration, for example evaluator.episodes.starts=mixed; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Print every blueprint, not only the groups and the worst.
+    #[arg(long)]
+    pub verbose: bool,
     /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,
-}
-
-impl ConfigArgs {
-    /// The preset that is the configuration's file, if none else is.
-    ///
-    /// # Errors
-    /// Names the presets that exist.
-    pub fn preset(&self, resume: Option<&PathBuf>) -> Result<Option<&'static Preset>, ConfigError> {
-        if resume.is_some() || self.config.is_some() { Ok(None) } else { self.named_preset().map(Some) }
-    }
-
-    fn named_preset(&self) -> Result<&'static Preset, ConfigError> {
-        Preset::find(self.preset.as_deref().unwrap_or(DEFAULT_PRESET))
-    }
-
-    /// The configuration of all layers, valid but for what later flags change.
-    ///
-    /// `resume` takes the place of the file; `flags` come last. The result is not validated.
-    ///
-    /// # Errors
-    /// Names file, variable or flag and what would be valid.
-    pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Config, ConfigError> {
-        let file = resume.map(|folder| RunPaths::new(folder).config()).or_else(|| self.config.clone());
-        let (text, origin) = match file {
-            Some(path) => {
-                let text = std::fs::read_to_string(&path)
-                    .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
-                (text, path.display().to_string())
-            }
-            None => {
-                let preset = self.named_preset()?;
-                (preset.text.to_owned(), format!("preset {}", preset.name))
-            }
-        };
-        let mut overrides = Override::from_variables(std::env::vars());
-        for text in &self.set {
-            overrides.push(Override::parse(text)?);
-        }
-        overrides.extend(self.seed.map(|seed| Override::flag("--seed", "seed", seed)));
-        overrides.extend(self.device.clone().map(|device| Override::flag("--device", "device", device)));
-        overrides.extend(self.run.clone().map(|run| Override::flag("--run", "bus.run", run)));
-        overrides.extend(flags);
-        merge(&text, &origin, &overrides)
-    }
 }
 
 impl RunArgs {
@@ -356,9 +327,9 @@ mod tests {
 
     #[test]
     fn flags_win_over_the_preset() {
-        let flags = ["lodestone", "train", "--preset", "paper", "--seed", "7", "--steps", "1000"];
+        let flags = ["lodestone", "train", "--preset", "paper", "--seed", "7", "--steps", "1e3"];
         let Command::Train(args) = Cli::try_parse_from(flags).unwrap().command else { panic!("not train") };
-        let config = args.config.load(None, args.run.overrides()).unwrap();
+        let config = args.config.load(None, args.run.overrides()).unwrap().config;
         assert_eq!((config.seed, config.n_env_steps, config.bus.run.as_str()), (7, 1000, "paper"));
     }
 }

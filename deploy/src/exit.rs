@@ -14,6 +14,9 @@ use runlog::HistoryError;
 use crate::config::{ConfigError, suggestion};
 use crate::keys::MakeKeysError;
 
+/// Exit code of what a signal ended before it was done, as shells report it.
+pub const INTERRUPTED: u8 = 130;
+
 /// A failed command.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
@@ -89,6 +92,14 @@ pub enum Failure {
     /// A history or run without what is to be shown; code 66.
     #[error("{0}")]
     NothingToShow(String),
+    /// A signal ended an evaluation; what it had found was printed; code 130.
+    #[error("interrupted after {n_ended} of {n_planned} episodes")]
+    Interrupted {
+        /// Episodes that had ended.
+        n_ended: u64,
+        /// Episodes that were to be run.
+        n_planned: u64,
+    },
     /// A service failed while it ran; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
@@ -155,6 +166,7 @@ impl Failure {
             Self::Bus(_) => 65,
             Self::Checkpoint(_) | Self::History(_) | Self::NothingToShow(_) => 66,
             Self::Service(_) | Self::Unhealthy(_) => 1,
+            Self::Interrupted { .. } => INTERRUPTED,
         })
     }
 }

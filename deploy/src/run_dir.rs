@@ -16,6 +16,7 @@ use crate::exit::Failure;
 #[derive(Debug)]
 pub struct RunDir {
     paths: RunPaths,
+    is_new: bool,
     /// The system gives the lock back when the process ends, however it ends.
     _lock: File,
 }
@@ -33,7 +34,10 @@ impl Origin {
     /// The run to continue, if it is named, or is there already and may be continued.
     pub fn find(args: &RunArgs) -> Self {
         if let Some(resume) = &args.resume {
-            return Self { config: Some(resume.clone()), checkpoint: Some(resume.clone()) };
+            // A run that never learned begins again; whatever else is wrong is for the learner to say.
+            let paths = RunPaths::new(resume);
+            let continues = has_learned(&paths) || !paths.config().exists();
+            return Self { config: Some(resume.clone()), checkpoint: continues.then(|| resume.clone()) };
         }
         let Some(folder) =
             args.run_dir.as_ref().filter(|folder| args.auto_resume && RunPaths::new(*folder).config().exists())
@@ -44,6 +48,17 @@ impl Origin {
         let has_checkpoint = learner::checkpoint::exists(&RunPaths::new(folder).checkpoints());
         Self { config: Some(folder.clone()), checkpoint: has_checkpoint.then(|| folder.clone()) }
     }
+}
+
+/// Whether a run has made an update.
+fn has_learned(paths: &RunPaths) -> bool {
+    let has_metrics = fs::metadata(paths.metrics()).is_ok_and(|file| file.len() > 0);
+    has_metrics || learner::checkpoint::exists(&paths.checkpoints())
+}
+
+/// Whether there is more in the folder than what a run writes before its services start.
+fn has_begun(paths: &RunPaths) -> bool {
+    has_learned(paths) || paths.history().exists()
 }
 
 /// What produced a run, beside its configuration.
@@ -61,8 +76,8 @@ impl RunDir {
     /// it.
     ///
     /// # Errors
-    /// When the folder holds another run than `origin`, a process learns in it, or it cannot be written. Nothing has been
-    /// changed then.
+    /// When the folder holds another run than `origin` that has begun to learn, a process learns in it, or it cannot be
+    /// written. Nothing has been changed then.
     pub fn create(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let started = utc(SystemTime::now());
         let stamp = started.replace(':', "");
@@ -83,7 +98,8 @@ impl RunDir {
             Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
         // Looked at under the lock, so that of two processes that start at once only one finds the folder empty.
-        if paths.config().exists() && origin.config.as_ref() != Some(&path) {
+        let is_new = !paths.config().exists();
+        if has_begun(&paths) && origin.config.as_ref() != Some(&path) {
             return Err(Failure::Usage(format!(
                 "{shown} holds a run already: continue it with `--resume {shown}` or choose another `--run-dir`"
             )));
@@ -98,7 +114,19 @@ impl RunDir {
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
         fs::write(paths.config(), config.to_toml()).map_err(failed)?;
         fs::write(paths.meta(), meta + "\n").map_err(failed)?;
-        Ok(Self { paths, _lock: lock })
+        Ok(Self { paths, is_new, _lock: lock })
+    }
+
+    /// Takes back what was written of a new run that could not be started.
+    pub fn abandon(&self) {
+        if self.is_new {
+            let files = [self.paths.config(), self.paths.meta(), self.paths.lock()];
+            let removed = files.iter().try_for_each(fs::remove_file);
+            // A folder that holds something else stays.
+            if let Err(error) = removed.and_then(|()| fs::remove_dir(self.path())) {
+                tracing::debug!(%error, "the folder of the run stays");
+            }
+        }
     }
 
     /// Where it is.
@@ -124,6 +152,38 @@ mod tests {
     use std::time::{Duration, UNIX_EPOCH};
 
     use super::*;
+
+    fn start(path: &Path, origin: &Origin) -> Result<RunDir, Failure> {
+        RunDir::create(Some(path), &Config::default(), origin)
+    }
+
+    #[test]
+    fn a_start_that_failed_can_be_made_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        start(&path, &Origin::default()).unwrap().abandon();
+        assert!(!path.exists());
+        // Not taken back, as after a kill: it may be started again, or resumed.
+        drop(start(&path, &Origin::default()).unwrap());
+        drop(start(&path, &Origin::default()).unwrap());
+        let resumed = Origin::find(&RunArgs { resume: Some(path.clone()), ..RunArgs::default() });
+        assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: None });
+        start(&path, &resumed).unwrap().abandon();
+        assert!(path.join("config.toml").exists(), "what was there before stays");
+    }
+
+    #[test]
+    fn a_run_that_has_learned_is_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        drop(start(&path, &Origin::default()).unwrap());
+        fs::write(RunPaths::new(&path).metrics(), "{}\n").unwrap();
+        let message = start(&path, &Origin::default()).unwrap_err().to_string();
+        assert!(message.contains("holds a run already: continue it with `--resume"), "{message}");
+        let resumed = Origin::find(&RunArgs { resume: Some(path.clone()), ..RunArgs::default() });
+        assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: Some(path.clone()) });
+        drop(start(&path, &resumed).unwrap());
+    }
 
     #[test]
     fn dates_are_those_of_the_calendar() {

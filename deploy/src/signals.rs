@@ -5,10 +5,7 @@ use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use crate::exit::Failure;
-
-/// Exit code of a process that a second signal ended, as shells report an interrupted one.
-const INTERRUPTED: i32 = 130;
+use crate::exit::{Failure, INTERRUPTED};
 
 /// Signals that come this soon after the first one belong to it: `timeout` and others send theirs to the process and again
 /// to its group.
@@ -34,7 +31,7 @@ pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
         any(&mut interrupt, &mut terminate).await;
         tracing::warn!("ended by a second signal");
         #[expect(clippy::disallowed_methods, reason = "this is the way out when draining hangs")]
-        std::process::exit(INTERRUPTED);
+        std::process::exit(INTERRUPTED.into());
     });
     Ok(())
 }

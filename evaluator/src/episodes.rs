@@ -5,7 +5,7 @@ use policy::{Policy, PolicyConfig};
 use proto::metrics::EvalReport;
 use proto::{Agent, Weights};
 
-use crate::films::EpisodeSelector;
+use crate::follower::{Follower, Tally};
 use crate::pool::EvaluationPool;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
@@ -21,7 +21,8 @@ pub const FIRST_PART: usize = 32;
 ///
 /// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or
 /// the way of acting. An episode that ends in success goes on for up to 10 steps with the grippers holding still, in
-/// which the success can prove stable. The report's duration is left at 0. `keep_going` is asked at every step.
+/// which the success can prove stable. The report's duration is left at 0, as no clock is read. `keep_going` is asked at
+/// every step.
 ///
 /// # Errors
 /// When the weights do not fit, an episode cannot be started, or `keep_going` says no.
@@ -32,10 +33,35 @@ pub fn evaluate(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
+    let report = evaluate_followed(setup, policy, weights, blueprints, &Follower { keep_going, on_episode: &|_| {} })?;
+    if report.summary.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
+}
+
+/// Like [`evaluate()`] for somebody who is told of each episode and gets what there is when it is not to go on. The
+/// report is not complete then, and has no reset-free runs.
+///
+/// # Errors
+/// When the weights do not fit or an episode cannot be started.
+pub fn evaluate_followed(
+    setup: &EvalSetup<'_>,
+    policy: &PolicyConfig,
+    weights: &Weights,
+    blueprints: &[&Blueprint],
+    follower: &Follower<'_>,
+) -> Result<EvalReport, EvalError> {
     let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
-    let (queue, observer) = (&WorkQueue::default(), None::<&EpisodeSelector>);
-    let pool = EvaluationPool { setup, agent: &agent, queue, observer, keep_going };
-    evaluate_in_parts(&pool, weights, blueprints, &mut |_| {})
+    let (queue, tally) = (&WorkQueue::default(), Tally::new(follower));
+    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(&tally), keep_going: follower.keep_going };
+    match evaluate_in_parts(&pool, weights, blueprints, &mut |_| {}) {
+        Err(EvalError::Interrupted) => {
+            let mut report = summarize(weights.version, weights.n_env_steps, &tally.into_episodes());
+            report.summary.seed = setup.seed;
+            report.summary.n_planned = u64::from(setup.episodes.n_episodes) * blueprints.len() as u64;
+            report.summary.is_complete = false;
+            Ok(report)
+        }
+        ended => ended,
+    }
 }
 
 /// Like [`evaluate`] with the agents of the pool, which act by `weights`, and tells `on_part` what the first episodes

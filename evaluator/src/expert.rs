@@ -8,6 +8,7 @@ use proto::metrics::{EvalOutcome, EvalReport, EvalRuns};
 use proto::{ActionMode, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
+use crate::follower::{Both, Follower, Tally};
 use crate::pool::EvaluationPool;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
@@ -20,6 +21,9 @@ pub use diary::{Cause, ExpertFailure, Trouble};
 /// How the expert did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExpertReport {
+    /// Whether all episodes and runs were made.
+    #[serde(default = "complete")]
+    pub is_complete: bool,
     /// The paper's groups in its order, those of which no blueprint was evaluated left out, then all.
     pub groups: Vec<ExpertGroup>,
     /// Each blueprint, ordered by split, size and id.
@@ -33,6 +37,11 @@ pub struct ExpertReport {
     /// The first success of each blueprint that was built, step by step; not part of the report's JSON.
     #[serde(skip)]
     pub successes: Vec<Trajectory>,
+}
+
+/// Default of `is_complete`: earlier versions wrote no others.
+fn complete() -> bool {
+    true
 }
 
 /// Blueprints that are reported together.
@@ -82,17 +91,53 @@ pub fn evaluate_expert(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<ExpertReport, EvalError> {
+    let follower = Follower { keep_going, on_episode: &|_| {} };
+    let report = evaluate_expert_followed(setup, blueprints, &follower)?;
+    if report.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
+}
+
+/// Like [`evaluate_expert`] for somebody who is told of each episode and gets what there is when it is not to go on. The
+/// report is not complete then.
+///
+/// # Errors
+/// When the world cannot be made or an episode cannot be started.
+pub fn evaluate_expert_followed(
+    setup: &EvalSetup<'_>,
+    blueprints: &[&Blueprint],
+    follower: &Follower<'_>,
+) -> Result<ExpertReport, EvalError> {
     let sequence = |blueprint: &Blueprint| -> Vec<EpisodeSpec> {
         let spec = |idx| EpisodeSpec::one_of(setup.catalog, blueprint, setup.episodes.starts, setup.seed, idx);
         (0..u64::from(setup.episodes.n_episodes)).map(spec).collect()
     };
     let sequences: Vec<Vec<EpisodeSpec>> = blueprints.iter().map(|blueprint| sequence(blueprint)).collect();
-    let (diaries, queue) = (Diaries::default(), &WorkQueue::default());
+    let (diaries, tally, queue) = (Diaries::default(), Tally::new(follower), &WorkQueue::default());
     let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
-    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(&diaries), keep_going };
-    let episodes: Vec<EpisodeResult> = pool.run(&sequences, ActionMode::Greedy)?.into_iter().flatten().collect();
+    let both = Both(&diaries, &tally);
+    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(&both), keep_going: follower.keep_going };
+    let runs = |config| reset_free::evaluate(&pool, config, &[ActionMode::Greedy]);
+    let played = pool.run(&sequences, ActionMode::Greedy).and_then(|episodes| {
+        let reset_free = setup.reset_free.as_ref().map(runs).transpose()?;
+        Ok((episodes.into_iter().flatten().collect::<Vec<EpisodeResult>>(), reset_free))
+    });
+    let (episodes, reset_free, is_complete) = match played {
+        Ok((episodes, reset_free)) => (episodes, reset_free, true),
+        Err(EvalError::Interrupted) => (tally.into_episodes(), None, false),
+        Err(error) => return Err(error),
+    };
+    let reset_free = reset_free.map(|r| ExpertResetFree { n_runs: r.n_runs, n_goals: r.n_goals, runs: r.mode });
+    Ok(report(&episodes, reset_free, diaries, is_complete))
+}
+
+/// What the episodes amount to.
+fn report(
+    episodes: &[EpisodeResult],
+    reset_free: Option<ExpertResetFree>,
+    diaries: Diaries,
+    is_complete: bool,
+) -> ExpertReport {
     let n_steps = episodes.iter().map(|episode| u64::from(episode.n_steps)).sum();
-    let EvalReport { summary, blueprints } = summarize(WeightsVersion(0), 0, &episodes);
+    let EvalReport { summary, blueprints } = summarize(WeightsVersion(0), 0, episodes);
     let blueprints: Vec<ExpertBlueprint> = blueprints
         .into_iter()
         .map(|b| ExpertBlueprint { blueprint: b.blueprint, split: b.split, n_blocks: b.n_blocks, outcome: b.mode })
@@ -111,11 +156,8 @@ pub fn evaluate_expert(
         outcome: g.mode,
     });
     let groups = groups.collect();
-    let runs = |config| reset_free::evaluate(&pool, config, &[ActionMode::Greedy]);
-    let reset_free = setup.reset_free.as_ref().map(runs).transpose()?;
-    let reset_free = reset_free.map(|r| ExpertResetFree { n_runs: r.n_runs, n_goals: r.n_goals, runs: r.mode });
     let (failures, successes) = diaries.into_replays();
-    Ok(ExpertReport { groups, blueprints, reset_free, n_steps, failures, successes })
+    ExpertReport { is_complete, groups, blueprints, reset_free, n_steps, failures, successes }
 }
 
 #[cfg(test)]

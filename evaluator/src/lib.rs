@@ -1,9 +1,9 @@
 //! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (worlds side by side) → `work_queue` (who runs which) →
-//! [`episodes`] and [`reset_free`] (what is run) → [`table`] (what is printed) → [`run()`] (the service on the bus), which
-//! shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes video clips in every
-//! evaluation, and [`expert`] evaluates the scripted expert in the same way.
+//! [`episodes`] and [`reset_free`] (what is run) → `follower` (who is told) → [`table`] (what is printed) → [`run()`] (the
+//! service on the bus), which shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes
+//! video clips in every evaluation, and [`expert`] evaluates the scripted expert in the same way.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -12,6 +12,7 @@ mod dispatcher;
 pub mod episodes;
 pub mod expert;
 pub mod films;
+mod follower;
 mod nice;
 mod pool;
 mod recording;
@@ -32,8 +33,9 @@ pub use config::{
     EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, FilmsConfig, ResetFreeConfig, Selection, Starts,
 };
 pub use environment::EnvironmentConfig;
-pub use episodes::evaluate;
-pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert};
+pub use episodes::{evaluate, evaluate_followed};
+pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_expert_followed};
+pub use follower::Follower;
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};

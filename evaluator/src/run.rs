@@ -35,7 +35,7 @@ const LAST_WEIGHTS_WAIT: Duration = Duration::from_secs(15);
 /// Who else in this process hears what an evaluator finds. A receiver that has gone is no error.
 #[derive(Debug, Default)]
 pub struct Listeners {
-    /// The newest report.
+    /// The newest report; of an evaluation that is interrupted the newest part, which is not complete.
     pub reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     /// Every evaluation: first those that the history has, then each as it ends.
     pub evaluations: Option<mpsc::UnboundedSender<Pass>>,
@@ -171,7 +171,14 @@ async fn evaluate_all(
         };
         workers.close();
         let report = match ended {
-            Err(EvalError::Interrupted) => return Ok(n_evaluations),
+            Err(EvalError::Interrupted) => {
+                // What there is can be looked at, but is not kept: the history has whole evaluations only.
+                let part = newest_part.borrow().clone();
+                if let (Some(part), Some(reports)) = (part, &outlets.reports) {
+                    reports.send_replace(Some(Arc::new(stamp(part))));
+                }
+                return Ok(n_evaluations);
+            }
             // They were of use on the scene of the trial, but not throughout.
             Err(EvalError::Policy(error)) if error.is_of_weights() => {
                 bus.count_refused_weights();

@@ -3,16 +3,17 @@
 use std::collections::BTreeMap;
 use std::fmt::{Arguments, Write};
 
-use proto::metrics::EvalOutcome;
+use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
 
 use crate::expert::{Cause, ExpertReport};
-use proto::metrics::EvalReport;
 
 /// How much of a report the text shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
     /// Lines for groups only.
     Groups,
+    /// Lines for so many blueprints as well, those with the least success, of those that do not always succeed.
+    Worst(usize),
     /// Lines for each blueprint as well.
     Blueprints,
 }
@@ -24,6 +25,9 @@ pub enum Detail {
 pub fn render(report: &EvalReport, detail: Detail) -> String {
     let summary = &report.summary;
     let mut text = format!("weights {} after {} environment steps\n", summary.weights_version.0, summary.n_env_steps);
+    if !summary.is_complete {
+        push_line(&mut text, format_args!("interrupted: only the episodes that had ended count"));
+    }
     header(&mut text, "group (blueprints)");
     for group in summary.groups.iter().chain([&summary.all]) {
         let name = format!("{} ({})", group.name, group.n_blueprints);
@@ -33,20 +37,48 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
         let name = format!("reset-free ({} x {})", runs.n_runs, runs.n_goals);
         lines(&mut text, &name, &runs.mode.outcome, &runs.sampled.outcome);
     }
-    if detail == Detail::Blueprints {
-        header(&mut text, "blueprint");
-        for score in &report.blueprints {
-            let name = format!("{} {}", score.split, score.blueprint);
-            lines(&mut text, &name, &score.mode, &score.sampled);
-        }
-    }
+    let rate = |score: &EvalBlueprint| {
+        let evaluated = [score.mode.success, score.sampled.success].into_iter().find(|success| success.n_episodes > 0);
+        evaluated.map_or(0.0, |success| success.rate)
+    };
+    blueprints(&mut text, &report.blueprints, detail, rate, |text, score| {
+        lines(text, &format!("{} {}", score.split, score.blueprint), &score.mode, &score.sampled);
+    });
     text
+}
+
+/// The part about single blueprints, each of which is written by `write`. `rate` is its success, 0 to 1.
+fn blueprints<B>(
+    text: &mut String,
+    all: &[B],
+    detail: Detail,
+    rate: impl Fn(&B) -> f64,
+    write: impl Fn(&mut String, &B),
+) {
+    let (title, shown): (_, Vec<&B>) = match detail {
+        Detail::Groups => return,
+        Detail::Blueprints => ("blueprint".to_owned(), all.iter().collect()),
+        Detail::Worst(n) => {
+            let mut imperfect: Vec<&B> = all.iter().filter(|one| rate(one) < 1.0).collect();
+            imperfect.sort_by(|a, b| rate(a).total_cmp(&rate(b)));
+            let n_imperfect = imperfect.len();
+            imperfect.truncate(n);
+            (format!("worst {} of {n_imperfect} below 100 %", imperfect.len()), imperfect)
+        }
+    };
+    if !shown.is_empty() {
+        header(text, &title);
+        shown.into_iter().for_each(|one| write(text, one));
+    }
 }
 
 /// The expert's report as lines, each ended by a line break; the columns are those of [`render()`], and `built` is the
 /// number of blueprints that were built at least once.
 pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
     let mut text = String::new();
+    if !report.is_complete {
+        push_line(&mut text, format_args!("interrupted: only the episodes that had ended count"));
+    }
     header(&mut text, "group (blueprints, built)");
     for group in &report.groups {
         let name = format!("{} ({}, {})", group.name, group.n_blueprints, group.n_built);
@@ -56,12 +88,15 @@ pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
         let name = format!("reset-free ({} x {})", found.n_runs, found.n_goals);
         line(&mut text, &name, "expert", &found.runs.outcome);
     }
-    if detail == Detail::Blueprints {
-        header(&mut text, "blueprint");
-        for score in &report.blueprints {
-            line(&mut text, &format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
-        }
-    }
+    blueprints(
+        &mut text,
+        &report.blueprints,
+        detail,
+        |score| score.outcome.success.rate,
+        |text, score| {
+            line(text, &format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
+        },
+    );
     let mut causes: BTreeMap<Cause, usize> = BTreeMap::new();
     report.failures.iter().for_each(|failure| *causes.entry(failure.trouble.cause).or_default() += 1);
     for (cause, n) in causes {
@@ -119,6 +154,38 @@ mod tests {
     use crate::report::{EpisodeResult, summarize};
     use proto::ActionMode;
     use proto::unit::End;
+
+    fn episode(id: &str, n_successes: usize) -> impl Iterator<Item = EpisodeResult> {
+        (0..4).map(move |i| EpisodeResult {
+            blueprint: BlueprintId::try_from(id.to_owned()).unwrap(),
+            split: Split::Train,
+            n_blocks: 2,
+            acting: ActionMode::Greedy,
+            end: if i < n_successes { End::Success { stable: true } } else { End::TimeLimit },
+            n_steps: 10,
+            episode_return: RewardTerms::default(),
+            forced_reset: false,
+        })
+    }
+
+    #[test]
+    fn the_worst_blueprints_are_named_worst_first() {
+        let goals = [("2_000", 4), ("2_001", 2), ("2_002", 0), ("2_003", 3)];
+        let episodes: Vec<EpisodeResult> = goals.into_iter().flat_map(|(id, n)| episode(id, n)).collect();
+        let mut report = summarize(WeightsVersion(4), 8192, &episodes);
+        let named = |report: &EvalReport, detail| -> Vec<String> {
+            let text = render(report, detail);
+            text.lines().filter(|line| line.starts_with("train 2_")).map(|line| line[6..11].to_owned()).collect()
+        };
+        assert_eq!(named(&report, Detail::Worst(2)), ["2_002", "2_001"]);
+        assert_eq!(named(&report, Detail::Worst(5)), ["2_002", "2_001", "2_003"]);
+        assert_eq!(named(&report, Detail::Groups), Vec::<String>::new());
+        assert!(render(&report, Detail::Worst(2)).contains("worst 2 of 3 below 100 %"));
+        let perfect = summarize(WeightsVersion(4), 8192, &episode("2_000", 4).collect::<Vec<_>>());
+        assert!(!render(&perfect, Detail::Worst(2)).contains("worst"));
+        report.summary.is_complete = false;
+        assert!(render(&report, Detail::Groups).contains("interrupted"));
+    }
 
     #[test]
     fn the_table_shows_what_was_evaluated() {

@@ -12,6 +12,7 @@ use proto::metrics::{LearnerMetrics, METRICS_SCHEMA_VERSION};
 use proto::{Role, Trajectory, Weights, WeightsVersion, keys};
 use runlog::{Lines, MetricsWriter, RunPaths, tensorboard};
 use serde::Serialize;
+use serde_json::Value;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -93,16 +94,22 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     let (publications, mut arrivals) = mpsc::channel(2);
     let (result, ended) = oneshot::channel();
     let (counted, session) = (server.clone(), bus.clone());
+    let before_s = options.resume.as_deref().map_or(0.0, |resume| elapsed_before(resume, learner.n_env_steps()));
+    let mut records = MetricsWriter::open(&options.run_dir, Role::Learner)?;
+    if let Ok(settings) = fs::read_to_string(options.run_dir.config()) {
+        records.text("settings", &format!("```toml\n{settings}```"))?;
+    }
     let worker = Worker {
         newest: Arc::new(learner.weights()),
         learner,
-        records: MetricsWriter::open(&options.run_dir, Role::Learner)?,
+        records,
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
         publications,
         shutdown,
         pulse: bus.pulse().clone(),
         start: Instant::now(),
+        before_s,
     };
     // A separate thread, because an update computes for seconds and must not block tokio's workers.
     std::thread::Builder::new()
@@ -146,6 +153,21 @@ fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyh
     Ok(Learner::resume(setup, found.checkpoint)?)
 }
 
+/// Seconds that the run in a folder had taken when it had made so many environment steps; 0 if it does not say.
+fn elapsed_before(run: &Path, n_env_steps: u64) -> f64 {
+    let until_then = |line: &Value| line["n_env_steps"].as_u64().is_some_and(|steps| steps <= n_env_steps);
+    let last = match runlog::last_line(&RunPaths::new(run), keys::METRICS_LEARNER, until_then) {
+        Ok(last) => last,
+        Err(error) => {
+            tracing::debug!(%error, "how long the run took so far is not known");
+            None
+        }
+    };
+    // Before there was the first, the second was all that was known.
+    let seconds = |key: &str| last.as_ref().and_then(|line| line[key].as_f64());
+    seconds("run_elapsed_s").or_else(|| seconds("elapsed_s")).unwrap_or_default()
+}
+
 /// The state of the updating thread.
 struct Worker {
     learner: Learner,
@@ -158,6 +180,8 @@ struct Worker {
     shutdown: CancellationToken,
     pulse: Pulse,
     start: Instant,
+    /// Seconds that the run took before this process.
+    before_s: f64,
 }
 
 impl Worker {
@@ -262,6 +286,7 @@ impl Worker {
             n_env_steps: update.n_env_steps,
             n_episodes: update.n_episodes,
             elapsed_s: self.start.elapsed().as_secs_f64(),
+            run_elapsed_s: self.before_s + self.start.elapsed().as_secs_f64(),
             env_steps_per_s: update.n_steps as f64 / pace.since_last.as_secs_f64().max(1e-9),
             update_s: pace.update.as_secs_f64(),
             policy_lag_mean: update.policy_lag_mean,

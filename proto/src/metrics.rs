@@ -28,6 +28,9 @@ pub struct LearnerMetrics {
     pub n_episodes: u64,
     /// Time since the learner's start, seconds.
     pub elapsed_s: f64,
+    /// Time that all learners of the run have taken, those before a resume included, seconds; 0 if it is not known.
+    #[serde(default)]
+    pub run_elapsed_s: f64,
     /// Environment steps consumed per second since the last report.
     pub env_steps_per_s: f64,
     /// Duration of the update, seconds.

@@ -2,7 +2,7 @@
 //!
 //! A file is a sequence of records (length, checksum, data, checksum), each an `Event` message in protobuf; see
 //! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Only the parts of the
-//! message for scalars and images are defined here.
+//! message for scalars, images, and texts are defined here.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -40,7 +40,37 @@ struct Tagged {
     simple_value: Option<f32>,
     #[prost(message, optional, tag = "4")]
     image: Option<Picture>,
+    #[prost(message, optional, tag = "8")]
+    tensor: Option<Tensor>,
+    #[prost(message, optional, tag = "9")]
+    metadata: Option<Metadata>,
 }
+
+/// A tensor of strings without dimensions.
+#[derive(Clone, PartialEq, Message)]
+struct Tensor {
+    /// [`STRINGS`].
+    #[prost(int32, tag = "1")]
+    dtype: i32,
+    #[prost(bytes = "vec", repeated, tag = "8")]
+    strings: Vec<Vec<u8>>,
+}
+
+/// Which of TensorBoard's pages shows a value.
+#[derive(Clone, PartialEq, Message)]
+struct Metadata {
+    #[prost(message, optional, tag = "1")]
+    plugin: Option<Plugin>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct Plugin {
+    #[prost(string, tag = "1")]
+    name: String,
+}
+
+/// `DT_STRING` of `tensorflow/core/framework/types.proto`.
+const STRINGS: i32 = 7;
 
 /// An image in TensorBoard: the bytes of a file in a format that browsers support. A GIF is animated.
 #[derive(Clone, PartialEq, Message)]
@@ -88,7 +118,7 @@ impl EventWriter {
     /// # Errors
     /// If writing fails.
     pub fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
-        let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), image: None };
+        let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), ..Tagged::default() };
         self.summary(step, scalars.into_iter().map(number).collect())
     }
 
@@ -97,8 +127,18 @@ impl EventWriter {
     /// # Errors
     /// If writing fails.
     pub fn picture(&mut self, step: u64, tags: &[String], picture: &Picture) -> io::Result<()> {
-        let tagged = |tag: &String| Tagged { tag: tag.clone(), simple_value: None, image: Some(picture.clone()) };
+        let tagged = |tag: &String| Tagged { tag: tag.clone(), image: Some(picture.clone()), ..Tagged::default() };
         self.summary(step, tags.iter().map(tagged).collect())
+    }
+
+    /// Appends a text in Markdown at `step`.
+    ///
+    /// # Errors
+    /// If writing fails.
+    pub fn text(&mut self, step: u64, tag: &str, text: &str) -> io::Result<()> {
+        let metadata = Some(Metadata { plugin: Some(Plugin { name: "text".to_owned() }) });
+        let tensor = Some(Tensor { dtype: STRINGS, strings: vec![text.as_bytes().to_vec()] });
+        self.summary(step, vec![Tagged { tag: tag.to_owned(), tensor, metadata, ..Tagged::default() }])
     }
 
     /// The path of the file.
@@ -178,6 +218,7 @@ mod tests {
         writer.scalars(4096, [("ppo/entropy".to_owned(), 1.5), ("learner/n_updates".to_owned(), 0.0)]).unwrap();
         let picture = Picture { height: 2, width: 3, colorspace: 3, encoded: b"GIF89a".to_vec() };
         writer.picture(8192, &["train-2-6/success".to_owned()], &picture).unwrap();
+        writer.text(0, "settings", "seed = 1").unwrap();
         let path = fs::read_dir(dir.path().join("learner")).unwrap().next().unwrap().unwrap().path();
         assert_eq!(path, writer.path());
         assert!(path.file_name().unwrap().to_str().unwrap().starts_with("events.out.tfevents."));
@@ -188,10 +229,10 @@ mod tests {
             events.push(Event::decode(&rest[12..12 + length]).unwrap());
             rest.drain(..12 + length + 4);
         }
-        assert_eq!(events.len(), 3);
+        assert_eq!(events.len(), 4);
         assert_eq!(events[0].file_version.as_deref(), Some("brain.Event:2"));
         assert_eq!(events[1].step, 4096);
-        let scalar = |tag: &str, value| Tagged { tag: tag.to_owned(), simple_value: Some(value), image: None };
+        let scalar = |tag: &str, value| Tagged { tag: tag.to_owned(), simple_value: Some(value), ..Tagged::default() };
         assert_eq!(
             events[1].summary.as_ref().unwrap().values,
             [scalar("ppo/entropy", 1.5), scalar("learner/n_updates", 0.0)]
@@ -199,6 +240,13 @@ mod tests {
         assert_eq!(events[2].step, 8192);
         let value = &events[2].summary.as_ref().unwrap().values[0];
         assert_eq!((value.tag.as_str(), &value.image, value.simple_value), ("train-2-6/success", &Some(picture), None));
+        let text = &events[3].summary.as_ref().unwrap().values[0];
+        let (tensor, metadata) = (text.tensor.as_ref().unwrap(), text.metadata.as_ref().unwrap());
+        assert_eq!(
+            (text.tag.as_str(), tensor.dtype, &tensor.strings[..]),
+            ("settings", 7, &[b"seed = 1".to_vec()][..])
+        );
+        assert_eq!(metadata.plugin.as_ref().unwrap().name, "text");
     }
 
     #[test]

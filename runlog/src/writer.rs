@@ -1,11 +1,12 @@
 //! Writes the metrics of one service: lines of `metrics.jsonl` and TensorBoard curves.
 
 use std::fs::{self, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
 
 use proto::Role;
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::RunPaths;
 use crate::tensorboard::EventWriter;
@@ -86,7 +87,17 @@ impl MetricsWriter {
         write().map_err(|source| WriteError::Io { path: self.path.clone(), source })
     }
 
-    /// Adds a point to each named curve at a number of environment steps.
+    /// Adds a text in Markdown, shown under its name.
+    ///
+    /// # Errors
+    /// If writing fails.
+    pub fn text(&mut self, name: &str, text: &str) -> Result<(), WriteError> {
+        let written = self.tensorboard.text(0, name, text);
+        written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
+    }
+
+    /// Adds a point to each named curve at a number of environment steps. Counts of what a session dropped have a curve
+    /// once there are any, so that TensorBoard does not open on a page of zeros.
     ///
     /// # Errors
     /// If writing fails.
@@ -95,7 +106,55 @@ impl MetricsWriter {
         n_env_steps: u64,
         scalars: impl IntoIterator<Item = (String, f64)>,
     ) -> Result<(), WriteError> {
-        let written = self.tensorboard.scalars(n_env_steps, scalars);
+        let is_shown = |(tag, value): &(String, f64)| *value != 0.0 || !tag.starts_with("bus/");
+        let written = self.tensorboard.scalars(n_env_steps, scalars.into_iter().filter(is_shown));
         written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
+    }
+}
+
+/// The last line of `metrics.jsonl` under `key` that is accepted, among the last 4 MiB; `None` if there is none.
+///
+/// # Errors
+/// If the file is there and cannot be read.
+pub fn last_line(paths: &RunPaths, key: &str, accepts: impl Fn(&Value) -> bool) -> io::Result<Option<Value>> {
+    /// Hundreds of updates, each below 20 KB.
+    const TAIL: u64 = 4 << 20;
+    let mut file = match fs::File::open(paths.metrics()) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        opened => opened?,
+    };
+    let start = file.metadata()?.len().saturating_sub(TAIL);
+    file.seek(SeekFrom::Start(start))?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes)?;
+    // What was cut off at the front, or by a kill at the end, is no JSON.
+    let lines = bytes.rsplit(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice::<Value>(line).ok());
+    Ok(lines.filter(|line| line["key"] == key).find(accepts))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_last_line_of_a_key_is_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        assert_eq!(last_line(&paths, "learner", |_| true).unwrap(), None);
+        let writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
+        let mut lines = Lines::default();
+        for (key, n) in [("learner", 1), ("learner", 2), ("eval/summary", 3)] {
+            lines.push(key, &json!({ "n": n })).unwrap();
+        }
+        writer.append(&lines).unwrap();
+        let mut file = OpenOptions::new().append(true).open(paths.metrics()).unwrap();
+        file.write_all(b"{\"key\":\"learner\",\"n\":4").unwrap();
+        let found = |below: u64| {
+            let line = last_line(&paths, "learner", |line| line["n"].as_u64().unwrap() < below).unwrap();
+            line.map(|line| line["n"].as_u64().unwrap())
+        };
+        assert_eq!((found(9), found(2), found(1)), (Some(2), Some(1), None));
     }
 }

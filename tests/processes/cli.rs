@@ -1,7 +1,8 @@
 //! What the real program answers to wrong use: the culprit, what would be valid, and the exit code.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 /// Runs `lodestone` in `folder` with nothing of ours in its environment but `variables`.
 fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
@@ -37,7 +38,8 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["train", "--actors", "65"], &["--actors", "65 is not in 1..=64"]),
         (&["train", "--preset", "papr"], &["papr", "paper", "quickstart"]),
         (&["train", "--device", "tpu"], &["--device", "tpu", "cpu", "gpu"]),
-        (&["train", "--preset", "paper", "--config", "my.toml"], &["--preset", "--config", "cannot be used with"]),
+        (&["train", "--web", "page"], &["--web", "page", "ADDRESS:PORT"]),
+        (&["completions", "cmd"], &["cmd", "bash", "zsh", "fish"]),
         (&["eval"], &["--checkpoint", "--pretrained"]),
         (&["eval", "--checkpoint", "x", "--pretrained"], &["--checkpoint", "--pretrained", "cannot be used with"]),
         (&["play"], &["--checkpoint", "--pretrained"]),
@@ -72,6 +74,11 @@ fn wrong_configurations_are_named_with_what_is_valid() {
             &["environment.n_grippers = 1: expected 2", "policy.network.n_grippers"],
         ),
         (with_file, Some("base = \"papr\""), &["papr", "did you mean `paper`"]),
+        (
+            &["train", "--config", "my.toml", "--preset", "paper"],
+            Some("base = \"laptop\""),
+            &["my.toml", "the preset `laptop`", "--preset is the preset `paper`"],
+        ),
         (&["train", "--set", "actor.n_wolrds=3"], None, &["--set actor.n_wolrds=3", "did you mean `n_worlds`"]),
         (&["train", "--set", "actor"], None, &["--set actor", "KEY=VALUE"]),
         (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
@@ -110,7 +117,7 @@ fn an_endpoint_that_makes_no_sense_is_named() {
     for (role, endpoint) in [("router", "nonsense"), ("router", "tls/127.0.0.1:7447"), ("router", "tcp/localhost")] {
         check_refused(&[role, "--listen", endpoint], &[], None, 64, &[endpoint, "tcp/HOST:PORT"]);
     }
-    check_refused(&["actor", "--connect", "localhost:7447"], &[], None, 64, &["`localhost:7447`", "tcp/HOST:PORT"]);
+    check_refused(&["actor", "--connect", "localhost"], &[], None, 64, &["`localhost`", "tcp/HOST:PORT"]);
 }
 
 #[cfg(not(feature = "gpu"))]
@@ -131,6 +138,79 @@ fn layers_are_put_over_each_other_in_order() {
     for line in ["seed = 13", "segment_len = 11", "n_worlds = 12", "n_threads = 13"] {
         assert!(printed.lines().any(|printed| printed == line), "no {line:?} in {printed}");
     }
+}
+
+/// What `train --print-config` says with these arguments.
+fn printed(folder: &Path, args: &[&str]) -> toml::Table {
+    let output = lodestone(folder, &[&["train", "--print-config"], args].concat(), &[]);
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap().parse().unwrap()
+}
+
+#[test]
+fn a_file_is_put_over_quickstart_and_a_whole_one_over_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("my.toml");
+    let with_file = |text: &str, args: &[&str]| {
+        std::fs::write(&file, text).unwrap();
+        printed(folder.path(), &[&["--config", "my.toml"], args].concat())
+    };
+    let quickstart = printed(folder.path(), &[]);
+    let mine = with_file("seed = 7", &[]);
+    assert_eq!((mine["seed"].as_integer(), &mine["learner"]), (Some(7), &quickstart["learner"]));
+    let over_paper = with_file("seed = 7", &["--preset", "paper"]);
+    assert_eq!(over_paper["learner"], printed(folder.path(), &["--preset", "paper"])["learner"]);
+    assert_ne!(with_file("base = \"none\"", &[])["learner"], quickstart["learner"]);
+    // What one run wrote is what the next one has, whatever stands below.
+    let whole = with_file(&over_paper.to_string(), &[]);
+    assert_eq!(whole, over_paper);
+}
+
+#[test]
+fn numbers_and_addresses_are_written_as_people_write_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let steps = |text: &str| printed(folder.path(), &["--steps", text])["n_env_steps"].as_integer();
+    assert_eq!((steps("1e6"), steps("1_000_000")), (Some(1_000_000), Some(1_000_000)));
+    let listening = printed(folder.path(), &["--web", "8080", "--listen", "localhost:7447"]);
+    assert_eq!(listening["dashboard"]["web"]["listen"].as_str(), Some("127.0.0.1:8080"));
+    assert_eq!(listening["bus"]["listen"][0].as_str(), Some("tcp/localhost:7447"));
+}
+
+#[test]
+fn shells_and_man_know_the_commands() {
+    let folder = tempfile::tempdir().unwrap();
+    for shell in ["bash", "zsh", "fish"] {
+        let output = lodestone(folder.path(), &["completions", shell], &[]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(text.contains("lodestone") && text.contains("evaluator"), "{shell}: {text}");
+    }
+    let output = lodestone(folder.path(), &["man", "pages"], &[]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = |name: &str| std::fs::read_to_string(folder.path().join("pages").join(name)).unwrap();
+    assert!(page("lodestone.1").contains("magnet blocks"));
+    assert!(page("lodestone-train.1").contains("resume"));
+    assert!(page("lodestone-blueprints-show.1").contains("pictures"));
+    assert!(!folder.path().join("pages/lodestone-bench-load.1").exists(), "hidden commands have no page");
+}
+
+#[test]
+fn an_interrupted_evaluation_says_what_it_has_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = crate::support::program::lodestone(folder.path());
+    command.args(["expert", "eval", "2_000", "--episodes", "10000", "--json"]);
+    let mut evaluation = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(evaluation.stderr.take().unwrap()).lines().map(Result::unwrap);
+    // Some episodes have ended.
+    lines.find(|line| line.contains("of 10000 episodes")).unwrap();
+    let killed = Command::new("kill").args(["-INT", &evaluation.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let output = evaluation.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    assert!(lines.any(|line| line.contains("error: interrupted after")));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let n_episodes = report["blueprints"][0]["outcome"]["success"]["n_episodes"].as_u64().unwrap();
+    assert!((1..10_000).contains(&n_episodes), "{report}");
+    assert_eq!(report["is_complete"], false);
 }
 
 #[test]

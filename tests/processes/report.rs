@@ -62,6 +62,13 @@ fn pictures_and_tables_are_written() {
     let table = std::fs::read_to_string(folder.path().join("run/report/groups.md")).unwrap();
     assert!(table.contains("| train 2-6 | 2 | mode | 8 | 100.0 % |"), "{table}");
 
+    let output = report(folder.path(), &["run", "--json"]);
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((summary["n_evaluations"].as_u64(), summary["n_env_steps"].as_u64()), (Some(3), Some(700)));
+    assert_eq!(summary["groups"][0]["name"], "train 2-6");
+    assert_eq!(summary["groups"][0]["success"]["n_episodes"], 8);
+    assert_eq!(summary["files"].as_array().unwrap().len(), plain.len());
+
     let output = report(folder.path(), &["run", "--minus", "other", "--out", "new/pictures"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let written = names(&folder.path().join("new/pictures"));

@@ -53,13 +53,22 @@ fn a_run_is_saved_judged_and_continued() {
             .args(["--set", "evaluator.episodes.acting=[\"sampled\"]"]),
     );
     let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+    assert!(report["summary"]["elapsed_s"].as_f64().unwrap() > 0.0);
     assert_eq!(report["summary"]["n_env_steps"], n_steps);
     let n_episodes = |acting: &str| report["summary"]["all"][acting]["success"]["n_episodes"].as_u64();
     assert_eq!((n_episodes("sampled"), n_episodes("mode")), (Some(2), Some(0)));
 
     let goal = (n_steps + 256).to_string();
-    finished(lodestone(folder.path()).args(["train", "--resume", "run", "--steps", &goal]));
+    let resumed = finished(lodestone(folder.path()).args(["train", "--resume", "run", "--steps", &goal, "--json"]));
+    let summary: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
+    assert_eq!((summary["run_dir"].as_str(), summary["is_complete"].as_bool()), (Some("run"), Some(true)));
+    assert_eq!(summary["n_env_steps"], n_saved_steps(&run_dir));
+    assert_eq!(summary["evaluation"]["n_env_steps"], summary["n_env_steps"]);
+    assert!(String::from_utf8_lossy(&resumed.stderr).contains("continuing `quickstart`"));
     assert!(n_saved_steps(&run_dir) >= n_steps + 256);
+    let last = runlog::last_line(&runlog::RunPaths::new(&run_dir), "learner", |_| true).unwrap().unwrap();
+    let seconds = |key: &str| last[key].as_f64().unwrap();
+    assert!(seconds("run_elapsed_s") > seconds("elapsed_s"), "the time before the resume counts: {last}");
 
     let again = lodestone(folder.path()).args(["train", "--run-dir", "run"]).output().unwrap();
     assert_eq!(again.status.code(), Some(2), "a run must not be overwritten");
@@ -97,7 +106,7 @@ fn a_signal_drains_and_saves() {
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
     // The learner's first line: everything is up and has learned.
-    lines.find(|line| line.as_ref().unwrap().contains("explained variance")).unwrap().unwrap();
+    lines.find(|line| line.as_ref().unwrap().contains("steps/s")).unwrap().unwrap();
     let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     assert!(killed.success());
     for line in lines {
@@ -105,4 +114,18 @@ fn a_signal_drains_and_saves() {
     }
     assert!(child.wait().unwrap().success());
     assert!(n_saved_steps(&folder.path().join("run")) >= 256);
+}
+
+#[test]
+fn a_start_that_fails_leaves_no_run_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
+    let args = ["train", "--run-dir", "run", "--listen", &endpoint];
+    let refused = lodestone(folder.path()).args(args).output().unwrap();
+    let stderr = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(65), "{stderr}");
+    assert!(stderr.contains(&endpoint) && stderr.contains("Address already in use"), "{stderr}");
+    assert!(!stderr.contains(".rs:"), "the error names places in code: {stderr}");
+    assert!(!folder.path().join("run").exists());
 }

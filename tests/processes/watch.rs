@@ -51,7 +51,7 @@ async fn a_run_is_printed_once() {
     for words in [
         "Run default at unixsock-stream/",
         "learner heard 0 s ago, evaluator gone, heard 0 s ago",
-        "Success in %: weights 800, 3 276 800 environment steps, judged 0 s ago",
+        "Success in %: weights 800, 3 276 800 environment steps, evaluated 0 s ago",
         "  train 2-6     100.0 ( 91.2 to 100.0)      40",
         "  worst  2_000 100.0",
         "Learning: weights 812, 3 326 976 environment steps",
@@ -63,6 +63,14 @@ async fn a_run_is_printed_once() {
         assert!(stdout.contains(words), "no {words:?} in {stdout}");
     }
     assert!(!stdout.contains('\u{1b}'), "{stdout:?}");
+    let output = watch(folder.path(), &["--run", "default", "--once", "--json", "--timeout", "60"]).await;
+    let known: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((known["run"].as_str(), known["is_connected"].as_bool()), (Some("default"), Some(true)));
+    assert_eq!(known["learner"]["n_env_steps"], 3_326_976);
+    assert_eq!(known["evaluation"]["weights_version"], 800);
+    assert_eq!(known["blueprints"][0]["blueprint"], "2_000");
+    assert_eq!(known["actors"][0]["actor"], "actor-1");
+    assert_eq!(known["alive"]["actors"], json!(["actor-1", "quiet"]));
     bus.close().await;
 }
 
@@ -85,6 +93,7 @@ async fn a_missing_router_and_wrong_use_are_named() {
         (&[], 2, &["needs a terminal", "--once"]),
         (&["--run", "My Run", "--once"], 2, &["--run", "My Run", "a-z"]),
         (&["--timeout", "3"], 2, &["--once"]),
+        (&["--json"], 2, &["--once"]),
         (&["--once", "--timeout", "0"], 2, &["--timeout", "1..=86400"]),
     ] {
         let output = watch(folder.path(), args).await;

@@ -24,6 +24,16 @@ const QUIET: Duration = Duration::from_millis(300);
 /// With `--once`, the longest time that is given to what comes with the first summary.
 const LONGEST_SETTLING: Duration = Duration::from_secs(3);
 
+/// What [`once`] gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// The lines of the live view.
+    Text,
+    /// One object: `run`, `is_connected`, `learner`, `evaluation`, `blueprints`, `actors` and `alive`, with the metrics as
+    /// they are on the bus and `null` for what was not said.
+    Json,
+}
+
 /// Why a run cannot be shown in the terminal.
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
@@ -70,11 +80,16 @@ pub async fn live(config: BusConfig, shutdown: CancellationToken) -> Result<(), 
         .await
 }
 
-/// What is known as soon as the learner or the evaluator has said something, as text; nothing after `shutdown`.
+/// What is known as soon as the learner or the evaluator has said something; nothing after `shutdown`.
 ///
 /// # Errors
 /// If that takes longer than `patience`, or the bus cannot be opened.
-pub async fn once(config: BusConfig, patience: Duration, shutdown: CancellationToken) -> Result<String, WatchError> {
+pub async fn once(
+    config: BusConfig,
+    format: Format,
+    patience: Duration,
+    shutdown: CancellationToken,
+) -> Result<String, WatchError> {
     let (source, start) = (source(&config), Instant::now());
     following(config, start, shutdown, async |mut run, shutdown| {
         let arrived = tokio::select! {
@@ -89,7 +104,11 @@ pub async fn once(config: BusConfig, patience: Duration, shutdown: CancellationT
         }
         let settled = async { while let Ok(Ok(())) = timeout(QUIET, run.changed()).await {} };
         let _: Result<(), _> = timeout(LONGEST_SETTLING, settled).await;
-        Ok(view::text(&run.borrow(), &source, start.elapsed()))
+        let run = run.borrow();
+        Ok(match format {
+            Format::Text => view::text(&run, &source, start.elapsed()),
+            Format::Json => format!("{:#}", run.to_json(&source.run)),
+        })
     })
     .await
 }

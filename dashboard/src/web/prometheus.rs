@@ -9,6 +9,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
+use proto::metrics::ImitationMetrics;
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Role};
 use serde::Serialize;
@@ -27,6 +28,7 @@ type Labels = Vec<(&'static str, String)>;
 /// Never for the names and labels used here; the encoder's own type.
 pub(super) fn text(state: &State) -> Result<String, std::fmt::Error> {
     let mut page = Scrape(Registry::with_prefix("lodestone"));
+    build(&mut page, state);
     success(&mut page, state);
     learner(&mut page, state);
     roster(&mut page, state);
@@ -83,6 +85,12 @@ fn by_reason(counts: &impl Serialize) -> Vec<(Labels, u64)> {
     counters(counts).into_iter().map(|(name, n)| (reason(name), n)).collect()
 }
 
+/// A constant whose labels say what is scraped.
+fn build(page: &mut Scrape, state: &State) {
+    let labels = vec![label("version", env!("CARGO_PKG_VERSION")), label("run", state.run.name())];
+    page.gauges("build_info", "Always 1; the labels have the version of the program and the run", [(labels, 1.0)]);
+}
+
 fn success(page: &mut Scrape, state: &State) {
     let last = state.passes.last();
     let groups = last.into_iter().flat_map(|pass| pass.groups.iter().chain([&pass.all]));
@@ -137,6 +145,18 @@ fn learner(page: &mut Scrape, state: &State) {
     gauge("learner_explained_variance_ratio", "Explained variance of the values, at most 1", |l| {
         l.ppo.explained_variance
     });
+    gauge("learner_learning_rate", "Learning rate of the newest update", |l| l.ppo.learning_rate);
+    let imitation = learner.and_then(|learner| learner.imitation);
+    let mut gauge = |name, help, value: fn(&ImitationMetrics) -> f64| {
+        page.gauge(name, help, imitation.as_ref().map(value));
+    };
+    gauge("learner_imitation_weight", "Weight of the imitation loss", |i| i.weight);
+    gauge("learner_imitation_block_loss_nats", "Cross-entropy of the expert's choice of blocks", |i| i.block_loss);
+    gauge("learner_imitation_move_loss", "Distance from the expert's moves", |i| i.move_loss);
+    gauge("learner_imitation_block_accuracy_ratio", "Scenes in which the expert's blocks are the likeliest", |i| {
+        i.block_accuracy
+    });
+    gauge("learner_imitation_replay_scenes", "Labeled scenes in the replay buffer", |i| i.n_replay as f64);
 }
 
 fn roster(page: &mut Scrape, state: &State) {
@@ -253,6 +273,21 @@ mod tests {
     }
 
     #[test]
+    fn imitation_is_scraped_where_labels_teach() {
+        let board = Board::default();
+        let mut learner = samples::learner();
+        learner.value["imitation"] = serde_json::json!({
+            "weight": 1.0, "block_loss": 0.25, "move_loss": 0.5, "block_accuracy": 0.75, "n_gradient_steps": 8,
+            "n_replay": 100,
+        });
+        board.told(News::Metrics(vec![learner]), Duration::ZERO);
+        let samples = parse(&text(&board.state()).unwrap());
+        for (name, value) in [("block_loss_nats", 0.25), ("block_accuracy_ratio", 0.75), ("replay_scenes", 100.0)] {
+            assert_eq!(samples.get(&format!("lodestone_learner_imitation_{name}")), Some(&value), "{samples:#?}");
+        }
+    }
+
+    #[test]
     fn a_hand_worked_scrape() {
         let board = Board::default();
         let scores = [("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5)];
@@ -276,6 +311,7 @@ mod tests {
             ("lodestone_page_metrics_unread_total{reason=\"schema_unknown\"}", 1.0),
             ("lodestone_page_metrics_unread_total{reason=\"over_limit\"}", 0.0),
             ("lodestone_page_bus_dropped_total{reason=\"metrics_dropped\"}", 0.0),
+            (concat!("lodestone_build_info{version=\"", env!("CARGO_PKG_VERSION"), "\",run=\"\"}"), 1.0),
         ] {
             assert_eq!(samples.get(sample), Some(&value), "{sample} in {samples:#?}");
         }

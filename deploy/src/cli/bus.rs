@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
+use super::values::endpoint;
 use crate::config::Override;
 
 /// Endpoints of a process that joins others.
@@ -11,10 +12,10 @@ use crate::config::Override;
 pub struct EndpointArgs {
     /// Endpoint of the router, for example tcp/127.0.0.1:7447, quic/HOST:7447 or unixsock-stream//tmp/bus.sock; may be
     /// repeated.
-    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',')]
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
     pub connect: Vec<String>,
     /// Be a router as well and listen here; may be repeated. An address that other machines reach needs --keys.
-    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',')]
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = endpoint)]
     pub listen: Vec<String>,
     /// Keys.
     #[command(flatten)]
@@ -33,10 +34,10 @@ pub struct KeysArgs {
 #[derive(Debug, Args)]
 pub struct RouterArgs {
     /// Where processes find it, for example tcp/127.0.0.1:7447, or quic/0.0.0.0:7447 with --keys; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_LISTEN", value_delimiter = ',')]
+    #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = endpoint)]
     pub listen: Vec<String>,
     /// Other routers to connect to; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',')]
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
     pub connect: Vec<String>,
     /// Keys.
     #[command(flatten)]

@@ -8,7 +8,7 @@ use clap::{Args, Subcommand, ValueEnum};
 /// What the scripted expert is to do.
 #[derive(Debug, Subcommand)]
 pub enum ExpertCommand {
-    /// Judge it on blueprints, as a policy is judged.
+    /// Evaluate it on blueprints, as a policy is evaluated.
     Eval(ExpertEvalArgs),
 }
 
@@ -18,9 +18,12 @@ pub struct ExpertEvalArgs {
     /// These blueprints of the catalog only; generated ones by their id as well.
     #[arg(value_name = "ID")]
     pub ids: Vec<String>,
+    /// This blueprint only: an id, a file, or a folder of files; may be repeated.
+    #[arg(long, value_name = "FILE|ID")]
+    pub blueprint: Vec<String>,
     /// This part of the catalog: train, test, test-literal, test-longest, test-tallest or validation; may be repeated
     /// [default: all but validation].
-    #[arg(long, value_name = "S", conflicts_with = "ids")]
+    #[arg(long, value_name = "S", conflicts_with_all = ["ids", "blueprint"])]
     pub split: Vec<Split>,
     /// Episodes per blueprint.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -50,6 +53,9 @@ pub struct ExpertEvalArgs {
     /// Set one key of the configuration, for example environment.max_speed_mps=2; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Print every blueprint, not only the groups and the worst.
+    #[arg(long)]
+    pub verbose: bool,
     /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,

@@ -8,6 +8,7 @@ use proto::ActorId;
 use render::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 
 use super::KeysArgs;
+use super::values::endpoint;
 
 /// Arguments of `render`.
 #[derive(Debug, Args)]
@@ -32,6 +33,9 @@ pub struct RenderArgs {
     /// Folder of blueprint files, or one file, with the goals [default: the catalog that comes with the program].
     #[arg(long, value_name = "FILE_OR_DIR")]
     pub path: Option<PathBuf>,
+    /// Goals beside those of the program: a file, or a folder of files; may be repeated.
+    #[arg(long, value_name = "FILE|ID", conflicts_with = "path")]
+    pub blueprint: Vec<String>,
     /// Show what a network attends to through the episode, every head of every layer: that of this run's newest checkpoint,
     /// of one checkpoint, or of an exported file. Whoever acted in the episode.
     #[arg(long, value_name = "DIR")]
@@ -45,7 +49,7 @@ pub struct RenderArgs {
 #[derive(Debug, Args)]
 pub struct LiveArgs {
     /// Watch the actors of a running training instead: endpoint of its router; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", value_delimiter = ',', conflicts_with = "files")]
+    #[arg(long, value_name = "ENDPOINT", value_delimiter = ',', value_parser = endpoint, conflicts_with = "files")]
     pub connect: Vec<String>,
     /// Name of the run; processes that were not told one have their preset's.
     #[arg(long, value_name = "NAME", default_value = "quickstart", requires = "connect")]

@@ -21,7 +21,10 @@ pub struct ReportArgs {
     /// Draw how much better or worse RUN is than this run as well.
     #[arg(long, value_name = "RUN2")]
     pub minus: Option<PathBuf>,
-    /// Draw RUN and these runs, at most four, in one picture as well, on the blueprints that all of them judged.
+    /// Draw RUN and these runs, at most four, in one picture as well, on the blueprints that all of them evaluated.
     #[arg(long, value_name = "RUN2", num_args = 1..MAX_RUNS)]
     pub beside: Vec<PathBuf>,
+    /// Print the table of groups and the names of the files as JSON.
+    #[arg(long)]
+    pub json: bool,
 }

@@ -10,18 +10,19 @@ use anyhow::Context;
 use blueprints::Group;
 use blueprints::{Blueprint, Catalog, Split};
 use evaluator::{
-    Detail, EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, ResetFreeConfig, Starts, evaluate_expert,
+    EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, ResetFreeConfig, Starts, evaluate_expert_followed,
     render_expert,
 };
 use proto::Trajectory;
 use proto::codec::encode_trajectory;
 use serde::Serialize;
+use tokio_util::sync::CancellationToken;
 
-use super::blueprints::find;
+use super::goals::Goals;
 use crate::cli::{ExpertCommand, ExpertEvalArgs, StartArg};
-use crate::config::{Config, Override, merge};
+use crate::config::{Base, Config, Override, merge};
 use crate::exit::Failure;
-use crate::live::Terminal;
+use crate::live::{self, EpisodeCounter, Terminal};
 
 /// Entry of `failures.json`.
 #[derive(Debug, Serialize)]
@@ -45,20 +46,22 @@ struct Timed<'a> {
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a blueprint is unknown, an episode cannot be started, or the explanation cannot be written.
-pub(super) fn run(command: &ExpertCommand, terminal: &Terminal) -> Result<(), Failure> {
+/// When a blueprint is unknown, an episode cannot be started, or the explanation cannot be written; also when
+/// `shutdown` came before the end, after what there was has been printed and written.
+pub(super) fn run(command: &ExpertCommand, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     match command {
-        ExpertCommand::Eval(args) => eval(args, terminal),
+        ExpertCommand::Eval(args) => eval(args, terminal, shutdown),
     }
 }
 
-fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
+fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let mut environment = defaults(&overrides)?.environment;
     // Past the check that the policy has as many: no policy acts here.
     environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
-    let catalog = Catalog::builtin();
-    let selected = select(catalog, &args.ids, &args.split)?;
+    let goals = Goals::open(&[&args.ids[..], &args.blueprint[..]].concat())?;
+    let catalog = goals.catalog();
+    let selected = select(&goals, &args.split)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     for folder in args.explain.iter().chain(&args.record) {
         fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
@@ -78,9 +81,13 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
         reset_free: args.reset_free.then(ResetFreeConfig::default),
         seed: args.seed,
     };
-    let start = Instant::now();
-    // A signal ends the process: nothing is lost but the episodes so far.
-    let report = evaluate_expert(&setup, &blueprints, &|| true).map_err(anyhow::Error::from)?;
+    let n_planned = u64::from(args.episodes) * blueprints.len() as u64;
+    let (episodes, start) = (EpisodeCounter::new(terminal.on_stderr(), n_planned), Instant::now());
+    let follower =
+        Follower { keep_going: &|| !shutdown.is_cancelled(), on_episode: &|episode| episodes.count(episode) };
+    let report = evaluate_expert_followed(&setup, &blueprints, &follower);
+    let n_ended = episodes.finish();
+    let report = report.map_err(anyhow::Error::from)?;
     let steps_per_second = report.n_steps as f64 / start.elapsed().as_secs_f64();
     if let Some(folder) = &args.explain {
         explain(folder, &report.failures)?;
@@ -90,29 +97,30 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal) -> Result<(), Failure> {
     }
     if args.json {
         let timed = Timed { report: &report, steps_per_second, n_threads };
-        terminal.print(&serde_json::to_string_pretty(&timed).map_err(anyhow::Error::from)?);
+        super::json(&timed, terminal)?;
     } else {
-        terminal.print(render_expert(&report, Detail::Blueprints).trim_end());
+        terminal.print(render_expert(&report, live::detail(args.verbose)).trim_end());
         terminal.print(&format!("{steps_per_second:.0} steps/s on {n_threads} threads, planning included"));
     }
-    Ok(())
+    if report.is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
 }
 
 /// The defaults with `overrides` put over them.
 fn defaults(overrides: &[Override]) -> Result<Config, Failure> {
-    let config = merge("", "the defaults", overrides)?;
+    let config = merge("", "the defaults", Base::Defaults, overrides)?;
     config.validate()?;
     Ok(config)
 }
 
-/// The blueprints of those ids, or of those splits, or of the paper's.
-fn select<'c>(catalog: &'c Catalog, ids: &[String], splits: &[Split]) -> Result<Vec<Cow<'c, Blueprint>>, Failure> {
-    if ids.is_empty() {
-        let splits = if splits.is_empty() { &Split::PAPER[..] } else { splits };
-        let wanted = |blueprint: &&Blueprint| splits.contains(&blueprint.split());
-        return Ok(catalog.iter().filter(wanted).map(Cow::Borrowed).collect());
+/// The blueprints that were named, or those of these splits, or the paper's.
+fn select<'g>(goals: &'g Goals, splits: &[Split]) -> Result<Vec<Cow<'g, Blueprint>>, Failure> {
+    let named = goals.blueprints()?;
+    if !named.is_empty() {
+        return Ok(named);
     }
-    ids.iter().map(|id| find(catalog, id)).collect()
+    let splits = if splits.is_empty() { &Split::PAPER[..] } else { splits };
+    let wanted = |blueprint: &&Blueprint| splits.contains(&blueprint.split());
+    Ok(goals.catalog().iter().filter(wanted).map(Cow::Borrowed).collect())
 }
 
 /// Writes replays of the first success and of the first failure of each group.

@@ -2,9 +2,11 @@
 
 mod bench;
 mod blueprints;
+mod completions;
 mod eval;
 mod expert;
 mod files;
+mod goals;
 mod keys;
 mod models;
 mod play;
@@ -20,8 +22,8 @@ use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::{Command, ConfigArgs, RunArgs};
-use crate::config::{Config, Override};
+use crate::cli::{Command, ConfigArgs, RunArgs, Settings};
+use crate::config::Override;
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::Terminal;
@@ -42,10 +44,15 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Bench(command) => bench::run(&command, terminal),
         Command::Blueprints(command) => blueprints::run(&command, terminal),
-        Command::Expert(command) => expert::run(&command, terminal),
+        Command::Expert(command) => on_runtime(async |shutdown| expert::run(&command, terminal, &shutdown)),
         Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
         Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
-        Command::Eval(args) => eval::run(&args, terminal),
+        Command::Completions(args) => {
+            completions::completions(&args, terminal);
+            Ok(())
+        }
+        Command::Man(args) => completions::man(&args, terminal),
+        Command::Eval(args) => on_runtime(async |shutdown| eval::run(&args, terminal, &shutdown)),
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
             let source = models::Source::open(&args.model)?;
@@ -64,38 +71,45 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let lockstep = args.lockstep.then(|| Override::flag("--lockstep", "lockstep", true));
             let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
-            let flags = args.run.overrides().into_iter().chain(given.into_iter().flatten()).collect();
-            let origin = origin(&args.run, &args.config, terminal);
-            let Some(config) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
+            let goals = goals::trained(&args.blueprint)?;
+            let flags = args.run.overrides().into_iter().chain(goals).chain(given.into_iter().flatten()).collect();
+            let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
+            let origin = origin(&args.run, &args.config, &said);
+            let Some(settings) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
-            let preset = args.config.preset(origin.config.as_ref())?;
-            on_runtime(async |shutdown| train::run(&config, &args, origin, preset, terminal, shutdown).await)
+            on_runtime(async |shutdown| {
+                let summary = train::run(&settings, &args, origin, &said, shutdown).await?;
+                if args.json { json(&summary, terminal) } else { Ok(()) }
+            })
         }
         Command::Actor(args) => {
             let flags = args.endpoints.overrides("actor");
-            let Some(config) = configure(&args.config, None, flags, terminal)? else { return Ok(()) };
-            on_runtime(async |shutdown| services::run_actor(&config, &args, shutdown).await)
+            let Some(settings) = configure(&args.config, None, flags, terminal)? else { return Ok(()) };
+            on_runtime(async |shutdown| services::run_actor(&settings, &args, terminal, shutdown).await)
         }
         Command::Learner(args) => {
             let flags = [args.member.endpoints.overrides("learner"), args.run.overrides()].concat();
             let origin = origin(&args.run, &args.member.config, terminal);
-            let Some(config) = configure(&args.member.config, origin.config.as_ref(), flags, terminal)? else {
+            let Some(settings) = configure(&args.member.config, origin.config.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
-            on_runtime(async |shutdown| services::run_learner(&config, &args, origin, terminal, shutdown).await)
+            on_runtime(async |shutdown| services::run_learner(&settings, &args, origin, terminal, shutdown).await)
         }
         Command::Evaluator(args) => {
             let flags = args.member.endpoints.overrides("evaluator").into_iter().chain(args.page.overrides()).collect();
-            let Some(config) = configure(&args.member.config, None, flags, terminal)? else { return Ok(()) };
-            on_runtime(async |shutdown| services::run_evaluator(&config, &args, terminal, shutdown).await)
+            let Some(settings) = configure(&args.member.config, None, flags, terminal)? else { return Ok(()) };
+            on_runtime(async |shutdown| services::run_evaluator(&settings, &args, terminal, shutdown).await)
         }
     }
 }
 
-/// Where the run begins; says so when that makes a preset or file of no effect.
+/// Where the run begins; says so when that makes a preset or file of no effect, or there is nothing to continue.
 fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Origin {
     let origin = Origin::find(run);
+    if let (Some(folder), None) = (&origin.config, &origin.checkpoint) {
+        terminal.print(&format!("{} has no checkpoint yet: the run begins again", folder.display()));
+    }
     if let (Some(folder), true) = (&origin.config, run.auto_resume) {
         let ignored = config.config.as_ref().map(|file| file.display().to_string()).or_else(|| config.preset.clone());
         let ignored = ignored.map_or_else(String::new, |name| format!("; `{name}` is not read"));
@@ -104,20 +118,26 @@ fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Origin {
     origin
 }
 
+/// Prints a value as JSON.
+fn json(value: &impl serde::Serialize, terminal: &Terminal) -> Result<(), Failure> {
+    terminal.print(&serde_json::to_string_pretty(value).map_err(anyhow::Error::from)?);
+    Ok(())
+}
+
 /// The valid configuration, or `None` after printing it when that was asked for.
 fn configure(
     args: &ConfigArgs,
     resume: Option<&PathBuf>,
     flags: Vec<Override>,
     terminal: &Terminal,
-) -> Result<Option<Config>, Failure> {
-    let config = args.load(resume, flags)?;
-    config.validate()?;
+) -> Result<Option<Settings>, Failure> {
+    let settings = args.load(resume, flags)?;
+    settings.config.validate()?;
     if args.print_config {
-        terminal.print(&config.to_toml());
+        terminal.print(&settings.config.to_toml());
         return Ok(None);
     }
-    Ok(Some(config))
+    Ok(Some(settings))
 }
 
 /// Runs `command` on a runtime, with a token that the first signal cancels.

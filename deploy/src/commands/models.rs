@@ -6,7 +6,7 @@ use learner::{Checkpoint, Model};
 
 use super::files::write_files;
 use crate::cli::{ExportArgs, ModelArgs};
-use crate::config::{Config, ConfigError, Override, Preset, merge};
+use crate::config::{Base, Config, ConfigError, Override, Preset, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use runlog::RunPaths;
@@ -67,7 +67,7 @@ impl Source {
     /// As for any configuration.
     pub(super) fn config(&self, overrides: &[Override]) -> Result<Config, Failure> {
         let (text, origin) = &self.config;
-        let config = Config { policy: self.model.policy.clone(), ..merge(text, origin, overrides)? };
+        let config = Config { policy: self.model.policy.clone(), ..merge(text, origin, Base::Defaults, overrides)? };
         config.validate()?;
         Ok(config)
     }

@@ -65,7 +65,7 @@ pub(super) async fn run(
     let publisher = bus.weights_publisher().await?;
     publisher.publish(Arc::new(weights)).await?;
     let (reports, judged) = watch::channel(None);
-    let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
+    let shown = tokio::spawn(live::show_reports(judged, terminal.clone(), live::detail(false)));
     let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
     let stop = Stop { now: shutdown, ..Stop::default() };
     let ended = services::evaluator(setup, reports, page, bus.clone(), stop).await;

@@ -12,6 +12,7 @@ use render::picture::encode;
 use render::video::{AttentionFilm, Episode, EpisodeAttention, Film, attention_strip, gif, mp4, strip};
 
 use super::files::write_files;
+use super::goals;
 use super::models::Source;
 use crate::cli::{FilmFormat, RenderArgs};
 use crate::config::nearest;
@@ -42,20 +43,23 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
 }
 
 /// Where goals are looked up.
-struct Goals(Option<Catalog>);
+struct Goals(Catalog);
 
 impl Goals {
     fn new(args: &RenderArgs) -> Result<Self, Failure> {
-        Ok(Self(args.path.as_deref().map(Catalog::load).transpose()?))
+        Ok(Self(match &args.path {
+            Some(path) => Catalog::load(path)?,
+            None => goals::Goals::open(&args.blueprint)?.into_catalog(),
+        }))
     }
 
     /// The blueprint, or why it is not there.
     fn find(&self, id: &BlueprintId) -> Result<Cow<'_, Blueprint>, String> {
-        let catalog = self.0.as_ref().unwrap_or_else(|| Catalog::builtin());
+        let catalog = &self.0;
         catalog.find(id).ok_or_else(|| {
             let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
             let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
-            format!("its goal `{id}` is not in the catalog{like}; --path names another one")
+            format!("its goal `{id}` is not in the catalog{like}; --blueprint FILE adds one")
         })
     }
 }

@@ -7,6 +7,7 @@ use proto::ActionMode;
 use render::plot::{self, Drawing, groups};
 use runlog::series::{Difference, Grid, lineage, outcome_of};
 use runlog::{History, Pass, RunPaths};
+use serde_json::json;
 
 use super::files::{File, write_files};
 use crate::cli::ReportArgs;
@@ -22,6 +23,8 @@ const REPORT: &str = "report";
 /// When a history is missing, of a newer program, damaged or without such actions, the two runs have no blueprint in
 /// common, or a file cannot be written.
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let stdout = terminal;
+    let terminal = &if args.json { terminal.on_stderr() } else { terminal.clone() };
     let (acting, name) = (args.acting, name(&args.run));
     let all = History::read(&RunPaths::new(args.run.clone()).history())?;
     let passes = shown(&all, &args.run, terminal);
@@ -46,12 +49,37 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     }
     let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
     write_files(&out, &files)?;
+    if args.json {
+        return super::json(&summary(args, &passes, &grid, &out, &files), stdout);
+    }
     let n_passes = count(passes.len(), "evaluation");
     terminal.print(&format!("{n_passes} of {} drawn", count(grid.rows.len(), "blueprint")));
     for (file, _) in files {
         terminal.print(&format!("  {}", out.join(file).display()));
     }
     Ok(())
+}
+
+/// What `--json` prints: the groups of the last evaluation, and what was written.
+fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, out: &Path, files: &[File]) -> serde_json::Value {
+    let groups = passes.last().map(|last| groups::rows(last)).unwrap_or_default();
+    let group = |row: &groups::GroupRow| {
+        json!({
+            "name": row.name, "n_blueprints": row.n_blueprints, "acting": row.acting.name(), "success": row.success,
+            "stable_success": row.stable, "mean_steps_to_success": row.mean_steps_to_success,
+            "mean_return": row.mean_return, "n_diverged": row.n_diverged,
+        })
+    };
+    json!({
+        "run": args.run,
+        "acting": args.acting.name(),
+        "n_evaluations": passes.len(),
+        "n_blueprints": grid.rows.len(),
+        "weights_version": passes.last().map(|last| last.weights_version),
+        "n_env_steps": passes.last().map(|last| last.n_env_steps),
+        "groups": groups.iter().map(group).collect::<Vec<_>>(),
+        "files": files.iter().map(|(file, _)| out.join(file)).collect::<Vec<_>>(),
+    })
 }
 
 fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Terminal) -> Result<Vec<File>, Failure> {
@@ -62,7 +90,7 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
     }
     let difference = Difference::new(passes, &others, args.acting).ok_or_else(|| {
         Failure::NothingToShow(format!(
-            "{} and {} judged no blueprint in common with {} actions: give --minus a run with the same `evaluator.selection`",
+            "{} and {} evaluated no blueprint in common with {} actions: give --minus a run with the same `evaluator.selection`",
             args.run.display(),
             minus.display(),
             args.acting.name(),
@@ -88,11 +116,11 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
         }
         runs.push((name(run), passes));
     }
-    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation judged", args.acting.name());
+    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", args.acting.name());
     let drawing = plot::comparison(&runs, args.acting, "Success of several runs over training", &what);
     let drawing = drawing.ok_or_else(|| {
         Failure::NothingToShow(format!(
-            "no blueprint was judged with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
+            "no blueprint was evaluated with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
              the same `evaluator.selection`",
             args.acting.name(),
             args.run.display(),

@@ -10,14 +10,16 @@ use bus::Bus;
 use dashboard::{Page, Source};
 use evaluator::{EvaluatorSetup, Listeners, Stop};
 use learner::{Feed, LearnerSetup, RunOptions};
+use proto::keys::{self, METRICS_LEARNER};
 use proto::metrics::EvalReport;
 use proto::{ActorId, Role};
 use runlog::RunPaths;
 use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::models;
-use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs};
+use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
 use crate::health::Reporter;
@@ -25,44 +27,96 @@ use crate::live::{self, Terminal};
 use crate::names::random_name;
 use crate::run_dir::{Origin, RunDir};
 
-/// How often a process that waits for its router says so.
+/// When a process that waits for its router first says so, and how often then.
+const FIRST_WAIT_NOTICE: Duration = Duration::from_secs(3);
 const WAIT_NOTICE: Duration = Duration::from_secs(10);
 
 /// Runs `actor`.
-pub(super) async fn run_actor(config: &Config, args: &MemberArgs, shutdown: CancellationToken) -> Result<(), Failure> {
+pub(super) async fn run_actor(
+    settings: &Settings,
+    args: &MemberArgs,
+    terminal: &Terminal,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let config = &settings.config;
     let id = actor_id(args.id.clone())?;
     let health = Reporter::start(Role::Actor.as_str(), args.health.health_file.as_deref())?;
+    let (n_threads, n_worlds) = (config.actor.n_threads, config.actor.n_worlds);
+    terminal.print(&begins(&format!("actor `{id}` steps {n_threads} × {n_worlds} worlds"), settings));
+    let key = keys::metrics_actor(&id);
     let setup = actor_setup(config, id);
-    on_bus(config, &health, &shutdown, async |bus| actor(setup, bus, shutdown.clone()).await).await
+    let mut shown = None;
+    let ended = on_bus(config, &health, &shutdown, async |bus| {
+        let metrics = bus.metrics_subscriber(&key).await?;
+        shown = Some(tokio::spawn(live::show_acting(metrics, terminal.clone())));
+        actor(setup, bus, shutdown.clone()).await
+    })
+    .await;
+    finished(shown).await.and(ended)
+}
+
+/// Waits for a task that shows what a service does, if it has begun; it ends with the bus.
+async fn finished(shown: Option<JoinHandle<()>>) -> Result<(), Failure> {
+    match shown {
+        Some(shown) => shown.await.map_err(|panic| Failure::Service(panic.into())),
+        None => Ok(()),
+    }
+}
+
+/// What a process of a run is about to do.
+fn begins(what: &str, settings: &Settings) -> String {
+    let config = &settings.config;
+    let how = match &config.bus.listen[..] {
+        [] => format!("router: {}", config.bus.connect.join(", ")),
+        endpoints => format!("others can join at {}", endpoints.join(" and ")),
+    };
+    format!("{what} for the run `{}`\nsettings: {}\n{how}", config.bus.run, settings.source)
 }
 
 /// Runs `learner`.
 pub(super) async fn run_learner(
-    config: &Config,
+    settings: &Settings,
     args: &LearnerArgs,
     origin: Origin,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
+    let config = &settings.config;
     let setup = learner_setup(config, args.run.init_from.as_deref())?;
     let health = Reporter::start(Role::Learner.as_str(), args.member.health.health_file.as_deref())?;
     let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
+    let what = format!("learning up to {} environment steps, seed {},", config.n_env_steps, config.seed);
+    terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let options = run_options(setup, config, &run_dir, origin.checkpoint);
-    on_bus(config, &health, &shutdown, async |bus| learner(options, bus, shutdown.clone()).await.map(drop)).await
+    let mut shown = None;
+    let ended = on_bus(config, &health, &shutdown, async |bus| {
+        let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
+        let (actors, whole, terminal) = (bus.alive(Role::Actor).await?, config.clone(), terminal.clone());
+        // Evaluations are for the evaluator to show.
+        let reports = watch::channel(None).1;
+        shown =
+            Some(tokio::spawn(async move { live::show_learning(metrics, actors, reports, terminal, &whole).await }));
+        learner(options, bus, shutdown.clone()).await.map(drop)
+    })
+    .await;
+    finished(shown).await.and(ended)
 }
 
 /// Runs `evaluator`, which prints its reports, or works on behalf of another.
 pub(super) async fn run_evaluator(
-    config: &Config,
+    settings: &Settings,
     args: &EvaluatorArgs,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
+    let config = &settings.config;
     let id = match &args.member.id {
         Some(id) => id.clone(),
         None => random_name(Role::Evaluator.as_str()).map_err(anyhow::Error::from)?,
     };
+    let what = if args.worker { "runs episodes for the evaluator" } else { "evaluates weights" };
+    terminal.print(&begins(&format!("evaluator `{id}` {what}"), settings));
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
     if args.worker {
@@ -74,8 +128,8 @@ pub(super) async fn run_evaluator(
         .await;
     }
     let page = page(config, terminal).await?;
-    let (reports, judged) = watch::channel(None);
-    let shown = tokio::spawn(live::show_reports(judged, terminal.clone()));
+    let (reports, evaluated) = watch::channel(None);
+    let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
     let ended = on_bus(config, &health, &shutdown, async |bus| evaluator(setup, reports, page, bus, stop).await).await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
@@ -91,9 +145,11 @@ async fn on_bus(
 ) -> Result<(), Failure> {
     let endpoints = config.bus.connect.join(", ");
     let notice = async {
+        let mut pause = FIRST_WAIT_NOTICE;
         loop {
-            tokio::time::sleep(WAIT_NOTICE).await;
+            tokio::time::sleep(pause).await;
             tracing::warn!("no router answers at {endpoints} yet; trying again until one does");
+            pause = WAIT_NOTICE;
         }
     };
     let bus = tokio::select! {
@@ -101,6 +157,7 @@ async fn on_bus(
         bus = Bus::open(&config.bus) => bus?,
         () = notice => unreachable!("it has no end"),
     };
+    tracing::info!(run = config.bus.run, "joined the bus");
     health.joined(&bus);
     let ended = service(bus.clone()).await;
     bus.close().await;

@@ -1,16 +1,20 @@
 //! `train`: learner, actors and evaluator in this process, on a bus of its own.
 
+use std::path::PathBuf;
+use std::time::Instant;
+
 use bus::Bus;
 use evaluator::Stop;
 use proto::ActorId;
 use proto::keys::{METRICS_LEARNER, Role};
-use tokio::sync::watch;
+use proto::metrics::EvalSummary;
+use serde::Serialize;
+use tokio::sync::{oneshot, watch};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::services;
-use crate::cli::TrainArgs;
-use crate::config::{Config, Preset};
+use crate::cli::{Settings, TrainArgs};
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
@@ -19,38 +23,55 @@ use crate::run_dir::{Origin, RunDir};
 /// Name of the actor and the evaluator of this process, beside which others may join.
 const LOCAL: &str = "local";
 
+/// What came of a training.
+#[derive(Debug, Serialize)]
+pub(super) struct Summary {
+    run: String,
+    run_dir: PathBuf,
+    /// Whether it made all of its steps.
+    is_complete: bool,
+    /// Seconds since this process began.
+    elapsed_s: f64,
+    #[serde(flatten)]
+    learner: learner::Summary,
+    /// The last evaluation of this process; `null` without one.
+    evaluation: Option<EvalSummary>,
+}
+
 /// Trains until the number of steps is reached, a service fails, or `shutdown`.
 ///
 /// # Errors
 /// The first failure of a service, after all others were stopped and the learner has saved.
 pub(super) async fn run(
-    config: &Config,
+    settings: &Settings,
     args: &TrainArgs,
     origin: Origin,
-    preset: Option<&Preset>,
     terminal: &Terminal,
     shutdown: CancellationToken,
-) -> Result<(), Failure> {
+) -> Result<Summary, Failure> {
+    let (config, start) = (&settings.config, Instant::now());
     let setup = services::learner_setup(config, args.run.init_from.as_deref())?;
     // Before anything is written, because the address may be taken.
     let page = services::page(config, terminal).await?;
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
-    terminal.print(&introduction(config, &origin, preset, &run_dir));
+    terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
-    let bus = Bus::open(&config.bus).await?;
+    let bus = Bus::open(&config.bus).await.inspect_err(|_| run_dir.abandon())?;
     health.joined(&bus);
     let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
     let actors = bus.alive(Role::Actor).await?;
-    let learning = tokio::spawn(live::show_learning(metrics, actors, terminal.clone(), config.n_env_steps));
-    let (reports, judged) = watch::channel(None);
-    let judging = tokio::spawn(live::show_reports(judged, terminal.clone()));
+    let (reports, evaluated) = watch::channel(None);
+    let (whole, shown, its_reports) = (config.clone(), terminal.clone(), evaluated.clone());
+    let learning = tokio::spawn(async move { live::show_learning(metrics, actors, its_reports, shown, &whole).await });
+    let evaluating = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
 
     let mut running = JoinSet::new();
     let mut options = services::run_options(setup, config, &run_dir, origin.checkpoint);
     options.feed = config.lockstep.then(|| services::lockstep_feed(config));
     let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
     let (tell, last) = watch::channel(None);
+    let (learned, its_summary) = oneshot::channel();
     let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
     let training = shutdown.child_token();
     let learner = services::learner(options, bus.clone(), training.clone());
@@ -58,9 +79,11 @@ pub(super) async fn run(
     running.spawn(async move {
         let report = learner.await?;
         if let Some(terminal) = told.filter(|_| !interrupted.is_cancelled()) {
-            terminal.print("the last weights are judged now; Ctrl-C ends without that");
+            terminal.print("the last weights are evaluated now; Ctrl-C ends without that");
         }
         tell.send_replace(Some(report.weights_version));
+        // Whoever waited for it may have failed.
+        drop(learned.send(report));
         Ok(())
     });
     if !config.lockstep {
@@ -78,26 +101,37 @@ pub(super) async fn run(
         }
     }
     bus.close().await;
-    for shown in [learning, judging] {
-        shown.await.map_err(|panic| Failure::Service(panic.into()))?;
-    }
+    let panicked = |panic: tokio::task::JoinError| Failure::Service(panic.into());
+    learning.await.map_err(panicked)?;
+    let evaluation = evaluating.await.map_err(panicked)?;
     ended?;
     terminal.print(&farewell(&run_dir));
-    Ok(())
+    let learner = its_summary.await.map_err(|error| Failure::Service(error.into()))?;
+    Ok(Summary {
+        run: config.bus.run.clone(),
+        run_dir: run_dir.path().to_owned(),
+        is_complete: learner.n_env_steps >= config.n_env_steps,
+        elapsed_s: start.elapsed().as_secs_f64(),
+        learner,
+        evaluation: evaluation.map(|report| report.summary.clone()),
+    })
 }
 
-fn introduction(config: &Config, origin: &Origin, preset: Option<&Preset>, run_dir: &RunDir) -> String {
+fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> String {
+    let config = &settings.config;
     let (actor, path) = (&config.actor, run_dir.path().display());
     let how = if origin.checkpoint.is_some() { "continuing" } else { "training" };
     let listening = match &config.bus.listen[..] {
         [] => String::new(),
         endpoints => format!("\nothers can join at {}, run `{}`", endpoints.join(" and "), config.bus.run),
     };
-    let takes = preset.map_or_else(String::new, |preset| format!("\nit takes {} as the preset is", preset.takes));
+    let takes =
+        settings.preset.map_or_else(String::new, |preset| format!("\nit takes {} as the preset is", preset.takes));
     format!(
-        "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}{takes}\n\
+        "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}\n\
+         settings: {}{takes}\n\
          everything goes to {path}; Ctrl-C saves and ends{listening}",
-        config.bus.run, config.n_env_steps, actor.n_threads, actor.n_worlds, config.seed,
+        config.bus.run, config.n_env_steps, actor.n_threads, actor.n_worlds, config.seed, settings.source,
     )
 }
 
@@ -106,7 +140,7 @@ fn farewell(run_dir: &RunDir) -> String {
     // As it was called, so that the lines can be pasted.
     let program = std::env::args().next().unwrap_or_else(|| "lodestone".to_owned());
     format!(
-        "\nsaved in {path}\n  judge it: {program} eval --checkpoint {path}\n  \
-         carry on: {program} train --resume {path} --steps N"
+        "\nsaved in {path}\n  evaluate it: {program} eval --checkpoint {path}\n  \
+         continue it: {program} train --resume {path} --steps N"
     )
 }

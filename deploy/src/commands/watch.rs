@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bus::{BusConfig, BusMode, SecurityConfig};
-use dashboard::terminal as view;
+use dashboard::terminal::{self as view, Format};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::WatchArgs;
@@ -20,7 +20,8 @@ pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: Cancell
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     if args.once {
-        terminal.print(&view::once(config, Duration::from_secs(args.timeout), shutdown).await?);
+        let format = if args.json { Format::Json } else { Format::Text };
+        terminal.print(&view::once(config, format, Duration::from_secs(args.timeout), shutdown).await?);
     } else {
         let _held = terminal.hold_log();
         view::live(config, shutdown).await?;

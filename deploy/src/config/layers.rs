@@ -2,6 +2,9 @@
 
 use super::{Config, ConfigError, Preset};
 
+/// The base of a file that stands on the plain defaults.
+pub const NO_BASE: &str = "none";
+
 /// Begins the name of every variable that sets a key.
 const PREFIX: &str = "LODESTONE_";
 
@@ -92,12 +95,57 @@ impl Override {
     }
 }
 
-/// Puts `overrides` over the file `text`, in their order.
+/// What a file's keys are put over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Base {
+    /// The defaults of every setting.
+    Defaults,
+    /// A preset.
+    Preset(&'static Preset),
+}
+
+impl Base {
+    /// What the name means: a preset, or [`NO_BASE`].
+    ///
+    /// # Errors
+    /// Names the presets that exist.
+    pub fn find(name: &str) -> Result<Self, ConfigError> {
+        if name == NO_BASE { Ok(Self::Defaults) } else { Preset::find(name).map(Self::Preset) }
+    }
+
+    /// The base that the file `text` names, if it does.
+    ///
+    /// # Errors
+    /// When the text is not TOML, or there is no such preset.
+    pub fn named_in(text: &str, origin: &str) -> Result<Option<Self>, ConfigError> {
+        let keys: toml::Table =
+            toml::from_str(text).map_err(|error| ConfigError::from_toml(&error, Some(text), origin))?;
+        keys.get("base").and_then(toml::Value::as_str).map(Self::find).transpose()
+    }
+
+    fn keys(self) -> Result<toml::Table, ConfigError> {
+        match self {
+            Self::Defaults => Ok(toml::Table::new()),
+            Self::Preset(preset) => with_base(preset.text, preset.name, Self::Defaults),
+        }
+    }
+}
+
+impl std::fmt::Display for Base {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Defaults => f.write_str("the plain defaults"),
+            Self::Preset(preset) => write!(f, "the preset `{}`", preset.name),
+        }
+    }
+}
+
+/// Puts `overrides` over the file `text`, in their order, and the file over the base that it names, or over `base`.
 ///
 /// # Errors
 /// Names the file with its line, or the variable or flag, that has an unknown key or a value of the wrong type.
-pub fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, ConfigError> {
-    let mut config = to_config(&with_base(text, origin)?, origin)?;
+pub fn merge(text: &str, origin: &str, base: Base, overrides: &[Override]) -> Result<Config, ConfigError> {
+    let mut config = to_config(&with_base(text, origin, base)?, origin)?;
     for layer in overrides {
         // Into the whole tree, so that one key of a choice can be set; one at a time, so that an error can be laid at the
         // right door.
@@ -108,8 +156,8 @@ pub fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config,
     Ok(config)
 }
 
-/// The keys of the file `text` over those of its base.
-fn with_base(text: &str, origin: &str) -> Result<toml::Table, ConfigError> {
+/// The keys of the file `text` over those of the base that it names, or of `base`.
+fn with_base(text: &str, origin: &str, base: Base) -> Result<toml::Table, ConfigError> {
     let refused = |error: toml::de::Error| ConfigError::from_toml(&error, Some(text), origin);
     let mut keys: toml::Table = toml::from_str(text).map_err(refused)?;
     let file: Config = if rename(&mut keys, origin)? {
@@ -119,15 +167,10 @@ fn with_base(text: &str, origin: &str) -> Result<toml::Table, ConfigError> {
         toml::from_str(text).map_err(refused)?
     };
     keys.remove("base");
-    match file.base {
-        None => Ok(keys),
-        Some(base) => {
-            let preset = Preset::find(&base)?;
-            let mut table = with_base(preset.text, preset.name)?;
-            put_over(&mut table, keys);
-            Ok(table)
-        }
-    }
+    let base = file.base.as_deref().map_or(Ok(base), Base::find)?;
+    let mut table = base.keys()?;
+    put_over(&mut table, keys);
+    Ok(table)
 }
 
 /// Sections in which one of several keys is chosen.
@@ -198,6 +241,11 @@ fn parse_value(text: &str) -> toml::Value {
 mod tests {
     use super::*;
 
+    /// Over the defaults, where the text names no other base.
+    fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, ConfigError> {
+        super::merge(text, origin, Base::Defaults, overrides)
+    }
+
     #[test]
     fn values_are_toml_or_else_strings() {
         for (text, expected) in [
@@ -230,6 +278,30 @@ mod tests {
         assert_eq!(other.evaluator.every, evaluator::Every::Versions(3));
         let unknown = merge("base = \"papr\"", "file", &[]).unwrap_err().to_string();
         assert!(unknown.starts_with("there is no preset `papr`; did you mean `paper`?"), "{unknown}");
+    }
+
+    #[test]
+    fn a_file_names_its_base_or_takes_the_one_given() {
+        let quickstart = Base::find("quickstart").unwrap();
+        let over = |text: &str| super::merge(text, "file", quickstart, &[]).unwrap();
+        let expected = merge("base = \"quickstart\"\nseed = 5", "file", &[]).unwrap();
+        assert_eq!(over("seed = 5"), expected);
+        assert_eq!(over("seed = 5\nbase = \"none\""), merge("seed = 5", "file", &[]).unwrap());
+        assert_eq!(over("base = \"paper\""), merge("base = \"paper\"", "file", &[]).unwrap());
+        let named = |text: &str| Base::named_in(text, "file").unwrap();
+        assert_eq!((named("seed = 5"), named("base = \"none\"")), (None, Some(Base::Defaults)));
+        assert_eq!(
+            (Base::Defaults.to_string(), quickstart.to_string()),
+            ("the plain defaults".into(), "the preset `quickstart`".into())
+        );
+    }
+
+    #[test]
+    fn a_whole_configuration_is_the_same_over_every_base() {
+        let paper = merge("base = \"paper\"", "file", &[]).unwrap();
+        let written = paper.to_toml();
+        assert!(written.starts_with("base = \"none\"\n"), "{written}");
+        assert_eq!(super::merge(&written, "file", Base::find("quickstart").unwrap(), &[]).unwrap(), paper);
     }
 
     #[test]

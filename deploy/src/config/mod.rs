@@ -1,6 +1,6 @@
 //! The configuration: one tree, shaped like the crates, each of which owns, documents and checks its section.
 //!
-//! Layers, each over the one before: defaults, a preset or file, `LODESTONE_*` variables, flags. Unknown keys are refused.
+//! Layers, each over the one before: defaults, a preset, a file, `LODESTONE_*` variables, flags. Unknown keys are refused.
 
 mod error;
 mod layers;
@@ -16,7 +16,7 @@ use proto::settings;
 
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion};
-pub use layers::{Override, merge};
+pub use layers::{Base, NO_BASE, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 
 /// Largest seed: TOML's integers are signed.
@@ -25,7 +25,8 @@ const MAX_SEED: u64 = i64::MAX as u64;
 settings! {
     /// Everything that determines a run, but for the endpoints and folders of the machine it runs on.
     pub struct Config {
-        /// In a file: the preset that the file's keys are put over; without one they are put over the defaults.
+        /// In a file: the preset that the file's keys are put over, or `none` for the plain defaults. Without it,
+        /// `--config` puts them over `quickstart` and a preset stands on the defaults.
         #[serde(skip_serializing)]
         pub base: Option<String> = None;
         /// Determines weights, tasks, actions and evaluation episodes.
@@ -54,22 +55,23 @@ settings! {
 }
 
 impl Config {
-    /// Reads a file's text; keys that neither it nor its base has are at their defaults. `origin` names it in errors.
+    /// Reads a file's text, over the defaults unless it names another base. `origin` names it in errors.
     ///
     /// # Errors
     /// Names the line of an unknown key, with the nearest one that exists, or of a value of the wrong type.
     pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        merge(text, origin, &[])
+        merge(text, origin, Base::Defaults, &[])
     }
 
-    /// The whole tree as a file, defaults included.
+    /// The whole tree as a file, defaults included. It names no base to stand on: what it lacks, such as a table that is
+    /// not switched on, is lacking on purpose.
     ///
     /// # Panics
     /// If a section has a type that TOML cannot express, which the tests exclude.
     pub fn to_toml(&self) -> String {
         let mut table = toml::Value::Table(self.to_table());
         shorten(&mut table);
-        toml::to_string(&table).expect("a table is TOML")
+        format!("base = \"{NO_BASE}\"\n{}", toml::to_string(&table).expect("a table is TOML"))
     }
 
     fn to_table(&self) -> toml::Table {

@@ -1,32 +1,196 @@
 //! Metrics as text.
 
-use proto::metrics::LearnerMetrics;
+use learner::config::Schedule;
+use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 
-/// One line with how far training is and its rates.
-pub(super) fn learner(learner: &LearnerMetrics, n_actors: usize, n_env_steps: u64) -> String {
-    let percent = 100.0 * learner.n_env_steps as f64 / n_env_steps.max(1) as f64;
-    let minutes = learner.elapsed_s / 60.0;
-    format!("{minutes:6.1} min  {:>9} steps ({percent:3.0} %)  {}", learner.n_env_steps, rates(learner, n_actors))
+/// What a line about the learner needs besides its metrics.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Context {
+    /// Where the run ends, in environment steps.
+    pub(super) n_env_steps: u64,
+    /// Weight of the rewards beside labels; without imitation they have all of it.
+    pub(super) ppo_weight: Option<Schedule>,
+    /// Actors alive.
+    pub(super) n_actors: usize,
+    /// Seconds that the rest takes at the pace so far.
+    pub(super) left_s: Option<f64>,
+    /// Success of the last evaluation, 0 to 1.
+    pub(super) evaluated: Option<f64>,
 }
 
-/// Returns, success, throughput, lag and the numbers of the update.
-pub(super) fn rates(learner: &LearnerMetrics, n_actors: usize) -> String {
-    let (episodes, ppo) = (&learner.episodes, &learner.ppo);
-    let outcome = if episodes.success.n_episodes == 0 {
+/// How fast a run goes, since somebody looks.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Pace {
+    first: Option<(f64, u64)>,
+}
+
+impl Pace {
+    /// Seconds from these metrics until the run has made `n_env_steps`; `None` before the second look.
+    pub(super) fn left_s(&mut self, learner: &LearnerMetrics, n_env_steps: u64) -> Option<f64> {
+        let (since_s, since_steps) = *self.first.get_or_insert((learner.elapsed_s, learner.n_env_steps));
+        let (seconds, n_steps) = (learner.elapsed_s - since_s, learner.n_env_steps.checked_sub(since_steps)?);
+        let n_left = n_env_steps.saturating_sub(learner.n_env_steps);
+        (seconds > 0.0 && n_steps > 0).then(|| seconds * n_left as f64 / n_steps as f64)
+    }
+}
+
+/// One line with how far training is, what is learned and how fast.
+pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
+    let percent = 100.0 * learner.n_env_steps as f64 / context.n_env_steps.max(1) as f64;
+    let minutes = learner.elapsed_s.max(learner.run_elapsed_s) / 60.0;
+    let parts = parts(learner, context).join("  ");
+    format!("{minutes:6.1} min  {:>9} steps ({percent:3.0} %)  {parts}", learner.n_env_steps)
+}
+
+/// What is left, how episodes end, what labels and rewards teach, and the throughput: each a line under the bar.
+pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> {
+    let episodes = &learner.episodes;
+    let mut outcome = if episodes.success.n_episodes == 0 {
         "no episode ended".to_owned()
     } else {
         let (rate, n_episodes) = (100.0 * episodes.success.rate, episodes.success.n_episodes);
-        format!("return {:6.2}  success {rate:5.1} % of {n_episodes}", episodes.mean_return.total())
+        format!("success {rate:5.1} % of {n_episodes}  return {:6.2}", episodes.mean_return.total())
     };
+    if let Some(evaluated) = context.evaluated {
+        outcome += &format!("  evaluated {:.1} %", 100.0 * evaluated);
+    }
+    let mut parts = vec![outcome];
+    parts.extend(labels(learner));
+    parts.extend(rewards(learner, context));
+    let actors = if context.n_actors == 1 { "actor" } else { "actors" };
+    let mut pace = format!("{:.0} steps/s  {} {actors}", learner.env_steps_per_s, context.n_actors);
+    if let Some(left) = context.left_s {
+        pace += &format!("  {} left", duration(left));
+    }
+    parts.push(pace);
+    parts
+}
+
+/// One line with what an actor has done.
+pub(super) fn actor(actor: &ActorMetrics) -> String {
+    let learner = if actor.learner_is_there { "" } else { "  no learner is there" };
     format!(
-        "{outcome}  {:.0} steps/s  {n_actors} actors  lag {:.1}  kl {:.4}  clipped {:.2}  entropy {:.2}  \
-         explained variance {:.2}  lr {:.1e}",
-        learner.env_steps_per_s,
-        learner.policy_lag_mean,
-        ppo.approx_kl,
-        ppo.clip_fraction,
-        ppo.entropy,
-        ppo.explained_variance,
-        ppo.learning_rate,
+        "{:6.1} min  {:>9} steps  {} episodes  {:.0} steps/s  lag {}  {} segments taken by the learner{learner}",
+        actor.elapsed_s / 60.0,
+        actor.n_env_steps,
+        actor.n_episodes,
+        actor.env_steps_per_s,
+        actor.policy_lag,
+        actor.n_trajectories_acked,
     )
+}
+
+/// What the expert's labels teach, if they do.
+fn labels(learner: &LearnerMetrics) -> Option<String> {
+    let imitation = learner.imitation.as_ref().filter(|imitation| imitation.weight > 0.0)?;
+    Some(format!(
+        "labels: block accuracy {:.1} %  block loss {:.3}  move loss {:.4}  lr {:.1e}",
+        100.0 * imitation.block_accuracy,
+        imitation.block_loss,
+        imitation.move_loss,
+        learner.ppo.learning_rate,
+    ))
+}
+
+/// What rewards teach, if they do.
+fn rewards(learner: &LearnerMetrics, context: &Context) -> Option<String> {
+    let weight = context.ppo_weight.as_ref().map_or(1.0, |weight| weight.at(learner.n_env_steps));
+    let ppo = &learner.ppo;
+    (weight > 0.0).then(|| {
+        format!(
+            "rewards: lag {:.1}  kl {:.4}  clipped {:.2}  entropy {:.2}  explained variance {:.2}  lr {:.1e}",
+            learner.policy_lag_mean,
+            ppo.approx_kl,
+            ppo.clip_fraction,
+            ppo.entropy,
+            ppo.explained_variance,
+            ppo.learning_rate,
+        )
+    })
+}
+
+/// Success of all blueprints of a report: of greedy actions, or of sampled ones where there are no others.
+pub(super) fn success(report: &EvalReport) -> Option<f64> {
+    let all = &report.summary.all;
+    let rates = [all.mode.success, all.sampled.success];
+    rates.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate)
+}
+
+/// `40 s`, `12 min` or `3.5 h`.
+pub(super) fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 90.0 => format!("{s:.0} s"),
+        s if s < 5400.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::WeightsVersion;
+    use proto::metrics::{
+        BusCounts, EpisodeMetrics, ImitationMetrics, IngestCounts, METRICS_SCHEMA_VERSION, PpoMetrics,
+    };
+
+    use super::*;
+
+    fn metrics(imitation: Option<ImitationMetrics>) -> LearnerMetrics {
+        LearnerMetrics {
+            schema_version: METRICS_SCHEMA_VERSION,
+            weights_version: WeightsVersion(3),
+            n_updates: 3,
+            n_env_steps: 1500,
+            n_episodes: 0,
+            elapsed_s: 90.0,
+            run_elapsed_s: 90.0,
+            env_steps_per_s: 12.4,
+            update_s: 0.5,
+            policy_lag_mean: 0.5,
+            policy_lag_max: 1,
+            policy_lag_histogram: vec![1, 1],
+            n_mailbox: 0,
+            expired_total: 0,
+            unmade_total: 0,
+            ppo: PpoMetrics { explained_variance: 0.25, learning_rate: 1e-3, ..PpoMetrics::default() },
+            imitation,
+            episodes: EpisodeMetrics::default(),
+            ingest: IngestCounts::default(),
+            bus: BusCounts::default(),
+            task_probabilities: std::collections::BTreeMap::new(),
+            reverse_reach: std::collections::BTreeMap::new(),
+        }
+    }
+
+    #[test]
+    fn a_line_says_what_teaches() {
+        let labels = ImitationMetrics { weight: 1.0, block_loss: 0.25, block_accuracy: 0.875, ..Default::default() };
+        let line = |imitation, ppo_weight| {
+            learner(&metrics(imitation), &Context { n_env_steps: 3000, ppo_weight, n_actors: 1, ..Context::default() })
+        };
+        let imitated = line(Some(labels), Some(Schedule::Constant(0.0)));
+        assert_eq!(
+            imitated,
+            "   1.5 min       1500 steps ( 50 %)  no episode ended  labels: block accuracy 87.5 %  block loss 0.250  \
+             move loss 0.0000  lr 1.0e-3  12 steps/s  1 actor"
+        );
+        let rewarded = line(None, None);
+        assert!(rewarded.contains("rewards: lag 0.5") && rewarded.contains("explained variance 0.25"), "{rewarded}");
+        assert!(!rewarded.contains("labels"), "{rewarded}");
+        // From 1000 to 2000 steps the weight of rewards rises from 0 to 1.
+        let both = line(Some(labels), Some(Schedule::Line(vec![(1000, 0.0), (2000, 1.0)])));
+        assert!(both.contains("labels") && both.contains("rewards"), "{both}");
+    }
+
+    #[test]
+    fn what_is_left_is_told_from_the_pace_since_the_first_look() {
+        let mut pace = Pace::default();
+        let mut learner = metrics(None);
+        assert_eq!(pace.left_s(&learner, 3000), None);
+        // 500 steps in 50 s, and 1000 are left.
+        (learner.n_env_steps, learner.elapsed_s) = (2000, 140.0);
+        assert_eq!(pace.left_s(&learner, 3000), Some(100.0));
+        (learner.n_env_steps, learner.elapsed_s) = (4000, 200.0);
+        assert_eq!(pace.left_s(&learner, 3000), Some(0.0));
+        assert_eq!([40.0, 720.0, 12_600.0].map(duration), ["40 s", "12 min", "3.5 h"]);
+    }
 }

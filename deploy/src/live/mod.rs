@@ -1,5 +1,6 @@
-//! What `train` shows while it works: metrics that cross the bus, as lines or as a progress bar, and evaluations.
+//! What commands show while they work: metrics that cross the bus, as lines or as a progress bar, and evaluations.
 
+mod episodes;
 mod lines;
 mod terminal;
 
@@ -8,22 +9,41 @@ use std::time::Duration;
 
 use bus::{AliveWatch, MetricsSubscriber};
 use evaluator::{Detail, render};
-use proto::metrics::EvalReport;
-use proto::metrics::LearnerMetrics;
+use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
+use crate::config::Config;
+pub use episodes::EpisodeCounter;
+use lines::{Context, Pace};
 pub use terminal::{HeldLog, Terminal};
 
 /// Least time between two lines where there is no terminal, so that a log stays readable.
 const LINE_PERIOD: Duration = Duration::from_secs(10);
 
+/// Reports of evaluations as they come.
+pub type Reports = watch::Receiver<Option<Arc<EvalReport>>>;
+
+/// How much of a report is printed.
+pub fn detail(verbose: bool) -> Detail {
+    /// Blueprints that are named because they need work.
+    const N_WORST: usize = 5;
+    if verbose { Detail::Blueprints } else { Detail::Worst(N_WORST) }
+}
+
 /// Shows the learner's metrics until the bus is closed, at most one line every ten seconds where there is no terminal.
-///
-/// `n_env_steps` is where the run ends, in environment steps.
-pub async fn show_learning(mut metrics: MetricsSubscriber, actors: AliveWatch, terminal: Terminal, n_env_steps: u64) {
-    let progress = terminal.progress(n_env_steps);
+pub async fn show_learning(
+    mut metrics: MetricsSubscriber,
+    actors: AliveWatch,
+    reports: Reports,
+    terminal: Terminal,
+    config: &Config,
+) {
+    let progress = terminal.progress(config.n_env_steps, "steps");
     let actors = actors.watch();
+    let ppo_weight = config.learner.imitation.as_ref().map(|imitation| imitation.ppo_weight.clone());
+    let mut context = Context { n_env_steps: config.n_env_steps, ppo_weight, ..Context::default() };
+    let mut pace = Pace::default();
     let mut last_line: Option<Instant> = None;
     while let Some(sample) = metrics.recv().await {
         let learner: LearnerMetrics = match serde_json::from_value(sample.value) {
@@ -33,22 +53,39 @@ pub async fn show_learning(mut metrics: MetricsSubscriber, actors: AliveWatch, t
                 continue;
             }
         };
-        let n_actors = actors.borrow().len();
-        progress.set(learner.n_env_steps, &lines::rates(&learner, n_actors));
+        context.n_actors = actors.borrow().len();
+        context.left_s = pace.left_s(&learner, context.n_env_steps);
+        context.evaluated = reports.borrow().as_deref().and_then(lines::success);
+        progress.set(learner.n_env_steps, &lines::parts(&learner, &context).join("\n"));
         if !progress.is_drawn() && last_line.is_none_or(|shown| shown.elapsed() >= LINE_PERIOD) {
             last_line = Some(Instant::now());
-            terminal.print(&lines::learner(&learner, n_actors, n_env_steps));
+            terminal.print(&lines::learner(&learner, &context));
         }
     }
     progress.finish();
 }
 
-/// Prints a table of each report until the evaluator ends.
-pub async fn show_reports(mut reports: watch::Receiver<Option<Arc<EvalReport>>>, terminal: Terminal) {
+/// Prints what an actor does, at most one line every ten seconds, until the bus is closed.
+pub async fn show_acting(mut metrics: MetricsSubscriber, terminal: Terminal) {
+    let mut last_line: Option<Instant> = None;
+    while let Some(sample) = metrics.recv().await {
+        let Ok(actor) = serde_json::from_value::<ActorMetrics>(sample.value) else { continue };
+        if last_line.is_none_or(|shown| shown.elapsed() >= LINE_PERIOD) {
+            last_line = Some(Instant::now());
+            terminal.print(&lines::actor(&actor));
+        }
+    }
+}
+
+/// Prints a table of each report until the evaluator ends; returns the last one.
+pub async fn show_reports(mut reports: Reports, terminal: Terminal, detail: Detail) -> Option<Arc<EvalReport>> {
+    let mut last = None;
     while reports.changed().await.is_ok() {
         let report = reports.borrow_and_update().clone();
         if let Some(report) = report {
-            terminal.print(&format!("\n{}", render(&report, Detail::Blueprints)));
+            terminal.print(&format!("\n{}", render(&report, detail)));
+            last = Some(report);
         }
     }
+    last
 }

@@ -15,6 +15,7 @@ const MAX_HELD: usize = 1 << 16;
 pub struct Terminal {
     bars: MultiProgress,
     held: Arc<Mutex<Option<Held>>>,
+    prints_to_stderr: bool,
 }
 
 /// Log lines that wait until the screen is free again.
@@ -43,16 +44,25 @@ impl Default for Terminal {
         // Results and bar must both be seen for a bar to make sense.
         let is_terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
         let target = if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        Self { bars: MultiProgress::with_draw_target(target), held: Arc::default() }
+        Self { bars: MultiProgress::with_draw_target(target), held: Arc::default(), prints_to_stderr: false }
     }
 }
 
 impl Terminal {
-    /// Prints lines to stdout; a closed pipe is no reason to end a run.
+    /// The same terminal for what is said to a person while stdout is for a program.
+    pub fn on_stderr(&self) -> Self {
+        Self { prints_to_stderr: true, ..self.clone() }
+    }
+
+    /// Prints lines to stdout, or to stderr after [`Self::on_stderr`]; a closed pipe is no reason to end a run.
     pub fn print(&self, text: &str) {
-        let written = self.bars.suspend(|| writeln!(io::stdout(), "{}", text.trim_end()));
+        let text = text.trim_end();
+        let written = self.bars.suspend(|| match self.prints_to_stderr {
+            false => writeln!(io::stdout(), "{text}"),
+            true => writeln!(io::stderr(), "{text}"),
+        });
         if let Err(error) = written {
-            tracing::debug!(%error, "stdout is closed");
+            tracing::debug!(%error, "nobody reads what is printed");
         }
     }
 
@@ -65,11 +75,13 @@ impl Terminal {
         HeldLog(Some(self.clone()))
     }
 
-    /// A bar that is full at `n_env_steps`.
-    pub(super) fn progress(&self, n_env_steps: u64) -> Progress {
-        let style = ProgressStyle::with_template("{bar:24} {human_pos}/{human_len} steps, {elapsed}\n{msg}")
-            .unwrap_or_else(|_| ProgressStyle::default_bar());
-        Progress { bar: self.bars.add(ProgressBar::new(n_env_steps).with_style(style)) }
+    /// A bar that is full at `n` of `what`.
+    pub(super) fn progress(&self, n: u64, what: &str) -> Progress {
+        let style = ProgressStyle::with_template(&format!(
+            "{{bar:24}} {{human_pos}}/{{human_len}} {what}, {{elapsed}}\n{{msg}}"
+        ))
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+        Progress { bar: self.bars.add(ProgressBar::new(n).with_style(style)) }
     }
 }
 
@@ -78,8 +90,8 @@ impl Progress {
         !self.bar.is_hidden()
     }
 
-    pub(super) fn set(&self, n_env_steps: u64, message: &str) {
-        self.bar.set_position(n_env_steps);
+    pub(super) fn set(&self, n: u64, message: &str) {
+        self.bar.set_position(n);
         self.bar.set_message(message.to_owned());
     }
 

@@ -1,5 +1,7 @@
 //! Evaluations of untrained weights in real worlds.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use blueprints::{Catalog, Split};
 use environment::EnvironmentConfig;
 use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig, PolicyError};
@@ -7,6 +9,7 @@ use proto::{ActionMode, Normalization, WeightsVersion};
 
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig};
+use crate::films::EpisodeSelector;
 
 /// A network small enough for tests.
 pub(crate) fn small_policy() -> PolicyConfig {
@@ -96,6 +99,22 @@ fn an_episode_is_the_same_whatever_runs_beside_it() {
     // Sums in another order may round differently, but not more.
     let difference = alone.sampled.mean_return.total() - crowded.sampled.mean_return.total();
     assert!(difference.abs() < 1e-3, "{difference}");
+}
+
+#[test]
+fn what_an_interrupted_evaluation_found_is_reported() {
+    let acting = vec![ActionMode::Greedy];
+    let setup = small_setup(EpisodeConfig { n_episodes: 3, acting, n_threads: 1, n_worlds: 1, ..Default::default() });
+    let n_ended = AtomicUsize::new(0);
+    let follower = Follower {
+        keep_going: &|| n_ended.load(Ordering::Relaxed) < 2,
+        on_episode: &|_| {
+            n_ended.fetch_add(1, Ordering::Relaxed);
+        },
+    };
+    let report = evaluate_followed(&setup, &small_policy(), &weights(), &blueprints(1), &follower).unwrap();
+    let summary = &report.summary;
+    assert_eq!((summary.is_complete, summary.n_planned, summary.all.mode.success.n_episodes), (false, 3, 2));
 }
 
 #[test]

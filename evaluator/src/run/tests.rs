@@ -128,7 +128,7 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     assert_eq!(progress, [(false, 32), (true, 45)]);
     stop.now.cancel();
     within(service).await.unwrap().unwrap();
-    // Whoever follows the caller's channel sees whole evaluations only.
+    // Whoever follows the caller's channel sees whole evaluations, and a part only of one that is interrupted.
     assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
     bus.close().await;
 }

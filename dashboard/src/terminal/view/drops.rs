@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use proto::metrics::IngestCounts;
 use ratatui::text::Line;
 use serde::Serialize;
 
@@ -19,7 +20,8 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         drops.add("learner.expired_total", learner.expired_total);
         drops.add("learner.unmade_total", learner.unmade_total);
         drops.add("learner.ppo.n_skipped_steps", learner.ppo.n_skipped_steps);
-        drops.add_all("learner.ingest", &learner.ingest);
+        // These come again and are shown apart.
+        drops.add_all("learner.ingest", &IngestCounts { full_total: 0, ..learner.ingest });
         drops.add_all("learner.bus", &learner.bus);
     }
     for actor in run.actors().values().filter_map(|actor| actor.metrics.as_ref()) {
@@ -33,7 +35,15 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     }
     drops.add_all("watch", &run.unread());
     drops.add_all("watch.bus", &run.bus());
-    drops.lines(width)
+    let mut lines = drops.lines(width);
+    lines.extend(back_pressure(run));
+    lines
+}
+
+/// Segments that came while the mailbox was full: actors wait and send them again.
+fn back_pressure(run: &RunView) -> Option<Line<'static>> {
+    let n_refused = run.learner().map(|heard| heard.value.ingest.full_total).filter(|n| *n > 0)?;
+    Some(plain(format!("  back-pressure {}: came while the mailbox was full, sent again", count(n_refused))))
 }
 
 /// Sum of all counters of a struct of counters.

@@ -19,7 +19,7 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
     let (version, n_env_steps) = (summary.weights_version.0, count(summary.n_env_steps));
     let judged = age(now, heard.at);
     let mut lines = vec![
-        heading(format!("Success in %: weights {version}, {n_env_steps} environment steps, judged {judged}")),
+        heading(format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {judged}")),
         columns(format!(
             "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
             "group", " mode (95 % interval)", "of", " sampled (95 %)", "of"

@@ -24,12 +24,12 @@ pub(super) fn lines(run: &RunView) -> Vec<Line<'static>> {
             episodes.mean_steps,
         )
     };
-    vec![
+    let mut lines = vec![
         heading(format!(
             "Learning: weights {}, {} environment steps in {}",
             learner.weights_version.0,
             count(learner.n_env_steps),
-            seconds(learner.elapsed_s),
+            seconds(learner.elapsed_s.max(learner.run_elapsed_s)),
         )),
         plain(format!(
             "  throughput  {} steps/s, {} waiting; policy lag {:.2}, at most {}",
@@ -53,5 +53,14 @@ pub(super) fn lines(run: &RunView) -> Vec<Line<'static>> {
             number(ppo.explained_variance),
         )),
         plain(format!("  episodes    {ended}")),
-    ]
+    ];
+    if let Some(imitation) = learner.imitation.filter(|imitation| imitation.weight > 0.0) {
+        lines.push(plain(format!(
+            "  labels      block accuracy {:.1} %, block loss {}, move loss {}",
+            100.0 * imitation.block_accuracy,
+            number(imitation.block_loss),
+            number(imitation.move_loss),
+        )));
+    }
+    lines
 }

@@ -43,7 +43,8 @@ const DRAIN_TIMEOUT_MS: u64 = 60_000;
 /// # Errors
 /// When a process cannot be started or fails, or an acknowledged segment was lost.
 pub(super) fn run(args: &BenchActorsArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let Some(config) = super::super::configure(&args.config, None, Vec::new(), terminal)? else { return Ok(()) };
+    let Some(settings) = super::super::configure(&args.config, None, Vec::new(), terminal)? else { return Ok(()) };
+    let config = settings.config;
     if args.processes.is_some_and(|n| n < args.leaves || n > args.actors) {
         return Err(Failure::Usage("--processes: expected at least --leaves and at most --actors".to_owned()));
     }

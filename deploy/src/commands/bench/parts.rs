@@ -16,7 +16,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::commands::services::learner_setup;
-use crate::config::merge;
+use crate::config::{Base, merge};
 use crate::exit::Failure;
 
 /// What the process of the ingest is told.
@@ -74,8 +74,8 @@ pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
 pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let plan: IngestPlan = orders.plan()?;
-    let learner =
-        Learner::new(learner_setup(&merge(&plan.config, "the plan", &[])?, None)?).map_err(anyhow::Error::new)?;
+    let plan = merge(&plan.config, "the plan", Base::Defaults, &[])?;
+    let learner = Learner::new(learner_setup(&plan, None)?).map_err(anyhow::Error::new)?;
     let bus = Bus::open(&plan.bus).await?;
     let mut sink = Sink::open(&learner, plan.sink, &bus).await?;
     say(&Note::Ready { n_actors: 0, shortfall: None })?;

@@ -10,6 +10,7 @@ use render::picture::{MAX_TILES, Painter, card, encode, sheet};
 use super::find;
 use crate::cli::ShowArgs;
 use crate::commands::files::write_files;
+use crate::commands::goals::Goals;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -26,7 +27,14 @@ const SHEET_COLORS: usize = 96;
 /// When the catalog cannot be read, an id is not in it, or a file cannot be written.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
-    let selected = select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?;
+    let goals = Goals::open(&args.blueprint)?;
+    let named = goals.blueprints()?;
+    let mut selected = if args.ids.is_empty() && !named.is_empty() {
+        Vec::new()
+    } else {
+        select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?
+    };
+    selected.extend(named);
     let shown: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let mut painter = Painter::default();
     let mut files = Vec::new();

@@ -1,0 +1,149 @@
+//! Where the settings of a process come from.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+use runlog::RunPaths;
+
+use crate::config::{Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
+
+/// Where the configuration comes from.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ConfigArgs {
+    /// Configuration file; its keys are put over the preset that it names as `base`, or else over --preset.
+    #[arg(long, value_name = "FILE", env = "LODESTONE_CONFIG")]
+    pub config: Option<PathBuf>,
+    /// Configuration that comes with the program, under --config if both are given [default: quickstart].
+    #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
+    pub preset: Option<String>,
+    /// Set one key of the configuration, for example actor.n_worlds=16; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Seed of everything random.
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(i64).range(0..))]
+    pub seed: Option<i64>,
+    /// Where the network runs: cpu or gpu.
+    #[arg(long, value_name = "DEVICE", value_parser = PossibleValuesParser::new(["cpu", "gpu"]))]
+    pub device: Option<String>,
+    /// Name of the run; processes with the same name and router work together.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<String>,
+    /// Print the configuration that results and end.
+    #[arg(long)]
+    pub print_config: bool,
+}
+
+/// A configuration, and what it is made of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// The configuration of all layers.
+    pub config: Config,
+    /// The file and its base in words, for example "my.toml over the preset `quickstart`".
+    pub source: String,
+    /// The preset, if no file is put over it.
+    pub preset: Option<&'static Preset>,
+}
+
+impl ConfigArgs {
+    /// The configuration of all layers.
+    ///
+    /// The settings of the run in the folder `resume` take the place of file and preset; `flags` come last. The result is
+    /// not validated.
+    ///
+    /// # Errors
+    /// Names file, variable or flag and what would be valid.
+    pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Settings, ConfigError> {
+        let overrides = self.overrides(flags)?;
+        let settings = |text: &str, origin: &str, base, source, preset| -> Result<Settings, ConfigError> {
+            Ok(Settings { config: merge(text, origin, base, &overrides)?, source, preset })
+        };
+        if let Some(folder) = resume {
+            // Runs of earlier versions name no base, and stand on the defaults as the others.
+            let (text, origin) = read(&RunPaths::new(folder).config())?;
+            return settings(&text, &origin, Base::Defaults, origin.clone(), None);
+        }
+        if let Some(file) = &self.config {
+            let (text, origin) = read(file)?;
+            let base = self.base(&text, &origin)?;
+            return settings(&text, &origin, base, format!("{origin} over {base}"), None);
+        }
+        let preset = self.named_preset()?;
+        let base = Base::Preset(preset);
+        settings("", preset.name, base, base.to_string(), Some(preset))
+    }
+
+    /// What the keys of a file are put over.
+    fn base(&self, text: &str, origin: &str) -> Result<Base, ConfigError> {
+        let flag = self.preset.as_deref().map(Base::find).transpose()?;
+        match (Base::named_in(text, origin)?, flag) {
+            (Some(named), Some(flag)) if named != flag => Err(ConfigError::Value {
+                origin: origin.to_owned(),
+                message: format!("its `base` is {named}, and --preset is {flag}: give one of them"),
+            }),
+            (Some(base), _) | (None, Some(base)) => Ok(base),
+            (None, None) => self.named_preset().map(Base::Preset),
+        }
+    }
+
+    fn named_preset(&self) -> Result<&'static Preset, ConfigError> {
+        Preset::find(self.preset.as_deref().unwrap_or(DEFAULT_PRESET))
+    }
+
+    /// Variables, then flags, `flags` last.
+    fn overrides(&self, flags: Vec<Override>) -> Result<Vec<Override>, ConfigError> {
+        let mut overrides = Override::from_variables(std::env::vars());
+        for text in &self.set {
+            overrides.push(Override::parse(text)?);
+        }
+        overrides.extend(self.seed.map(|seed| Override::flag("--seed", "seed", seed)));
+        overrides.extend(self.device.clone().map(|device| Override::flag("--device", "device", device)));
+        overrides.extend(self.run.clone().map(|run| Override::flag("--run", "bus.run", run)));
+        overrides.extend(flags);
+        Ok(overrides)
+    }
+}
+
+/// Text and name of a configuration file.
+fn read(path: &Path) -> Result<(String, String), ConfigError> {
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+    Ok((text, path.display().to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The settings that a file with this text gives together with a preset.
+    fn load(text: &str, preset: Option<&str>) -> Result<Settings, ConfigError> {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("my.toml");
+        std::fs::write(&file, text).unwrap();
+        let args = ConfigArgs { config: Some(file), preset: preset.map(str::to_owned), ..ConfigArgs::default() };
+        args.load(None, Vec::new())
+    }
+
+    fn preset(name: &str) -> Config {
+        Config::parse(Preset::find(name).unwrap().text, name).unwrap()
+    }
+
+    #[test]
+    fn a_file_is_put_over_quickstart_unless_another_base_is_named() {
+        let two_lines = load("[actor]\nn_worlds = 3", None).unwrap();
+        assert_eq!((two_lines.config.actor.n_worlds, two_lines.preset), (3, None));
+        assert_eq!(two_lines.config.learner, preset("quickstart").learner);
+        assert!(two_lines.source.ends_with("my.toml over the preset `quickstart`"), "{}", two_lines.source);
+        assert_eq!(load("", Some("two-blocks")).unwrap().config, preset("two-blocks"));
+        assert_eq!(load("base = \"paper\"", None).unwrap().config, preset("paper"));
+        assert_eq!(load("base = \"none\"", None).unwrap().config, Config::default());
+    }
+
+    #[test]
+    fn file_and_flag_may_not_name_different_bases() {
+        assert!(load("base = \"paper\"", Some("paper")).is_ok());
+        for (base, words) in [("paper", "the preset `paper`"), ("none", "the plain defaults")] {
+            let message = load(&format!("base = \"{base}\""), Some("laptop")).unwrap_err().to_string();
+            assert!(message.contains(words) && message.contains("--preset is the preset `laptop`"), "{message}");
+        }
+    }
+}
