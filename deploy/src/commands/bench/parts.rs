@@ -74,8 +74,8 @@ pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
 pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let plan: IngestPlan = orders.plan()?;
-    let plan = merge(&plan.config, "the plan", Base::Defaults, &[])?;
-    let learner = Learner::new(learner_setup(&plan, None)?).map_err(anyhow::Error::new)?;
+    let config = merge(&plan.config, "the plan", Base::Defaults, &[])?;
+    let learner = Learner::new(learner_setup(&config, None)?).map_err(anyhow::Error::new)?;
     let bus = Bus::open(&plan.bus).await?;
     let mut sink = Sink::open(&learner, plan.sink, &bus).await?;
     say(&Note::Ready { n_actors: 0, shortfall: None })?;
