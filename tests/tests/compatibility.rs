@@ -10,6 +10,7 @@ const NETWORK_HASHES: [(&str, u64); 15] = [
     ("quickstart", 0x9686_a0e2_b319_3676),
     ("laptop", 0x9686_a0e2_b319_3676),
     ("two-blocks", 0xfe94_2fa2_bb58_14c9),
+    ("reverse-curriculum", 0xfe94_2fa2_bb58_14c9),
     ("near-goal", 0x27ac_c63f_8183_123f),
     ("imitation-only", 0xb8d9_685b_cbd2_41ce),
     ("ppo-only", 0x1827_7478_dfd5_26b5),
