@@ -5,7 +5,6 @@ mod physical;
 mod show;
 mod table;
 
-use std::borrow::Cow;
 use std::path::PathBuf;
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
@@ -14,7 +13,6 @@ use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use serde::Serialize;
 
 use crate::cli::{BlueprintsArgs, BlueprintsCommand};
-use crate::config::nearest;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -48,18 +46,6 @@ pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<()
         BlueprintsCommand::Generate(args) => generate::run(args, terminal),
         BlueprintsCommand::Show(args) => show::run(args, terminal),
     }
-}
-
-/// The blueprint of the catalog or of the generator with that id.
-///
-/// # Errors
-/// When there is none; the error has the nearest id of the catalog.
-pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
-    let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
-    found.ok_or_else(|| Failure::UnknownBlueprint {
-        id: id.to_owned(),
-        nearest: nearest(id, catalog.iter().map(|blueprint| blueprint.id().as_str())),
-    })
 }
 
 fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {

@@ -5,8 +5,7 @@ use std::path::Path;
 
 use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS};
 
-use super::blueprints::find;
-use crate::config::Override;
+use crate::config::{Override, nearest};
 use crate::exit::Failure;
 
 /// Named blueprints, and the catalog that has them beside those of the program.
@@ -84,6 +83,18 @@ pub(super) fn trained(ids: &[String]) -> Result<Vec<Override>, Failure> {
         flag("evaluator.selection.sizes", vec![2, N_BLOCKS as i64].into()),
         flag("evaluator.selection.blueprints", ids.to_vec().into()),
     ])
+}
+
+/// The blueprint of the catalog or of the generator with that id.
+///
+/// # Errors
+/// When there is none; the error has the nearest id of the catalog.
+pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
+    let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
+    found.ok_or_else(|| Failure::UnknownBlueprint {
+        id: id.to_owned(),
+        nearest: nearest(id, catalog.iter().map(|blueprint| blueprint.id().as_str())),
+    })
 }
 
 /// Whether a name is that of a file or folder. An id is an id even where a folder is called so.

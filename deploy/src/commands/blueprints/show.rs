@@ -7,10 +7,9 @@ use anyhow::Context;
 use blueprints::{Blueprint, Catalog};
 use render::picture::{MAX_TILES, Painter, card, encode, sheet};
 
-use super::find;
 use crate::cli::ShowArgs;
 use crate::commands::files::write_files;
-use crate::commands::goals::Goals;
+use crate::commands::goals::{Goals, find};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
