@@ -34,7 +34,7 @@ pub struct UpdateMetrics {
     pub mailbox: MailboxCounts,
     /// Trajectories dropped because of their generated goals since the start of the process.
     pub unmade_total: u64,
-    /// Environment steps of this update.
+    /// Environment steps of this update: the samples, and the burn-ins before them.
     pub n_steps: u64,
     /// PPO metrics.
     pub ppo: PpoMetrics,

@@ -284,6 +284,7 @@ impl Worker {
             weights_version: update.weights_version,
             n_updates: update.n_updates,
             n_env_steps: update.n_env_steps,
+            n_update_steps: update.n_steps,
             n_episodes: update.n_episodes,
             elapsed_s: self.start.elapsed().as_secs_f64(),
             run_elapsed_s: self.before_s + self.start.elapsed().as_secs_f64(),

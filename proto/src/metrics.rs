@@ -24,6 +24,9 @@ pub struct LearnerMetrics {
     pub n_updates: u64,
     /// Environment steps consumed so far.
     pub n_env_steps: u64,
+    /// Environment steps of this update: the samples, and the burn-ins before them.
+    #[serde(default)]
+    pub n_update_steps: u64,
     /// Episodes that ended so far.
     pub n_episodes: u64,
     /// Time since the learner's start, seconds.
@@ -39,7 +42,7 @@ pub struct LearnerMetrics {
     pub policy_lag_mean: f64,
     /// Largest policy lag in the batch, versions.
     pub policy_lag_max: u64,
-    /// Environment steps of the batch by lag: entry `i` counts the steps with lag `i`.
+    /// Samples of the batch by policy lag: entry `i` counts those with lag `i`.
     pub policy_lag_histogram: Vec<u64>,
     /// Environment steps waiting in the mailbox.
     pub n_mailbox: u64,

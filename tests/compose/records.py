@@ -24,17 +24,12 @@ class Life:
     def began_with(self) -> int:
         """Steps that the process found when it began."""
         first = self.updates[0]
-        return int(first["n_env_steps"]) - n_consumed(first)
+        return int(first["n_env_steps"]) - int(first["n_update_steps"])
 
     @property
     def ended_with(self) -> int:
         """Steps after its last update."""
         return int(self.updates[-1]["n_env_steps"])
-
-
-def n_consumed(update: Update) -> int:
-    """Steps of one update: each is counted by the lag of the weights that made it."""
-    return sum(update["policy_lag_histogram"])
 
 
 def lives(metrics: Path) -> list[Life]:
@@ -78,7 +73,7 @@ def steps_add_up(all_lives: list[Life]) -> str:
     n_updates = 0
     for life in all_lives:
         for before, after in zip(life.updates, life.updates[1:]):
-            expected = before["n_env_steps"] + n_consumed(after)
+            expected = before["n_env_steps"] + after["n_update_steps"]
             require(after["n_env_steps"] == expected, f"{after['n_env_steps']} steps, not {expected}")
             require(after["n_updates"] == before["n_updates"] + 1, f"update {after['n_updates']} after {before['n_updates']}")
         n_updates += len(life.updates)

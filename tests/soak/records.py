@@ -76,14 +76,9 @@ class Lines:
         return f"{self.n_lines} lines"
 
 
-def steps_of(update: Update) -> int:
-    """Environment steps of one update: each is counted by the lag of the weights that made it."""
-    return int(sum(update["policy_lag_histogram"]))
-
-
 def began_with(life: LearnerLife) -> int:
     """Steps that a process with at least one line found when it began."""
-    return int(life.updates[0]["n_env_steps"]) - steps_of(life.updates[0])
+    return int(life.updates[0]["n_env_steps"]) - int(life.updates[0]["n_update_steps"])
 
 
 def checkpoints(run: Path) -> dict[int, Path]:
@@ -132,7 +127,7 @@ def steps_add_up(lives: list[LearnerLife]) -> str:
     most_again = 0
     for number, life in enumerate(lives, 1):
         for before, after in zip(life.updates, life.updates[1:]):
-            expected = before["n_env_steps"] + steps_of(after)
+            expected = before["n_env_steps"] + after["n_update_steps"]
             found = after["n_env_steps"]
             require(found == expected, f"process {number}: {found} steps after an update, not {expected}")
         if life.updates:

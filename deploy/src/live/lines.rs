@@ -140,6 +140,7 @@ mod tests {
             weights_version: WeightsVersion(3),
             n_updates: 3,
             n_env_steps: 1500,
+            n_update_steps: 500,
             n_episodes: 0,
             elapsed_s: 90.0,
             run_elapsed_s: 90.0,
