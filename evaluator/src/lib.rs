@@ -3,7 +3,7 @@
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (worlds side by side) → `work_queue` (who runs which) →
 //! [`episodes`] and [`reset_free`] (what is run) → [`table`] (what is printed) → [`run()`] (the service on the bus), which
 //! shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes video clips in every
-//! evaluation, and [`expert`] evaluates the scripted expert in the same way.
+//! evaluation, [`expert`] evaluates the scripted expert in the same way, and [`perform`] plays one episode to be shown.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -13,6 +13,7 @@ pub mod episodes;
 pub mod expert;
 pub mod films;
 mod nice;
+mod performance;
 mod pool;
 mod recording;
 mod records;
@@ -34,6 +35,7 @@ pub use config::{
 pub use environment::EnvironmentConfig;
 pub use episodes::evaluate;
 pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert};
+pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
