@@ -1,18 +1,21 @@
 //! One web page about a running training: success over training, who is there, how learning goes.
 //!
-//! Reading order: `board` (what is known) → `events` (browsers that listen) → `replay`, `attention` and
-//! `films` → `prometheus` → `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up
+//! Reading order: `about` (which run) → `board` (what is known) → `events` (browsers that listen) → `replay`, `attention` and
+//! `films` → `stage` and `gallery` (episodes on demand) → `prometheus` → `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up
 //! an evaluator: whoever writes to the board takes a lock for a moment, and what a browser does not take in time is
 //! dropped and counted.
 
+mod about;
 mod attention;
 mod board;
 mod events;
 mod films;
+mod gallery;
 mod prometheus;
 mod replay;
 mod routes;
 mod server;
+mod stage;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -22,6 +25,7 @@ use anyhow::Context;
 use bus::Bus;
 use policy::PolicyConfig;
 use proto::Weights;
+use proto::metrics::LearnerMetrics;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
@@ -29,11 +33,14 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::WebConfig;
 use crate::follow::follow;
+pub use about::{About, Kind};
 use attention::Onlooker;
 use board::Board;
 use films::Films;
 use replay::Replays;
+use routes::Shown;
 use runlog::{Pass, RunPaths};
+pub use stage::{Builder, Order, Stage, StageError};
 
 /// Longest silence that a browser sees.
 const BEAT: Duration = Duration::from_secs(15);
@@ -70,6 +77,29 @@ pub struct Source {
     pub policy: PolicyConfig,
     /// The run whose video clips are shown; none shows none.
     pub run: Option<RunPaths>,
+    /// The run in a few words.
+    pub about: About,
+    /// Where episodes are played on demand, if they are.
+    pub stage: Option<Stage>,
+}
+
+/// A run that has ended, as its files tell it.
+#[derive(Debug)]
+pub struct FinishedRun {
+    /// The run in a few words.
+    pub about: About,
+    /// Its evaluations in order.
+    pub passes: Vec<Pass>,
+    /// What its learner said of its updates, in order.
+    pub learner: Vec<LearnerMetrics>,
+    /// Its folder, for its video clips.
+    pub run: RunPaths,
+    /// The policy, and its newest weights if they can be read.
+    pub policy: PolicyConfig,
+    /// As above.
+    pub weights: Option<Arc<Weights>>,
+    /// Where episodes are played on demand, if they are.
+    pub stage: Option<Stage>,
 }
 
 impl Page {
@@ -98,7 +128,10 @@ impl Page {
         let shutdown = CancellationToken::new();
         let _ended_with_this = shutdown.clone().drop_guard();
         let replays = Arc::new(Replays::new(Onlooker::new(source.policy, source.weights)));
-        let routes = routes::routes(board.clone(), replays.clone(), Films::new(source.run), self.config);
+        let films = Films::new(source.run);
+        let shown =
+            Shown { about: source.about, board: board.clone(), replays: replays.clone(), films, stage: source.stage };
+        let routes = routes::routes(shown, Vec::new(), self.config);
         let mut tasks = JoinSet::new();
         tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
         tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
@@ -122,6 +155,43 @@ impl Page {
         }
         follower.await.context("what follows the bus panicked")??;
         Ok(())
+    }
+
+    /// Serves runs that have ended, the first at the root and the others beside it, until `shutdown`.
+    ///
+    /// # Errors
+    /// When a task of the page panicked.
+    pub async fn show(
+        self,
+        first: FinishedRun,
+        others: Vec<FinishedRun>,
+        shutdown: CancellationToken,
+    ) -> anyhow::Result<()> {
+        let first = first.into_shown();
+        let others: Vec<Shown> = others.into_iter().map(FinishedRun::into_shown).collect();
+        let boards: Vec<_> = std::iter::once(&first).chain(&others).map(|run| run.board.clone()).collect();
+        let counting = first.board.clone();
+        let routes = routes::routes(first, others, self.config);
+        let server = tokio::spawn(server::serve(self.listener, routes, counting, shutdown.clone()));
+        let mut beat = tokio::time::interval(BEAT);
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => break,
+                _ = beat.tick() => boards.iter().for_each(|board| board.beat()),
+            }
+        }
+        server.await.context("a task of the page panicked")
+    }
+}
+
+impl FinishedRun {
+    fn into_shown(self) -> Shown {
+        let board = Arc::new(Board::default());
+        self.passes.iter().for_each(|pass| board.judged(pass));
+        self.learner.iter().for_each(|learner| board.learned(learner));
+        let (_, weights) = watch::channel(self.weights);
+        let replays = Arc::new(Replays::new(Onlooker::new(self.policy, weights)));
+        Shown { about: self.about, board, replays, films: Films::new(Some(self.run)), stage: self.stage }
     }
 }
 

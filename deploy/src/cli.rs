@@ -12,6 +12,7 @@ mod bus;
 mod expert;
 mod render;
 mod report;
+mod serve;
 mod settings;
 mod values;
 mod watch;
@@ -22,6 +23,7 @@ pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCom
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
 pub use self::report::ReportArgs;
+pub use self::serve::ServeArgs;
 pub use self::settings::{ConfigArgs, Settings};
 pub use self::watch::WatchArgs;
 
@@ -62,8 +64,10 @@ pub enum Command {
     Watch(WatchArgs),
     /// Evaluate a checkpoint, or the policy that comes with the program.
     Eval(EvalArgs),
-    /// Watch a policy build, on a page of its own: success as it is found, episodes to turn and step through, films.
+    /// Watch a policy build, on a page of its own: any blueprint, from any start, to turn and step through.
     Play(PlayArgs),
+    /// Show runs that have ended on a page, several side by side.
+    Serve(ServeArgs),
     /// Write the policy of a checkpoint into one file, for others to act with.
     Export(ExportArgs),
     /// Draw how success grew in a run: heat map of blueprints, curves and table of groups.
@@ -136,9 +140,12 @@ pub struct TrainArgs {
     /// Health.
     #[command(flatten)]
     pub health: HealthArgs,
-    /// The page.
+    /// The page [default: at 127.0.0.1 with a free port].
     #[command(flatten)]
     pub page: PageArgs,
+    /// Serve no page.
+    #[arg(long, conflicts_with = "web")]
+    pub no_web: bool,
 }
 
 /// Where the evaluator's page is.
@@ -247,9 +254,13 @@ pub struct ExportArgs {
 /// Arguments of `play`.
 #[derive(Debug, Args)]
 pub struct PlayArgs {
-    /// The policy.
-    #[command(flatten)]
-    pub model: ModelArgs,
+    /// Folder of a run, for its newest checkpoint, or of one checkpoint, or a file that `export` wrote [default: the policy
+    /// that comes with the program].
+    #[arg(long, value_name = "DIR_OR_FILE")]
+    pub checkpoint: Option<PathBuf>,
+    /// The policy that comes with the program, as without --checkpoint.
+    #[arg(long, conflicts_with = "checkpoint")]
+    pub pretrained: bool,
     /// Only these blueprints [default: the whole catalog].
     #[arg(value_name = "ID")]
     pub blueprints: Vec<BlueprintId>,

@@ -3,7 +3,8 @@
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (worlds side by side) → `work_queue` (who runs which) →
 //! [`episodes`] and [`reset_free`] (what is run) → `follower` (who is told) → [`table`] (what is printed) → [`run()`] (the
 //! service on the bus), which shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes
-//! video clips in every evaluation, and [`expert`] evaluates the scripted expert in the same way.
+//! video clips in every evaluation, [`expert`] evaluates the scripted expert in the same way, and [`perform`] plays one
+//! episode to be shown.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -14,6 +15,7 @@ pub mod expert;
 pub mod films;
 mod follower;
 mod nice;
+mod performance;
 mod pool;
 mod recording;
 mod records;
@@ -36,6 +38,7 @@ pub use environment::EnvironmentConfig;
 pub use episodes::{evaluate, evaluate_followed};
 pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_expert_followed};
 pub use follower::Follower;
+pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};

@@ -1,6 +1,11 @@
 //! The page in a real browser, over a real run: its numbers are those that were recorded, it lives, it plays, it comes back.
 
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+
 use crate::support::line::Line;
+use crate::support::program::lodestone;
+use crate::support::served::Process;
 use crate::support::webdriver::Browser;
 use runlog::Pass;
 use runlog::{History, RunPaths};
@@ -179,6 +184,46 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     browser.element("#replay").press(RIGHT);
     assert_ne!(picture(), turned);
     assert_eq!(watched.complaints(), Vec::<Value>::new());
+}
+
+#[test]
+fn play_opens_with_a_structure_being_built() {
+    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = lodestone(folder.path());
+    let playing = command.args(["play", "2_000", "--episodes", "1", "--run-dir", "played"]);
+    let mut playing = Process(playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(playing.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let address = lines.find_map(|line| Some(line.strip_prefix("page at ")?.to_owned())).unwrap();
+    let browser = Browser::start(&driver, folder.path());
+    browser.open(&address);
+    // Nobody has to press anything, and there is nothing about a training.
+    browser.until("!document.querySelector('#replay-player').hidden && replay.time > 0");
+    let note = |words: &str| {
+        browser.until(&format!("document.querySelector('#replay-note').textContent.startsWith({words:?})"));
+    };
+    note("The policy builds ");
+    assert!(browser.text("#replay-note").contains("(2_000), start 1"), "{}", browser.text("#replay-note"));
+    assert_eq!(browser.run("return document.querySelector('#learner, #members, #dropped')"), Value::Null);
+    // It would go on by itself while the rest is looked at.
+    browser.element("#stage-onward").click();
+    browser.element("#stage-again").click();
+    browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 2')");
+    browser.element("#stage-agent input[value=expert]").click();
+    note("The expert builds ");
+    browser.until("document.querySelector('#replay-play').textContent === 'Play'");
+    assert!(browser.text("#replay-text").ends_with("success"), "{}", browser.text("#replay-text"));
+
+    // The gallery has every blueprint, finds some, and leads to one.
+    browser.element("#stage-choose").click();
+    browser.until("document.querySelectorAll('#gallery button img').length === 166");
+    browser.element("#gallery input").press("16_002");
+    browser.until("document.querySelectorAll('#gallery button img').length === 1");
+    browser.until("document.querySelector('#gallery img').naturalWidth === 200");
+    browser.element("#gallery .gallery button").click();
+    browser.until("document.querySelector('#replay-note').textContent.includes('(16_002), start 1')");
+    let complaints = browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE");
+    assert_eq!(complaints.collect::<Vec<_>>(), Vec::<Value>::new());
 }
 
 #[test]

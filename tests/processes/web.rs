@@ -1,9 +1,9 @@
 //! The page of a real run: found by the line that is printed, filled while training goes on, gone afterwards.
 
 use std::collections::BTreeMap;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::net::{TcpListener, TcpStream};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use crate::support::judges::{python, told_by};
 use crate::support::program::{lodestone, n_saved_steps};
@@ -116,4 +116,35 @@ fn a_page_that_cannot_be_served_is_refused_before_anything_is_written() {
     assert_eq!(refused.status.code(), Some(64));
     assert!(error(&refused).contains(&format!("the page cannot be served at {address}")), "{}", error(&refused));
     assert!(!folder.path().join("run").exists());
+}
+
+#[test]
+fn runs_that_have_ended_are_shown_from_their_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let trained = train(&mut lodestone(folder.path())).args(["--steps", "512", "--no-web"]).output().unwrap();
+    assert!(trained.status.success(), "{}", error(&trained));
+    assert!(!String::from_utf8_lossy(&trained.stdout).contains("page at"));
+    let mut serving = lodestone(folder.path());
+    let serving = serving.args(["serve", "run", "run"]);
+    let mut serving = Process(serving.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(serving.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let address = lines.find_map(|line| Some(line.strip_prefix("page at http://")?.to_owned())).unwrap();
+    let json = |path: &str| -> Value { serde_json::from_str(&get(&address, path).1).unwrap() };
+    let about = json("/runs/1/api/about");
+    assert_eq!((&about["kind"], &about["run"]), (&"finished".into(), &"run".into()));
+    assert_eq!(about["runs"].as_array().unwrap().len(), 2);
+    let updates = json("/api/history")["learner"].as_array().unwrap().len();
+    assert!(updates > 0);
+    assert_eq!(json("/runs/1/api/history")["learner"].as_array().unwrap().len(), updates);
+    // Its newest checkpoint builds, and so does the expert.
+    for agent in ["policy", "expert"] {
+        let episode = json(&format!("/api/play?blueprint=2_000&agent={agent}"));
+        assert_eq!((&episode["actor"], &episode["blueprint"]), (&agent.into(), &"2_000".into()));
+    }
+    interrupt(&serving);
+    assert!(serving.0.wait().unwrap().success());
+
+    let gone = lodestone(folder.path()).args(["serve", "gone"]).output().unwrap();
+    assert_eq!(gone.status.code(), Some(66));
+    assert!(error(&gone).contains("gone is no folder of a run"), "{}", error(&gone));
 }

@@ -105,6 +105,11 @@ impl Board {
         state.publish(&event("pass", &news));
     }
 
+    /// Remembers an update of a learner that has ended.
+    pub(super) fn learned(&self, learner: &LearnerMetrics) {
+        self.state().points.push(learner);
+    }
+
     /// Remembers what the bus tells and passes it on.
     pub(super) fn told(&self, news: News, now: Duration) {
         match news {

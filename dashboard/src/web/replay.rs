@@ -16,7 +16,7 @@ use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
 use super::attention::{AttentionView, Onlooker};
-use render::picture::TYPE_COLORS;
+use render::picture::{GRIPPER_COLORS, TYPE_COLORS};
 use render::video::{Collector, Episode, STEP_S};
 
 /// Version of `/api/replay`.
@@ -40,6 +40,7 @@ struct ReplayView {
     actor: String,
     weights_version: u64,
     blueprint: String,
+    title: String,
     /// `success` or `time limit`.
     end: &'static str,
     /// Time between two scenes in seconds.
@@ -50,6 +51,8 @@ struct ReplayView {
     half_extents_m: Vec<[f32; 3]>,
     /// Color of each block's type.
     colors: Vec<[u8; 3]>,
+    /// Color of each gripper, as in films.
+    gripper_colors: Vec<[u8; 3]>,
     /// The goal's blocks: index, position in meters in the goal's frame, quaternion x, y, z, w.
     goal: Vec<(usize, [f32; 7])>,
     scenes: Vec<SceneView>,
@@ -78,9 +81,14 @@ impl Replays {
         Self { onlooker, wanted: Notify::default(), newest: Mutex::default() }
     }
 
-    /// The JSON of a recorded episode; `None` if it cannot be shown. It takes some ten milliseconds.
-    pub(super) fn to_json(&self, segments: &[Trajectory]) -> Option<Bytes> {
-        let view = view(segments, |episode| self.onlooker.look(episode))?;
+    /// The JSON of a recorded episode whose goal is in the catalog; `None` if it cannot be shown.
+    pub(super) fn show_known(&self, segments: &[Trajectory]) -> Option<Bytes> {
+        self.show(segments, Catalog::builtin().find(&segments.first()?.task.blueprint)?.as_ref())
+    }
+
+    /// The JSON of a recorded episode with this goal; `None` if it cannot be shown. It takes some ten milliseconds.
+    pub(super) fn show(&self, segments: &[Trajectory], goal: &Blueprint) -> Option<Bytes> {
+        let view = view(segments, goal, |episode| self.onlooker.look(episode))?;
         match serde_json::to_vec(&view) {
             Ok(json) => Some(json.into()),
             Err(error) => {
@@ -119,7 +127,7 @@ impl Replays {
                 segments = watched => segments,
             };
             let replays = self.clone();
-            let json = tokio::task::spawn_blocking(move || replays.to_json(&segments?)).await;
+            let json = tokio::task::spawn_blocking(move || replays.show_known(&segments?)).await;
             match json.ok().flatten() {
                 Some(json) => *self.newest.lock() = Some(json),
                 None => tracing::debug!("no episode was recorded"),
@@ -128,12 +136,16 @@ impl Replays {
     }
 }
 
-/// `None` for a goal that this program's catalog lacks.
-fn view(segments: &[Trajectory], look: impl FnOnce(&Episode) -> Option<AttentionView>) -> Option<ReplayView> {
+/// `None` for an episode that has another goal or gaps.
+fn view(
+    segments: &[Trajectory],
+    goal: &Blueprint,
+    look: impl FnOnce(&Episode) -> Option<AttentionView>,
+) -> Option<ReplayView> {
     let first = segments.first()?;
-    let episode = Episode::new(segments, Catalog::builtin().find(&first.task.blueprint)?.as_ref()).ok()?;
+    let episode = Episode::new(segments, goal).ok()?;
     let inventory = Inventory::standard();
-    let goal = episode.goal().placements().iter().map(|placement| {
+    let places = episode.goal().placements().iter().map(|placement| {
         let turn = placement.rotation.quaternion();
         (placement.block.get(), pose(placement.position_m().into(), turn.coords.into()))
     });
@@ -143,12 +155,14 @@ fn view(segments: &[Trajectory], look: impl FnOnce(&Episode) -> Option<Attention
         actor: first.actor.to_string(),
         weights_version: first.weights_version.0,
         blueprint: first.task.blueprint.to_string(),
+        title: goal.title().to_owned(),
         end: if episode.status() == Status::Success { "success" } else { "time limit" },
         step_s: STEP_S,
         unit_m: UNIT_M,
         half_extents_m: BlockIdx::all().map(|block| inventory.half_extents_m(block)).collect(),
         colors: BlockIdx::all().map(|block| TYPE_COLORS[inventory.type_idx(block)]).collect(),
-        goal: goal.collect(),
+        gripper_colors: GRIPPER_COLORS.to_vec(),
+        goal: places.collect(),
         scenes: scenes.map(|(n_done, scene)| SceneView::new(&episode, n_done, scene)).collect(),
         attention: look(&episode),
     })
@@ -247,7 +261,8 @@ pub(super) mod tests {
     #[test]
     fn a_hand_worked_replay() {
         let segments = [segment(2, 0, 2, false), segment(2, 2, 1, true)];
-        let json = serde_json::to_value(view(&segments, |_| None).unwrap()).unwrap();
+        let goal = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
+        let json = serde_json::to_value(view(&segments, goal, |_| None).unwrap()).unwrap();
         assert_eq!(
             (&json["blueprint"], &json["end"], &json["weights_version"]),
             (&"2_000".into(), &"success".into(), &7.into())
@@ -260,7 +275,6 @@ pub(super) mod tests {
         assert_eq!(scenes[3]["reward_terms"]["connected"], 1.5);
         assert_eq!(scenes[3]["reward_terms"]["wrong"], 0.0);
         // Nothing is connected, so the first block of the plan says where the goal is: here it stands as in the goal.
-        let goal = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
         let frame = goal_frame(goal, &segments[0].transitions[0].scene);
         let first = goal.placements().iter().find(|p| goal.plan_step(goal.plan().unwrap(), p.block).unwrap().rank == 0);
         let placement = first.unwrap();

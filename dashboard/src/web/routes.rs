@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Router;
-use axum::body::Body;
+use axum::body::{Body, Bytes};
 use axum::extract::{Extension, RawQuery, Request, State};
 use axum::http::header::{
     AUTHORIZATION, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, COOKIE, HOST, LOCATION,
@@ -16,11 +16,14 @@ use axum::routing::get;
 
 use serde::Serialize;
 
+use super::about::{About, about};
 use super::board::Board;
 use super::films::{FilmView, Films};
+use super::gallery::{self, Gallery};
 use super::prometheus;
 use super::replay::Replays;
 use super::server::Connection;
+use super::stage::{self, Stage};
 use crate::config::{Token, WebConfig};
 
 /// Name of the cookie that holds the token.
@@ -40,7 +43,7 @@ const HEADERS: [(HeaderName, &str); 5] = [
 type Asset = (&'static str, &'static str, &'static str);
 
 /// The page's files, which are part of the program.
-pub(super) const ASSETS: [Asset; 4] = [
+pub(super) const ASSETS: [Asset; 6] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/page.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("assets/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
@@ -56,35 +59,70 @@ pub(super) const ASSETS: [Asset; 4] = [
             include_str!("assets/terms.js"),
             include_str!("assets/attention.js"),
             include_str!("assets/replay.js"),
+            include_str!("assets/stage.js"),
             include_str!("assets/films.js"),
             include_str!("assets/app.js"),
         ),
     ),
+    // Loaded when the first episode is shown.
+    ("/space.js", "text/javascript; charset=utf-8", include_str!("assets/space.js")),
+    ("/three.js", "text/javascript; charset=utf-8", include_str!("assets/vendor/three.min.js")),
 ];
 
+/// A run as the page shows it.
+pub(super) struct Shown {
+    pub(super) about: About,
+    pub(super) board: Arc<Board>,
+    pub(super) replays: Arc<Replays>,
+    pub(super) films: Films,
+    pub(super) stage: Option<Stage>,
+}
+
 /// The routes; all but the two for probes ask for the token of `config`, or, if there is none, for a name of this machine or one
-/// of its hosts.
-pub(super) fn routes(board: Arc<Board>, replays: Arc<Replays>, films: Films, config: WebConfig) -> Router {
+/// of its hosts. Of several runs the first is at the root and run `i` below `/runs/<i>`.
+pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Router {
+    let board = first.board.clone();
     let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
-    let mut guarded = Router::new()
-        .route("/api/history", get(history))
-        .route("/api/events", get(events))
-        .route("/api/replay", get(replay))
-        .route("/api/recording", get(recording))
-        .route("/api/films", get(list_films))
-        .route("/api/film", get(film))
-        .route("/metrics", get(metrics));
+    let names = std::iter::once(&first).chain(&others).map(|run| run.about.run.clone()).collect::<Vec<_>>();
+    let mut guarded = of_run(first, &names);
+    for (place, run) in others.into_iter().enumerate() {
+        guarded = guarded.nest(&format!("/runs/{}", place + 1), of_run(run, &names));
+    }
+    guarded = guarded.route("/api/blueprints", get(gallery::list)).route("/api/picture", get(gallery::picture));
     for (path, content_type, text) in ASSETS {
         guarded = guarded.route(path, get(move || async move { ([(CONTENT_TYPE, content_type)], text) }));
     }
     guarded
         .fallback(StatusCode::NOT_FOUND)
-        .layer(Extension(films))
-        .layer(Extension(replays))
+        .layer(Extension(Arc::new(Gallery::default())))
         .layer(from_fn_with_state(guard, authorize))
-        .merge(Router::new().route("/healthz", get(|| async { "serving\n" })).route("/readyz", get(ready)))
+        .merge(
+            Router::new()
+                .route("/healthz", get(|| async { "serving\n" }))
+                .route("/readyz", get(ready))
+                .with_state(board),
+        )
         .layer(from_fn(set_headers))
-        .with_state(board)
+}
+
+/// What can be asked about one run.
+fn of_run(run: Shown, names: &[String]) -> Router {
+    let answer = Bytes::from(about(&run.about, run.stage.is_some(), names).to_string());
+    let told = move || std::future::ready(([(CONTENT_TYPE, "application/json")], answer.clone()));
+    Router::new()
+        .route("/api/about", get(told))
+        .route("/api/history", get(history))
+        .route("/api/events", get(events))
+        .route("/api/play", get(stage::play))
+        .route("/api/replay", get(replay))
+        .route("/api/recording", get(recording))
+        .route("/api/films", get(list_films))
+        .route("/api/film", get(film))
+        .route("/metrics", get(metrics))
+        .layer(Extension(run.films))
+        .layer(Extension(run.replays))
+        .layer(Extension(run.stage))
+        .with_state(run.board)
 }
 
 async fn ready(State(board): State<Arc<Board>>) -> (StatusCode, &'static str) {
@@ -137,7 +175,7 @@ async fn recording(
     RawQuery(query): RawQuery,
 ) -> Response {
     let asked = id_of(query);
-    let answer = tokio::task::spawn_blocking(move || replays.to_json(&[films.recording(&asked)?])).await;
+    let answer = tokio::task::spawn_blocking(move || replays.show_known(&[films.recording(&asked)?])).await;
     match answer {
         Ok(Some(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
@@ -146,7 +184,7 @@ async fn recording(
 }
 
 /// What follows `id=`, if the query has nothing else.
-fn id_of(query: Option<String>) -> String {
+pub(super) fn id_of(query: Option<String>) -> String {
     query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned()
 }
 
@@ -188,7 +226,8 @@ async fn set_headers(request: Request, next: Next) -> Response {
         || headers.get(CONTENT_LENGTH).is_some_and(|length| length.as_bytes() != b"0");
     let mut response = if has_body { StatusCode::PAYLOAD_TOO_LARGE.into_response() } else { next.run(request).await };
     for (name, value) in HEADERS {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
+        // What never changes says itself how long it may be kept.
+        response.headers_mut().entry(name).or_insert(HeaderValue::from_static(value));
     }
     response
 }

@@ -44,7 +44,14 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let (policy, newest) = untrained();
     let (passes, its_passes) = mpsc::unbounded_channel();
     let (_, weights) = watch::channel(Some(Arc::new(newest)));
-    let source = Source { passes: its_passes, weights, policy, run: Some(RunPaths::new(dir)) };
+    let run = "r".to_owned();
+    let about = About { kind: Kind::Training, run, preset: None, n_env_steps: Some(5000), blueprints: Vec::new() };
+    let stage = Stage::new(|order, _| match order.builder {
+        Builder::Expert => Ok(segment(order.seed, 0, 3, true)),
+        Builder::Policy => Err(StageError::NoWeights),
+    });
+    let source =
+        Source { passes: its_passes, weights, policy, run: Some(RunPaths::new(dir)), about, stage: Some(stage) };
     let its_bus = bus.clone();
     let task = tokio::spawn(async move { page.serve(&its_bus, source).await });
     Served { bus, address, passes, task }
@@ -131,6 +138,14 @@ async fn only_what_is_meant_to_be_seen_is_served() {
         ("GET /app.js HTTP/1.1", &host, 200),
         ("GET /style.css HTTP/1.1", &host, 200),
         ("GET /icon.svg HTTP/1.1", &host, 200),
+        ("GET /three.js HTTP/1.1", &host, 200),
+        ("GET /space.js HTTP/1.1", &host, 200),
+        ("GET /api/about HTTP/1.1", &host, 200),
+        ("GET /api/blueprints HTTP/1.1", &host, 200),
+        ("GET /api/picture?id=2_000 HTTP/1.1", &host, 200),
+        ("GET /api/picture?id=../eval.db HTTP/1.1", &host, 404),
+        ("GET /api/play HTTP/1.1", &host, 400),
+        ("GET /runs/1/api/about HTTP/1.1", &host, 404),
         ("GET /api/history HTTP/1.1", &host, 200),
         ("GET /api/replay HTTP/1.1", &host, 202),
         ("GET /metrics HTTP/1.1", &host, 200),
@@ -336,4 +351,57 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
         assert_eq!(served.status(&format!("/api/recording{id}"), "").await, 404, "{id}");
     }
     served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_episode_is_played_when_somebody_asks_for_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let answer = served.get("/api/play?blueprint=2_000&agent=expert&seed=3").await;
+    assert_eq!(status(&answer), 200, "{answer}");
+    let episode: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
+    assert_eq!((&episode["blueprint"], &episode["end"]), (&json!("2_000"), &json!("success")));
+    assert_eq!(episode["scenes"].as_array().unwrap().len(), 4);
+    // No weights came yet, so a policy has to wait; and what is no order is refused.
+    assert_eq!(served.status("/api/play?blueprint=2_000", "").await, 503);
+    assert_eq!(served.status("/api/play?blueprint=99_999", "").await, 400);
+    // What was played has another goal than what was asked for: nothing is shown.
+    assert_eq!(served.status("/api/play?blueprint=2_001&agent=expert", "").await, 500);
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn runs_that_have_ended_stand_side_by_side() {
+    let dir = tempfile::tempdir().unwrap();
+    let finished = |name: &str, n_env_steps| {
+        let about = About {
+            kind: Kind::Finished,
+            run: name.to_owned(),
+            preset: None,
+            n_env_steps: Some(n_env_steps),
+            blueprints: Vec::new(),
+        };
+        let (policy, weights) = untrained();
+        let run = RunPaths::new(dir.path());
+        let (passes, weights) = (vec![pass(n_env_steps, &[])], Some(Arc::new(weights)));
+        FinishedRun { about, passes, learner: Vec::new(), run, policy, weights, stage: None }
+    };
+    let page = Page::bind(&WebConfig::default()).await.unwrap();
+    let (address, shutdown) = (page.address(), CancellationToken::new());
+    let task = tokio::spawn(page.show(finished("a", 100), vec![finished("b", 200)], shutdown.clone()));
+    let get = async |path: &str| {
+        let mut stream = TcpStream::connect(address).await.unwrap();
+        stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await.unwrap();
+        let mut answer = String::new();
+        within(stream.read_to_string(&mut answer)).await.unwrap();
+        serde_json::from_str::<Value>(answer.split_once("\r\n\r\n").unwrap().1).unwrap()
+    };
+    let about = get("/runs/1/api/about").await;
+    assert_eq!((&about["run"], &about["kind"], &about["can_play"]), (&json!("b"), &json!("finished"), &json!(false)));
+    let runs = json!([{ "name": "a", "base": "" }, { "name": "b", "base": "/runs/1" }]);
+    assert_eq!((&about["runs"], &get("/api/about").await["runs"]), (&runs, &runs));
+    assert_eq!(get("/api/history").await["passes"][0]["n_env_steps"], 100);
+    assert_eq!(get("/runs/1/api/history").await["passes"][0]["n_env_steps"], 200);
+    shutdown.cancel();
+    within(task).await.unwrap().unwrap();
 }

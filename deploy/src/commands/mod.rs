@@ -13,7 +13,9 @@ mod play;
 mod render;
 mod report;
 mod router;
+mod serve;
 mod services;
+mod stage;
 mod train;
 mod watch;
 
@@ -55,10 +57,11 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Eval(args) => on_runtime(async |shutdown| eval::run(&args, terminal, &shutdown)),
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
-            let source = models::Source::open(&args.model)?;
+            let source = models::Source::of(args.checkpoint.as_deref())?;
             let config = play::configure(&source, &args)?;
             on_runtime(async |shutdown| play::run(source, &config, &args, terminal, shutdown).await)
         }
+        Command::Serve(args) => on_runtime(async |shutdown| serve::run(&args, terminal, shutdown).await),
         Command::Report(args) => report::run(&args, terminal),
         Command::Keys(command) => keys::run(&command, terminal),
         Command::Healthcheck(args) => health::check(&args.file, args.alive).map(drop),

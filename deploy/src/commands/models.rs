@@ -29,7 +29,15 @@ impl Source {
     /// # Errors
     /// When a file cannot be read or is damaged.
     pub(super) fn open(args: &ModelArgs) -> Result<Self, Failure> {
-        match &args.checkpoint {
+        Self::of(args.checkpoint.as_deref())
+    }
+
+    /// Reads an exported file or the newest checkpoint of a folder, or else the policy that comes with the program.
+    ///
+    /// # Errors
+    /// When a file cannot be read or is damaged.
+    pub(super) fn of(checkpoint: Option<&Path>) -> Result<Self, Failure> {
+        match checkpoint {
             Some(path) => Self::read(path),
             None => Self::pretrained(),
         }

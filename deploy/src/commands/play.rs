@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use blueprints::Catalog;
 use bus::Bus;
+use dashboard::{About, Kind};
 use evaluator::{Policy, Stop};
 use proto::Weights;
 use tokio::sync::watch;
@@ -58,12 +59,18 @@ pub(super) async fn run(
     // The page would wait for them for ever.
     let mut policy = Policy::new(&config.policy).map_err(anyhow::Error::from)?;
     policy.load(&weights).map_err(anyhow::Error::from)?;
-    let page = services::page(config, terminal).await?;
+    let weights = Arc::new(weights);
+    let page = services::page(config.dashboard.web.as_ref(), terminal).await?.map(|page| services::Opened {
+        page,
+        about: about(args),
+        // So that the first episode waits for no bus.
+        first: Some(weights.clone()),
+    });
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, &Origin::default())?;
     terminal.print(&format!("episodes and films go to {}; Ctrl-C ends", run_dir.path().display()));
     let bus = Bus::open(&config.bus).await?;
     let publisher = bus.weights_publisher().await?;
-    publisher.publish(Arc::new(weights)).await?;
+    publisher.publish(weights).await?;
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone(), live::detail(false)));
     let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
@@ -72,6 +79,15 @@ pub(super) async fn run(
     bus.close().await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
+}
+
+/// The page shows no training here.
+fn about(args: &PlayArgs) -> About {
+    let run = match &args.checkpoint {
+        None => "the policy that comes with the program".to_owned(),
+        Some(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+    };
+    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints: args.blueprints.clone() }
 }
 
 /// The weights as a learner would send them, which says what to train on: here all that is judged alike.

@@ -7,18 +7,20 @@ use std::time::Duration;
 use actor::{ActorSetup, Lockstep};
 use blueprints::Catalog;
 use bus::Bus;
-use dashboard::{Page, Source};
+use dashboard::config::WebConfig;
+use dashboard::{About, Kind, Page, Source};
 use evaluator::{EvaluatorSetup, Listeners, Stop};
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::keys::{self, METRICS_LEARNER};
 use proto::metrics::EvalReport;
-use proto::{ActorId, Role};
+use proto::{ActorId, Role, Weights};
 use runlog::RunPaths;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::models;
+use super::stage::stage;
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
@@ -127,7 +129,8 @@ pub(super) async fn run_evaluator(
         })
         .await;
     }
-    let page = page(config, terminal).await?;
+    let opened = page(config.dashboard.web.as_ref(), terminal).await?;
+    let page = opened.map(|page| Opened { page, about: about(settings), first: None });
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
@@ -179,30 +182,51 @@ pub(super) async fn learner(
     Ok(learner::run(options, &bus, shutdown).await?)
 }
 
+/// A page that has its address, and what it shows from the first moment on.
+pub(super) struct Opened {
+    pub(super) page: Page,
+    pub(super) about: About,
+    /// The weights that act until others come.
+    pub(super) first: Option<Arc<Weights>>,
+}
+
+/// A training in a few words, for its page.
+pub(super) fn about(settings: &Settings) -> About {
+    let config = &settings.config;
+    About {
+        kind: Kind::Training,
+        run: config.bus.run.clone(),
+        preset: settings.preset.map(|preset| preset.name.to_owned()),
+        n_env_steps: Some(config.n_env_steps),
+        blueprints: config.evaluator.selection.blueprints.clone(),
+    }
+}
+
 /// An evaluator's life, and the page beside it.
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
-    page: Option<Page>,
+    page: Option<Opened>,
     bus: Bus,
     stop: Stop,
 ) -> Result<(), Failure> {
     let mut listeners = Listeners { reports: Some(reports), ..Listeners::default() };
-    let Some(page) = page else {
+    let Some(Opened { page, about, first }) = page else {
         evaluator::run(setup, &bus, listeners, stop).await?;
         return Ok(());
     };
-    let ((passes, its_passes), (weights, its_weights)) = (mpsc::unbounded_channel(), watch::channel(None));
+    let ((passes, its_passes), (weights, its_weights)) = (mpsc::unbounded_channel(), watch::channel(first));
     (listeners.evaluations, listeners.weights) = (Some(passes), Some(weights));
     let (policy, run) = (setup.policy.clone(), setup.records.clone());
-    let source = Source { passes: its_passes, weights: its_weights, policy, run };
+    let stage = Some(stage(setup.environment.clone(), policy.clone(), its_weights.clone()));
+    let source = Source { passes: its_passes, weights: its_weights, policy, run, about, stage };
     tokio::try_join!(evaluator::run(setup, &bus, listeners, stop), page.serve(&bus, source))?;
     Ok(())
 }
 
 /// Takes the address of the page, if there is to be one, and says it.
-pub(super) async fn page(config: &Config, terminal: &Terminal) -> Result<Option<Page>, Failure> {
-    let Some(web) = &config.dashboard.web else { return Ok(None) };
+pub(super) async fn page(web: Option<&WebConfig>, terminal: &Terminal) -> Result<Option<Page>, Failure> {
+    let Some(web) = web else { return Ok(None) };
     let page = Page::bind(web).await?;
     terminal.print(&format!("page at http://{}", page.address()));
     Ok(Some(page))

@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use bus::Bus;
+use dashboard::Page;
+use dashboard::config::WebConfig;
 use evaluator::Stop;
 use proto::ActorId;
 use proto::keys::{METRICS_LEARNER, Role};
@@ -15,6 +17,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::services;
 use crate::cli::{Settings, TrainArgs};
+use crate::config::Config;
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
@@ -52,7 +55,8 @@ pub(super) async fn run(
     let (config, start) = (&settings.config, Instant::now());
     let setup = services::learner_setup(config, args.run.init_from.as_deref())?;
     // Before anything is written, because the address may be taken.
-    let page = services::page(config, terminal).await?;
+    let page = page(config, args, terminal).await?;
+    let page = page.map(|page| services::Opened { page, about: services::about(settings), first: None });
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
     terminal.print(&introduction(settings, &origin, &run_dir));
@@ -117,30 +121,57 @@ pub(super) async fn run(
     })
 }
 
+/// The page where the configuration says, or else at a free port, which is a convenience and nothing to fail for.
+async fn page(config: &Config, args: &TrainArgs, terminal: &Terminal) -> Result<Option<Page>, Failure> {
+    if args.no_web {
+        return Ok(None);
+    }
+    if config.dashboard.web.is_some() {
+        return services::page(config.dashboard.web.as_ref(), terminal).await;
+    }
+    let page = services::page(Some(&WebConfig::default()), terminal).await;
+    Ok(page.unwrap_or_else(|error| {
+        tracing::warn!(%error, "training without a page");
+        None
+    }))
+}
+
 fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> String {
     let config = &settings.config;
     let (actor, path) = (&config.actor, run_dir.path().display());
     let how = if origin.checkpoint.is_some() { "continuing" } else { "training" };
+    let program = program();
+    let run = &config.bus.run;
     let listening = match &config.bus.listen[..] {
         [] => String::new(),
-        endpoints => format!("\nothers can join at {}, run `{}`", endpoints.join(" and "), config.bus.run),
+        endpoints => format!(
+            "\nothers can join at {}, run `{run}`\nin a terminal: {program} watch --connect {} --run {run}",
+            endpoints.join(" and "),
+            endpoints[0],
+        ),
     };
     let takes =
         settings.preset.map_or_else(String::new, |preset| format!("\nit takes {} as the preset is", preset.takes));
     format!(
         "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}\n\
          settings: {}{takes}\n\
-         everything goes to {path}; Ctrl-C saves and ends{listening}",
+         everything goes to {path}; Ctrl-C saves and ends{listening}\n\
+         curves: tensorboard --logdir {path}/tb",
         config.bus.run, config.n_env_steps, actor.n_threads, actor.n_worlds, config.seed, settings.source,
     )
 }
 
 fn farewell(run_dir: &RunDir) -> String {
     let path = run_dir.path().display();
-    // As it was called, so that the lines can be pasted.
-    let program = std::env::args().next().unwrap_or_else(|| "lodestone".to_owned());
+    let program = program();
     format!(
         "\nsaved in {path}\n  evaluate it: {program} eval --checkpoint {path}\n  \
-         continue it: {program} train --resume {path} --steps N"
+         continue it: {program} train --resume {path} --steps N\n  \
+         look at it: {program} serve {path}"
     )
+}
+
+/// The program as it was called, so that lines can be pasted.
+fn program() -> String {
+    std::env::args().next().unwrap_or_else(|| "lodestone".to_owned())
 }

@@ -55,7 +55,9 @@ impl Browser {
         let mut browser = Self { driver, client: client(), session: format!("http://127.0.0.1:{port}/session") };
         let profile = format!("--user-data-dir={}", folder.join("profile").display());
         // Without a sandbox, because containers run as root; the page is ours.
-        let mut args = vec!["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"];
+        let mut args = vec!["--headless", "--no-sandbox", "--disable-quic", "--no-first-run"];
+        // Three dimensions are drawn by software, which is the same everywhere.
+        args.extend(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
         args.extend(["--disable-background-networking", "--disable-component-update", "--disable-sync", &profile]);
         let wanted = json!({ "capabilities": { "alwaysMatch": {
             "goog:chromeOptions": { "args": args },

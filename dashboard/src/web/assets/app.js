@@ -8,19 +8,35 @@ const model = {
   actors: new Map(),
   roster: { actors: [], learners: [], evaluators: [] },
   acting: "mode",
+  about: null,
+  // Where the shown run's answers are; of several runs on a page, all but the first have a folder.
+  base: "",
 };
 const $ = (id) => document.getElementById(id);
 const heat = new Heat($("heat"), $("heat-cell"));
 const replay = new Replay({
   canvas: $("replay"), slider: $("replay-slider"), playButton: $("replay-play"),
   back: $("replay-back"), forth: $("replay-forth"), text: $("replay-text"),
+  player: $("replay-player"), note: $("replay-note"), fitButton: $("replay-fit"), fullButton: $("replay-full"),
+  speedChoice: $("replay-speed"),
   terms: new Terms($("replay-terms"), $("replay-values")), ghost: $("replay-ghost"),
   attention: new Attention({
     part: $("replay-attention"), choice: $("replay-eye"), strip: $("replay-strip"), note: $("replay-attention-note"),
   }, () => replay.draw()),
 });
+const stage = new Stage(replay, {
+  choose: $("stage-choose"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), mode: $("stage-mode"),
+  onward: $("stage-onward"), note: $("replay-note"), dialog: $("gallery"), only: [],
+});
 const openFilm = (film) => openRecording(replay, $("replay-note"), film);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
+heat.opened = ({ id }) => {
+  if (!model.about || !model.about.can_play) return;
+  stage.seed = 0;
+  stage.start(id);
+  $("replay-title").scrollIntoView();
+};
+$("heat-find").addEventListener("input", () => heat.find($("heat-find").value));
 const stale = new Set();
 
 /** Draws the named parts in the next frame, however often it is asked for. */
@@ -37,9 +53,9 @@ function draw() {
     drawCurves($("curves"), model.history, model.acting);
     drawGroups($("groups"), model.history);
   }
-  if (parts.has("learner")) drawHealth($("health"), model.points);
-  drawRoster($("roster"), model.roster, model.actors, model.learner);
-  drawDrops($("drops"), model.actors, model.learner, model.summary);
+  if (parts.has("learner") && $("health")) drawHealth($("health"), model.points);
+  if ($("roster")) drawRoster($("roster"), model.roster, model.actors, model.learner);
+  if ($("drops")) drawDrops($("drops"), model.actors, model.learner, model.summary);
   drawTiles();
 }
 
@@ -47,15 +63,61 @@ function drawTiles() {
   const last = model.history.passes[model.history.passes.length - 1];
   const success = last && last.all[model.acting];
   const learner = model.learner || model.points[model.points.length - 1];
-  const tiles = [
-    ["success", success ? percent(success.rate) : "–", success ? `${interval(success)}, ${success.n_episodes} episodes` : "nothing judged yet"],
-    ["environment steps", learner ? count(learner.n_env_steps) : "–", learner ? `in ${minutes(learner.elapsed_s)}` : ""],
-    ["weights", learner ? `version ${learner.weights_version}` : "–", last ? `judged: ${last.weights_version}` : ""],
-    ["steps per second", learner ? count(learner.env_steps_per_s) : "–", learner ? `lag ${decimal(learner.policy_lag_mean)} versions` : ""],
-    ["actors", String(model.roster.actors.length), model.roster.learners.length ? "learner is there" : "no learner"],
-  ];
+  const { kind, n_env_steps: target } = model.about || {};
+  const episodes = success ? `${interval(success)}, ${success.n_episodes} episodes` : "nothing evaluated yet";
+  const left = learner && target ? (target - learner.n_env_steps) / learner.env_steps_per_s : NaN;
+  const soon = kind !== "finished" && left > 0 ? `, ${minutes(left)} to go` : "";
+  const tiles = [["success", success ? percent(success.rate) : "–", episodes]];
+  // Nobody learns where a policy is shown.
+  if (kind !== "play") {
+    tiles.push(
+      ["environment steps", learner ? count(learner.n_env_steps) : "–", learner ? `${target ? `of ${count(target)}, ` : ""}in ${minutes(learner.elapsed_s)}${soon}` : ""],
+      ["weights", learner ? `version ${learner.weights_version}` : "–", last ? `evaluated: version ${last.weights_version}` : ""],
+      ["steps per second", learner ? count(learner.env_steps_per_s) : "–", learner ? `lag ${decimal(learner.policy_lag_mean)} versions` : ""],
+    );
+  }
+  if (kind === "training") tiles.push(["actors", String(model.roster.actors.length), model.roster.learners.length ? "learner is there" : "no learner"]);
   $("tiles").replaceChildren(...tiles.map(([name, value, more]) =>
     element("div", {}, element("dt", {}, name), element("dd", {}, value, element("small", {}, more)))));
+}
+
+/** Arranges the page for what it is about: a run that goes on, one that has ended, or a policy at work. */
+function introduce(about) {
+  model.about = about;
+  const name = about.preset && about.preset !== about.run ? `${about.run}, preset ${about.preset}` : about.run;
+  $("run-name").textContent = name;
+  document.title = `${about.run} · Lodestone`;
+  about.gripper_colors.forEach((color, i) => document.documentElement.style.setProperty(`--gripper${i}`, `rgb(${color.join(",")})`));
+  if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
+  if (!about.can_play) $("stage-bar").remove();
+  if (about.runs.length > 1) chooseRun(about.runs);
+  if (about.kind !== "play") return;
+  $("learner").remove();
+  $("replay-more").open = false;
+  $("tiles").before($("stage"));
+  stage.only = about.blueprints;
+  $("stage-onward").checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+  stage.start(about.blueprints[0] || FIRST);
+}
+
+/** What a policy that is shown at work builds first: sixteen blocks. */
+const FIRST = "16_002";
+
+/** A choice of the run that is shown, and the curves of all runs together. */
+function chooseRun(runs) {
+  const choice = element("select", { "aria-label": "Run" }, ...runs.map(({ name }, i) => element("option", { value: String(i) }, name)));
+  choice.value = String(Math.max(runs.findIndex(({ base }) => base === model.base), 0));
+  choice.addEventListener("change", () => { location.search = `?run=${choice.value}`; });
+  $("run-name").replaceChildren(choice);
+  const place = element("div", {});
+  $("tiles").after(element("section", { class: "card wide", "aria-labelledby": "beside-title" }, element("h2", { id: "beside-title" }, "Side by side"), place));
+  const asked = runs.map(async ({ name, base }) => ({ name, history: await (await fetch(`${base}/api/history`)).json() }));
+  Promise.all(asked).then((all) => {
+    const draw = () => drawBeside(place, all, model.acting);
+    draw();
+    window.addEventListener("resize", draw);
+    $("acting").addEventListener("change", () => setTimeout(draw));
+  });
 }
 
 function say(state, text) {
@@ -73,7 +135,7 @@ async function askHistory() {
   if (asking) return;
   asking = true;
   try {
-    const answer = await fetch("/api/history");
+    const answer = await fetch(`${model.base}/api/history`);
     if (answer.ok) {
       model.history = await answer.json();
       const newest = model.points.slice(-1)[0];
@@ -112,12 +174,12 @@ function gathered(roster) {
   left.forEach((name) => model.actors.delete(name));
   model.roster = roster;
   const news = [came.length ? `${came.join(", ")} came` : "", left.length ? `${left.join(", ")} left` : ""];
-  if (came.length || left.length) $("roster-news").textContent = `Actors: ${news.filter(Boolean).join("; ")}`;
+  if ((came.length || left.length) && $("roster-news")) $("roster-news").textContent = `Actors: ${news.filter(Boolean).join("; ")}`;
   redraw("roster");
 }
 
 function listen() {
-  const source = new EventSource("/api/events");
+  const source = new EventSource(`${model.base}/api/events`);
   const on = (name, handle) => source.addEventListener(name, (event) => handle(JSON.parse(event.data)));
   on("metrics", measured);
   on("roster", gathered);
@@ -127,7 +189,7 @@ function listen() {
     [5, 20, 60].forEach((seconds) => setTimeout(() => askFilms($("films"), $("films-note"), openFilm), 1000 * seconds));
   });
   source.onopen = () => {
-    say("live", "live");
+    say("live", model.about && model.about.kind === "finished" ? "finished" : "live");
     askHistory();
     askFilms($("films"), $("films-note"), openFilm);
   };
@@ -148,5 +210,17 @@ new ResizeObserver(([entry]) => {
   if (Math.abs(entry.contentRect.width - width) > 1) redraw("history");
   width = entry.contentRect.width;
 }).observe($("curves"));
-redraw("history", "learner");
-listen();
+/** Learns first what the page is about; without an answer it is taken for a training. */
+async function begin() {
+  const place = new URLSearchParams(location.search).get("run");
+  model.base = place && place !== "0" ? `/runs/${Number(place)}` : "";
+  try {
+    const answer = await fetch(`${model.base}/api/about`);
+    if (answer.ok) introduce(await answer.json());
+  } catch {
+    // The stream of events says that nobody answers.
+  }
+  redraw("history", "learner");
+  listen();
+}
+begin();

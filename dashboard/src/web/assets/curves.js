@@ -20,6 +20,11 @@ function drawCurves(place, history, acting) {
     place.replaceChildren(element("p", { class: "empty" }, "No evaluation yet; the first comes with the first weights."));
     return;
   }
+  if (passes.length === 1) {
+    // The table below says all that there is.
+    place.replaceChildren();
+    return;
+  }
   const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
   const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
   const most = Math.max(...passes.map((pass) => pass.n_env_steps), 1);
@@ -48,7 +53,8 @@ function drawCurves(place, history, acting) {
     const line = points.map((point) => `${x(point.steps)},${y(point.rate.rate)}`).join(" ");
     drawing.append(svg("polyline", { class: `curve g${i}`, "stroke-dasharray": DASHES[i], points: line }));
     if (points.length < 40) {
-      points.forEach((point) => drawing.append(svg("circle", { class: `g${i}`, cx: x(point.steps), cy: y(point.rate.rate), r: 2.5 })));
+      points.forEach((point) => drawing.append(svg("circle", { class: `g${i}`, cx: x(point.steps), cy: y(point.rate.rate), r: 2.5 },
+        svg("title", {}, `${name}, ${count(point.steps)} steps: ${percent(point.rate.rate)} (${interval(point.rate)})`))));
     }
   });
   place.replaceChildren(drawing);
@@ -71,4 +77,39 @@ function drawGroups(table, history) {
   const caption = `Newest evaluation: weights ${last.weights_version}, ${count(last.n_env_steps)} steps, took ${minutes(last.elapsed_s)}`;
   const heads = ["group", "blueprints", "most probable", "95 % interval", "episodes", "sampled", "95 % interval", "episodes"];
   fill(table, caption, heads, rows);
+}
+
+/** Success on all blueprints of several runs against environment steps, in one picture. */
+function drawBeside(place, runs, acting) {
+  const curves = runs.map(({ name, history }) => ({
+    name,
+    points: history.passes.filter((pass) => pass.all[acting]).map((pass) => ({ steps: pass.n_env_steps, rate: pass.all[acting].rate })),
+  }));
+  const most = Math.max(...curves.flatMap(({ points }) => points.map(({ steps }) => steps)), 1);
+  const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
+  const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
+  const x = (steps) => left + (steps / most) * (width - left - right);
+  const y = (rate) => top + (1 - rate) * (height - top - bottom);
+  const newest = ({ points }) => (points.length > 0 ? percent(points[points.length - 1].rate) : "no evaluation");
+  const label = `Success over environment steps; at last: ${curves.map((curve) => `${curve.name} ${newest(curve)}`).join(", ")}`;
+  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
+  for (const rate of [0, 0.25, 0.5, 0.75, 1]) {
+    drawing.append(svg("line", { class: "grid", x1: left, x2: width - right, y1: y(rate), y2: y(rate) }));
+    drawing.append(svg("text", { x: left - 6, y: y(rate) + 4, "text-anchor": "end" }, `${100 * rate} %`));
+  }
+  for (const steps of ticks(most, width < 500 ? 3 : 6)) {
+    const anchor = x(steps) > width - 30 ? "end" : "middle";
+    drawing.append(svg("text", { x: x(steps), y: height - 8, "text-anchor": anchor }, steps === 0 ? "0 steps" : count(steps)));
+  }
+  const names = curves.map((curve, i) => {
+    const [style, dashes] = [`g${i % GROUPS.length}`, DASHES[i % DASHES.length]];
+    const line = curve.points.map(({ steps, rate }) => `${x(steps)},${y(rate)}`).join(" ");
+    drawing.append(svg("polyline", { class: `curve ${style}`, "stroke-dasharray": dashes, points: line }));
+    curve.points.forEach(({ steps, rate }) => drawing.append(svg("circle", { class: style, cx: x(steps), cy: y(rate), r: 2.5 },
+      svg("title", {}, `${curve.name}, ${count(steps)} steps: ${percent(rate)}`))));
+    const dot = svg("svg", { class: "dot", viewBox: "0 0 22 12", "aria-hidden": "true" },
+      svg("line", { class: `curve ${style}`, x1: 0, x2: 22, y1: 6, y2: 6, "stroke-dasharray": dashes }));
+    return element("span", {}, dot, `${curve.name}: ${newest(curve)}`);
+  });
+  place.replaceChildren(drawing, element("p", { class: "options" }, ...names));
 }

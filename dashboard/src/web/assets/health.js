@@ -17,6 +17,7 @@ function toPoint(learner) {
   return point;
 }
 
+/** A small chart of one number, which tells its values under the pointer. */
 function spark(points, name, title) {
   const [width, height] = [210, 46];
   const known = points.filter((point) => isNumber(point[name]));
@@ -26,9 +27,19 @@ function spark(points, name, title) {
   const x = (steps) => (to > from ? ((steps - from) / (to - from)) * width : width);
   const y = (value) => (high > low ? 4 + (1 - (value - low) / (high - low)) * (height - 8) : height / 2);
   const line = known.map((point) => `${x(point.n_env_steps).toFixed(1)},${y(point[name]).toFixed(1)}`).join(" ");
-  const label = `${title}: from ${decimal(low)} to ${decimal(high)}, now ${decimal(values[values.length - 1])}`;
-  return svg("svg", { class: "spark", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none", role: "img", "aria-label": label },
+  const now = decimal(values[values.length - 1]);
+  const label = `${title}: from ${decimal(low)} to ${decimal(high)}, now ${now}`;
+  const picture = svg("svg", { class: "spark", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none", role: "img", "aria-label": label },
     svg("polyline", { class: "curve g0", points: line }));
+  const value = element("b", {}, now);
+  picture.addEventListener("pointermove", (event) => {
+    const at = (event.offsetX / (picture.clientWidth || width)) * width;
+    const near = known.reduce((best, point) => (Math.abs(x(point.n_env_steps) - at) < Math.abs(x(best.n_env_steps) - at) ? point : best));
+    value.textContent = `${decimal(near[name])} at ${count(near.n_env_steps)} steps`;
+  });
+  picture.addEventListener("pointerleave", () => { value.textContent = now; });
+  const range = `${decimal(low)} to ${decimal(high)}, ${count(from)} to ${count(to)} steps`;
+  return element("div", {}, element("h3", {}, title, value), picture, element("small", { class: "quiet" }, range));
 }
 
 function drawHealth(place, points) {
@@ -36,10 +47,8 @@ function drawHealth(place, points) {
     place.replaceChildren(element("p", { class: "empty" }, "No update yet."));
     return;
   }
-  const last = points[points.length - 1];
   const charts = HEALTH.filter(([name]) => points.some((point) => isNumber(point[name])));
-  place.replaceChildren(...charts.map(([name, title]) =>
-    element("div", {}, element("h3", {}, title, element("b", {}, decimal(last[name]))), spark(points, name, title))));
+  place.replaceChildren(...charts.map(([name, title]) => spark(points, name, title)));
 }
 
 const sum = (counts) => Object.values(counts || {}).reduce((total, n) => total + (isNumber(n) ? n : 0), 0);

@@ -14,11 +14,15 @@ class Heat {
     this.canvas = canvas;
     this.cellText = cellText;
     this.cursor = null;
+    this.words = "";
+    // Called with a row that somebody opens.
+    this.opened = () => {};
     this.rows = [];
     canvas.addEventListener("pointermove", (event) => this.point(event));
     canvas.addEventListener("pointerdown", (event) => this.point(event));
     canvas.addEventListener("pointerleave", () => this.move(null));
     canvas.addEventListener("keydown", (event) => this.key(event));
+    canvas.addEventListener("click", () => this.open());
     new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
     const scale = document.getElementById("heat-scale");
@@ -34,8 +38,21 @@ class Heat {
     this.passes = history.passes.filter((pass) => pass[acting].some((cell) => cell !== null));
     this.acting = acting;
     // The order is the server's, by split and size, so that groups are together.
-    this.rows = history.blueprints.map((blueprint, place) => ({ ...blueprint, place, group: blueprint.group || "other" }));
+    this.all = history.blueprints.map((blueprint, place) => ({ ...blueprint, place, group: blueprint.group || "other" }));
+    this.find(this.words);
+  }
+
+  /** Shows only rows that contain these words. */
+  find(words) {
+    this.words = words.trim().toLowerCase();
+    const text = (row) => `${row.id} ${row.split} ${row.group} ${row.n_blocks} blocks`.toLowerCase();
+    this.rows = (this.all || []).filter((row) => text(row).includes(this.words));
+    if (this.cursor && !this.rows[this.cursor.row]) this.cursor = null;
     this.draw();
+  }
+
+  open() {
+    if (this.cursor) this.opened(this.rows[this.cursor.row]);
   }
 
   layout(width) {
@@ -56,7 +73,8 @@ class Heat {
       y += height;
       groups[groups.length - 1].end = y;
     }
-    const column = (width - left) / Math.max(this.passes.length, 1);
+    // One evaluation does not fill the width: its cells would say nothing more.
+    const column = Math.min((width - left) / Math.max(this.passes.length, 1), 180);
     return { height, names, left, groups, column, total: y };
   }
 
@@ -104,9 +122,10 @@ class Heat {
     pen.textBaseline = "alphabetic";
     pen.textAlign = "left";
     pen.fillText(`${count(this.passes[0].n_env_steps)} steps`, at.left, at.total + 15);
-    if (this.passes.length > 1) {
+    if (this.passes.length > 1 && at.column * this.passes.length > 160) {
       pen.textAlign = "right";
-      pen.fillText(`${count(this.passes[this.passes.length - 1].n_env_steps)} steps`, width, at.total + 15);
+      const end = at.left + at.column * this.passes.length;
+      pen.fillText(`${count(this.passes[this.passes.length - 1].n_env_steps)} steps`, end, at.total + 15);
     }
     if (this.cursor) {
       const row = this.rows[this.cursor.row];
@@ -127,6 +146,7 @@ class Heat {
     const steps = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
     const step = steps[event.key];
     if (event.key === "Escape") this.move(null);
+    if (event.key === "Enter") this.open();
     if (!step || this.rows.length === 0 || !this.passes || this.passes.length === 0) return;
     event.preventDefault();
     const from = this.cursor || { row: 0, column: this.passes.length - 1 };
@@ -144,7 +164,7 @@ class Heat {
     }
     const [row, pass] = [this.rows[cursor.row], this.passes[cursor.column]];
     const cell = pass[this.acting][row.place];
-    const found = cell ? `${cell[0]} of ${cell[1]} episodes (${percent(cell[0] / cell[1])})` : "not judged";
+    const found = cell ? `${cell[0]} of ${cell[1]} episodes (${percent(cell[0] / cell[1])})` : "not evaluated";
     this.cellText.textContent = `${row.id}, ${row.split}, ${row.n_blocks} blocks, after ${count(pass.n_env_steps)} steps: ${found}`;
   }
 }

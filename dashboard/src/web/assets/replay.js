@@ -1,67 +1,130 @@
-// The player of an episode: drag to turn, play, scrub, step.
+// The player of an episode: play, scrub, step; drag, pinch or press keys to look from elsewhere.
 
-const GRIPPERS = ["#d6006e", "#7a4dff"];
+let spaceModule = null;
+
+/** The part that draws three dimensions; asked for once, with the first episode. */
+const loadSpace = () => (spaceModule ||= import("/space.js"));
 
 class Replay {
   constructor(parts) {
     Object.assign(this, parts);
-    [this.turnBy, this.tilt, this.zoom, this.time, this.playing] = [0.6, 0.5, 1, 0, false];
-    const canvas = this.canvas;
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      this.drag = [event.clientX, event.clientY];
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (!this.drag) return;
-      this.look((event.clientX - this.drag[0]) * -0.008, (event.clientY - this.drag[1]) * 0.008);
-      this.drag = [event.clientX, event.clientY];
-    });
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { this.drag = null; });
-    canvas.addEventListener("keydown", (event) => {
-      const keys = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
-      if (keys[event.key]) {
-        event.preventDefault();
-        this.look(...keys[event.key]);
-      } else if (event.key === "+" || event.key === "-") {
-        this.zoom = Math.min(Math.max(this.zoom * (event.key === "+" ? 1.15 : 0.87), 0.3), 4);
-        this.draw();
-      } else if (event.key === " ") {
-        event.preventDefault();
-        this.play(!this.playing);
-      }
-    });
+    [this.time, this.playing, this.speed, this.width] = [0, false, 1, 0];
+    this.canvas.addEventListener("keydown", (event) => this.key(event));
+    this.canvas.addEventListener("dblclick", () => this.fit());
     this.playButton.addEventListener("click", () => this.play(!this.playing));
     this.back.addEventListener("click", () => this.step(-1));
     this.forth.addEventListener("click", () => this.step(1));
+    this.fitButton.addEventListener("click", () => this.fit());
+    this.fullButton.addEventListener("click", () => this.full());
+    this.speedChoice.addEventListener("change", () => { this.speed = Number(this.speedChoice.value); });
     this.ghost.addEventListener("change", () => this.draw());
     this.slider.addEventListener("input", () => {
       this.play(false);
       this.seek(Number(this.slider.value));
     });
-    new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    document.addEventListener("fullscreenchange", () => this.resize());
+    new ResizeObserver(([entry]) => {
+      // The height is our own doing.
+      if (Math.abs(entry.contentRect.width - this.width) < 1) return;
+      this.width = entry.contentRect.width;
+      this.resize();
+    }).observe(this.player);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      if (!this.space) return;
+      this.space.theme();
+      this.draw();
+    });
   }
 
-  show(episode) {
-    this.episode = episode;
+  /** Makes ready to draw; says why if that cannot be. */
+  async prepare() {
+    if (this.space) return true;
+    try {
+      const { Space } = await loadSpace();
+      this.space ||= new Space(this.canvas, () => { this.follows = false; });
+      return true;
+    } catch {
+      this.note.textContent = "This browser draws no three dimensions: WebGL is off or missing. The films below need none.";
+      return false;
+    }
+  }
+
+  key(event) {
+    const keys = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
+    if (!this.space) return;
+    if (keys[event.key]) this.space.turn(...keys[event.key]);
+    else if (event.key === "+" || event.key === "-") {
+      this.follows = false;
+      this.space.near(event.key === "+" ? 1.15 : 0.87);
+    }
+    else if (event.key === " ") this.play(!this.playing);
+    else if (event.key === "f") this.full();
+    else if (event.key === "0") this.fit();
+    else if (event.key === ",") this.step(-1);
+    else if (event.key === ".") this.step(1);
+    else return;
+    event.preventDefault();
+  }
+
+  /** Shows an episode from its start; `ended` is called when it has played to its end. */
+  show(episode, ended) {
+    this.play(false);
+    [this.episode, this.ended] = [episode, ended];
     this.n = episode.scenes.length - 1;
     this.slider.max = this.n;
-    // Framed by where the blocks begin, most of them: some may lie far away, and a policy that learns throws some.
-    const places = episode.scenes[0].blocks;
-    const middle = (i) => places.map((place) => place[i]).sort((a, b) => a - b)[places.length >> 1];
-    this.target = [middle(0), middle(1), 0.15];
-    const away = places.map((place) => Math.hypot(place[0] - this.target[0], place[1] - this.target[1])).sort((a, b) => a - b);
-    this.reach = Math.min(Math.max(away[Math.floor(away.length * 0.9)], 0.5), 1.5);
+    this.space.load(episode);
     this.terms.show(episode);
     this.attention.show(episode);
+    this.plan();
+    this.resize();
+    this.follows = true;
     this.seek(0);
     this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
 
-  look(around, up) {
-    this.turnBy += around;
-    this.tilt = Math.min(Math.max(this.tilt + up, 0.05), 1.5);
+  /** Follows again what is being built. */
+  fit() {
+    if (!this.episode) return;
+    this.follows = true;
     this.draw();
+  }
+
+  /** How much is to be seen at each scene: the goal's blocks where they begin, and less the more of them are in place. */
+  plan() {
+    const { goal, scenes } = this.episode;
+    const whole = goal.map(([, pose]) => placed(scenes[this.n].goal_frame, pose));
+    this.middle = [0, 1, 2].map((i) => whole.reduce((sum, pose) => sum + pose[i], 0) / Math.max(whole.length, 1));
+    const radius = Math.max(...whole.map((pose) => apart3(pose, this.middle)), 0.1) + 0.12;
+    const needed = scenes.map((scene) => {
+      // Some blocks may lie far away, and a policy that learns throws some: nine of ten are enough.
+      const away = goal.map(([block]) => apart3(scene.blocks[block], this.middle)).sort((a, b) => a - b);
+      const most = away[Math.floor((away.length - 1) * 0.9)] || radius;
+      return Math.min(Math.max(radius * 1.1, most + 0.05, 0.3), 1.3);
+    });
+    // Slowly, over two seconds.
+    this.reach = needed.map((_, i) => {
+      const near = needed.slice(Math.max(i - 10, 0), i + 11);
+      return near.reduce((sum, one) => sum + one, 0) / near.length;
+    });
+  }
+
+  resize() {
+    if (!this.space || !this.episode) return;
+    const width = this.canvas.clientWidth;
+    if (width === 0) return;
+    const isFull = this.player.classList.contains("full") || document.fullscreenElement === this.player;
+    if (isFull) this.canvas.style.height = "";
+    else this.canvas.style.height = `${Math.round(Math.min(Math.max(width * 0.56, 300), 560, window.innerHeight * 0.66))}px`;
+    this.space.resize(width, this.canvas.clientHeight);
+    this.draw();
+  }
+
+  /** To the whole screen and back; where a browser gives none away, to its whole window. */
+  full() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else if (this.player.requestFullscreen) this.player.requestFullscreen().catch(() => {});
+    else this.player.classList.toggle("full");
+    this.resize();
   }
 
   step(by) {
@@ -71,11 +134,12 @@ class Replay {
 
   seek(time) {
     this.time = time;
-    this.slider.value = Math.floor(time);
-    const scene = this.episode.scenes[Math.floor(time)];
-    this.slider.setAttribute("aria-valuetext", `step ${Math.floor(time)} of ${this.n}`);
-    const end = this.n === Math.floor(time) ? `, ${this.episode.end}` : "";
-    this.text.textContent = `step ${Math.floor(time)} of ${this.n}, ${scene.n_connected} ${scene.n_connected === 1 ? "connection" : "connections"}, reward ${scene.reward.toFixed(2)}${end}`;
+    const at = Math.floor(time);
+    this.slider.value = at;
+    const scene = this.episode.scenes[at];
+    this.slider.setAttribute("aria-valuetext", `step ${at} of ${this.n}`);
+    const end = this.n === at ? `, ${this.episode.end}` : "";
+    this.text.textContent = `step ${at} of ${this.n}, ${scene.n_connected} ${scene.n_connected === 1 ? "connection" : "connections"}, reward ${scene.reward.toFixed(2)}${end}`;
     this.terms.seek(time);
     this.attention.seek(time);
     this.draw();
@@ -88,67 +152,52 @@ class Replay {
     if (!this.playing || was) return;
     if (this.time >= this.n) this.time = 0;
     let before = null;
+    const episode = this.episode;
     const frame = (now) => {
-      if (!this.playing) return;
-      const time = this.time + (before === null ? 0 : (now - before) / 1000 / this.episode.step_s);
+      if (!this.playing || this.episode !== episode) return;
+      const time = this.time + (before === null ? 0 : ((now - before) / 1000 / episode.step_s) * this.speed);
       before = now;
       this.seek(Math.min(time, this.n));
-      if (this.time >= this.n) this.play(false);
-      else requestAnimationFrame(frame);
+      if (this.time < this.n) {
+        requestAnimationFrame(frame);
+        return;
+      }
+      this.play(false);
+      if (this.ended) this.ended();
     };
     requestAnimationFrame(frame);
   }
 
   draw() {
-    const [canvas, episode] = [this.canvas, this.episode];
-    const width = canvas.clientWidth;
-    if (!episode || width === 0) return;
-    const height = Math.round(Math.min(width * 0.62, 480));
-    const ratio = window.devicePixelRatio || 1;
-    canvas.style.height = `${height}px`;
-    [canvas.width, canvas.height] = [Math.round(width * ratio), Math.round(height * ratio)];
-    const pen = canvas.getContext("2d");
-    pen.scale(ratio, ratio);
+    const { episode, space } = this;
+    if (!episode || !space) return;
     const [low, high] = [Math.floor(this.time), Math.min(Math.floor(this.time) + 1, this.n)];
     const [from, to, share] = [episode.scenes[low], episode.scenes[high], this.time - low];
-    const camera = new Camera(this.turnBy, this.tilt, this.target, this.reach / this.zoom, [width, height]);
-    const style = getComputedStyle(document.documentElement);
-    drawGround(pen, camera, this.target, style.getPropertyValue("--line"));
+    const poses = from.blocks.map((pose, block) => between(pose, to.blocks[block], share));
     const attention = this.attention.at(this.time);
-    const boxes = from.blocks.map((pose, block) => ({
-      pose: between(pose, to.blocks[block], share),
-      half: episode.half_extents_m[block],
-      color: attention ? shade(attention[block]) : episode.colors[block],
-      frame: GRIPPERS[from.held.indexOf(block)],
-    }));
-    drawBoxes(pen, camera, boxes, episode.unit_m);
-    if (this.ghost.checked) {
-      // The frame jumps when another piece becomes the largest; between two scenes it moves with that.
-      const apart = Math.hypot(...[0, 1, 2].map((i) => from.goal_frame[i] - to.goal_frame[i]));
-      const frame = apart < 0.5 ? between(from.goal_frame, to.goal_frame, share) : from.goal_frame;
-      const missing = episode.goal.map(([block, pose]) => ({ block, pose: placed(frame, pose) }))
-        .filter(({ block, pose }) => Math.hypot(...[0, 1, 2].map((i) => boxes[block].pose[i] - pose[i])) > 0.02);
-      drawGhosts(pen, camera, missing.map(({ block, pose }) => ({ pose, half: episode.half_extents_m[block], color: episode.colors[block] })));
-    }
-    // The goal, as large as a quarter of the picture, in the upper left corner.
-    const side = Math.min(width, height) * 0.34;
-    const places = episode.goal.map(([, pose]) => pose);
-    const middle = [0, 1, 2].map((i) => places.reduce((total, pose) => total + pose[i], 0) / Math.max(places.length, 1));
-    const reach = Math.max(...places.map((pose) => Math.hypot(...[0, 1, 2].map((i) => pose[i] - middle[i]))), 0.1) + 0.15;
-    const small = new Camera(this.turnBy, this.tilt, middle, reach, [side, side]);
-    const wanted = episode.goal.map(([block, pose]) => ({ pose, half: episode.half_extents_m[block], color: episode.colors[block] }));
-    drawBoxes(pen, small, wanted, episode.unit_m);
-    pen.font = "12px system-ui, sans-serif";
-    pen.fillStyle = style.getPropertyValue("--quiet");
-    pen.fillText("goal", 4, 14);
+    // The frame jumps when another piece becomes the largest; between two scenes it moves with that.
+    const frame = apart3(from.goal_frame, to.goal_frame) < 0.5 ? between(from.goal_frame, to.goal_frame, share) : from.goal_frame;
+    const ghosts = episode.goal.map(([block, pose]) => {
+      const there = placed(frame, pose);
+      return this.ghost.checked && apart3(poses[block], there) > 0.02 ? there : null;
+    });
+    if (this.follows) space.fit(this.middle, this.reach[low] + (this.reach[high] - this.reach[low]) * share);
+    space.show(poses, from.held, attention && attention.map(shade), ghosts);
   }
+}
+
+/** Shows an episode in the player, which appears with it. */
+async function present(replay, episode, ended) {
+  if (!(await replay.prepare())) return;
+  replay.player.hidden = false;
+  replay.show(episode, ended);
 }
 
 /** Shows the episode of a film. */
 async function openRecording(replay, note, film) {
   let episode = null;
   try {
-    const answer = await fetch(`/api/recording?id=${film.id}`);
+    const answer = await fetch(`${model.base}/api/recording?id=${film.id}`);
     if (answer.ok) episode = await answer.json();
   } catch {
     // Said below.
@@ -158,8 +207,7 @@ async function openRecording(replay, note, film) {
     return;
   }
   note.textContent = `${film.blueprint}, ${film.ending} in an evaluation of weights ${film.weights_version}`;
-  $("replay-player").hidden = false;
-  replay.show(episode);
+  await present(replay, episode);
   $("replay-title").scrollIntoView();
 }
 
@@ -172,7 +220,7 @@ async function askReplay(replay, note, button) {
   for (let i = 0; i < 40; i += 1) {
     let answer = null;
     try {
-      answer = await fetch("/api/replay");
+      answer = await fetch(`${model.base}/api/replay`);
     } catch {
       break;
     }
@@ -182,9 +230,8 @@ async function askReplay(replay, note, button) {
       else if (text !== first || i > 5) {
         const episode = JSON.parse(text);
         note.textContent = `${episode.blueprint} by actor ${episode.actor}, weights ${episode.weights_version}`;
-        $("replay-player").hidden = false;
-        replay.show(episode);
-        button.textContent = "Show a newer episode";
+        await present(replay, episode);
+        button.textContent = "Record a newer episode";
         button.disabled = false;
         return;
       }

@@ -1,0 +1,274 @@
+// Three dimensions, drawn by three.js: the world of an episode, and its goal in a corner. Loaded with the first episode.
+
+import {
+  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, DirectionalLight, EdgesGeometry, GridHelper,
+  HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, MeshLambertMaterial, OrbitControls,
+  PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene, ShadowMaterial, Vector3, WebGLRenderer,
+} from "/three.js";
+
+/** Colors of negative and positive magnets, as in films. */
+const MAGNETS = [[32, 82, 196], [208, 40, 46]];
+
+/** Angle of view, degrees, and width of the frame around a held block, meters. */
+const VIEW = 32;
+const FRAME_M = 0.007;
+
+const BACK_SIDE = 1;
+
+const rgb = ([r, g, b]) => new Color().setRGB(r / 255, g / 255, b / 255, "srgb");
+
+/** A disc with its sign in the middle of each unit cell of a block: red and blue are not apart for everyone. */
+function magnets(half, unit) {
+  const [places, normals, colors] = [[], [], []];
+  const corner = (at, out, color) => {
+    places.push(...at);
+    normals.push(...out);
+    colors.push(color.r, color.g, color.b);
+  };
+  const white = rgb([255, 255, 255]);
+  for (let axis = 0; axis < 3; axis += 1) {
+    const [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
+    const cells = [u, v].map((i) => Math.round((2 * half[i]) / unit));
+    for (const side of [-1, 1]) {
+      const out = [0, 0, 0];
+      out[axis] = side;
+      const color = rgb(MAGNETS[side > 0 ? 1 : 0]);
+      for (let cell = 0; cell < cells[0] * cells[1]; cell += 1) {
+        const middle = [((cell % cells[0]) + 0.5) * unit - half[u], (Math.floor(cell / cells[0]) + 0.5) * unit - half[v]];
+        const at = (a, b, lift) => {
+          const point = [0, 0, 0];
+          [point[axis], point[u], point[v]] = [side * (half[axis] + lift), middle[0] + a * unit, middle[1] + b * unit];
+          return point;
+        };
+        // Counterclockwise from outside.
+        const triangle = (points, lift, paint) =>
+          (side > 0 ? points : [...points].reverse()).forEach(([a, b]) => corner(at(a, b, lift), out, paint));
+        const n = 20;
+        for (let i = 0; i < n; i += 1) {
+          const [from, to] = [i, i + 1].map((k) => [0.2 * Math.cos((2 * Math.PI * k) / n), 0.2 * Math.sin((2 * Math.PI * k) / n)]);
+          triangle([[0, 0], from, to], 0.0006, color);
+        }
+        const bar = (w, h) => {
+          triangle([[-w, -h], [w, -h], [w, h]], 0.0012, white);
+          triangle([[-w, -h], [w, h], [-w, h]], 0.0012, white);
+        };
+        bar(0.12, 0.03);
+        if (side > 0) bar(0.03, 0.12);
+      }
+    }
+  }
+  const geometry = new BufferGeometry();
+  for (const [name, values] of [["position", places], ["normal", normals], ["color", colors]]) {
+    geometry.setAttribute(name, new BufferAttribute(new Float32Array(values), 3));
+  }
+  return geometry;
+}
+
+/** A block with magnets, edges, and a frame that is hidden until a gripper holds it. */
+function blockMesh(half, color, unit) {
+  const size = half.map((x) => 2 * x);
+  const box = new BoxGeometry(...size);
+  const mesh = new Mesh(box, new MeshLambertMaterial({ color: rgb(color) }));
+  mesh.castShadow = mesh.receiveShadow = true;
+  const discs = new Mesh(magnets(half, unit), new MeshLambertMaterial({ vertexColors: true }));
+  discs.receiveShadow = true;
+  const edges = new LineSegments(new EdgesGeometry(box), new LineBasicMaterial({ color: 0x20262c, transparent: true, opacity: 0.55 }));
+  const frame = new Mesh(new BoxGeometry(...size.map((x) => x + 2 * FRAME_M)), new MeshBasicMaterial({ side: BACK_SIDE }));
+  frame.visible = false;
+  mesh.add(discs, edges, frame);
+  mesh.userData.frame = frame;
+  return mesh;
+}
+
+/** A block as if of glass: where one is to be. */
+function ghostMesh(half, color) {
+  const box = new BoxGeometry(...half.map((x) => 2 * x));
+  const paint = rgb(color);
+  const mesh = new Mesh(box, new MeshBasicMaterial({ color: paint, transparent: true, opacity: 0.2, depthWrite: false }));
+  mesh.add(new LineSegments(new EdgesGeometry(box), new LineBasicMaterial({ color: paint, transparent: true, opacity: 0.9 })));
+  mesh.renderOrder = 1;
+  return mesh;
+}
+
+function put(mesh, pose) {
+  mesh.position.set(pose[0], pose[1], pose[2]);
+  mesh.quaternion.set(pose[3], pose[4], pose[5], pose[6]);
+}
+
+function dispose(scene, meshes) {
+  for (const mesh of meshes) {
+    scene.remove(mesh);
+    mesh.traverse((part) => {
+      part.geometry.dispose();
+      part.material.dispose();
+    });
+  }
+}
+
+/** Light from above on one side, so that edges and heights are seen. */
+function lit(scene) {
+  scene.add(new HemisphereLight(0xffffff, 0xb9c0c8, 1.5), new AmbientLight(0xffffff, 0.35));
+  const sun = new DirectionalLight(0xffffff, 2.1);
+  scene.add(sun, sun.target);
+  return sun;
+}
+
+export class Space {
+  /** `moved` is called when somebody looks from elsewhere. Throws where the browser draws no three dimensions. */
+  constructor(canvas, moved) {
+    this.canvas = canvas;
+    // Kept, so that the picture can be read at any time.
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = PCFShadowMap;
+    this.renderer.autoClear = false;
+    [this.scene, this.corner] = [new Scene(), new Scene()];
+    this.sun = lit(this.scene);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(1024, 1024);
+    this.sun.shadow.bias = -0.0004;
+    this.sun.shadow.normalBias = 0.004;
+    lit(this.corner).position.set(1.2, -1.6, 2.4);
+    this.shade = new Mesh(new PlaneGeometry(40, 40), new ShadowMaterial({ opacity: 0.28 }));
+    this.shade.receiveShadow = true;
+    this.scene.add(this.shade);
+    [this.camera, this.small] = [new PerspectiveCamera(VIEW, 1, 0.02, 60), new PerspectiveCamera(VIEW, 1, 0.02, 60)];
+    this.camera.up.set(0, 0, 1);
+    this.small.up.set(0, 0, 1);
+    this.camera.position.set(1.2, -1.8, 1.4);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.maxPolarAngle = Math.PI / 2 - 0.03;
+    [this.controls.minDistance, this.controls.maxDistance] = [0.2, 30];
+    this.controls.addEventListener("change", () => this.render());
+    this.controls.addEventListener("start", moved);
+    [this.blocks, this.ghosts, this.goal] = [[], [], []];
+    this.theme();
+  }
+
+  /** Takes the colors of the page, which has a light and a dark dress. */
+  theme() {
+    const style = getComputedStyle(document.documentElement);
+    const color = (name) => new Color(style.getPropertyValue(name).trim());
+    this.scene.background = color("--ground");
+    if (this.grid) dispose(this.scene, [this.grid]);
+    this.grid = new GridHelper(12, 24, color("--line"), color("--line"));
+    this.grid.rotation.x = Math.PI / 2;
+    this.grid.position.z = 0.0005;
+    this.scene.add(this.grid);
+    this.backing = color("--card");
+  }
+
+  /** Makes the blocks of an episode. */
+  load(episode) {
+    dispose(this.scene, [...this.blocks, ...this.ghosts]);
+    dispose(this.corner, this.goal);
+    const { half_extents_m: halves, colors, unit_m: unit, goal } = episode;
+    this.colors = colors.map(rgb);
+    this.grippers = episode.gripper_colors.map(rgb);
+    this.blocks = halves.map((half, block) => blockMesh(half, colors[block], unit));
+    this.ghosts = goal.map(([block]) => ghostMesh(halves[block], colors[block]));
+    this.goal = goal.map(([block, pose]) => {
+      const mesh = blockMesh(halves[block], colors[block], unit);
+      put(mesh, pose);
+      return mesh;
+    });
+    this.scene.add(...this.blocks, ...this.ghosts);
+    if (this.goal.length > 0) this.corner.add(...this.goal);
+    const places = goal.map(([, pose]) => new Vector3(pose[0], pose[1], pose[2]));
+    this.middle = places.reduce((sum, place) => sum.add(place), new Vector3()).divideScalar(Math.max(places.length, 1));
+    this.reach = Math.max(...places.map((place) => place.distanceTo(this.middle)), 0.1) + 0.13;
+  }
+
+  /**
+   * Puts every block in its pose; `held` is what each gripper holds, `shades` other colors if there are any, `ghosts` the
+   * poses of the goal's blocks, or `null` for those that are in place.
+   */
+  show(poses, held, shades, ghosts) {
+    this.blocks.forEach((mesh, block) => {
+      put(mesh, poses[block]);
+      mesh.material.color.copy(shades ? rgb(shades[block]) : this.colors[block]);
+      const gripper = held.indexOf(block);
+      mesh.userData.frame.visible = gripper >= 0;
+      if (gripper >= 0) mesh.userData.frame.material.color.copy(this.grippers[gripper]);
+    });
+    this.ghosts.forEach((mesh, i) => {
+      mesh.visible = ghosts[i] !== null;
+      if (mesh.visible) put(mesh, ghosts[i]);
+    });
+    this.render();
+  }
+
+  /** Looks at a ball with this middle and radius from the side that is looked from already, with the next picture. */
+  fit(middle, radius) {
+    const target = new Vector3(...middle);
+    const from = this.camera.position.clone().sub(this.controls.target);
+    if (from.lengthSq() === 0) from.set(1, -1.4, 1);
+    const narrow = Math.min(1, this.camera.aspect);
+    const distance = (radius / Math.sin((VIEW * Math.PI) / 360) / narrow) * 1.02;
+    this.controls.target.copy(target);
+    this.camera.position.copy(target).add(from.setLength(distance));
+    this.controls.update();
+  }
+
+  /** Turns around what is looked at and tilts, radians. */
+  turn(around, up) {
+    const from = this.camera.position.clone().sub(this.controls.target);
+    const flat = Math.hypot(from.x, from.y);
+    const [angle, tilt] = [Math.atan2(from.y, from.x) + around, Math.atan2(from.z, flat) + up];
+    const kept = Math.min(Math.max(tilt, 0.03), 1.55);
+    const length = from.length();
+    from.set(Math.cos(angle) * Math.cos(kept), Math.sin(angle) * Math.cos(kept), Math.sin(kept)).multiplyScalar(length);
+    this.camera.position.copy(this.controls.target).add(from);
+    this.controls.update();
+    this.render();
+  }
+
+  /** Comes nearer by a factor. */
+  near(factor) {
+    const from = this.camera.position.clone().sub(this.controls.target);
+    const length = Math.min(Math.max(from.length() / factor, this.controls.minDistance), this.controls.maxDistance);
+    this.camera.position.copy(this.controls.target).add(from.setLength(length));
+    this.controls.update();
+    this.render();
+  }
+
+  /** As many pixels as the canvas has on the page. */
+  resize(width, height) {
+    if (width === 0 || height === 0) return;
+    this.size = [width, height];
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.render();
+  }
+
+  render() {
+    if (!this.size || this.blocks.length === 0) return;
+    const [width, height] = this.size;
+    const target = this.controls.target;
+    // The light goes along, or shadows would end where its map does.
+    this.sun.position.set(target.x - 2.4, target.y - 1.2, target.z + 3.6);
+    this.sun.target.position.copy(target);
+    const spread = Math.min(this.camera.position.distanceTo(target) * 0.6, 4);
+    const light = this.sun.shadow.camera;
+    [light.left, light.right, light.bottom, light.top, light.near, light.far] = [-spread, spread, -spread, spread, 0.1, 12];
+    light.updateProjectionMatrix();
+    this.renderer.setScissorTest(false);
+    this.renderer.setViewport(0, 0, width, height);
+    this.renderer.clear();
+    this.renderer.render(this.scene, this.camera);
+    if (this.goal.length === 0) return;
+    const side = Math.round(Math.min(width * 0.3, height * 0.36));
+    const from = this.camera.position.clone().sub(target).setLength((this.reach / Math.sin((VIEW * Math.PI) / 360)) * 1.02);
+    this.small.position.copy(this.middle).add(from);
+    this.small.lookAt(this.middle);
+    this.renderer.setViewport(8, height - side - 8, side, side);
+    this.renderer.setScissor(8, height - side - 8, side, side);
+    this.renderer.setScissorTest(true);
+    this.corner.background = this.backing;
+    this.renderer.clearDepth();
+    this.renderer.render(this.corner, this.small);
+    this.renderer.setScissorTest(false);
+  }
+}

@@ -1,0 +1,122 @@
+// Episodes on demand: which blueprint, who builds, how, from which start; and the gallery to choose from.
+
+/** Rest between two episodes that follow each other by themselves, milliseconds. */
+const REST_MS = 2500;
+
+class Stage {
+  constructor(replay, parts) {
+    Object.assign(this, parts, { replay });
+    [this.blueprints, this.chosen, this.seed, this.asked] = [[], null, 0, 0];
+    this.next.addEventListener("click", () => this.go(1));
+    this.again.addEventListener("click", () => {
+      this.seed += 1;
+      if (this.chosen) this.build();
+      else this.go(1);
+    });
+    this.choose.addEventListener("click", () => this.open());
+    for (const choices of [this.agent, this.mode]) choices.addEventListener("change", () => this.build());
+    this.dialog.addEventListener("click", (event) => { if (event.target === this.dialog) this.dialog.close(); });
+  }
+
+  /** Learns which blueprints there are. */
+  async learn() {
+    if (this.blueprints.length > 0) return;
+    const answer = await fetch("/api/blueprints");
+    if (answer.ok) this.blueprints = (await answer.json()).blueprints;
+  }
+
+  /** Goes on to the blueprint after the chosen one, in the gallery's order. */
+  async go(by) {
+    await this.learn();
+    const all = this.only.length > 0 ? this.blueprints.filter(({ id }) => this.only.includes(id)) : this.blueprints;
+    const at = all.findIndex(({ id }) => id === this.chosen);
+    this.start(all[(at + by + all.length) % all.length].id);
+  }
+
+  start(id) {
+    this.chosen = id;
+    this.build();
+  }
+
+  query() {
+    const picked = (choices) => choices.querySelector("input:checked").value;
+    return `blueprint=${encodeURIComponent(this.chosen)}&agent=${picked(this.agent)}&mode=${picked(this.mode)}&seed=${this.seed}`;
+  }
+
+  /** Asks for the episode and plays it, unless another is asked for meanwhile. */
+  async build() {
+    if (!this.chosen) return;
+    this.asked += 1;
+    const mine = this.asked;
+    const isWanted = () => mine === this.asked;
+    const who = this.agent.querySelector("input:checked").value === "expert" ? "The expert" : "The policy";
+    this.note.textContent = `${who} builds ${this.chosen} …`;
+    this.replay.prepare();
+    if (this.gone) this.gone.abort();
+    this.gone = new AbortController();
+    for (;;) {
+      let answer;
+      try {
+        answer = await fetch(`${model.base}/api/play?${this.query()}`, { signal: this.gone.signal });
+      } catch {
+        if (isWanted()) this.note.textContent = "The program does not answer. Is it still running?";
+        return;
+      }
+      if (!isWanted()) return;
+      if (answer.status === 503) {
+        this.note.textContent = "Waiting for the first weights …";
+        await new Promise((done) => setTimeout(done, 1000));
+        if (!isWanted()) return;
+        continue;
+      }
+      if (!answer.ok) {
+        this.note.textContent = await answer.text();
+        return;
+      }
+      const episode = await answer.json();
+      if (!isWanted()) return;
+      const weights = episode.actor === "expert" ? "" : ` with weights ${episode.weights_version}`;
+      this.note.textContent = `${who} builds ${episode.title} (${episode.blueprint}), start ${this.seed + 1}${weights}`;
+      await present(this.replay, episode, () => {
+        if (this.onward.checked) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1); }, REST_MS);
+      });
+      return;
+    }
+  }
+
+  /** Opens the gallery, which asks for a picture only when it is seen. */
+  async open() {
+    await this.learn();
+    const find = element("input", { type: "search", placeholder: "Name or number", "aria-label": "Search the gallery" });
+    const close = element("button", { type: "button" }, "Close");
+    close.addEventListener("click", () => this.dialog.close());
+    const list = element("div", { class: "gallery" });
+    const draw = () => {
+      const words = find.value.trim().toLowerCase();
+      const shown = this.blueprints.filter(({ id, title }) => `${id} ${title}`.toLowerCase().includes(words));
+      const parts = [];
+      let group;
+      for (const one of shown) {
+        if (one.group !== group) {
+          group = one.group;
+          parts.push(element("h3", {}, group || "other"));
+        }
+        const picture = element("img", { src: `/api/picture?id=${encodeURIComponent(one.id)}`, alt: "", loading: "lazy", width: "200", height: "150" });
+        const tile = element("button", { type: "button", "aria-pressed": String(one.id === this.chosen) }, picture,
+          element("b", {}, one.title), element("span", { class: "quiet" }, `${one.id}, ${one.n_blocks} blocks`));
+        tile.addEventListener("click", () => {
+          this.dialog.close();
+          this.seed = 0;
+          this.start(one.id);
+          $("replay-title").scrollIntoView();
+        });
+        parts.push(tile);
+      }
+      list.replaceChildren(...(parts.length > 0 ? parts : [element("p", { class: "empty" }, "No blueprint has such a name.")]));
+    };
+    find.addEventListener("input", draw);
+    this.dialog.replaceChildren(element("div", { class: "bar" }, element("h2", {}, "Blueprints"), find, close), list);
+    draw();
+    this.dialog.showModal();
+  }
+}

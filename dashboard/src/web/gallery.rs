@@ -1,0 +1,108 @@
+//! The gallery: which blueprints there are, and a small picture of each.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::{Extension, RawQuery};
+use axum::http::StatusCode;
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use blueprints::{Blueprint, BlueprintId, Catalog, Group, UNIT_M};
+use parking_lot::Mutex;
+use render::picture::{Camera, Ground, Painter, View, corners, encode, of_blueprint};
+use serde::Serialize;
+
+/// Width and height of a picture, pixels.
+const SIZE_PX: [usize; 2] = [200, 150];
+
+/// Empty space around a structure, pixels.
+const MARGIN_PX: f32 = 12.0;
+
+/// Shortest length that fills a picture, meters, so that two blocks look small.
+const MIN_SHOWN_M: f32 = 4.0 * UNIT_M;
+
+/// Colors of a picture.
+const N_COLORS: usize = 96;
+
+/// How long a browser may keep a picture: a program's blueprints never change.
+const KEPT: &str = "private, max-age=86400";
+
+/// Pictures that somebody has asked for; at most as many as the catalog has blueprints.
+#[derive(Debug, Default)]
+pub(super) struct Gallery(Mutex<BTreeMap<BlueprintId, Bytes>>);
+
+#[derive(Serialize)]
+struct GalleryView<'c> {
+    schema_version: u32,
+    blueprints: Vec<Entry<'c>>,
+}
+
+#[derive(Serialize)]
+struct Entry<'c> {
+    id: &'c BlueprintId,
+    title: &'c str,
+    n_blocks: usize,
+    group: Option<&'static str>,
+}
+
+impl Gallery {
+    /// The PNG of a blueprint of the catalog. Drawn one at a time, in some ten milliseconds.
+    fn picture(&self, id: &str) -> Option<Bytes> {
+        let blueprint = Catalog::builtin().get(&id.parse().ok()?)?;
+        let mut drawn = self.0.lock();
+        if let Some(known) = drawn.get(blueprint.id()) {
+            return Some(known.clone());
+        }
+        let bytes = Bytes::from(draw(blueprint)?);
+        drawn.insert(blueprint.id().clone(), bytes.clone());
+        Some(bytes)
+    }
+}
+
+fn draw(blueprint: &Blueprint) -> Option<Vec<u8>> {
+    let blocks = of_blueprint(blueprint);
+    let shorter = SIZE_PX[0].min(SIZE_PX[1]) as f32;
+    let camera = Camera::framing(View::FrontQuarter, &corners(&blocks), SIZE_PX, MARGIN_PX, shorter / MIN_SHOWN_M);
+    encode(&Painter::default().paint(&blocks, &camera, Ground::under(&blocks)), N_COLORS).ok()
+}
+
+/// Every blueprint of the catalog, in its order.
+pub(super) async fn list() -> Response {
+    let entry = |blueprint: &'static Blueprint| Entry {
+        id: blueprint.id(),
+        title: blueprint.title(),
+        n_blocks: blueprint.n_blocks(),
+        group: Group::of(blueprint.split(), blueprint.n_blocks()).map(Group::name),
+    };
+    let blueprints = Catalog::builtin().iter().map(entry).collect();
+    match serde_json::to_vec(&GalleryView { schema_version: 1, blueprints }) {
+        Ok(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// The picture of the blueprint that the query names.
+pub(super) async fn picture(Extension(gallery): Extension<Arc<Gallery>>, RawQuery(query): RawQuery) -> Response {
+    let asked = super::routes::id_of(query);
+    match tokio::task::spawn_blocking(move || gallery.picture(&asked)).await {
+        Ok(Some(bytes)) => ([(CONTENT_TYPE, "image/png"), (CACHE_CONTROL, KEPT)], bytes).into_response(),
+        Ok(None) => StatusCode::NOT_FOUND.into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_are_small_and_of_the_catalog_alone() {
+        let gallery = Gallery::default();
+        let first = gallery.picture("16_002").unwrap();
+        assert!(first.starts_with(b"\x89PNG") && first.len() < 30_000, "{}", first.len());
+        assert_eq!(gallery.picture("16_002").unwrap(), first);
+        assert_eq!(gallery.picture("../eval.db"), None);
+        assert_eq!(gallery.picture("99_999"), None);
+    }
+}

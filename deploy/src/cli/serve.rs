@@ -1,0 +1,19 @@
+//! The command line of `serve`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+/// Arguments of `serve`.
+#[derive(Debug, Args)]
+pub struct ServeArgs {
+    /// Folders of runs, one or several.
+    #[arg(required = true, value_name = "RUN")]
+    pub runs: Vec<PathBuf>,
+    /// Where the page is [default: 127.0.0.1 with a free port].
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    pub web: Option<std::net::SocketAddr>,
+    /// What a browser must know, for an address that others can reach.
+    #[arg(long, value_name = "TOKEN")]
+    pub token: Option<String>,
+}

@@ -1,0 +1,111 @@
+//! `serve`: the page over runs that have ended.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Context;
+use dashboard::config::WebConfig;
+use dashboard::{About, FinishedRun, Kind, Page};
+use proto::keys::METRICS_LEARNER;
+use proto::metrics::LearnerMetrics;
+use runlog::{History, RunPaths};
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use super::models::Source;
+use super::stage::stage;
+use crate::cli::ServeArgs;
+use crate::config::{Base, Config, merge};
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// Serves until `shutdown`.
+///
+/// # Errors
+/// When a run cannot be read or the page's address is taken.
+pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
+    let mut runs = args.runs.iter().map(|folder| finished(folder));
+    let first = runs.next().context("no run was named")??;
+    let others = runs.collect::<Result<Vec<_>, _>>()?;
+    let listen = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
+    let web = WebConfig { listen, token: args.token.clone().map(Into::into), ..WebConfig::default() };
+    web.validate().map_err(|error| Failure::Usage(format!("{error} (here: --web and --token)")))?;
+    let page = Page::bind(&web).await?;
+    terminal.print(&format!("page at http://{}\nCtrl-C ends", page.address()));
+    page.show(first, others, shutdown).await?;
+    Ok(())
+}
+
+/// What the files of a run tell.
+fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
+    let paths = RunPaths::new(folder);
+    let config = configuration(&paths)?;
+    let history = paths.history();
+    let passes = if history.exists() { History::read(&history)? } else { Vec::new() };
+    let learner = updates(&paths)?;
+    let model = Source::read(folder).inspect_err(|error| tracing::warn!(%error, "no policy plays for this run")).ok();
+    let policy = model.as_ref().map_or_else(|| config.policy.clone(), |source| source.model.policy.clone());
+    let weights = model.map(|source| Arc::new(source.model.weights));
+    let (_, newest) = watch::channel(weights.clone());
+    // Without weights a browser would wait for them for ever.
+    let stage = weights.is_some().then(|| stage(config.environment, policy.clone(), newest));
+    let run = paths.folder().canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let run = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();
+    let n_env_steps = Some(config.n_env_steps);
+    let about = About { kind: Kind::Finished, run, preset: None, n_env_steps, blueprints: Vec::new() };
+    Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
+}
+
+/// The configuration that the run wrote down.
+fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
+    let (path, folder) = (paths.config(), paths.folder().display());
+    if !path.exists() {
+        return Err(Failure::NothingToShow(format!("{folder} is no folder of a run: it has no config.toml")));
+    }
+    let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
+    let config = merge(&text, &path.display().to_string(), Base::Defaults, &[])?;
+    config.validate()?;
+    Ok(config)
+}
+
+/// The learner's lines of `metrics.jsonl`; none if there is no such file. Lines that cannot be read are counted.
+fn updates(paths: &RunPaths) -> Result<Vec<LearnerMetrics>, Failure> {
+    let path = paths.metrics();
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
+    let (found, n_unread) = learner_lines(&text);
+    if n_unread > 0 {
+        tracing::warn!(n_unread, path = %path.display(), "lines of the learner could not be read");
+    }
+    Ok(found)
+}
+
+/// What the learner said, and how many of its lines cannot be read.
+fn learner_lines(text: &str) -> (Vec<LearnerMetrics>, usize) {
+    let start = format!("{{\"key\":\"{METRICS_LEARNER}\"");
+    let mut n_unread = 0;
+    let read = |line: &str| serde_json::from_str(line).inspect_err(|_| n_unread += 1).ok();
+    (text.lines().filter(|line| line.starts_with(&start)).filter_map(read).collect(), n_unread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_that_is_no_run_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = finished(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("no folder of a run") && error.contains("config.toml"), "{error}");
+    }
+
+    #[test]
+    fn lines_of_others_are_passed_over_and_broken_ones_counted() {
+        let text = "{\"key\":\"actor/a\"}\n{\"key\":\"learner\",\"half\n{\"key\":\"eval/summary\"}\n";
+        let (found, n_unread) = learner_lines(text);
+        assert_eq!((found.len(), n_unread), (0, 1));
+    }
+}

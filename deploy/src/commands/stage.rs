@@ -1,0 +1,32 @@
+//! Episodes that the page asks for, played in this process.
+
+use std::sync::Arc;
+
+use dashboard::{Builder, Order, Stage, StageError};
+use evaluator::{EnvironmentConfig, EvalError, Performance, Performer, PolicyConfig, perform};
+use proto::Weights;
+use tokio::sync::watch;
+
+/// Plays in such worlds, with the newest of `weights` where a policy is to build.
+pub(super) fn stage(
+    environment: EnvironmentConfig,
+    policy: PolicyConfig,
+    weights: watch::Receiver<Option<Arc<Weights>>>,
+) -> Stage {
+    Stage::new(move |order: &Order, keep_going| {
+        let Order { blueprint, builder, acting, seed } = order;
+        let performance = Performance { environment: &environment, blueprint, acting: *acting, seed: *seed };
+        let newest = weights.borrow().clone();
+        let performer = match (builder, &newest) {
+            (Builder::Expert, _) => Performer::Expert,
+            (Builder::Policy, Some(weights)) => Performer::Policy(&policy, weights),
+            (Builder::Policy, None) => return Err(StageError::NoWeights),
+        };
+        let failed = |error: EvalError| match error {
+            EvalError::Interrupted => StageError::Unwanted,
+            error => StageError::Failed(error.to_string()),
+        };
+        let episode = perform(performance, performer, keep_going).map_err(failed)?;
+        episode.ok_or_else(|| StageError::Failed("it was over before its first step".to_owned()))
+    })
+}

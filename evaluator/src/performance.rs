@@ -1,0 +1,142 @@
+//! One episode on demand, written down so that it can be shown.
+
+use blueprints::{Blueprint, Catalog};
+use environment::{EnvironmentConfig, ExpertAgent, Step, World};
+use parking_lot::Mutex;
+use policy::{Policy, PolicyConfig};
+use proto::{ActionMode, ActorId, Agent, Driver, Observation, Scene, Trajectory, Weights, WeightsVersion};
+
+use crate::config::Starts;
+use crate::recording::Recording;
+use crate::report::EpisodeResult;
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, Rules, run_sequences};
+use crate::setup::EvalError;
+
+/// Who acts in an episode.
+#[derive(Clone, Copy, Debug)]
+pub enum Performer<'p> {
+    /// The scripted expert.
+    Expert,
+    /// A policy with this configuration and these weights.
+    Policy(&'p PolicyConfig, &'p Weights),
+}
+
+/// The episode that is asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Performance<'p> {
+    /// The world.
+    pub environment: &'p EnvironmentConfig,
+    /// The goal; it need not be in the catalog.
+    pub blueprint: &'p Blueprint,
+    /// How a policy acts. The expert has one way only.
+    pub acting: ActionMode,
+    /// Seed of the scattered start and of sampled actions.
+    pub seed: u64,
+}
+
+/// Plays the episode to its end; equal arguments give an equal episode. Its actor is `expert` or `policy`. `None` if it has
+/// no step. `keep_going` is asked at every step.
+///
+/// # Errors
+/// When the weights do not fit, the episode cannot be started, or `keep_going` says no.
+pub fn perform(
+    performance: Performance<'_>,
+    performer: Performer<'_>,
+    keep_going: &(dyn Fn() -> bool + Sync),
+) -> Result<Option<Trajectory>, EvalError> {
+    match performer {
+        Performer::Expert => {
+            let witness = Witness::new("expert", WeightsVersion(0), Driver::Expert);
+            run(performance, ExpertAgent::new(performance.environment), witness, keep_going)
+        }
+        Performer::Policy(config, weights) => {
+            let driver = match performance.acting {
+                ActionMode::Greedy => Driver::Mode,
+                ActionMode::Sampled => Driver::Sample,
+            };
+            let policy = Policy::with_weights(config, weights)?;
+            run(performance, policy, Witness::new("policy", weights.version, driver), keep_going)
+        }
+    }
+}
+
+fn run<A: Agent>(
+    performance: Performance<'_>,
+    mut agent: A,
+    witness: Witness,
+    keep_going: &(dyn Fn() -> bool + Sync),
+) -> Result<Option<Trajectory>, EvalError>
+where
+    EvalError: From<A::Error>,
+{
+    let Performance { environment, blueprint, acting, seed } = performance;
+    let catalog = Catalog::of_one(blueprint.clone());
+    let rules =
+        Rules { catalog: &catalog, acting, success: &environment.success, keep_going, observer: Some(&witness) };
+    let spec = EpisodeSpec::one_of(&catalog, blueprint, Starts::Scattered, seed, 0);
+    let mut sequences = std::iter::once((0, vec![spec].into()));
+    run_sequences(&rules, &mut agent, vec![World::new(environment)?], || sequences.next(), |_, _| {})?;
+    Ok(witness.seen.into_inner())
+}
+
+/// Writes down the only episode.
+struct Witness {
+    actor: ActorId,
+    weights_version: WeightsVersion,
+    driver: Driver,
+    seen: Mutex<Option<Trajectory>>,
+}
+
+impl Witness {
+    fn new(actor: &str, weights_version: WeightsVersion, driver: Driver) -> Self {
+        let actor = ActorId::try_from(actor.to_owned()).expect("the name is lower case");
+        Self { actor, weights_version, driver, seen: Mutex::default() }
+    }
+}
+
+impl<A> EpisodeObserver<A> for Witness {
+    type Record = Recording;
+
+    fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Recording> {
+        Some(Recording::default())
+    }
+
+    fn observe(&self, recording: &mut Recording, step: Step, _: &A, _: usize, _: Observation<'_>) {
+        recording.push(step);
+    }
+
+    fn end(&self, recording: Recording, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
+        let (actor, version) = (self.actor.clone(), self.weights_version);
+        *self.seen.lock() = recording.into_trajectory(actor, self.driver, version, spec.task(), last, result);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::Status;
+
+    use super::*;
+
+    #[test]
+    fn the_expert_builds_two_blocks_and_equal_seeds_give_equal_episodes() {
+        let environment = EnvironmentConfig::default();
+        let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
+        let play = |seed| {
+            let performance = Performance { environment: &environment, blueprint, acting: ActionMode::Greedy, seed };
+            perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
+        };
+        let first = play(1);
+        assert_eq!((first.status, first.actor.as_str()), (Status::Success, "expert"));
+        assert_eq!(first, play(1));
+        assert_ne!(first.transitions[0].scene, play(2).transitions[0].scene);
+    }
+
+    #[test]
+    fn nobody_waits_for_an_episode_that_is_no_longer_wanted() {
+        let environment = EnvironmentConfig::default();
+        let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
+        let performance = Performance { environment: &environment, blueprint, acting: ActionMode::Greedy, seed: 1 };
+        let ended = perform(performance, Performer::Expert, &|| false);
+        assert!(matches!(ended, Err(EvalError::Interrupted)), "{ended:?}");
+    }
+}
