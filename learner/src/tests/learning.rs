@@ -301,4 +301,9 @@ fn a_critic_that_learns_alone_leaves_the_policy_as_it_is() {
         n_moved += usize::from(!is_same);
     }
     assert!(n_moved > 2, "{n_moved} tensors of the value head moved");
+    // The policy's training begins with the rate of the start and with an optimizer that has taken no step.
+    assert_eq!(learner.checkpoint().adam.n_steps, 0);
+    feed(&learner, bandit(&setup, &after, 256, &mut ChaCha8Rng::seed_from_u64(6)));
+    let rate = learner.update().unwrap().ppo.learning_rate;
+    assert_eq!(rate, f64::from(setup.config.optimizer.learning_rate));
 }
