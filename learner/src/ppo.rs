@@ -306,7 +306,14 @@ impl Ppo {
         }
         steps.grad_norm += f64::from(norm);
         steps.n_steps += 1;
+        let before = config.optimizer.critic_rate.map(|critic_rate| (critic_rate / rate.0, self.parameters.clone()));
         self.adam.step(&mut self.parameters, gradient, rate, &config.optimizer);
+        if let Some((factor, before)) = before {
+            for at in self.value_head.parameters.iter().cloned().flatten() {
+                // A step of Adam is proportional to its rate.
+                self.parameters[at] = before[at] + (self.parameters[at] - before[at]) * factor;
+            }
+        }
         self.load();
     }
 
