@@ -13,6 +13,7 @@ mod play;
 mod render;
 mod report;
 mod router;
+mod seeds;
 mod serve;
 mod services;
 mod stage;
@@ -82,7 +83,12 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
                 return Ok(());
             };
             on_runtime(async |shutdown| {
-                let summary = train::run(&settings, &args, origin, &said, shutdown).await?;
+                if let Some(n_seeds) = args.seeds {
+                    let summary = seeds::train(&settings, &args, n_seeds, &said, shutdown).await?;
+                    return if args.json { json(&summary, terminal) } else { Ok(()) };
+                }
+                let run_dir = args.run.run_dir.as_deref();
+                let summary = train::run(&settings, &args, run_dir, origin, &said, shutdown).await?;
                 if args.json { json(&summary, terminal) } else { Ok(()) }
             })
         }
