@@ -20,7 +20,7 @@ pub const FIRST_PART: usize = 32;
 /// acting, and then the reset-free runs if the setup has any.
 ///
 /// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or
-/// the way of acting. An episode that ends in success goes on for up to 10 steps with the grippers holding still, in
+/// the way of acting. An episode that ends in success goes on for up to 10 steps after the grippers have let go, in
 /// which the success can prove stable. The report's duration is left at 0, as no clock is read. `keep_going` is asked at
 /// every step.
 ///

@@ -6,5 +6,6 @@ mod circles;
 mod compatibility;
 mod configs;
 mod learning;
+mod pretrained;
 mod repository;
 mod tidy;

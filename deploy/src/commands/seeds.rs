@@ -61,9 +61,13 @@ pub(super) async fn train(
         }
         let mut own = settings.clone();
         own.config.seed = seed;
+        // Or there would be nothing to compare.
+        own.config.evaluator.evaluate_last = true;
         let run_dir = folder.join(format!("{PREFIX}{seed}"));
         terminal.print(&format!("seed {seed}, {} of {n_seeds}", runs.len() + 1));
-        runs.push(train::run(&own, args, Some(&run_dir), Origin::default(), terminal, shutdown.clone()).await?);
+        // A training cancels its token when it ends.
+        let its_end = shutdown.child_token();
+        runs.push(train::run(&own, args, Some(&run_dir), Origin::default(), terminal, its_end).await?);
     }
     let groups = spreads(&folder)?;
     if !groups.is_empty() {
