@@ -116,7 +116,7 @@ impl Request {
         let (prefix, _) = prefix.rsplit_once('_')?;
         let (style, seed) = prefix.strip_prefix(&format!("gen{VERSION}-"))?.rsplit_once('-')?;
         let seed = u64::from_str_radix(seed, 16).ok()?;
-        let request = Self { style: style.parse().ok()?, seed, n_blocks: id.size(), index: index.parse().ok()? };
+        let request = Self { style: style.parse().ok()?, seed, n_blocks: id.size()?, index: index.parse().ok()? };
         // Leading zeros of the seed would give one structure two ids.
         (request.id().as_ref() == Ok(id)).then_some(request)
     }

@@ -64,9 +64,13 @@ fn form_errors_name_the_line_or_the_value() {
         "line 4: unknown field `color`, expected one of `id`, `split`, `title`, `provenance`, `up`, `blocks`, \
          `connections`",
     );
-    form("split = \"train\"\n", "", "line 1: missing field `split`");
+    form("type = \"1x1x1\", at = [2, 0, 1]", "at = [2, 0, 1]", "line 9: missing field `type`");
     form("at = [2, 0, 1]", "at = [2, 0.5, 1]", "line 9: invalid type: floating point `0.5`, expected i32");
-    form("\"3_000\"", "\"4_000\"", "the id 4_000 promises 4 blocks, the file has 3");
+    form(
+        "\"3_000\"",
+        "\"4_000\"",
+        "the id 4_000 promises 4 blocks, the file has 3; an id of another form promises nothing",
+    );
     form("\"corner\"", "\" \"", "field `title` is empty");
     form("title", "up = \"z\"\ntitle", "up \"z\" is not one of +x, -x, +y, -y, +z, -z");
     form("name = \"top\"", "name = \"end\"", "block name \"end\" is empty or used twice");

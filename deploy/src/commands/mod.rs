@@ -74,15 +74,16 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let lockstep = args.lockstep.then(|| Override::flag("--lockstep", "lockstep", true));
             let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
-            let goals = goals::trained(&args.blueprint)?;
-            let flags = args.run.overrides().into_iter().chain(goals).chain(given.into_iter().flatten()).collect();
             let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
             let origin = origin(&args.run, &args.config, &said);
+            let goals = goals::TrainingGoals::open(&args.blueprint, origin.config.as_deref())?;
+            let flags = args.run.overrides().into_iter().chain(goals.settings());
+            let flags = flags.chain(given.into_iter().flatten()).collect();
             let Some(settings) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
             on_runtime(async |shutdown| {
-                let summary = train::run(&settings, &args, origin, &said, shutdown).await?;
+                let summary = train::run(&settings, &args, &goals, origin, &said, shutdown).await?;
                 if args.json { json(&summary, terminal) } else { Ok(()) }
             })
         }
