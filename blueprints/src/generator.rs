@@ -106,8 +106,11 @@ impl Request {
         if !style.sizes().contains(&n_blocks) {
             return Err(GenerateError::Size { style, n_blocks });
         }
+        if index > MAX_INDEX {
+            return Err(GenerateError::Index(index));
+        }
         let text = format!("gen{VERSION}-{style}-{seed:x}_{n_blocks}_{index:03}");
-        BlueprintId::try_from(text).map_err(|_| GenerateError::Index(index))
+        Ok(BlueprintId::try_from(text).expect("styles and numbers are letters, digits, - and _"))
     }
 
     /// The request that an id encodes; `None` unless it is the id of a generated structure of this [`VERSION`].

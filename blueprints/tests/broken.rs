@@ -192,7 +192,7 @@ fn too_many_blocks_of_a_type_are_refused() {
     assert_eq!(error, "pile.toml: block \"c2\" is one too many of type 3x1x1: the inventory has 2");
     // Checks that need the blocks are skipped, not passed.
     let n_skipped = report.results.iter().filter(|r| r.outcome == Outcome::Skipped).count();
-    assert_eq!((report.results.len(), n_skipped), (Check::ALL.len() - 1, 7));
+    assert_eq!((report.results.len(), n_skipped), (Check::ALL.len() - 1, 8));
 }
 
 proptest! {

@@ -98,8 +98,8 @@ impl TrainingGoals {
     /// As [`Goals::open`]; also names a goal that is held out from training.
     pub(super) fn open(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
         let goals = Goals::open_beside(named, run)?;
-        for goal in goals.blueprints()? {
-            let id = goal.id();
+        for id in goals.ids.iter().chain(&goals.own) {
+            let goal = find(&goals.catalog, id.as_str())?;
             if goal.split() != Split::Train {
                 return Err(Failure::Usage(format!(
                     "--blueprint: {id} is of the split {}, which is held out from training",
