@@ -12,6 +12,7 @@ mod events;
 mod films;
 mod gallery;
 mod prometheus;
+mod query;
 mod replay;
 mod routes;
 mod server;

@@ -119,6 +119,11 @@ pub struct TrainArgs {
     /// repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<String>,
+    /// Train so many times, one after the other: with the configured seed and those after it, each in a folder `seed-S`
+    /// of the run's folder. Mean and deviation of the last evaluations are printed at the end; `report` prints them again.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=100))]
+    #[arg(conflicts_with_all = ["resume", "auto_resume", "listen"])]
+    pub seeds: Option<u64>,
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
     pub actors: Option<i64>,

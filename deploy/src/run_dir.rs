@@ -71,6 +71,12 @@ struct Meta<'a> {
     resumed_from: Option<&'a Path>,
 }
 
+/// The folder of a run that names none: `runs/<date>-<name>`.
+pub fn default_folder(config: &Config) -> PathBuf {
+    let stamp = utc(SystemTime::now()).replace(':', "");
+    Path::new("runs").join(format!("{stamp}-{}", config.bus.run))
+}
+
 impl RunDir {
     /// Makes the folder, `runs/<date>-<name>` unless a path is given, takes its lock and writes `config.toml` and `meta.json` into
     /// it.
@@ -80,10 +86,7 @@ impl RunDir {
     /// written. Nothing has been changed then.
     pub fn create(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let started = utc(SystemTime::now());
-        let stamp = started.replace(':', "");
-        let path = path
-            .or(origin.config.as_deref())
-            .map_or_else(|| Path::new("runs").join(format!("{stamp}-{}", config.bus.run)), Path::to_owned);
+        let path = path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), Path::to_owned);
         let (paths, shown) = (RunPaths::new(&path), path.display());
         let failed = |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {shown}")));
         fs::create_dir_all(&path).map_err(failed)?;

@@ -3,7 +3,7 @@
 //! The paper gives none of them; the defaults come from experiments with this physics engine.
 #![expect(clippy::approx_constant, reason = "6.28 is a chosen speed limit, not one turn")]
 
-use proto::settings;
+use proto::{InvalidSetting, settings};
 use serde::{Deserialize, Serialize};
 
 settings! {
@@ -30,6 +30,8 @@ settings! {
         pub reward: RewardConfig;
         /// When the blueprint counts as built.
         pub success: SuccessConfig;
+        /// What differs from episode to episode.
+        pub randomization: RandomizationConfig;
     }
 
     /// Bodies and time.
@@ -107,6 +109,24 @@ settings! {
         pub yaw_noise_rad: f32 = 0.3, in 0.0..=3.2;
     }
 
+    /// Domain randomization (Tobin et al., 2017): each range `[low, high]` gives every episode a value of its own, drawn
+    /// evenly; a scattered, prebuilt or near-goal start draws, a start "as it is" keeps what there was. `None` draws nothing.
+    /// Neither the policy nor the expert is told.
+    pub struct RandomizationConfig, check order {
+        /// In place of `magnets.snap_gap_m`, m.
+        pub snap_gap_m: Option<[f32; 2]> = None, in 0.001..=0.045;
+        /// In place of `magnets.snap_angle_deg`, degrees.
+        pub snap_angle_deg: Option<[f32; 2]> = None, in 1.0..=40.0;
+        /// Factor of `magnets.break_force_n`.
+        pub break_force: Option<[f32; 2]> = None, in 0.1..=10.0;
+        /// Factor of `physics.friction`.
+        pub friction: Option<[f32; 2]> = None, in 0.1..=10.0;
+        /// Factor of `physics.density_kgpm3`.
+        pub density: Option<[f32; 2]> = None, in 0.1..=10.0;
+        /// In place of `transition_delay_steps`.
+        pub transition_delay_steps: Option<[u8; 2]> = None, in 0..=100;
+    }
+
     /// Reward (paper, appendix "Rewards"; the weights are not in the paper).
     pub struct RewardConfig {
         /// Reward of a required connection.
@@ -150,6 +170,31 @@ pub enum ForcePenalty {
     PerStep,
 }
 
+impl RandomizationConfig {
+    fn order(&self, path: &str) -> Result<(), InvalidSetting> {
+        let Self { snap_gap_m, snap_angle_deg, break_force, friction, density, transition_delay_steps } = *self;
+        let delay = transition_delay_steps.map(|range| range.map(f32::from));
+        for (field, range) in [
+            ("snap_gap_m", snap_gap_m),
+            ("snap_angle_deg", snap_angle_deg),
+            ("break_force", break_force),
+            ("friction", friction),
+            ("density", density),
+            ("transition_delay_steps", delay),
+        ] {
+            let Some([low, high]) = range else { continue };
+            let expected = "the lower end first";
+            InvalidSetting::check(
+                format_args!("{path}.{field}"),
+                format_args!("[{low}, {high}]"),
+                low <= high,
+                expected,
+            )?;
+        }
+        Ok(())
+    }
+}
+
 impl PhysicsConfig {
     /// Length of a substep in seconds.
     pub fn substep_s(&self) -> f32 {
@@ -178,6 +223,10 @@ mod tests {
         assert_eq!(
             message(|c| c.magnets.snap_gap_m = 0.2),
             "environment.magnets.snap_gap_m = 0.2: expected 0.001..=0.045"
+        );
+        assert_eq!(
+            message(|c| c.randomization.snap_gap_m = Some([0.03, 0.01])),
+            "environment.randomization.snap_gap_m = [0.03, 0.01]: expected the lower end first"
         );
         assert_eq!(message(|c| c.reset.yaw_noise_rad = -1.0), "environment.reset.yaw_noise_rad = -1: expected 0..=3.2");
     }

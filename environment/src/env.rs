@@ -76,8 +76,11 @@ pub trait Env {
     /// The goal, on the blocks that the task's assignment gives it.
     fn blueprint(&self) -> &Blueprint;
 
+    /// Steps since the last reset.
+    fn n_steps(&self) -> u16;
+
     /// What an agent sees.
     fn observation(&self) -> Observation<'_> {
-        Observation { scene: self.scene(), blueprint: self.blueprint() }
+        Observation { scene: self.scene(), blueprint: self.blueprint(), n_steps: self.n_steps() }
     }
 }

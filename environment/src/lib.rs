@@ -1,6 +1,6 @@
 //! The physical world of magnet blocks: initial states, steps, rewards and success.
 //!
-//! Reading order: [`mod@env`] (what a world offers) → [`world`] → `reset`, `grippers`, `magnets`, `connections` (what happens
+//! Reading order: [`mod@env`] (what a world offers) → [`world`] → `reset`, `randomization`, `grippers`, `magnets`, `connections` (what happens
 //! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`vec_env`] (many worlds
 //! at a time) → [`expert`] → [`config`] → [`contract`] (checks for any environment).
 
@@ -22,6 +22,7 @@ mod grippers;
 mod magnets;
 #[cfg(test)]
 mod physics_tests;
+mod randomization;
 mod reset;
 
 pub use config::EnvironmentConfig;

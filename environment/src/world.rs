@@ -11,6 +11,7 @@ use crate::convert::to_pose;
 use crate::engine::Engine;
 use crate::env::{Env, ResetError, StepResult};
 use crate::grippers::Grippers;
+use crate::randomization;
 use crate::reset::{self, Layout};
 use crate::reward::{potential, reward};
 use crate::success::is_success;
@@ -82,9 +83,12 @@ impl World {
         &self.config
     }
 
-    /// Steps since the last reset.
-    pub fn n_steps(&self) -> u16 {
-        self.n_steps
+    /// Makes the bodies, magnets and grippers of an episode that has settings to itself.
+    fn refit(&mut self, config: &EnvironmentConfig) {
+        let inventory = Inventory::standard();
+        self.engine = Engine::new(&config.physics, inventory);
+        self.connections = Connections::new(&config.magnets, &config.physics, inventory);
+        self.grippers = Grippers::new(config);
     }
 
     fn place(&mut self, layout: &Layout) {
@@ -153,7 +157,12 @@ impl Env for World {
             Start::AsItIs => None,
         };
         match layout {
-            Some(layout) => self.place(&layout),
+            Some(layout) => {
+                if let Some(drawn) = randomization::draw(&self.config, task.seed) {
+                    self.refit(&drawn);
+                }
+                self.place(&layout);
+            }
             None => self.grippers.release(&mut self.engine),
         }
         self.blueprint = blueprint;
@@ -197,6 +206,10 @@ impl Env for World {
 
     fn blueprint(&self) -> &Blueprint {
         &self.blueprint
+    }
+
+    fn n_steps(&self) -> u16 {
+        self.n_steps
     }
 }
 

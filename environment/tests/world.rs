@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
-use environment::config::{ForcePenalty, RewardConfig, SuccessConfig};
+use environment::config::{ForcePenalty, RandomizationConfig, RewardConfig, SuccessConfig};
 use environment::reward::potential;
 use environment::success::is_success;
 use environment::{Env, EnvironmentConfig, StableSuccess, World, contract};
@@ -67,11 +67,19 @@ fn as_array(t: &RewardTerms) -> [f32; 5] {
 
 #[test]
 fn the_world_keeps_the_contract() {
-    for (n_grippers, transition_delay_steps) in [(2, 0), (1, 2)] {
+    let drawn = RandomizationConfig {
+        snap_gap_m: Some([0.01, 0.03]),
+        density: Some([0.8, 1.2]),
+        transition_delay_steps: Some([0, 2]),
+        ..Default::default()
+    };
+    let same = RandomizationConfig::default;
+    for (n_grippers, transition_delay_steps, randomization) in [(2, 0, same()), (1, 2, same()), (2, 0, drawn)] {
         let make = || {
             world(|c| {
                 c.n_grippers = n_grippers;
                 c.transition_delay_steps = transition_delay_steps;
+                c.randomization = randomization.clone();
                 c.episode_steps = 30;
             })
         };

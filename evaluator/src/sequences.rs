@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use blueprints::hash::fnv1a;
-use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, Split};
+use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::config::SuccessConfig;
 use environment::vec_env::generator;
 use environment::{Env, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment};
 use proto::unit::End;
-use proto::{Action, ActionMode, Agent, N_GRIPPERS, Observation, RewardTerms, Scene, Start, Status, Task};
+use proto::{Action, ActionMode, Agent, Observation, RewardTerms, Scene, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -16,7 +16,7 @@ use crate::config::Starts;
 use crate::report::EpisodeResult;
 use crate::setup::EvalError;
 
-/// Steps in which a success can prove stable while the grippers hold still.
+/// Steps in which a success can prove stable after the grippers have let go.
 const SETTLE_STEPS: usize = 10;
 
 /// An episode to be run.
@@ -227,7 +227,7 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
     /// Takes a step that was made; the episode if that ended it.
     fn observe(&mut self, row: usize, step: Step) -> Option<EpisodeResult> {
         let (rules, slot) = (self.rules, &mut self.slots[row]);
-        let (StepResult { reward, status }, choices) = (step.result, step.decision.action.choices);
+        let StepResult { reward, status } = step.result;
         slot.n_steps += 1;
         slot.episode_return = slot.episode_return + reward;
         if let (Some(observer), Some(record)) = (rules.observer, &mut slot.record) {
@@ -240,7 +240,7 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
         // Before a success goes on, to see whether it is stable.
         let last = env.scene().clone();
         let end = match status {
-            Status::Success => End::Success { stable: settles(env, rules.success, choices) },
+            Status::Success => End::Success { stable: settles(env, rules.success) },
             Status::Running | Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };
@@ -253,14 +253,13 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
     }
 }
 
-/// Whether a success proves stable while the grippers hold the last chosen blocks still.
-fn settles<E: Env>(env: &mut E, success: &SuccessConfig, choices: [Option<BlockIdx>; N_GRIPPERS]) -> bool {
-    let still = Action { choices, ..Action::IDLE };
+/// Whether a success proves stable after the grippers have let go.
+fn settles<E: Env>(env: &mut E, success: &SuccessConfig) -> bool {
     let mut stable = StableSuccess::default();
     (0..SETTLE_STEPS).any(|_| {
         let holds = stable.observe(env.scene(), env.blueprint(), success);
         holds || {
-            env.step(&still);
+            env.step(&Action::IDLE);
             false
         }
     })

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use blueprints::Catalog;
 use policy::{FeatureBatch, PolicyConfig};
-use proto::{Action, Status, Trajectory, WeightsVersion};
+use proto::{Action, Observation, Status, Trajectory, WeightsVersion};
 
 use crate::config::RewardFactors;
 use crate::gae;
@@ -28,6 +28,8 @@ pub struct Batch {
     pub segments: Vec<Segment>,
     /// Whether advantages count per connection of the goal.
     advantages_per_link: bool,
+    /// Whether returns end at the time limit.
+    deadline: bool,
 }
 
 /// Consecutive samples of one episode.
@@ -60,6 +62,7 @@ impl Batch {
             rewards: Vec::new(),
             segments: Vec::new(),
             advantages_per_link: factors.advantages_per_link,
+            deadline: factors.deadline,
         };
         let mut last_scenes = Vec::new();
         for trajectory in trajectories {
@@ -67,8 +70,10 @@ impl Batch {
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
             let policy_lag = policy_lag(version, &trajectory);
             let first = batch.actions.len();
+            let mut n_steps = trajectory.first_step;
             for transition in trajectory.transitions {
-                batch.features.push(&transition.scene, &blueprint);
+                batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint, n_steps });
+                n_steps = n_steps.saturating_add(1);
                 batch.actions.push(transition.action);
                 batch.behavior_log_probs.push(transition.behavior_log_prob);
                 let reward = transition.reward;
@@ -82,10 +87,10 @@ impl Batch {
             let samples = first..batch.actions.len();
             let n_links = blueprint.links().len().max(1);
             batch.segments.push(Segment { samples, status: trajectory.status, policy_lag, n_links });
-            last_scenes.push((trajectory.last_scene, blueprint));
+            last_scenes.push((trajectory.last_scene, blueprint, n_steps));
         }
-        for (scene, blueprint) in &last_scenes {
-            batch.features.push(scene, blueprint);
+        for (scene, blueprint, n_steps) in &last_scenes {
+            batch.features.push(&Observation { scene, blueprint, n_steps: *n_steps });
         }
         batch
     }
@@ -101,7 +106,7 @@ impl Batch {
         let mut advantages = vec![0.0; n_samples];
         for (segment, &last_value) in self.segments.iter().zip(&values[n_samples..]) {
             let samples = segment.samples.clone();
-            let bootstrap = gae::bootstrap_value(segment.status, last_value);
+            let bootstrap = gae::bootstrap_value(segment.status, last_value, self.deadline);
             let (rewards, values) = (&self.rewards[samples.clone()], &values[samples.clone()]);
             gae::advantages(rewards, values, bootstrap, gamma, lambda, &mut advantages[samples]);
         }
@@ -146,7 +151,8 @@ mod tests {
         let mut ended = trajectory(2, 5);
         ended.status = Status::Success;
         (ended.transitions[0].reward.wrong, ended.transitions[1].reward.connected) = (-1.0, 1.0);
-        let factors = RewardFactors { success_bonus: 3.0, wrong_weight: 0.25, advantages_per_link: false };
+        let factors =
+            RewardFactors { success_bonus: 3.0, wrong_weight: 0.25, advantages_per_link: false, deadline: false };
         let plain = batch_of(vec![ended.clone()], &RewardFactors::default()).rewards;
         assert_eq!(plain, [-1.0, 1.0]);
         assert_eq!(batch_of(vec![ended], &factors).rewards, [-0.25, 4.0]);
@@ -163,6 +169,29 @@ mod tests {
         assert!(n_links >= 2.0);
         // Equal after the division, so 0 after the normalization.
         assert_eq!(batch.scaled(vec![1.0, n_links]), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_deadline_ends_the_return_and_remaining_time_says_how_near_it_is() {
+        let mut late = trajectory(2, 5);
+        (late.first_step, late.status) = (48, Status::TimeLimit);
+        let policy = PolicyConfig {
+            features: policy::config::FeatureConfig { remaining_time: Some(50), ..Default::default() },
+            ..Default::default()
+        };
+        let batch = |deadline| {
+            let factors = RewardFactors { deadline, ..RewardFactors::default() };
+            Batch::new(vec![late.clone()], WeightsVersion(5), Catalog::builtin(), &policy, &factors)
+        };
+        let last_of_node = |row: usize| {
+            let FeatureBatch { nodes, sizes, .. } = batch(false).features;
+            nodes[(row * blueprints::N_BLOCKS + 1) * sizes.node - 1]
+        };
+        // 2, 1 and 0 of 50 steps are left; the last scene is the third row.
+        assert_eq!([0, 1, 2].map(last_of_node), [0.04, 0.02, 0.0]);
+        // Without rewards, γ = λ = 1 and a last scene that is worth 4.
+        assert_eq!(batch(false).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [4.0, 4.0]);
+        assert_eq!(batch(true).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [0.0, 0.0]);
     }
 
     #[test]

@@ -61,6 +61,9 @@ settings! {
     pub struct OptimizerConfig {
         /// Learning rate at the start.
         pub learning_rate: f32 = 3e-4, in above(0.0);
+        /// Learning rate of the value head, which can learn faster than a policy that must not change much in one
+        /// update; `None` is the rate of the rest.
+        pub critic_rate: Option<f32> = None, in above(0.0);
         /// How the learning rate moves.
         pub rate_rule: RateRule;
         /// Adam's ε, outside the square root.

@@ -28,10 +28,12 @@ pub fn advantages(rewards: &[f32], values: &[f32], bootstrap: f32, gamma: f32, l
     }
 }
 
-/// The value after a segment's last step: 0 after success, otherwise the critic's value of the last scene.
-pub fn bootstrap_value(status: Status, last_value: f32) -> f32 {
+/// The value after a segment's last step: 0 after success, and at the time limit if that is a deadline; otherwise the
+/// critic's value of the last scene.
+pub fn bootstrap_value(status: Status, last_value: f32, is_deadline: bool) -> f32 {
     match status {
         Status::Success => 0.0,
+        Status::TimeLimit if is_deadline => 0.0,
         Status::Running | Status::TimeLimit | Status::Diverged => last_value,
     }
 }
@@ -58,14 +60,14 @@ mod tests {
         advantages(&[1.0, 2.0], &[1.0, 2.0], 4.0, 0.5, 0.5, &mut out);
         assert_eq!(out, [1.5, 2.0]);
         // Success: δ₁ = 2 − 2 = 0, so A₁ = 0 and A₀ = 1.
-        advantages(&[1.0, 2.0], &[1.0, 2.0], bootstrap_value(Status::Success, 4.0), 0.5, 0.5, &mut out);
+        advantages(&[1.0, 2.0], &[1.0, 2.0], bootstrap_value(Status::Success, 4.0, false), 0.5, 0.5, &mut out);
         assert_eq!(out, [1.0, 0.0]);
     }
 
     #[test]
     fn bootstrap_value_is_zero_only_after_success() {
         for (status, expected) in [(Status::Success, 0.0), (Status::TimeLimit, 3.0), (Status::Running, 3.0)] {
-            assert_eq!(bootstrap_value(status, 3.0), expected, "{status:?}");
+            assert_eq!(bootstrap_value(status, 3.0, false), expected, "{status:?}");
         }
     }
 

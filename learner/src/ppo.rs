@@ -33,6 +33,9 @@ pub(crate) struct Ppo {
     /// The parameters of the workers' networks, flat.
     parameters: Vec<f32>,
     adam: Adam,
+    /// The optimizer of the value head while nothing trains the policy. The policy's own moments must not decay
+    /// meanwhile: its first steps would be many times too long. No checkpoint holds it.
+    critic_adam: Adam,
     value_head: ValueHead,
     /// The frozen parameters of the imitator, once it is set.
     imitator: Option<Vec<f32>>,
@@ -83,7 +86,7 @@ impl Ppo {
         let parameters = workers.engine().parameters();
         let adam = Adam::new(parameters.len());
         let value_head = ValueHead::find(workers.engine().table());
-        Self { workers, parameters, adam, value_head, imitator: None }
+        Self { workers, parameters, critic_adam: adam.clone(), adam, value_head, imitator: None }
     }
 
     /// Restores the parameters and moments of a checkpoint.
@@ -215,7 +218,9 @@ impl Ppo {
                 break;
             }
         }
-        if let RateRule::Adaptive(rule) = &config.optimizer.rate_rule {
+        // A policy that stands still says nothing about the rate.
+        let trains_policy = terms.policy > 0.0 || imitation_update.is_some();
+        if let (RateRule::Adaptive(rule), true) = (&config.optimizer.rate_rule, trains_policy) {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
         let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;
@@ -301,7 +306,14 @@ impl Ppo {
         }
         steps.grad_norm += f64::from(norm);
         steps.n_steps += 1;
+        let before = config.optimizer.critic_rate.map(|critic_rate| (critic_rate / rate.0, self.parameters.clone()));
         self.adam.step(&mut self.parameters, gradient, rate, &config.optimizer);
+        if let Some((factor, before)) = before {
+            for at in self.value_head.parameters.iter().cloned().flatten() {
+                // A step of Adam is proportional to its rate.
+                self.parameters[at] = before[at] + (self.parameters[at] - before[at]) * factor;
+            }
+        }
         self.load();
     }
 
@@ -309,17 +321,12 @@ impl Ppo {
     /// either through the layers that they share.
     fn step_critic(&mut self, gradient: &[f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
         let mut of_critic = vec![0.0; gradient.len()];
-        let mut next = self.parameters.clone();
         for range in &self.value_head.parameters {
             of_critic[range.clone()].copy_from_slice(&gradient[range.clone()]);
         }
+        std::mem::swap(&mut self.adam, &mut self.critic_adam);
         self.step(&mut of_critic, rate, config, steps);
-        // Moments from before would move the rest.
-        for range in &self.value_head.parameters {
-            next[range.clone()].copy_from_slice(&self.parameters[range.clone()]);
-        }
-        self.parameters = next;
-        self.load();
+        std::mem::swap(&mut self.adam, &mut self.critic_adam);
     }
 
     /// Recomputes advantages and value targets with the current network.

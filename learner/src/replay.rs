@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use blueprints::{Blueprint, Catalog};
 use policy::FeatureBatch;
-use proto::{Label, Trajectory};
+use proto::{Label, Observation, Trajectory};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -86,14 +86,17 @@ impl Replay {
             });
             let Some(&(_, group, longest)) = drawn.or(groups.last()) else { break };
             // Sample segments uniformly and reject steps beyond their end, so that all steps are equally likely.
-            let (segment, step) = loop {
+            let (segment, step, at) = loop {
                 let segment = &group.segments[rng.random_range(0..group.segments.len())];
-                if let Some(step) = segment.trajectory.transitions.get(rng.random_range(0..longest)) {
-                    break (segment, step);
+                let at = rng.random_range(0..longest);
+                if let Some(step) = segment.trajectory.transitions.get(at) {
+                    break (segment, step, at);
                 }
             };
             if let Some(label) = step.label {
-                features.push(&step.scene, &segment.blueprint);
+                let at = u16::try_from(at).unwrap_or(u16::MAX);
+                let n_steps = segment.trajectory.first_step.saturating_add(at);
+                features.push(&Observation { scene: &step.scene, blueprint: &segment.blueprint, n_steps });
                 labels.push(label);
             }
         }

@@ -61,7 +61,7 @@ fn gae_distinguishes_time_limit_from_termination() {
             let last = if status == Status::Running { flat(&golden["bootstrap_value"][j])[0] } else { final_value };
             let segment = first..t + 1;
             let (rewards, values) = (&rewards[segment.clone()], &values[segment.clone()]);
-            let bootstrap = gae::bootstrap_value(status, last);
+            let bootstrap = gae::bootstrap_value(status, last, false);
             gae::advantages(rewards, values, bootstrap, gamma, lambda, &mut advantages[segment]);
             first = t + 1;
         }

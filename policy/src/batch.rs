@@ -1,9 +1,9 @@
 //! Features of several scenes side by side.
 
-use blueprints::{BlockIdx, Blueprint, N_BLOCKS};
-use proto::{Observation, Scene};
+use blueprints::{BlockIdx, N_BLOCKS};
+use proto::{N_GRIPPERS, Observation};
 
-use crate::config::FeatureConfig;
+use crate::config::{BlockMask, FeatureConfig, PolicyConfig};
 use crate::features::{FeatureSizes, N_EDGES, write_features};
 
 /// Features of `n` scenes, row-major.
@@ -19,6 +19,10 @@ pub struct FeatureBatch {
     pub globals: Vec<f32>,
     /// `[n, 16]`: whether [`BlockMask::Blueprint`](crate::config::BlockMask) lets a gripper choose the block.
     pub allowed: Vec<bool>,
+    /// `[n]`: what each gripper held in the last step.
+    pub held: Vec<[Option<BlockIdx>; N_GRIPPERS]>,
+    /// `[n]`: steps since the episode began.
+    pub n_steps: Vec<u16>,
     /// nd, ed and gd.
     pub sizes: FeatureSizes,
     config: FeatureConfig,
@@ -33,6 +37,8 @@ impl FeatureBatch {
             edges: Vec::new(),
             globals: Vec::new(),
             allowed: Vec::new(),
+            held: Vec::new(),
+            n_steps: Vec::new(),
             sizes: FeatureSizes::new(config),
             config: *config,
         }
@@ -41,19 +47,19 @@ impl FeatureBatch {
     /// Takes these scenes in place of those before.
     pub fn fill(&mut self, observations: &[Observation<'_>]) {
         self.clear();
-        observations.iter().for_each(|seen| self.push(seen.scene, seen.blueprint));
+        observations.iter().for_each(|seen| self.push(seen));
     }
 
     /// Appends a scene.
-    pub fn push(&mut self, scene: &Scene, blueprint: &Blueprint) {
+    pub fn push(&mut self, observation: &Observation<'_>) {
+        let Observation { scene, blueprint, n_steps } = *observation;
         let FeatureSizes { node, edge, global } = self.sizes;
         let (nodes_at, edges_at, globals_at) = (self.nodes.len(), self.edges.len(), self.globals.len());
         self.nodes.resize(nodes_at + N_BLOCKS * node, 0.0);
         self.edges.resize(edges_at + N_EDGES * edge, 0.0);
         self.globals.resize(globals_at + global, 0.0);
         write_features(
-            scene,
-            blueprint,
+            observation,
             &self.config,
             &mut self.nodes[nodes_at..],
             &mut self.edges[edges_at..],
@@ -66,6 +72,8 @@ impl FeatureBatch {
             self.allowed[allowed_at + joint.a.get()] = true;
             self.allowed[allowed_at + joint.b.get()] = true;
         }
+        self.held.push(scene.grippers.map(|gripper| gripper.and_then(|gripper| gripper.held)));
+        self.n_steps.push(n_steps);
         self.n += 1;
     }
 
@@ -76,6 +84,8 @@ impl FeatureBatch {
         self.edges.clear();
         self.globals.clear();
         self.allowed.clear();
+        self.held.clear();
+        self.n_steps.clear();
     }
 
     /// The given rows, in the given order; a row may appear more than once.
@@ -89,9 +99,30 @@ impl FeatureBatch {
             edges: pick(&self.edges, N_EDGES * self.sizes.edge, rows),
             globals: pick(&self.globals, self.sizes.global, rows),
             allowed: pick(&self.allowed, N_BLOCKS, rows),
+            held: pick(&self.held, 1, rows),
+            n_steps: pick(&self.n_steps, 1, rows),
             sizes: self.sizes,
             config: self.config,
         }
+    }
+}
+
+impl PolicyConfig {
+    /// The blocks that each gripper may choose in a row of a batch, `[2, 16]`; `None` if all.
+    ///
+    /// # Panics
+    /// When the batch has no such row.
+    pub fn choosable(&self, batch: &FeatureBatch, row: usize) -> Option<[[bool; N_BLOCKS]; N_GRIPPERS]> {
+        let is_masked = self.mask == BlockMask::Blueprint;
+        let keeps = !batch.n_steps[row].is_multiple_of(self.grip_steps);
+        if !is_masked && !keeps {
+            return None;
+        }
+        Some(batch.held[row].map(|held| match held {
+            Some(held) if keeps => std::array::from_fn(|block| block == held.get()),
+            _ if is_masked => std::array::from_fn(|block| batch.allowed[row * N_BLOCKS + block]),
+            _ => [true; N_BLOCKS],
+        }))
     }
 }
 

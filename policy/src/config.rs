@@ -14,6 +14,9 @@ settings! {
         pub features: FeatureConfig;
         /// Which blocks a gripper may choose.
         pub mask: BlockMask = BlockMask::None;
+        /// Steps for which a gripper keeps what it holds: it may choose another block only where the steps of the episode
+        /// are a multiple of this, so that untrained choices last long enough to have an effect. 1 is the paper.
+        pub grip_steps: u16 = 1, in 1..=100;
         /// What counts as the action for its log-probability.
         pub joint_form: JointForm = JointForm::ChosenUnique;
     }
@@ -35,6 +38,10 @@ settings! {
         pub plan: bool = false;
         /// Nodes and edges: which blocks hang together as the blueprint has them.
         pub pieces: bool = false;
+        /// Nodes: the share of an episode that is left, for episodes of so many steps, as `environment.episode_steps` says.
+        /// A critic that does not know it cannot tell a late start from a bad one.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub remaining_time: Option<u16> = None, in 1..=10_000;
         /// Number of gripper halves in the globals; must equal the network's.
         pub n_grippers: u8 = 2;
     }
@@ -138,7 +145,7 @@ impl PolicyConfig {
 
     /// Hash of everything that gives parameters their meaning; goes into `Weights::network_hash`.
     ///
-    /// The mask and the joint form are left out: the same parameters are valid with any of them.
+    /// The masks and the joint form are left out: the same parameters are valid with any of them.
     pub fn hash(&self) -> u64 {
         config_hash(&(&self.network, &self.features))
     }

@@ -141,9 +141,9 @@ impl<'a> ActionDistribution<'a> {
 /// Replaces the logits of blocks that may not be chosen.
 ///
 /// # Shapes
-/// logits `[G, 16]`, allowed `[16]`.
-pub fn mask_logits(logits: &mut [f32], allowed: &[bool]) {
-    for row in logits.chunks_exact_mut(N_BLOCKS) {
+/// logits `[G, 16]`, allowed `[2, 16]`, of which the first G count.
+pub fn mask_logits(logits: &mut [f32], allowed: &[[bool; N_BLOCKS]; N_GRIPPERS]) {
+    for (row, allowed) in logits.chunks_exact_mut(N_BLOCKS).zip(allowed) {
         for (logit, allowed) in row.iter_mut().zip(allowed) {
             if !allowed {
                 *logit = MASKED_LOGIT;

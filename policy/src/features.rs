@@ -21,6 +21,7 @@
 //! | 18–20 | from its place to the middle of the structure | i in its place, m / 0.5 | `plan` |
 //! | 21 | radius of the structure about its middle, seen from above | m / 0.5 | `plan` |
 //! | 22 | number of blocks that hang together with it by right connections, itself included | 1/16 | `pieces` |
+//! | 23 | steps that are left, of those of the episode | 0 to 1 | `remaining_time` |
 //!
 //! Entries 10–21 are 0 for blocks outside the blueprint. The plan is a function of the blueprint alone
 //! ([`Blueprint::plan`]); several sides and orders are possible, and without these entries nothing tells which one an expert
@@ -63,7 +64,7 @@
 use blueprints::assembly::Plan;
 use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS, UNIT_M};
 use nalgebra::{Matrix3, Vector3};
-use proto::{Gripper, N_GRIPPERS, Scene};
+use proto::{Gripper, N_GRIPPERS, Observation, Scene};
 
 use crate::config::{FeatureConfig, PolicyConfig};
 use crate::geometry::{Frame, rotation, rotation_vector};
@@ -109,7 +110,8 @@ impl FeatureSizes {
                 + on(config.membership, 1)
                 + on(config.block_shape, 3)
                 + on(config.plan, 12)
-                + on(config.pieces, 1),
+                + on(config.pieces, 1)
+                + on(config.remaining_time.is_some(), 1),
             edge: BASE_EDGE + on(config.needed_moves, 12) + on(config.pieces, 1),
             global: usize::from(config.n_grippers) * GRIPPER_PART,
         }
@@ -131,13 +133,13 @@ impl PolicyConfig {
 /// # Panics
 /// When a slice has another length.
 pub fn write_features(
-    scene: &Scene,
-    blueprint: &Blueprint,
+    observation: &Observation<'_>,
     config: &FeatureConfig,
     nodes: &mut [f32],
     edges: &mut [f32],
     globals: &mut [f32],
 ) {
+    let Observation { scene, blueprint, n_steps } = *observation;
     let sizes = FeatureSizes::new(config);
     assert_eq!(nodes.len(), N_BLOCKS * sizes.node, "length of the node features");
     assert_eq!(edges.len(), N_EDGES * sizes.edge, "length of the edge features");
@@ -156,6 +158,9 @@ pub fn write_features(
         if config.pieces {
             let size = pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
             writer.number(size as f32 / N_BLOCKS as f32);
+        }
+        if let Some(episode_steps) = config.remaining_time {
+            writer.number(f32::from(episode_steps.saturating_sub(n_steps)) / f32::from(episode_steps));
         }
     }
     write_edges(scene, blueprint, config, &frames, edges, sizes.edge);

@@ -2,7 +2,7 @@
 
 use blueprints::N_BLOCKS;
 use burn::tensor::{Bool, Device, Tensor, TensorData, activation};
-use proto::Action;
+use proto::{Action, N_GRIPPERS};
 
 use crate::config::JointForm;
 use crate::distribution::{HALF_LN_2PI, MASKED_LOGIT};
@@ -53,12 +53,19 @@ impl ActionTensors {
 /// Sets the logits of blocks that may not be chosen to −1e9.
 ///
 /// # Shapes
-/// logits `[B, G, 16]`, allowed `[B, 16]` row-major → `[B, G, 16]`
-pub fn mask_logits(logits: Tensor<3>, allowed: &[bool]) -> Tensor<3> {
+/// logits `[B, G, 16]`, allowed `[B, 2, 16]`, of which the first G grippers count; `None` allows all → `[B, G, 16]`
+pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[[bool; N_BLOCKS]; N_GRIPPERS]>]) -> Tensor<3> {
+    if allowed.iter().all(Option::is_none) {
+        return logits;
+    }
     let [b, g, n] = logits.dims();
-    let forbidden: Vec<bool> = allowed.iter().map(|allowed| !allowed).collect();
-    let mask = Tensor::<3, Bool>::from_data(TensorData::new(forbidden, [b, 1, n]), &logits.device());
-    logits.mask_fill(mask.expand([b, g, n]), MASKED_LOGIT)
+    let mut forbidden = Vec::with_capacity(b * g * n);
+    for row in allowed {
+        let row = row.unwrap_or([[true; N_BLOCKS]; N_GRIPPERS]);
+        forbidden.extend(row[..g].iter().flatten().map(|allowed| !allowed));
+    }
+    let mask = Tensor::<3, Bool>::from_data(TensorData::new(forbidden, [b, g, n]), &logits.device());
+    logits.mask_fill(mask, MASKED_LOGIT)
 }
 
 /// Joint log-probability of the actions.

@@ -3,13 +3,13 @@
 mod attention;
 mod trial;
 
-use blueprints::{Catalog, N_BLOCKS};
+use blueprints::Catalog;
 use burn::tensor::Device;
 use proto::{ActionMode, Agent, Decision, InvalidSetting, Normalization, Observation, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
 use crate::FeatureBatch;
-use crate::config::{BlockMask, PolicyConfig};
+use crate::config::PolicyConfig;
 use crate::cpu::Outputs;
 use crate::distribution::{ActionDistribution, mask_logits};
 use crate::engine::Engine;
@@ -160,7 +160,7 @@ impl Policy {
             batch: FeatureBatch::new(&self.config.features),
         };
         if let Some(blueprint) = Catalog::builtin().iter().next() {
-            tried.run(&[Observation { scene: &trial::scene(blueprint), blueprint }])?;
+            tried.run(&[Observation { scene: &trial::scene(blueprint), blueprint, n_steps: 0 }])?;
         }
         *self = tried;
         Ok(())
@@ -255,8 +255,8 @@ impl Agent for Policy {
         let mut decisions = Vec::with_capacity(n);
         for (row, (rng, mode)) in rngs.iter_mut().zip(modes).enumerate() {
             let logits = &mut output.logits[row * per_scene..(row + 1) * per_scene];
-            if self.config.mask == BlockMask::Blueprint {
-                mask_logits(logits, &self.batch.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS]);
+            if let Some(allowed) = self.config.choosable(&self.batch, row) {
+                mask_logits(logits, &allowed);
             }
             let moves = row * 96..(row + 1) * 96;
             let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);

@@ -6,7 +6,7 @@ use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS, RelativePlacement};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use policy::{FeatureBatch, FeatureConfig, FeatureSizes};
 use proptest::prelude::*;
-use proto::{Gripper, Joint, Pose, Scene};
+use proto::{Gripper, Joint, Observation, Pose, Scene};
 
 const IDENTITY: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 
@@ -38,7 +38,7 @@ fn row_scene() -> Scene {
 
 fn features(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig) -> FeatureBatch {
     let mut batch = FeatureBatch::new(config);
-    batch.push(scene, blueprint);
+    batch.push(&Observation { scene, blueprint, n_steps: 0 });
     batch
 }
 

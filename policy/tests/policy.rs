@@ -71,7 +71,7 @@ fn scenes(seeds: &[u64]) -> Vec<Scene> {
 
 /// The first goal of the catalog in each of the scenes.
 fn observations(scenes: &[Scene]) -> Vec<Observation<'_>> {
-    scenes.iter().map(|scene| Observation { scene, blueprint: blueprint() }).collect()
+    scenes.iter().map(|scene| Observation { scene, blueprint: blueprint(), n_steps: 0 }).collect()
 }
 
 /// Decisions in the scenes of these seeds, each with the generator of its own.
@@ -184,7 +184,8 @@ fn the_mask_admits_blocks_that_may_have_to_be_taken_apart() {
     };
     let joint = |a, b| Joint { a, b, relative };
     let mut batch = FeatureBatch::new(&small().features);
-    batch.push(&Scene { joints: vec![joint(strays[0], inside), joint(strays[1], strays[2])], ..scene(1) }, blueprint());
+    let scene = Scene { joints: vec![joint(strays[0], inside), joint(strays[1], strays[2])], ..scene(1) };
+    batch.push(&Observation { scene: &scene, blueprint: blueprint(), n_steps: 0 });
     let allowed = BlockIdx::all().filter(|block| batch.allowed[block.get()]);
     assert!(allowed.eq(BlockIdx::all().filter(|block| blueprint().contains(*block) || strays.contains(block))));
 }
@@ -226,6 +227,33 @@ fn values_come_back_in_reward_units() {
     scaled.normalization.value_std = 3.0;
     policy.load(&scaled).unwrap();
     assert!((values(&mut policy, &[1])[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
+}
+
+#[test]
+fn a_grip_holds_for_its_steps_and_then_another_block_may_be_chosen() {
+    let config = PolicyConfig { grip_steps: 3, ..small() };
+    let blocks: Vec<BlockIdx> = BlockIdx::all().collect();
+    let mut scene = scene(1);
+    scene.grippers[0].as_mut().unwrap().held = Some(blocks[5]);
+    scene.grippers[1].as_mut().unwrap().held = None;
+    let mut batch = FeatureBatch::new(&config.features);
+    for n_steps in 0..4 {
+        batch.push(&Observation { scene: &scene, blueprint: blueprint(), n_steps });
+    }
+    assert_eq!((config.choosable(&batch, 0), config.choosable(&batch, 3)), (None, None));
+    let [first, second] = config.choosable(&batch, 1).unwrap();
+    assert_eq!(first, std::array::from_fn(|block| block == 5));
+    // Nothing to keep: any block.
+    assert_eq!(second, [true; N_BLOCKS]);
+
+    let mut policy = Policy::new(&config).unwrap();
+    let mut choices = |n_steps: u16, seed: u64| {
+        let seen = Observation { scene: &scene, blueprint: blueprint(), n_steps };
+        let decisions = policy.act(&[seen], &[ActionMode::Sampled], &mut [ChaCha8Rng::seed_from_u64(seed)]).unwrap();
+        decisions[0].action.choices[0].unwrap().get()
+    };
+    assert!((0..20).all(|seed| choices(2, seed) == 5));
+    assert!((0..20).any(|seed| choices(3, seed) != 5));
 }
 
 #[test]

@@ -12,6 +12,8 @@ pub struct Observation<'a> {
     pub scene: &'a Scene,
     /// The goal, on the blocks that the episode's assignment gives it.
     pub blueprint: &'a Blueprint,
+    /// Steps since the episode began.
+    pub n_steps: u16,
 }
 
 /// An action and what the agent thought of it.

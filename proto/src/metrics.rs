@@ -229,7 +229,8 @@ pub struct EvalBlueprint {
 pub struct EvalOutcome {
     /// Success rate and interval; diverged episodes count as failures.
     pub success: SuccessRate,
-    /// Rate of stable successes, which held for several steps in a row at low speed; the same convention.
+    /// Rate of stable successes, which held for several steps in a row at low speed after the grippers had let go; the
+    /// same convention.
     pub stable_success: SuccessRate,
     /// Mean steps of all episodes, 0 without any.
     pub mean_steps: f64,

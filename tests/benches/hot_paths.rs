@@ -12,7 +12,7 @@ use burn::tensor::Device;
 use environment::{Env, EnvironmentConfig, World, sample_assignment};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::{FeatureBatch, FeatureConfig, FeatureSizes, Network, NetworkConfig, parameters};
-use proto::{Action, Scene, Start, Task};
+use proto::{Action, Observation, Scene, Start, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -77,7 +77,7 @@ fn features(rounds: usize) {
     let mut batch = FeatureBatch::new(&FeatureConfig::default());
     for _ in 0..rounds {
         batch.clear();
-        scenes.iter().for_each(|scene| batch.push(scene, &blueprint));
+        scenes.iter().for_each(|scene| batch.push(&Observation { scene, blueprint: &blueprint, n_steps: 0 }));
         black_box(&batch);
     }
 }
@@ -86,7 +86,7 @@ fn network() -> (CpuNetwork, FeatureBatch) {
     let (scenes, blueprint) = scenes();
     let config = FeatureConfig::default();
     let mut batch = FeatureBatch::new(&config);
-    scenes.iter().for_each(|scene| batch.push(scene, &blueprint));
+    scenes.iter().for_each(|scene| batch.push(&Observation { scene, blueprint: &blueprint, n_steps: 0 }));
     let sizes = FeatureSizes::new(&config);
     let network = Network::init(&NetworkConfig::default(), &sizes, 0, &Device::flex());
     let layout = NetworkLayout::new(&NetworkConfig::default(), &sizes, network.table()).unwrap();

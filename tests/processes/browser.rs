@@ -216,7 +216,7 @@ fn play_opens_with_a_structure_being_built() {
 
     // The gallery has every blueprint, finds some, and leads to one.
     browser.element("#stage-choose").click();
-    browser.until("document.querySelectorAll('#gallery button img').length === 166");
+    browser.until("document.querySelectorAll('#gallery button img').length === 190");
     browser.element("#gallery input").press("16_002");
     browser.until("document.querySelectorAll('#gallery button img').length === 1");
     browser.until("document.querySelector('#gallery img').naturalWidth === 200");

@@ -84,7 +84,7 @@ pub(super) async fn list() -> Response {
 
 /// The picture of the blueprint that the query names.
 pub(super) async fn picture(Extension(gallery): Extension<Arc<Gallery>>, RawQuery(query): RawQuery) -> Response {
-    let asked = super::routes::id_of(query);
+    let asked = super::query::id_of(query);
     match tokio::task::spawn_blocking(move || gallery.picture(&asked)).await {
         Ok(Some(bytes)) => ([(CONTENT_TYPE, "image/png"), (CACHE_CONTROL, KEPT)], bytes).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),

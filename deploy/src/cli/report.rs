@@ -7,9 +7,9 @@ use proto::ActionMode;
 use render::plot::MAX_RUNS;
 
 /// Arguments of `report`.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct ReportArgs {
-    /// Folder of the run, in which the evaluator keeps eval.db.
+    /// Folder of the run, in which the evaluator keeps eval.db, or of a training with --seeds.
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
     /// Folder for the pictures and tables; made if it is not there [default: RUN/report].

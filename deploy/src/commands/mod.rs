@@ -13,6 +13,7 @@ mod play;
 mod render;
 mod report;
 mod router;
+mod seeds;
 mod serve;
 mod services;
 mod stage;
@@ -83,7 +84,12 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
                 return Ok(());
             };
             on_runtime(async |shutdown| {
-                let summary = train::run(&settings, &args, &goals, origin, &said, shutdown).await?;
+                if let Some(n_seeds) = args.seeds {
+                    let summary = seeds::train(&settings, &args, &goals, n_seeds, &said, shutdown).await?;
+                    return if args.json { json(&summary, terminal) } else { Ok(()) };
+                }
+                let run_dir = args.run.run_dir.as_deref();
+                let summary = train::run(&settings, &args, &goals, run_dir, origin, &said, shutdown).await?;
                 if args.json { json(&summary, terminal) } else { Ok(()) }
             })
         }

@@ -1,15 +1,16 @@
 //! `report`: pictures and tables of a run's evaluations.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use proto::ActionMode;
-use render::plot::{self, Drawing, groups};
+use render::plot::{self, Drawing, MAX_RUNS, groups};
 use runlog::series::{Difference, Grid, lineage, outcome_of};
 use runlog::{History, Pass, RunPaths};
 use serde_json::json;
 
 use super::files::{File, write_files};
+use super::seeds;
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -25,6 +26,10 @@ const REPORT: &str = "report";
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let stdout = terminal;
     let terminal = &if args.json { terminal.on_stderr() } else { terminal.clone() };
+    let seeds = seeds::runs_in(&args.run);
+    if !seeds.is_empty() && !RunPaths::new(args.run.clone()).history().exists() {
+        return of_seeds(args, &seeds, terminal, stdout);
+    }
     let (acting, name) = (args.acting, name(&args.run));
     let all = History::read(&RunPaths::new(args.run.clone()).history())?;
     let passes = shown(&all, &args.run, terminal);
@@ -54,6 +59,28 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     }
     let n_passes = count(passes.len(), "evaluation");
     terminal.print(&format!("{n_passes} of {} drawn", count(grid.rows.len(), "blueprint")));
+    for (file, _) in files {
+        terminal.print(&format!("  {}", out.join(file).display()));
+    }
+    Ok(())
+}
+
+/// Several seeds of one training: their curves in one picture, and mean and deviation of their last evaluations.
+fn of_seeds(args: &ReportArgs, seeds: &[PathBuf], terminal: &Terminal, stdout: &Terminal) -> Result<(), Failure> {
+    let spreads = seeds::spreads(&args.run)?;
+    let table = seeds::table(&spreads);
+    let mut files = vec![("seeds.md".to_owned(), table.clone().into_bytes())];
+    if let [first, others @ ..] = &seeds[..seeds.len().min(MAX_RUNS)] {
+        let args = ReportArgs { run: first.clone(), beside: others.to_vec(), ..args.clone() };
+        let all = History::read(&RunPaths::new(first.clone()).history())?;
+        files.extend(comparison(&shown(&all, first, terminal), &args, terminal)?);
+    }
+    let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
+    write_files(&out, &files)?;
+    if args.json {
+        return super::json(&spreads, stdout);
+    }
+    terminal.print(&table);
     for (file, _) in files {
         terminal.print(&format!("  {}", out.join(file).display()));
     }

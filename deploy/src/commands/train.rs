@@ -1,6 +1,6 @@
 //! `train`: learner, actors and evaluator in this process, on a bus of its own.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use actor::ActorSetup;
@@ -51,6 +51,7 @@ pub(super) async fn run(
     settings: &Settings,
     args: &TrainArgs,
     goals: &TrainingGoals,
+    run_dir: Option<&Path>,
     origin: Origin,
     terminal: &Terminal,
     shutdown: CancellationToken,
@@ -61,7 +62,7 @@ pub(super) async fn run(
     let page = page(config, args, terminal).await?;
     let page = page.map(|page| services::Opened { page, about: services::about(settings), first: None });
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
-    let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
+    let run_dir = RunDir::create(run_dir, config, &origin)?;
     terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
     let bus = Bus::open(&config.bus).await.inspect_err(|_| run_dir.abandon())?;

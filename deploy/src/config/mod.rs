@@ -96,6 +96,12 @@ impl Config {
         if worlds != network {
             return Err(format!("environment.n_grippers = {worlds}: expected {network}, as policy.network.n_grippers"));
         }
+        let (seen, steps) = (self.policy.features.remaining_time, self.environment.episode_steps);
+        if let Some(seen) = seen.filter(|seen| *seen != steps) {
+            return Err(format!(
+                "policy.features.remaining_time = {seen}: expected {steps}, as environment.episode_steps"
+            ));
+        }
         Ok(())
     }
 }

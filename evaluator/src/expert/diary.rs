@@ -158,7 +158,7 @@ impl Diary {
             Some(Activity::Settling) => {}
             None => self.has_no_order = true,
         }
-        let (before, Observation { scene: after, blueprint }) = (&step.scene, after);
+        let (before, Observation { scene: after, blueprint, .. }) = (&step.scene, after);
         let is_new = |joint: &Joint| !before.joints.contains(joint);
         trouble.n_wrong_snaps += count(after, |joint| is_new(joint) && !is_right(blueprint, joint));
         trouble.n_breaks += count(before, |joint| !after.joints.contains(joint) && is_right(blueprint, joint));

@@ -42,6 +42,10 @@ impl Env for Toy {
     fn blueprint(&self) -> &Blueprint {
         &self.blueprint
     }
+
+    fn n_steps(&self) -> u16 {
+        0
+    }
 }
 
 fn goal() -> &'static Blueprint {

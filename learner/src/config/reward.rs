@@ -14,6 +14,9 @@ settings! {
         pub wrong_weight: Schedule = Schedule::Constant(1.0), in 0.0..=100.0;
         /// Advantages are divided by the number of connections of the goal, so that large goals do not outweigh small ones.
         pub advantages_per_link: bool = false;
+        /// The time limit is a deadline: the return ends there, in place of the critic's value of the last scene. A policy
+        /// can only tell by `policy.features.remaining_time`.
+        pub deadline: bool = false;
     }
 }
 
@@ -26,6 +29,8 @@ pub struct RewardFactors {
     pub wrong_weight: f32,
     /// See [`RewardsConfig::advantages_per_link`].
     pub advantages_per_link: bool,
+    /// See [`RewardsConfig::deadline`].
+    pub deadline: bool,
 }
 
 impl Default for RewardFactors {
@@ -42,6 +47,7 @@ impl RewardsConfig {
             success_bonus: self.success_bonus,
             wrong_weight: self.wrong_weight.at(n_env_steps),
             advantages_per_link: self.advantages_per_link,
+            deadline: self.deadline,
         }
     }
 }

@@ -4,7 +4,6 @@ use std::ops::AddAssign;
 
 use blueprints::N_BLOCKS;
 use burn::tensor::{Device, Tensor, TensorData};
-use policy::config::BlockMask;
 use policy::cpu::Outputs;
 use policy::imitation::{self, LabelTensors};
 use policy::loss_terms::{self, ActionTensors};
@@ -257,13 +256,8 @@ impl Passes {
 
     /// Masks the logits as configured.
     fn mask(&self, output: &mut NetworkOutput, features: &FeatureBatch, rows: &[usize]) {
-        if self.policy.mask == BlockMask::Blueprint {
-            let allowed: Vec<bool> = rows
-                .iter()
-                .flat_map(|row| features.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS].iter().copied())
-                .collect();
-            output.logits = loss_terms::mask_logits(output.logits.clone(), &allowed);
-        }
+        let allowed: Vec<_> = rows.iter().map(|&row| self.policy.choosable(features, row)).collect();
+        output.logits = loss_terms::mask_logits(output.logits.clone(), &allowed);
     }
 
     fn actions(&self, batch: &Batch, samples: &[usize], device: &Device) -> ActionTensors {

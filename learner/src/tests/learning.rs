@@ -40,7 +40,7 @@ pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
     let mut trajectories: Vec<_> = (0..n).map(|_| random_trajectory(1, weights.version.0, rng)).collect();
     let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
     let scenes: Vec<Scene> = trajectories.iter().map(|t| t.transitions[0].scene.clone()).collect();
-    let observations: Vec<_> = scenes.iter().map(|scene| Observation { scene, blueprint }).collect();
+    let observations: Vec<_> = scenes.iter().map(|scene| Observation { scene, blueprint, n_steps: 0 }).collect();
     let mut rngs = vec![ChaCha8Rng::from_rng(rng); n];
     for (i, action_rng) in rngs.iter_mut().enumerate() {
         action_rng.set_stream(i as u64);
@@ -268,7 +268,7 @@ fn deviations_become_as_small_as_the_errors_where_labels_train_them() {
         let mut policy = Policy::with_weights(&setup.policy, &learner.weights()).unwrap();
         let trajectory = random_trajectory(1, 0, &mut rng);
         let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
-        let observation = Observation { scene: &trajectory.transitions[0].scene, blueprint };
+        let observation = Observation { scene: &trajectory.transitions[0].scene, blueprint, n_steps: 0 };
         let mut rngs = [ChaCha8Rng::seed_from_u64(1)];
         let decisions = policy.act(&[observation], &[ActionMode::Greedy], &mut rngs).unwrap();
         // The mode's own density: 12 entries of ln(1 / (σ √2π)).
@@ -286,6 +286,7 @@ fn a_critic_that_learns_alone_leaves_the_policy_as_it_is() {
         value_weight: Schedule::Constant(1.0),
         ..Default::default()
     });
+    setup.config.optimizer.critic_rate = Some(1e-3);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let before = learner.weights();
     feed(&learner, bandit(&setup, &before, 256, &mut ChaCha8Rng::seed_from_u64(5)));
@@ -301,4 +302,9 @@ fn a_critic_that_learns_alone_leaves_the_policy_as_it_is() {
         n_moved += usize::from(!is_same);
     }
     assert!(n_moved > 2, "{n_moved} tensors of the value head moved");
+    // The policy's training begins with the rate of the start and with an optimizer that has taken no step.
+    assert_eq!(learner.checkpoint().adam.n_steps, 0);
+    feed(&learner, bandit(&setup, &after, 256, &mut ChaCha8Rng::seed_from_u64(6)));
+    let rate = learner.update().unwrap().ppo.learning_rate;
+    assert_eq!(rate, f64::from(setup.config.optimizer.learning_rate));
 }

@@ -5,7 +5,6 @@ use proto::Observation;
 
 use super::Policy;
 use crate::FeatureBatch;
-use crate::config::BlockMask;
 use crate::distribution::{mask_logits, probabilities};
 use crate::normalization::normalize;
 
@@ -71,8 +70,8 @@ impl Policy {
         let scenes = logits.chunks_exact_mut(per_scene).enumerate();
         scenes
             .map(|(row, logits)| {
-                if self.config.mask == BlockMask::Blueprint {
-                    mask_logits(logits, &batch.allowed[row * N_BLOCKS..(row + 1) * N_BLOCKS]);
+                if let Some(allowed) = self.config.choosable(&batch, row) {
+                    mask_logits(logits, &allowed);
                 }
                 let of_scene = |layer: &Vec<f32>| layer[row * per_layer..(row + 1) * per_layer].to_vec();
                 Attention {

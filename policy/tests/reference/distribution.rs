@@ -238,7 +238,7 @@ proptest! {
         logits in prop::collection::vec(-8.0_f32..8.0, 32),
         locs in prop::collection::vec(-1.0_f32..1.0, 96),
         scales in prop::collection::vec(0.05_f32..2.0, 96),
-        allowed in prop::collection::vec(any::<bool>(), 16).prop_filter("some block", |a| a.contains(&true)),
+        allowed in any::<[[bool; 16]; 2]>().prop_filter("some block", |a| a.iter().all(|row| row.contains(&true))),
         seed in any::<u64>(),
     ) {
         let mut masked = logits.clone();
@@ -246,13 +246,14 @@ proptest! {
         for (form, _) in FORMS {
             let distribution = ActionDistribution::new(&masked, &locs, &scales, form);
             let action = distribution.sample(&mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
-            for block in action.choices.iter().flatten() {
-                prop_assert!(allowed[block.get()]);
-                prop_assert!(masked[block.get()] > MASKED_LOGIT);
+            for (gripper, choice) in action.choices.iter().enumerate() {
+                let block = choice.unwrap().get();
+                prop_assert!(allowed[gripper][block]);
+                prop_assert!(masked[16 * gripper + block] > MASKED_LOGIT);
             }
             let heads = Heads { logits: logits.clone(), locs: locs.clone(), scales: scales.clone() };
             let mut output = heads.tensors(&Device::flex());
-            output.logits = loss_terms::mask_logits(output.logits, &allowed);
+            output.logits = loss_terms::mask_logits(output.logits, &[Some(allowed)]);
             let tensors = ActionTensors::new([&action].into_iter(), 2, &Device::flex());
             let on_tensors = values(loss_terms::log_prob(&output, &tensors, form))[0];
             let on_slices = distribution.log_prob(&action);

@@ -88,9 +88,13 @@ impl<'e> EpisodeAttention<'e> {
             return Err(AttentionError::Grippers { episode: grippers, network });
         }
         let mut scenes = Vec::with_capacity(episode.scenes().len());
-        let seen = |scene| Observation { scene, blueprint: episode.goal() };
-        for some in episode.scenes().chunks(BATCH) {
-            scenes.extend(policy.attention(&some.iter().map(seen).collect::<Vec<_>>()));
+        let seen = |(i, scene)| {
+            let n_steps = u16::try_from(episode.first_step() + i).unwrap_or(u16::MAX);
+            Observation { scene, blueprint: episode.goal(), n_steps }
+        };
+        let observations: Vec<_> = episode.scenes().iter().enumerate().map(seen).collect();
+        for some in observations.chunks(BATCH) {
+            scenes.extend(policy.attention(some));
         }
         if scenes[0].n_layers() == 0 { Err(AttentionError::NoAttention) } else { Ok(Self { episode, scenes }) }
     }

@@ -243,7 +243,7 @@ fn attention_covers_every_head_and_refuses_other_worlds() {
     let strip = attention_strip(&attention, 2, 600);
     assert_eq!((strip.width(), strip.height()), (152 + 2 * 224, 22 + 8 * 128 + 24));
     // The two blocks of the goal are each other's planned neighbors; block 0 is held, and nothing is connected.
-    let observation = Observation { scene: &episode.scenes()[2], blueprint: episode.goal() };
+    let observation = Observation { scene: &episode.scenes()[2], blueprint: episode.goal(), n_steps: 2 };
     let seen = &policy(1, true).attention(&[observation])[0];
     let [a, b] = [0, 1].map(|i| episode.goal().placements()[i].block);
     let row = |block| seen.row(1, 2, block);

@@ -1,0 +1,180 @@
+//! One training with several seeds: `train --seeds`, and what `report` says of the folder that it leaves.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use proto::ActionMode;
+use render::plot::groups;
+use runlog::series::lineage;
+use runlog::{History, RunPaths};
+use serde::Serialize;
+use tokio_util::sync::CancellationToken;
+
+use super::goals::TrainingGoals;
+use super::train::{self, Summary};
+use crate::cli::{Settings, TrainArgs};
+use crate::exit::Failure;
+use crate::live::Terminal;
+use crate::run_dir::{Origin, default_folder};
+
+/// How the folder of a seed's run begins.
+const PREFIX: &str = "seed-";
+
+/// Success in a group over several runs.
+#[derive(Debug, PartialEq, Serialize)]
+pub(super) struct Spread {
+    /// The group, as in evaluations.
+    group: String,
+    acting: ActionMode,
+    /// Success rate of each run, 0 to 1.
+    rates: Vec<f64>,
+    mean: f64,
+    /// Sample standard deviation; `null` with one run.
+    std: Option<f64>,
+    /// Mean over the runs of the mean steps of their successful episodes; `null` if a run has none.
+    mean_steps_to_success: Option<f64>,
+}
+
+/// What came of several trainings.
+#[derive(Debug, Serialize)]
+pub(super) struct SeedsSummary {
+    folder: PathBuf,
+    runs: Vec<Summary>,
+    groups: Vec<Spread>,
+}
+
+/// Trains with the configured seed and those after it, one after the other, each in a folder of its own.
+///
+/// # Errors
+/// The first failure of a training; those before it have been saved.
+pub(super) async fn train(
+    settings: &Settings,
+    args: &TrainArgs,
+    goals: &TrainingGoals,
+    n_seeds: u64,
+    terminal: &Terminal,
+    shutdown: CancellationToken,
+) -> Result<SeedsSummary, Failure> {
+    let folder = args.run.run_dir.clone().unwrap_or_else(|| default_folder(&settings.config));
+    let mut runs = Vec::new();
+    for seed in (settings.config.seed..).take(usize::try_from(n_seeds).unwrap_or(usize::MAX)) {
+        if shutdown.is_cancelled() {
+            break;
+        }
+        let mut own = settings.clone();
+        own.config.seed = seed;
+        let run_dir = folder.join(format!("{PREFIX}{seed}"));
+        terminal.print(&format!("seed {seed}, {} of {n_seeds}", runs.len() + 1));
+        runs.push(train::run(&own, args, goals, Some(&run_dir), Origin::default(), terminal, shutdown.clone()).await?);
+    }
+    let groups = spreads(&folder)?;
+    if !groups.is_empty() {
+        terminal.print(&table(&groups));
+    }
+    Ok(SeedsSummary { folder, runs, groups })
+}
+
+/// The runs of the seeds in a folder, in the order of the seeds.
+pub(super) fn runs_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let seed = |path: &Path| path.file_name()?.to_str()?.strip_prefix(PREFIX)?.parse::<u64>().ok();
+    let mut found: Vec<(u64, PathBuf)> =
+        entries.filter_map(|entry| Some((seed(&entry.path())?, entry.path()))).collect();
+    found.retain(|(_, run)| RunPaths::new(run).history().exists());
+    found.sort();
+    found.into_iter().map(|(_, run)| run).collect()
+}
+
+/// Success by group in the last evaluations of the seeds' runs; groups that not all of them have are left out.
+///
+/// # Errors
+/// When a history cannot be read.
+pub(super) fn spreads(folder: &Path) -> Result<Vec<Spread>, Failure> {
+    let mut tables = Vec::new();
+    for run in runs_in(folder) {
+        let passes = History::read(&RunPaths::new(run).history())?;
+        tables.push(lineage(&passes).last().map(|last| groups::rows(last)).unwrap_or_default());
+    }
+    let Some((first, others)) = tables.split_first() else { return Ok(Vec::new()) };
+    let spread = |row: &groups::GroupRow| {
+        let same = |table: &'_ Vec<groups::GroupRow>| {
+            table.iter().find(|other| (&other.name, other.acting) == (&row.name, row.acting)).cloned()
+        };
+        let rows: Option<Vec<_>> = others.iter().map(same).collect();
+        let rows = [vec![row.clone()], rows?].concat();
+        let steps: Option<Vec<f64>> = rows.iter().map(|row| row.mean_steps_to_success).collect();
+        let rates: Vec<f64> = rows.iter().map(|row| row.success.rate).collect();
+        Some(Spread {
+            group: row.name.clone(),
+            acting: row.acting,
+            mean: mean(&rates),
+            std: deviation(&rates),
+            rates,
+            mean_steps_to_success: steps.map(|steps| mean(&steps)),
+        })
+    };
+    Ok(first.iter().filter_map(spread).collect())
+}
+
+/// The spreads as Markdown, rates in percent.
+pub(super) fn table(spreads: &[Spread]) -> String {
+    let n_runs = spreads.first().map_or(0, |spread| spread.rates.len());
+    let mut text = format!(
+        "| group | actions | mean of {n_runs} seeds, % | deviation | each | steps to success |\n|---|---|---|---|---|---|\n"
+    );
+    for Spread { group, acting, rates, mean, std, mean_steps_to_success } in spreads {
+        let each: Vec<String> = rates.iter().map(|rate| format!("{:.1}", 100.0 * rate)).collect();
+        let std = std.map_or_else(|| "-".to_owned(), |std| format!("{:.1}", 100.0 * std));
+        let steps = mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
+        let (acting, mean) = (acting.name(), 100.0 * mean);
+        writeln!(text, "| {group} | {acting} | {mean:.1} | {std} | {} | {steps} |", each.join(", "))
+            .expect("a string takes all");
+    }
+    text
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+fn deviation(values: &[f64]) -> Option<f64> {
+    let middle = mean(values);
+    let squares: f64 = values.iter().map(|x| (x - middle).powi(2)).sum();
+    (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_spread_of_three_rates_is_that_of_a_sample() {
+        // Mean 0.6; squares 0.04 + 0 + 0.04, over 2.
+        let rates = [0.4, 0.6, 0.8];
+        assert!((mean(&rates) - 0.6).abs() < 1e-12);
+        assert!((deviation(&rates).unwrap() - 0.2).abs() < 1e-12);
+        assert_eq!(deviation(&rates[..1]), None);
+        let spread = |rates: &[f64]| Spread {
+            group: "train 2-6".to_owned(),
+            acting: ActionMode::Greedy,
+            rates: rates.to_vec(),
+            mean: mean(rates),
+            std: deviation(rates),
+            mean_steps_to_success: Some(21.25),
+        };
+        assert!(table(&[spread(&rates)]).ends_with("| train 2-6 | mode | 60.0 | 20.0 | 40.0, 60.0, 80.0 | 21.2 |\n"));
+        assert!(table(&[spread(&rates[..1])]).contains("| 40.0 | - | 40.0 |"));
+    }
+
+    #[test]
+    fn only_folders_of_seeds_with_a_history_count() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["seed-10", "seed-9", "seed-x", "other", "seed-11"] {
+            std::fs::create_dir(folder.path().join(name)).unwrap();
+        }
+        for name in ["seed-10", "seed-9", "seed-x", "other"] {
+            std::fs::write(RunPaths::new(folder.path().join(name)).history(), "").unwrap();
+        }
+        assert_eq!(runs_in(folder.path()), ["seed-9", "seed-10"].map(|name| folder.path().join(name)));
+    }
+}
