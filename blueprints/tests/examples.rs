@@ -8,7 +8,7 @@ use blueprints::checks::{Outcome, check_all, check_text};
 use blueprints::{Blueprint, Catalog};
 
 fn examples() -> Vec<(String, String)> {
-    read_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("examples")).unwrap()
+    read_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("examples")).expect("the folder can be read")
 }
 
 #[test]
@@ -20,19 +20,20 @@ fn every_example_passes_the_checks_and_is_new() {
     for report in &reports {
         let failed: Vec<_> = report.results.iter().filter(|result| result.outcome != Outcome::Passed).collect();
         assert!(failed.is_empty(), "{}: {failed:?}", report.file);
-        let blueprint = report.blueprint.as_ref().unwrap();
+        let blueprint = report.blueprint.as_ref().expect("all checks passed");
         assert!(!known.contains(&blueprint.outline_hash()), "{} is in the catalog", report.file);
         if let Some(completed) = &report.completed {
             assert_eq!(check_text("completed.toml", completed).blueprint.as_ref(), Ok(blueprint), "{completed}");
         }
     }
-    let sizes: BTreeSet<usize> = reports.iter().map(|report| report.blueprint.as_ref().unwrap().n_blocks()).collect();
+    let sizes: BTreeSet<usize> =
+        reports.iter().map(|report| report.blueprint.as_ref().expect("all checks passed").n_blocks()).collect();
     assert_eq!(sizes, BTreeSet::from([3, 6, 8, 12]));
 }
 
 #[test]
 fn a_folder_of_them_is_a_set() {
-    let set = Catalog::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("examples")).unwrap();
+    let set = Catalog::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("examples")).expect("the folder can be read");
     let ids: Vec<&str> = set.iter().map(|blueprint| blueprint.id().as_str()).collect();
     assert_eq!(ids, ["signpost", "gate", "park-bench", "lighthouse", "castle"]);
     assert!(set.iter().all(|blueprint| Catalog::builtin().is_for_training(blueprint)));
