@@ -40,11 +40,11 @@ pub struct RolloutSetup<'c> {
 }
 
 impl RolloutSetup<'static> {
-    /// As an actor rolls out goals of the built-in catalog.
+    /// As an actor rolls out.
     pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
-        let ActorSetup { config, policy, environment, seed, .. } = setup;
+        let ActorSetup { config, policy, environment, seed, catalog, .. } = setup;
         Self {
-            catalog: Catalog::builtin(),
+            catalog,
             policy: policy.clone(),
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,

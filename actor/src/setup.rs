@@ -1,5 +1,6 @@
 //! What an actor is made of.
 
+use blueprints::Catalog;
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
 use proto::ActorId;
@@ -19,4 +20,6 @@ pub struct ActorSetup {
     pub id: ActorId,
     /// Seed of the run.
     pub seed: u64,
+    /// Where goals and starts come from; the learner's has them too.
+    pub catalog: &'static Catalog,
 }

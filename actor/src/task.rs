@@ -101,7 +101,8 @@ impl TaskConfig {
         if self.generated_probability == 0.0 {
             return Ok(None);
         }
-        let sizes = self.filter.select(catalog)?.into_iter().map(|id| id.size());
+        let ids = self.filter.select(catalog)?;
+        let sizes = ids.iter().filter_map(|id| Some(catalog.find(id)?.n_blocks()));
         Ok(Some(Draws::new(self.generated_styles.iter().copied(), sizes)))
     }
 }

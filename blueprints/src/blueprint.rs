@@ -1,6 +1,7 @@
 //! A target structure: its blocks, their placement, and the magnet pairs that hold it together.
 
 use std::fmt;
+use std::path::Path;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
@@ -8,7 +9,10 @@ use serde::{Deserialize, Serialize};
 use crate::assembly::{Plan, PlanStep, Shared};
 use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT_M};
 
-/// Name of a blueprint, `<size>_<index>` as in the paper (`6_005`), with a prefix for the held-out splits.
+/// Name of a blueprint: 1 to 64 letters, digits, `-` and `_`, the first a letter or a digit.
+///
+/// Those of the catalog are `<size>_<index>` as in the paper (`6_005`), with a prefix for the held-out splits. One's own
+/// blueprints may have any name.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct BlueprintId(String);
@@ -69,9 +73,12 @@ pub struct Blueprint {
     pub(crate) assembly: Shared,
 }
 
+/// Most characters of a [`BlueprintId`]: ids are names of folders and parts of keys.
+pub const MAX_ID_LEN: usize = 64;
+
 /// A text that is not a blueprint id.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a blueprint id like 6_005 or test_12_000: a size of 2 to 16, an index of three digits")]
+#[error("{0:?} is not a blueprint id: 1 to {MAX_ID_LEN} letters, digits, - and _, the first a letter or a digit")]
 pub struct InvalidBlueprintId(pub String);
 
 /// An unknown split name.
@@ -85,10 +92,23 @@ impl BlueprintId {
         &self.0
     }
 
-    /// The number of blocks given in the id, 2 to 16.
-    pub fn size(&self) -> usize {
-        parse_size(&self.0).expect("an id holds a size")
+    /// The number of blocks, 2 to 16, if the id is of the catalog's form, which says it.
+    pub fn size(&self) -> Option<usize> {
+        parse_size(&self.0)
     }
+
+    /// The id that a file without one gets from its name: every run of other characters becomes one `-`. `None` if nothing is left.
+    pub(crate) fn of_file(file: &str) -> Option<Self> {
+        let stem = Path::new(file).file_stem()?.to_str()?;
+        let words = stem.split(|c: char| !is_id_char(c)).filter(|word| !word.is_empty());
+        let id = words.collect::<Vec<_>>().join("-");
+        let id = id.trim_start_matches(['-', '_']);
+        Self::try_from(id.chars().take(MAX_ID_LEN).collect::<String>()).ok()
+    }
+}
+
+fn is_id_char(c: char) -> bool {
+    c.is_ascii_alphanumeric() || c == '-' || c == '_'
 }
 
 /// The size in `[prefix_]<size>_<index>`, or `None` if the text has another form.
@@ -110,7 +130,10 @@ impl TryFrom<String> for BlueprintId {
     type Error = InvalidBlueprintId;
 
     fn try_from(text: String) -> Result<Self, InvalidBlueprintId> {
-        if parse_size(&text).is_some() { Ok(Self(text)) } else { Err(InvalidBlueprintId(text)) }
+        let is_id = text.starts_with(|c: char| c.is_ascii_alphanumeric())
+            && text.len() <= MAX_ID_LEN
+            && text.chars().all(is_id_char);
+        if is_id { Ok(Self(text)) } else { Err(InvalidBlueprintId(text)) }
     }
 }
 
@@ -284,5 +307,44 @@ impl Blueprint {
         links.sort_by_key(|link| (link.a, link.b));
         let assembly = self.assembly.replaced(|block| permutation[block.get()]);
         Self { placements, links, assembly, id: self.id.clone(), split: self.split, title: self.title.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_any_plain_words_and_those_of_the_catalog_say_their_size() {
+        for (text, size) in [
+            ("6_005", Some(6)),
+            ("test_12_000", Some(12)),
+            ("gen1-any-0_6_000", Some(6)),
+            ("6_5", None),
+            ("1_000", None),
+            ("17_000", None),
+            ("My-tower_2", None),
+            ("x", None),
+        ] {
+            assert_eq!(text.parse::<BlueprintId>().unwrap().size(), size, "{text}");
+        }
+        for bad in ["", "-a", "_a", "a b", "a/b", "a.b", "ä", &"a".repeat(65)] {
+            assert!(bad.parse::<BlueprintId>().is_err(), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_file_name_makes_an_id() {
+        for (file, id) in [
+            ("folder/my tower.v2.toml", Some("my-tower-v2")),
+            ("tower.toml", Some("tower")),
+            ("__a.toml", Some("a")),
+            ("größe.toml", Some("gr-e")),
+            ("...toml", None),
+            ("", None),
+        ] {
+            assert_eq!(BlueprintId::of_file(file).as_ref().map(BlueprintId::as_str), id, "{file}");
+        }
+        assert_eq!(BlueprintId::of_file(&"a".repeat(99)).map(|id| id.as_str().len()), Some(MAX_ID_LEN));
     }
 }

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::{fs, io};
@@ -12,6 +13,9 @@ use crate::{Blueprint, BlueprintId, Split, generator};
 
 /// The `(file name, text)` of every compiled-in blueprint file.
 pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/catalog.rs"));
+
+/// Most bytes of a file of one blueprint; the largest of the catalog has 5000.
+pub const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Blueprints with distinct ids and structures.
 ///
@@ -45,6 +49,9 @@ pub enum CatalogError {
         #[source]
         error: io::Error,
     },
+    /// A file is far larger than any blueprint's.
+    #[error("{0} has more than {MAX_FILE_BYTES} bytes: that is no blueprint")]
+    TooLarge(PathBuf),
     /// A file is not a valid blueprint.
     #[error(transparent)]
     Blueprint(#[from] BlueprintFileError),
@@ -228,7 +235,7 @@ fn checked<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Ve
 /// The `(path, text)` of every `*.toml` of a folder, sorted by name, or of one file with any name.
 ///
 /// # Errors
-/// [`CatalogError::Io`] with the path that cannot be read.
+/// [`CatalogError::Io`] with the path that cannot be read, or [`CatalogError::TooLarge`].
 pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
@@ -247,7 +254,13 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
         paths.push(path.to_owned());
     }
     let read = |path: PathBuf| {
-        let text = fs::read_to_string(&path).map_err(failed(&path))?;
+        let mut bytes = Vec::new();
+        let file = fs::File::open(&path).and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
+        file.map_err(failed(&path))?;
+        if bytes.len() as u64 > MAX_FILE_BYTES {
+            return Err(CatalogError::TooLarge(path));
+        }
+        let text = String::from_utf8(bytes).map_err(|error| failed(&path)(io::Error::other(error)))?;
         Ok((path.display().to_string(), text))
     };
     paths.into_iter().map(read).collect()

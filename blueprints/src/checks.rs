@@ -11,10 +11,13 @@ use serde::Serialize;
 use crate::assembly::Shared;
 use crate::error::{BlueprintError, BlueprintFileError};
 use crate::format::{Draft, MagnetName, NamedPair};
+pub use crate::infer::FoundTurn;
+use crate::infer::{self, Completed};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
 use crate::strength::{Joint, overloaded};
 use crate::{
-    Assembly, BlockIdx, Blueprint, BlueprintId, Inventory, Link, NoAssembly, Placement, RelativePlacement, Split,
+    Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, Link, NoAssembly, Placement,
+    RelativePlacement, Split,
 };
 
 /// A check of one file, in running order.
@@ -25,6 +28,8 @@ pub enum Check {
     Format,
     /// The inventory has enough blocks of each type.
     Inventory,
+    /// Blocks without `axes` can lie where the file has them.
+    Turns,
     /// No two blocks fill the same cell.
     Overlap,
     /// No like poles meet.
@@ -81,8 +86,59 @@ pub struct Report {
     pub id: Option<BlueprintId>,
     /// One result per check, in order; [`Check::Unique`] only where several files were checked together.
     pub results: Vec<CheckResult>,
+    /// What the file leaves open and was found.
+    pub inferred: Vec<Inferred>,
+    /// The file's text with all that was found, if the blueprint is valid and something was.
+    pub completed: Option<String>,
     /// The blueprint, if all checks but uniqueness passed, else the first error.
     pub blueprint: Result<Blueprint, BlueprintFileError>,
+}
+
+/// A part of a blueprint that its file leaves open.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Inferred {
+    /// How a block is turned.
+    Turn {
+        /// The block's name.
+        block: String,
+        /// Directions of its own x and y axes, as written in a file.
+        axes: String,
+        /// How that was found.
+        found: FoundTurn,
+    },
+    /// The magnet pairs of two blocks.
+    Pairs {
+        /// One block's name.
+        a: String,
+        /// The other's.
+        b: String,
+        /// How many meet.
+        n_pairs: usize,
+    },
+}
+
+impl fmt::Display for Inferred {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Turn { block, axes, found: FoundTurn { size, n_ways, may_be_more, is_only } } => {
+                write!(f, "block {block:?} is turned \"{axes}\"")?;
+                match (n_ways, may_be_more) {
+                    // A cube lies in one way only, whatever stands around it.
+                    _ if *size == [1, 1, 1] => {}
+                    (1, false) => write!(f, ": it can fill {size:?} cells only")?,
+                    (n, cut) => {
+                        let least = if *cut { "at least " } else { "" };
+                        write!(f, ": of {least}{n} ways it fills {size:?} cells, where the most magnets meet")?;
+                    }
+                }
+                f.write_str(if *is_only { ", and its neighbors' poles leave no other turn" } else { "" })
+            }
+            Self::Pairs { a, b, n_pairs } => {
+                let s = if *n_pairs == 1 { "" } else { "s" };
+                write!(f, "blocks {a:?} and {b:?} are connected by {n_pairs} magnet pair{s}")
+            }
+        }
+    }
 }
 
 impl Check {
@@ -90,9 +146,10 @@ impl Check {
     pub const PHYSICAL: [Self; 2] = [Self::Settles, Self::Expert];
 
     /// All static checks, in order.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Format,
         Self::Inventory,
+        Self::Turns,
         Self::Overlap,
         Self::Polarity,
         Self::Connections,
@@ -109,6 +166,7 @@ impl fmt::Display for Check {
         f.pad(match self {
             Self::Format => "format",
             Self::Inventory => "inventory",
+            Self::Turns => "turns",
             Self::Overlap => "overlap",
             Self::Polarity => "polarity",
             Self::Connections => "connections",
@@ -143,10 +201,15 @@ impl Report {
 pub fn check_text(file: &str, text: &str) -> Report {
     let inventory = Inventory::standard();
     let mut run = Run::default();
-    let draft = run.record(Check::Format, Draft::parse(text));
-    let placed = draft.as_ref().and_then(|draft| run.record(Check::Inventory, draft.place(inventory)));
-    let mut blueprint = None;
-    if let (Some(draft), Some(placements)) = (&draft, &placed) {
+    let draft = run.record(Check::Format, Draft::parse(file, text));
+    let assigned = draft.as_ref().and_then(|draft| run.record(Check::Inventory, draft.assign(inventory)));
+    let found = draft.as_ref().zip(assigned.as_ref()).and_then(|(draft, assigned)| {
+        let ways =
+            infer::completions(draft, assigned, inventory).map(|ways| first_good(draft, assigned, ways, inventory));
+        run.record(Check::Turns, ways).flatten()
+    });
+    let (mut blueprint, mut inferred, mut completed) = (None, Vec::new(), None);
+    if let (Some(draft), Some((completion, placements))) = (&draft, &found) {
         let structure = Structure::new(draft, placements, inventory);
         run.record(Check::Overlap, structure.overlap());
         run.record(Check::Polarity, structure.polarity());
@@ -158,7 +221,9 @@ pub fn check_text(file: &str, text: &str) -> Report {
         if run.first_error.is_none() {
             run.record(Check::Assembly, structure.assembly());
         }
+        inferred = structure.inferred(completion);
         blueprint = run.first_error.is_none().then(|| structure.blueprint());
+        completed = blueprint.as_ref().filter(|_| !inferred.is_empty()).map(|blueprint| structure.completed(blueprint));
     }
     for check in Check::ALL.into_iter().take(Check::ALL.len() - 1).skip(run.results.len()) {
         run.results.push(CheckResult { check, outcome: Outcome::Skipped });
@@ -172,8 +237,31 @@ pub fn check_text(file: &str, text: &str) -> Report {
         file: file.to_owned(),
         id: draft.map(|draft| draft.id),
         results: run.results,
+        inferred,
+        completed,
         blueprint: blueprint.map_err(|error| BlueprintFileError { file: file.to_owned(), error }),
     }
+}
+
+/// The first completion that passes the checks, or else the first, for its errors to be shown.
+fn first_good(
+    draft: &Draft,
+    assigned: &[BlockIdx],
+    completions: Vec<Completed>,
+    inventory: &Inventory,
+) -> Option<(Completed, Vec<Placement>)> {
+    let n_ways = completions.len();
+    let mut placed = completions.into_iter().map(|way| {
+        let placements = draft.place(assigned, &way.turns, inventory);
+        (way, placements)
+    });
+    let first = placed.next()?;
+    let is_good = |placements: &[Placement]| Structure::new(draft, placements, inventory).check().is_ok();
+    // With one way only, the checks that follow judge it.
+    if n_ways == 1 || is_good(&first.1) {
+        return Some(first);
+    }
+    Some(placed.find(|(_, placements)| is_good(placements)).unwrap_or(first))
 }
 
 /// Runs the file checks on placements whose lowest corner is at the origin; all magnet pairs that meet are connections.
@@ -184,16 +272,11 @@ pub(crate) fn check_placements(
     placements: &[Placement],
 ) -> Result<Blueprint, BlueprintError> {
     let inventory = Inventory::standard();
-    let mut draft = Draft::of_placements(id, split, title, placements, inventory);
-    let placed = draft.place(inventory)?;
-    draft.pairs = Structure::new(&draft, &placed, inventory).attracting;
+    let draft = Draft::of_placements(id, split, title, placements, inventory);
+    let turns: Vec<CubeRotation> = placements.iter().map(|p| p.rotation).collect();
+    let placed = draft.place(&draft.assign(inventory)?, &turns, inventory);
     let structure = Structure::new(&draft, &placed, inventory);
-    structure.overlap()?;
-    structure.polarity()?;
-    structure.connected()?;
-    structure.stands()?;
-    structure.strength()?;
-    structure.assembly()?;
+    structure.check()?;
     Ok(structure.blueprint())
 }
 
@@ -282,6 +365,45 @@ impl<'a> Structure<'a> {
         Self { draft, placements, inventory, attracting, repelling, joints }
     }
 
+    /// The checks of the structure, in order.
+    fn check(&self) -> Result<(), BlueprintError> {
+        self.overlap()?;
+        self.polarity()?;
+        self.connections()?;
+        self.connected()?;
+        self.stands()?;
+        self.strength()?;
+        self.assembly()
+    }
+
+    /// What the file leaves open.
+    fn inferred(&self, completed: &Completed) -> Vec<Inferred> {
+        let turn = |(i, found): (usize, &Option<FoundTurn>)| {
+            let found = (*found)?;
+            Some(Inferred::Turn { block: self.name(i), axes: completed.turns[i].axes(), found })
+        };
+        let mut inferred: Vec<_> = completed.found.iter().enumerate().filter_map(turn).collect();
+        if self.draft.pairs.is_none() {
+            let pairs = |joint: &Joint| Inferred::Pairs {
+                a: self.name(joint.a),
+                b: self.name(joint.b),
+                n_pairs: joint.places.len(),
+            };
+            inferred.extend(self.joints.iter().map(pairs));
+        }
+        inferred
+    }
+
+    /// The text of the file with all that was found; blocks keep their names.
+    fn completed(&self, blueprint: &Blueprint) -> String {
+        let name = |placement: &Placement| {
+            let i = self.placements.iter().take_while(|p| p.block != placement.block).count();
+            self.name(i)
+        };
+        let names: Vec<String> = blueprint.placements().iter().map(name).collect();
+        blueprint.to_toml_with(&names, self.draft.provenance.as_deref().unwrap_or("not given"))
+    }
+
     fn name(&self, i: usize) -> String {
         self.draft.blocks[i].name.clone()
     }
@@ -307,11 +429,12 @@ impl<'a> Structure<'a> {
 
     fn connections(&self) -> Result<(), BlueprintError> {
         let words = |&(i, j, p, q): &NamedPair| (self.name(i), self.name(j), format!("{p} {q}"));
-        if let Some(pair) = self.draft.pairs.difference(&self.attracting).next() {
+        let Some(listed) = &self.draft.pairs else { return Ok(()) };
+        if let Some(pair) = listed.difference(&self.attracting).next() {
             let (a, b, pair) = words(pair);
             return Err(BlueprintError::ExtraPair { a, b, pair });
         }
-        if let Some(pair) = self.attracting.difference(&self.draft.pairs).next() {
+        if let Some(pair) = self.attracting.difference(listed).next() {
             let (a, b, pair) = words(pair);
             return Err(BlueprintError::MissingPair { a, b, pair });
         }

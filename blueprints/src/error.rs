@@ -10,8 +10,14 @@ pub enum BlueprintError {
     #[error("line {line}: {message}")]
     Syntax { line: usize, message: String },
     /// The number of blocks differs from the one in the id.
-    #[error("the id {id} promises {} blocks, the file has {n_blocks}", id.size())]
-    SizeMismatch { id: BlueprintId, n_blocks: usize },
+    #[error("the id {id} promises {promised} blocks, the file has {n_blocks}; an id of another form promises nothing")]
+    SizeMismatch { id: BlueprintId, promised: usize, n_blocks: usize },
+    /// The file gives no id, and its name makes none.
+    #[error("the file has no `id`, and no letter of its name can make one; add id = \"my-blueprint\"")]
+    NoId,
+    /// Too few or too many blocks.
+    #[error("the file has {0} blocks; a blueprint has 2 to 16")]
+    BadCount(usize),
     /// A required text is empty.
     #[error("field `{0}` is empty")]
     Empty(&'static str),
@@ -27,6 +33,28 @@ pub enum BlueprintError {
     /// A cell is far outside the drawing.
     #[error("block {block:?}: cell {at:?} is outside -64..=64")]
     OutOfRange { block: String, at: [i32; 3] },
+    /// `size` is not the block's.
+    #[error(
+        "block {block:?}: a block of type {type_name} cannot fill {size:?} cells; its sides are {cells:?} in some order"
+    )]
+    BadSize { block: String, type_name: String, size: [i32; 3], cells: [u8; 3] },
+    /// `size` and `axes` say different things.
+    #[error(
+        "block {block:?}: turned by its axes it fills {turned:?} cells, its size is {size:?}; leave one of them out"
+    )]
+    SizeAndAxes { block: String, turned: [i32; 3], size: [i32; 3] },
+    /// Magnets are named for a block whose turn is to be found.
+    #[error(
+        "block {block:?} has no axes, and `connections` names magnets in the blocks' own frames; add its axes, or leave \
+         `connections` out"
+    )]
+    NamedMagnets { block: String },
+    /// A block overlaps others in every turn.
+    #[error(
+        "block {block:?} of type {type_name} at {at:?} overlaps another block whichever way it lies; `at` is the \
+         lowest-numbered corner cell"
+    )]
+    NoRoom { block: String, type_name: String, at: [i32; 3] },
     /// A connection refers to a block that is not in the file.
     #[error("a connection names the block {0:?}, which the file does not have")]
     UnknownBlock(String),

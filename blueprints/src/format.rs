@@ -1,20 +1,22 @@
-//! The TOML format of blueprint files, one structure per file.
+//! The TOML format of blueprint files, one structure per file. `docs/blueprints.md` explains it at length.
 //!
 //! ```toml
-//! id = "2_000"
-//! split = "train"
-//! title = "post on a plank"
+//! # `type` and `at` are enough; everything else can be left out.
+//! id = "2_000"                   # the file's name when left out
+//! split = "train"                # so when left out
+//! title = "post on a plank"      # the id when left out
 //! provenance = "drawn by hand"
 //! up = "+z"                      # which axis of the drawing points up at rest; +z when left out
 //!
 //! # `at` is the lowest-numbered corner cell that the block fills, in unit cells; `axes` says where the block's own
-//! # x and y axes point in the drawing.
+//! # x and y axes point in the drawing. Without `axes` the turn is found, and `size`, the number of cells along the
+//! # drawing's x, y and z, says which way the block lies where several are possible.
 //! blocks = [
 //!     { name = "plank", type = "2x1x1", at = [0, 0, 0], axes = "+x +y" },
 //!     { name = "post", type = "1x1x1", at = [0, 0, 1], axes = "+x +y" },
 //! ]
 //!
-//! # Every pair of magnets that meet, by face and cell in the block's own frame.
+//! # Every pair of magnets that meet, by face and cell in the block's own frame. Without this list it is made.
 //! connections = [
 //!     { a = "plank", b = "post", magnets = ["+z(0,0,0) -z(0,0,0)"] },
 //! ]
@@ -25,7 +27,7 @@ use std::collections::BTreeSet;
 use serde::Deserialize;
 
 use crate::error::BlueprintError;
-use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, Magnet, Placement, Split};
+use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, Magnet, N_BLOCKS, Placement, Split};
 
 /// Largest absolute coordinate of a cell in a file; it prevents overflow in sums.
 pub const MAX_COORDINATE: i32 = 64;
@@ -36,7 +38,10 @@ pub(crate) struct DraftBlock {
     pub(crate) name: String,
     pub(crate) type_name: String,
     pub(crate) at: [i32; 3],
-    pub(crate) rotation: CubeRotation,
+    /// How it is turned, if the file says it.
+    pub(crate) turn: Option<CubeRotation>,
+    /// Cells along the drawing's axes, if the file says them.
+    pub(crate) size: Option<[i32; 3]>,
 }
 
 /// A magnet as written in a file: face as a signed axis, cell in the block's own frame.
@@ -56,31 +61,36 @@ pub(crate) struct Draft {
     pub(crate) split: Split,
     pub(crate) title: String,
     pub(crate) up: [i32; 3],
+    /// Where the structure is from, if the file says it.
+    pub(crate) provenance: Option<String>,
     pub(crate) blocks: Vec<DraftBlock>,
-    pub(crate) pairs: BTreeSet<NamedPair>,
+    /// Without them, all magnets that meet.
+    pub(crate) pairs: Option<BTreeSet<NamedPair>>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawFile {
-    id: BlueprintId,
+    id: Option<BlueprintId>,
+    #[serde(default = "for_training")]
     split: Split,
-    title: String,
-    provenance: String,
+    title: Option<String>,
+    provenance: Option<String>,
     #[serde(default = "up_is_z")]
     up: String,
     blocks: Vec<RawBlock>,
-    connections: Vec<RawConnection>,
+    connections: Option<Vec<RawConnection>>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawBlock {
-    name: String,
+    name: Option<String>,
     #[serde(rename = "type")]
     type_name: String,
     at: [i32; 3],
-    axes: String,
+    axes: Option<String>,
+    size: Option<[i32; 3]>,
 }
 
 #[derive(Deserialize)]
@@ -91,40 +101,44 @@ struct RawConnection {
     magnets: Vec<String>,
 }
 
+fn for_training() -> Split {
+    Split::Train
+}
+
 fn up_is_z() -> String {
     "+z".to_owned()
 }
 
 impl Draft {
-    /// Parses a file's text; it reports errors of form, not of structure.
-    pub(crate) fn parse(text: &str) -> Result<Self, BlueprintError> {
+    /// Parses a file's text; it reports errors of form, not of structure. A file without an id gets it from its name.
+    pub(crate) fn parse(file: &str, text: &str) -> Result<Self, BlueprintError> {
         let raw: RawFile = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
-        if raw.blocks.len() != raw.id.size() {
-            return Err(BlueprintError::SizeMismatch { id: raw.id, n_blocks: raw.blocks.len() });
+        let id = raw.id.or_else(|| BlueprintId::of_file(file)).ok_or(BlueprintError::NoId)?;
+        let n_blocks = raw.blocks.len();
+        if let Some(promised) = id.size().filter(|promised| *promised != n_blocks) {
+            return Err(BlueprintError::SizeMismatch { id, promised, n_blocks });
+        }
+        // Before anything that takes longer with more blocks.
+        if !(2..=N_BLOCKS).contains(&n_blocks) {
+            return Err(BlueprintError::BadCount(n_blocks));
         }
         for (field, value) in [("title", &raw.title), ("provenance", &raw.provenance)] {
-            if value.trim().is_empty() {
+            if value.as_ref().is_some_and(|value| value.trim().is_empty()) {
                 return Err(BlueprintError::Empty(field));
             }
         }
         let up = parse_axis(&raw.up).ok_or(BlueprintError::BadUp(raw.up))?;
         let mut blocks: Vec<DraftBlock> = Vec::new();
-        for block in raw.blocks {
+        for (i, block) in raw.blocks.into_iter().enumerate() {
+            let block = parse_block(block, i)?;
             if block.name.is_empty() || blocks.iter().any(|other| other.name == block.name) {
                 return Err(BlueprintError::BadBlockName(block.name));
             }
-            if block.at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
-                return Err(BlueprintError::OutOfRange { block: block.name, at: block.at });
-            }
-            let rotation = block.axes.split_once(' ').and_then(|(x, y)| {
-                let (x, y) = (parse_axis(x)?, parse_axis(y)?);
-                CubeRotation::from_images(x, y)
-            });
-            let rotation = rotation.ok_or(BlueprintError::BadAxes { block: block.name.clone(), axes: block.axes })?;
-            blocks.push(DraftBlock { name: block.name, type_name: block.type_name, at: block.at, rotation });
+            blocks.push(block);
         }
-        let pairs = parse_pairs(raw.connections, &blocks)?;
-        Ok(Self { id: raw.id, split: raw.split, title: raw.title, up, blocks, pairs })
+        let pairs = raw.connections.map(|connections| parse_pairs(connections, &blocks)).transpose()?;
+        let title = raw.title.unwrap_or_else(|| id.to_string());
+        Ok(Self { id, split: raw.split, title, up, provenance: raw.provenance, blocks, pairs })
     }
 
     /// A drawing of placed blocks without connections; block names are numbers.
@@ -141,43 +155,43 @@ impl Draft {
                 name: p.block.get().to_string(),
                 type_name: inventory.block_type(p.block).name.clone(),
                 at: std::array::from_fn(|k| (p.center_half_units[k] - size[k]) / 2),
-                rotation: p.rotation,
+                turn: Some(p.rotation),
+                size: None,
             }
         };
         let blocks = placements.iter().map(draw).collect();
-        Self { id, split, title, up: [0, 0, 1], blocks, pairs: BTreeSet::new() }
+        Self { id, split, title, up: [0, 0, 1], provenance: None, blocks, pairs: None }
     }
 
-    /// Assigns a block of the inventory to each block of the file, the k-th of a type to the k-th, and turns the
-    /// drawing so that `up` is +z and its lowest corner lies at the origin. Placements are in file order.
-    pub(crate) fn place(&self, inventory: &Inventory) -> Result<Vec<Placement>, BlueprintError> {
-        let upright = CubeRotation::all().find(|r| r.apply(self.up) == [0, 0, 1]).unwrap_or(CubeRotation::IDENTITY);
-        let mut placements = Vec::with_capacity(self.blocks.len());
+    /// A block of the inventory for each block of the file: the k-th of a type gets the k-th.
+    pub(crate) fn assign(&self, inventory: &Inventory) -> Result<Vec<BlockIdx>, BlueprintError> {
+        let mut assigned = Vec::with_capacity(self.blocks.len());
         for (i, block) in self.blocks.iter().enumerate() {
-            let same = inventory.blocks_of_type(&block.type_name);
+            let (name, type_name) = (block.name.clone(), block.type_name.clone());
+            let same = inventory.blocks_of_type(&type_name);
             if same.is_empty() {
-                return Err(BlueprintError::UnknownType {
-                    block: block.name.clone(),
-                    type_name: block.type_name.clone(),
-                    known: inventory.types().iter().map(|t| t.name.as_str()).collect::<Vec<_>>().join(", "),
-                });
+                let known = inventory.types().iter().map(|t| t.name.as_str()).collect::<Vec<_>>().join(", ");
+                return Err(BlueprintError::UnknownType { block: name, type_name, known });
             }
-            let n_before = self.blocks[..i].iter().filter(|other| other.type_name == block.type_name).count();
-            let idx = *same.get(n_before).ok_or_else(|| BlueprintError::TooMany {
-                block: block.name.clone(),
-                type_name: block.type_name.clone(),
-                count: same.len(),
-            })?;
-            let size = block.rotation.apply(inventory.cells(idx).map(i32::from)).map(i32::abs);
-            let center = std::array::from_fn(|k| 2 * block.at[k] + size[k]);
-            placements.push(Placement {
-                block: idx,
-                center_half_units: upright.apply(center),
-                rotation: upright.compose(block.rotation),
-            });
+            let n_before = self.blocks[..i].iter().filter(|other| other.type_name == type_name).count();
+            let too_many = || BlueprintError::TooMany { block: name, type_name, count: same.len() };
+            assigned.push(*same.get(n_before).ok_or_else(too_many)?);
         }
+        Ok(assigned)
+    }
+
+    /// Places assigned blocks, each with its turn, and turns the drawing so that `up` is +z and its lowest corner lies at the
+    /// origin. Placements are in file order.
+    pub(crate) fn place(&self, assigned: &[BlockIdx], turns: &[CubeRotation], inventory: &Inventory) -> Vec<Placement> {
+        let upright = CubeRotation::all().find(|r| r.apply(self.up) == [0, 0, 1]).unwrap_or(CubeRotation::IDENTITY);
+        let place = |((block, &idx), &turn): ((&DraftBlock, &BlockIdx), &CubeRotation)| {
+            let size = turn.apply(inventory.cells(idx).map(i32::from)).map(i32::abs);
+            let center = std::array::from_fn(|k| 2 * block.at[k] + size[k]);
+            Placement { block: idx, center_half_units: upright.apply(center), rotation: upright.compose(turn) }
+        };
+        let mut placements: Vec<_> = self.blocks.iter().zip(assigned).zip(turns).map(place).collect();
         move_to_origin(&mut placements, inventory);
-        Ok(placements)
+        placements
     }
 }
 
@@ -206,6 +220,24 @@ impl std::fmt::Display for MagnetName {
     }
 }
 
+/// The `i`-th block of a file, which gets its name from that if it has none.
+fn parse_block(raw: RawBlock, i: usize) -> Result<DraftBlock, BlueprintError> {
+    let RawBlock { name, type_name, at, axes, size } = raw;
+    let name = name.unwrap_or_else(|| format!("block-{}", i + 1));
+    if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
+        return Err(BlueprintError::OutOfRange { block: name, at });
+    }
+    let parse = |text: &str| {
+        let (x, y) = text.split_once(' ')?;
+        CubeRotation::from_images(parse_axis(x)?, parse_axis(y)?)
+    };
+    let turn = match axes {
+        Some(axes) => Some(parse(&axes).ok_or_else(|| BlueprintError::BadAxes { block: name.clone(), axes })?),
+        None => None,
+    };
+    Ok(DraftBlock { name, type_name, at, turn, size })
+}
+
 fn parse_pairs(connections: Vec<RawConnection>, blocks: &[DraftBlock]) -> Result<BTreeSet<NamedPair>, BlueprintError> {
     let find = |name: &str| {
         let position = blocks.iter().position(|block| block.name == name);
@@ -219,6 +251,9 @@ fn parse_pairs(connections: Vec<RawConnection>, blocks: &[DraftBlock]) -> Result
         }
         if magnets.is_empty() {
             return Err(BlueprintError::NoMagnets { a, b });
+        }
+        if let Some(open) = [i, j].into_iter().find(|&i| blocks[i].turn.is_none()) {
+            return Err(BlueprintError::NamedMagnets { block: blocks[open].name.clone() });
         }
         for text in magnets {
             let parsed = text.split_once(' ').and_then(|(p, q)| Some((MagnetName::parse(p)?, MagnetName::parse(q)?)));

@@ -106,8 +106,11 @@ impl Request {
         if !style.sizes().contains(&n_blocks) {
             return Err(GenerateError::Size { style, n_blocks });
         }
+        if index > MAX_INDEX {
+            return Err(GenerateError::Index(index));
+        }
         let text = format!("gen{VERSION}-{style}-{seed:x}_{n_blocks}_{index:03}");
-        BlueprintId::try_from(text).map_err(|_| GenerateError::Index(index))
+        Ok(BlueprintId::try_from(text).expect("styles and numbers are letters, digits, - and _"))
     }
 
     /// The request that an id encodes; `None` unless it is the id of a generated structure of this [`VERSION`].
@@ -116,7 +119,7 @@ impl Request {
         let (prefix, _) = prefix.rsplit_once('_')?;
         let (style, seed) = prefix.strip_prefix(&format!("gen{VERSION}-"))?.rsplit_once('-')?;
         let seed = u64::from_str_radix(seed, 16).ok()?;
-        let request = Self { style: style.parse().ok()?, seed, n_blocks: id.size(), index: index.parse().ok()? };
+        let request = Self { style: style.parse().ok()?, seed, n_blocks: id.size()?, index: index.parse().ok()? };
         // Leading zeros of the seed would give one structure two ids.
         (request.id().as_ref() == Ok(id)).then_some(request)
     }

@@ -1,7 +1,7 @@
 //! Blocks, magnets, the inventory, and target structures ("blueprints"), without physics.
 //!
 //! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`]
-//! and [`strength`] → [`checks`] → the file writer → the canonical hash → [`catalog`].
+//! and [`strength`] → what a file leaves open (`infer`) → [`checks`] → the file writer → the canonical hash → [`catalog`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -15,6 +15,7 @@ pub mod format;
 pub mod generator;
 pub mod group;
 pub mod hash;
+mod infer;
 pub mod inventory;
 pub mod lattice;
 pub mod stance;

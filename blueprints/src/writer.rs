@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use crate::format::MagnetName;
-use crate::{Blueprint, CubeRotation, Inventory};
+use crate::{Blueprint, Inventory};
 
 /// Block names in written files, by type name; other types use the type name.
 const NAMES: [(&str, &str); 6] =
@@ -16,24 +16,29 @@ impl Blueprint {
     /// of every type, as every blueprint from a file does. After [`permuted`](Self::permuted), the text parses as the
     /// same structure on the first blocks.
     pub fn to_toml(&self, provenance: &str) -> String {
+        self.to_toml_with(&self.block_names(Inventory::standard()), provenance)
+    }
+
+    /// The same with other names of blocks, in the order of the placements.
+    pub(crate) fn to_toml_with(&self, names: &[String], provenance: &str) -> String {
         let inventory = Inventory::standard();
-        let names = self.block_names(inventory);
+        // TOML's rules for quotes and control characters apply.
+        let names: Vec<String> = names.iter().map(|name| toml::Value::from(&name[..]).to_string()).collect();
         let width = names.iter().map(String::len).max().unwrap_or(0);
         let mut text = format!("id = \"{}\"\nsplit = \"{}\"\n", self.id(), self.split());
         for (key, value) in [("title", self.title()), ("provenance", provenance)] {
-            // TOML's rules for quotes and control characters apply.
             let _ = writeln!(text, "{key} = {}", toml::Value::from(value));
         }
         text.push_str("up = \"+z\"\n\nblocks = [\n");
         for (name, placement) in names.iter().zip(self.placements()) {
             let size = placement.size_cells(inventory);
             let at: [i32; 3] = std::array::from_fn(|k| (placement.center_half_units[k] - size[k]) / 2);
-            let (type_name, axes) = (&inventory.block_type(placement.block).name, axes(placement.rotation));
-            let name = format!("\"{name}\",");
+            let (type_name, axes) = (&inventory.block_type(placement.block).name, placement.rotation.axes());
+            let name = format!("{name},");
             let _ = writeln!(
                 text,
                 "    {{ name = {name:<0$} type = \"{type_name}\", at = {at:?}, axes = \"{axes}\" }},",
-                width + 3
+                width + 1
             );
         }
         text.push_str("]\n\nconnections = [\n");
@@ -43,7 +48,7 @@ impl Blueprint {
             let pairs: Vec<String> = (inventory.magnet_pairs(link.a, link.b, link.relative).into_iter())
                 .map(|(p, q)| format!("\"{} {}\"", magnet(link.a, p), magnet(link.b, q)))
                 .collect();
-            let _ = write!(text, "    {{ a = \"{}\", b = \"{}\", magnets = [", name(link.a), name(link.b));
+            let _ = write!(text, "    {{ a = {}, b = {}, magnets = [", name(link.a), name(link.b));
             match &pairs[..] {
                 [pair] => text.push_str(pair),
                 _ => {
@@ -69,16 +74,6 @@ impl Blueprint {
             })
             .collect()
     }
-}
-
-/// Directions of the block's own x and y axes, as written in a file.
-fn axes(rotation: CubeRotation) -> String {
-    let matrix = rotation.matrix();
-    let image = |column: usize| {
-        let axis = (0..3).find(|&row| matrix[row][column] != 0).unwrap_or(0);
-        format!("{}{}", if matrix[axis][column] > 0 { '+' } else { '-' }, ["x", "y", "z"][axis])
-    };
-    format!("{} {}", image(0), image(1))
 }
 
 #[cfg(test)]

@@ -64,9 +64,13 @@ fn form_errors_name_the_line_or_the_value() {
         "line 4: unknown field `color`, expected one of `id`, `split`, `title`, `provenance`, `up`, `blocks`, \
          `connections`",
     );
-    form("split = \"train\"\n", "", "line 1: missing field `split`");
+    form("type = \"1x1x1\", at = [2, 0, 1]", "at = [2, 0, 1]", "line 9: missing field `type`");
     form("at = [2, 0, 1]", "at = [2, 0.5, 1]", "line 9: invalid type: floating point `0.5`, expected i32");
-    form("\"3_000\"", "\"4_000\"", "the id 4_000 promises 4 blocks, the file has 3");
+    form(
+        "\"3_000\"",
+        "\"4_000\"",
+        "the id 4_000 promises 4 blocks, the file has 3; an id of another form promises nothing",
+    );
     form("\"corner\"", "\" \"", "field `title` is empty");
     form("title", "up = \"z\"\ntitle", "up \"z\" is not one of +x, -x, +y, -y, +z, -z");
     form("name = \"top\"", "name = \"end\"", "block name \"end\" is empty or used twice");
@@ -188,7 +192,7 @@ fn too_many_blocks_of_a_type_are_refused() {
     assert_eq!(error, "pile.toml: block \"c2\" is one too many of type 3x1x1: the inventory has 2");
     // Checks that need the blocks are skipped, not passed.
     let n_skipped = report.results.iter().filter(|r| r.outcome == Outcome::Skipped).count();
-    assert_eq!((report.results.len(), n_skipped), (Check::ALL.len() - 1, 7));
+    assert_eq!((report.results.len(), n_skipped), (Check::ALL.len() - 1, 8));
 }
 
 proptest! {

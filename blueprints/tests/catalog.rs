@@ -191,7 +191,7 @@ fn ids_and_splits_round_trip_and_refuse_other_texts() {
     for good in ["2_000", "16_001", "test_12_000", "test-literal_10_000"] {
         assert_eq!(id(good).to_string(), good);
     }
-    for bad in ["", "2", "2_00", "2_0000", "1_000", "17_000", "02_000", "_2_000", "Test_2_000", "2_00a", "a_b_2_000"] {
+    for bad in ["", "_2_000", "2 000", "a/b", "../a", "a.toml", "-a", "a*"] {
         let error = bad.parse::<BlueprintId>().expect_err(bad).to_string();
         assert!(error.starts_with(&format!("{bad:?} is not a blueprint id")), "{error}");
     }

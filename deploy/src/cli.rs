@@ -18,7 +18,7 @@ mod values;
 mod watch;
 
 pub use self::bench::{BenchActorsArgs, BenchCommand, Transport};
-pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, GenerateArgs, ShowArgs};
+pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
@@ -115,8 +115,9 @@ pub struct TrainArgs {
     /// The run.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Learn and evaluate this blueprint of the catalog only; may be repeated.
-    #[arg(long, value_name = "ID")]
+    /// Learn and evaluate this blueprint only: an id, also of a generated one, a file, or a folder of files; may be
+    /// repeated.
+    #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<String>,
     /// Train so many times, one after the other: with the configured seed and those after it, each in a folder `seed-S`
     /// of the run's folder. Mean and deviation of the last evaluations are printed at the end; `report` prints them again.

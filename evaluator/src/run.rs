@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Catalog};
+use blueprints::{Blueprint, BlueprintId};
 use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
 use policy::Policy;
 use proto::metrics::EvalReport;
@@ -72,12 +72,12 @@ pub struct Stop {
 pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.validate().context("invalid evaluator configuration")?;
     let selection = [&setup.config.selection, &setup.config.last_selection()];
-    let [selected, last_selected] = selection.map(|selection| selection.select(Catalog::builtin()));
+    let [selected, last_selected] = selection.map(|selection| selection.select(setup.catalog));
     let selected = Selected { usual: selected?, last: last_selected? };
     let records = setup.records.as_ref().map(Records::open).transpose()?;
     let history = past(setup.records.as_ref()).await?;
     let films = match &setup.records {
-        Some(paths) => VideoRecorder::open(&setup.config.films, paths)?,
+        Some(paths) => VideoRecorder::open(&setup.config.films, paths, setup.catalog)?,
         None => None,
     };
     let subscriber = bus.weights_subscriber().await?;
@@ -318,7 +318,7 @@ async fn evaluate_once(
     (shutdown, pulse): (&CancellationToken, &Pulse),
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
-        catalog: Catalog::builtin(),
+        catalog: setup.catalog,
         environment: setup.environment.clone(),
         episodes: setup.config.episodes.clone(),
         reset_free: setup.config.reset_free.clone(),

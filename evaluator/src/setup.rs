@@ -70,11 +70,13 @@ pub struct EvaluatorSetup {
     pub seed: u64,
     /// The folder in which reports are kept; none keeps nothing.
     pub records: Option<RunPaths>,
+    /// Where goals and starts come from.
+    pub catalog: &'static Catalog,
 }
 
 /// Hash of everything besides weights and tasks that decides what comes of an episode.
 pub(crate) fn setup_hash(setup: &EvaluatorSetup) -> u64 {
-    let catalog = Catalog::builtin().iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
+    let catalog = setup.catalog.iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
     let catalog: Vec<_> = catalog.collect();
     config_hash(&(env!("CARGO_PKG_VERSION"), &setup.environment, setup.policy.hash(), catalog))
 }

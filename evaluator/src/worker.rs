@@ -71,7 +71,7 @@ impl RemoteWorker {
             Some((pass, weights)) if *pass == unit.pass => weights.clone(),
             _ => return Ok(Some(EvalAnswer::NeedsWeights)),
         };
-        let Some(sequences) = sequences(unit) else {
+        let Some(sequences) = sequences(unit, self.setup.catalog) else {
             return Ok(Some(EvalAnswer::Refused("a goal is not in the worker's catalog".to_owned())));
         };
         let acting = if unit.is_sampled { ActionMode::Sampled } else { ActionMode::Greedy };
@@ -81,7 +81,7 @@ impl RemoteWorker {
             let policy = setup.policy;
             let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
             let setup = EvalSetup {
-                catalog: Catalog::builtin(),
+                catalog: setup.catalog,
                 environment: setup.environment,
                 episodes: EpisodeConfig { n_threads, n_worlds, ..EpisodeConfig::default() },
                 reset_free: None,
@@ -104,8 +104,8 @@ impl RemoteWorker {
 }
 
 /// The unit's sequences, if the catalog has all of their goals.
-fn sequences(unit: &EvalUnit) -> Option<Vec<Vec<EpisodeSpec>>> {
-    let spec = |task: &proto::Task| EpisodeSpec::of_task(Catalog::builtin(), task.clone());
+fn sequences(unit: &EvalUnit, catalog: &Catalog) -> Option<Vec<Vec<EpisodeSpec>>> {
+    let spec = |task: &proto::Task| EpisodeSpec::of_task(catalog, task.clone());
     unit.sequences.iter().map(|tasks| tasks.iter().map(spec).collect()).collect()
 }
 

@@ -1,6 +1,6 @@
 //! Admission rules for trajectories: training goals, in a world like the learner's. Every check is cheap.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use blueprints::generator::{Draws, Request};
 use blueprints::{BlueprintId, Catalog, Split};
@@ -24,8 +24,8 @@ const LOG_PROBS: std::ops::RangeInclusive<f32> = -2000.0..=2000.0;
 #[derive(Clone, Debug)]
 pub struct Admission {
     n_grippers: usize,
-    /// Blueprints allowed as goals and start states.
-    training: BTreeSet<BlueprintId>,
+    /// Blueprints allowed as goals and start states, with their numbers of blocks.
+    training: BTreeMap<BlueprintId, usize>,
     /// Generated structures allowed as goals, if the run generates any.
     generated: Option<Draws>,
 }
@@ -34,8 +34,10 @@ impl Admission {
     /// Admits the training split of `catalog`, the run's own `tasks`, and, if given, `generated` goals, with actions of
     /// `n_grippers` grippers.
     pub fn new(catalog: &Catalog, tasks: &[BlueprintId], generated: Option<Draws>, n_grippers: usize) -> Self {
-        let split = catalog.of_split(Split::Train).into_iter().map(|blueprint| blueprint.id().clone());
-        Self { n_grippers, training: split.chain(tasks.iter().cloned()).collect(), generated }
+        let split =
+            catalog.of_split(Split::Train).into_iter().map(|blueprint| (blueprint.id().clone(), blueprint.n_blocks()));
+        let tasks = tasks.iter().filter_map(|id| Some((id.clone(), catalog.find(id)?.n_blocks())));
+        Self { n_grippers, training: split.chain(tasks).collect(), generated }
     }
 
     /// Checks whether a trajectory can be used for learning, regardless of the acting weights.
@@ -68,18 +70,18 @@ impl Admission {
 
     fn check_task(&self, trajectory: &Trajectory) -> Result<(), String> {
         let goal = &trajectory.task.blueprint;
-        let is_drawn = || {
+        let drawn = || {
             let draws = self.generated.as_ref()?;
-            Request::from_id(goal).map(|request| draws.admit(&request))
+            Request::from_id(goal).filter(|request| draws.admit(request)).map(|request| request.n_blocks)
         };
-        if !self.training.contains(goal) && is_drawn() != Some(true) {
+        let Some(n_blocks) = self.training.get(goal).copied().or_else(drawn) else {
             return Err(format!("blueprint {goal} is not for training in this run"));
-        }
+        };
         match &trajectory.task.start {
             Start::Scattered => Ok(()),
-            Start::Prebuilt(other) if self.training.contains(other) => Ok(()),
+            Start::Prebuilt(other) if self.training.contains_key(other) => Ok(()),
             Start::Prebuilt(other) => Err(format!("blueprint {other}, which stands at the start, is not for training")),
-            Start::NearGoal { undone } if usize::from(*undone) < goal.size() => Ok(()),
+            Start::NearGoal { undone } if usize::from(*undone) < n_blocks => Ok(()),
             Start::NearGoal { undone } => Err(format!("{undone} blocks cannot be taken off {goal}")),
             Start::AsItIs => Err("episodes of training begin with a reset".to_owned()),
         }

@@ -22,13 +22,16 @@ pub struct TaskState {
     pub success_rate: f64,
     /// Probability of being the next goal.
     pub probability: f64,
+    /// Number of blocks; 0 in checkpoints of earlier versions, which a run replaces when it goes on.
+    #[serde(default)]
+    pub n_blocks: usize,
 }
 
 impl Curriculum {
-    /// All `tasks` equally likely, with success rates of 0.
-    pub fn new(config: CurriculumConfig, tasks: impl IntoIterator<Item = BlueprintId>) -> Self {
-        let mut tasks: BTreeMap<_, _> =
-            tasks.into_iter().map(|id| (id, TaskState { success_rate: 0.0, probability: 0.0 })).collect();
+    /// All `tasks`, each with its number of blocks, equally likely, with success rates of 0.
+    pub fn new(config: CurriculumConfig, tasks: impl IntoIterator<Item = (BlueprintId, usize)>) -> Self {
+        let start = |n_blocks| TaskState { success_rate: 0.0, probability: 0.0, n_blocks };
+        let mut tasks: BTreeMap<_, _> = tasks.into_iter().map(|(id, n_blocks)| (id, start(n_blocks))).collect();
         match &config {
             CurriculumConfig::Widening(widening) => widen(&mut tasks, widening),
             _ => set_probabilities(&mut tasks, |_| 1.0),
@@ -36,10 +39,16 @@ impl Curriculum {
         Self { config, tasks, waiting: Vec::new() }
     }
 
-    /// The same success rates with other settings; the probabilities change with the next batch.
+    /// The same settings and goals with the state of a saved run, whose settings may have been others; the probabilities
+    /// change with the next batch.
     #[must_use]
-    pub fn with_config(self, config: CurriculumConfig) -> Self {
-        Self { config, ..self }
+    pub fn with_state_of(self, saved: Self) -> Self {
+        let n_blocks = |id: &BlueprintId| self.tasks.get(id).map_or(0, |task| task.n_blocks);
+        let tasks = saved.tasks.into_iter().map(|(id, task)| {
+            let n_blocks = n_blocks(&id);
+            (id, TaskState { n_blocks, ..task })
+        });
+        Self { config: self.config.clone(), tasks: tasks.collect(), waiting: saved.waiting }
     }
 
     /// Records one finished episode; every full batch updates the probabilities. Blueprints outside the training set
@@ -107,8 +116,8 @@ fn set_probabilities(tasks: &mut BTreeMap<BlueprintId, TaskState>, weight: impl 
 fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) {
     // Sum of the success rates, and number of blueprints, by number of blocks.
     let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
-    for (id, task) in tasks.iter() {
-        let (sum, n) = sizes.entry(id.size()).or_default();
+    for task in tasks.values() {
+        let (sum, n) = sizes.entry(task.n_blocks).or_default();
         *sum += task.success_rate;
         *n += 1;
     }
@@ -119,8 +128,8 @@ fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) 
             break;
         }
     }
-    for (id, task) in tasks.iter_mut() {
-        let n = in_use.get(&id.size()).map(|n| n * in_use.len());
+    for task in tasks.values_mut() {
+        let n = in_use.get(&task.n_blocks).map(|n| n * in_use.len());
         task.probability = n.map_or(0.0, |n| 1.0 / n as f64);
     }
 }
@@ -129,6 +138,10 @@ fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) 
 mod tests {
     use super::*;
     use crate::config::{LearnabilityConfig, PaperConfig, UniformConfig};
+
+    fn of_two(ids: &[BlueprintId]) -> impl Iterator<Item = (BlueprintId, usize)> {
+        ids.iter().map(|id| (id.clone(), 2))
+    }
 
     fn ids(n: usize) -> Vec<BlueprintId> {
         (0..n).map(|i| BlueprintId::try_from(format!("2_{i:03}")).unwrap()).collect()
@@ -142,7 +155,7 @@ mod tests {
     fn learnability_prefers_medium_success_rates() {
         let ids = ids(3);
         let config = LearnabilityConfig { tau: 0.5, uniform: 0.3, episodes_per_batch: 2 };
-        let mut curriculum = Curriculum::new(CurriculumConfig::Learnability(config), ids.clone());
+        let mut curriculum = Curriculum::new(CurriculumConfig::Learnability(config), of_two(&ids));
         curriculum.update([]);
         assert_eq!(probabilities(&curriculum), [1.0 / 3.0; 3]);
         // Rates 0.5, 0, and 0: all learnability belongs to the first, which gets 0.1 + 0.7.
@@ -158,7 +171,8 @@ mod tests {
         let ids: Vec<BlueprintId> =
             ["2_000", "2_001", "3_000", "5_000"].map(|id| id.to_owned().try_into().unwrap()).into();
         let config = WideningConfig { tau: 0.5, first_size: 2, gate: 0.6, episodes_per_batch: 2 };
-        let mut curriculum = Curriculum::new(CurriculumConfig::Widening(config), ids.clone());
+        let sizes = [2, 2, 3, 5];
+        let mut curriculum = Curriculum::new(CurriculumConfig::Widening(config), ids.iter().cloned().zip(sizes));
         assert_eq!(probabilities(&curriculum), [0.5, 0.5, 0.0, 0.0]);
         let mut both = |success: [bool; 2]| {
             ids[..2].iter().zip(success).for_each(|(id, success)| curriculum.record(id, success));
@@ -176,7 +190,7 @@ mod tests {
     fn only_full_batches_of_known_blueprints_count() {
         let ids = ids(2);
         let config = PaperConfig { episodes_per_batch: 2, ..PaperConfig::default() };
-        let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.clone());
+        let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), of_two(&ids));
         let before = curriculum.tasks().clone();
         curriculum.record(&ids[0], true);
         curriculum.record(&BlueprintId::try_from("9_999".to_owned()).unwrap(), true);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use blueprints::generator::{Draws, MADE_CAPACITY};
-use blueprints::{BlueprintId, Catalog};
+use blueprints::{Blueprint, BlueprintId, Catalog};
 use policy::PolicyConfig;
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
@@ -107,6 +107,8 @@ impl Learner {
             return Err(LearnerError::UnknownTask(unknown.clone()));
         }
         let device = setup.device.open()?;
+        let with_size = |id: &BlueprintId| (id.clone(), n_blocks(&setup.catalog, id));
+        let tasks: Vec<(BlueprintId, usize)> = setup.tasks.iter().map(with_size).collect();
         let state = LearnerState {
             version: WeightsVersion(0),
             n_env_steps: 0,
@@ -114,9 +116,9 @@ impl Learner {
             n_episodes: 0,
             learning_rate: LearningRate(setup.config.optimizer.learning_rate),
             rng: ChaCha8Rng::seed_from_u64(setup.seed),
-            curriculum: Curriculum::new(setup.config.curriculum.clone(), setup.tasks.iter().cloned()),
+            curriculum: Curriculum::new(setup.config.curriculum.clone(), tasks.iter().cloned()),
             reverse: match &setup.config.reverse {
-                Some(_) => ReverseCurriculum::new(&setup.tasks),
+                Some(_) => ReverseCurriculum::new(tasks.iter().map(|(_, n_blocks)| *n_blocks)),
                 None => ReverseCurriculum::default(),
             },
             features: FeatureMoments::default(),
@@ -192,7 +194,7 @@ impl Learner {
         }
         let Checkpoint { state, mailbox, .. } = checkpoint;
         learner.mailbox.restore(state.version, state.mailbox, mailbox);
-        let curriculum = state.curriculum.with_config(learner.setup.config.curriculum.clone());
+        let curriculum = learner.state.curriculum.with_state_of(state.curriculum);
         // A run that turns the reverse curriculum on or off begins with the new setting.
         let is_new = state.reverse.reach().is_empty() || learner.setup.config.reverse.is_none();
         let reverse = if is_new { learner.state.reverse } else { state.reverse };
@@ -232,7 +234,8 @@ impl Learner {
             if let Some(outcome) = &trajectory.outcome {
                 self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
                 if let Some(reverse) = &self.setup.config.reverse {
-                    self.state.reverse.record(&trajectory.task, outcome.success, reverse);
+                    let n_blocks = n_blocks(&self.setup.catalog, &trajectory.task.blueprint);
+                    self.state.reverse.record(&trajectory.task.start, n_blocks, outcome.success, reverse);
                 }
             }
         }
@@ -341,10 +344,12 @@ impl Learner {
                 return is_usable;
             }
             // Cached goals count too, so that a resumed run drops the same trajectories.
-            if n_blocks_left < goal.size() || usable.len() >= MADE_CAPACITY.get() {
+            // A goal of the generator, whose id says its size, or none at all.
+            let n_blocks = goal.size().unwrap_or(usize::MAX);
+            if n_blocks_left < n_blocks || usable.len() >= MADE_CAPACITY.get() {
                 return false;
             }
-            n_blocks_left -= goal.size();
+            n_blocks_left -= n_blocks;
             let is_usable = catalog.find(goal).is_some_and(|made| catalog.is_for_training(&made));
             usable.insert(goal.clone(), is_usable);
             is_usable
@@ -381,6 +386,11 @@ impl Learner {
 /// Steps of the environment that a trajectory tells of: its own, and those of its episode's burn-in.
 fn n_env_steps(trajectory: &Trajectory) -> usize {
     trajectory.transitions.len() + usize::from(trajectory.n_burn_in_steps)
+}
+
+/// The size of a goal: of a generated one its id says it, so it need not be made.
+fn n_blocks(catalog: &Catalog, id: &BlueprintId) -> usize {
+    id.size().or_else(|| catalog.get(id).map(Blueprint::n_blocks)).unwrap_or(0)
 }
 
 fn n_cores() -> usize {

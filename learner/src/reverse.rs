@@ -3,8 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::BlueprintId;
-use proto::{Start, Task};
+use proto::Start;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ReverseConfig;
@@ -25,15 +24,15 @@ pub struct Frontier {
 }
 
 impl ReverseCurriculum {
-    /// One block taken off, for goals of every size among `goals`.
-    pub fn new<'a>(goals: impl IntoIterator<Item = &'a BlueprintId>) -> Self {
-        Self(goals.into_iter().map(|goal| (goal.size() as u8, Frontier { reach: 1, success_rate: 0.0 })).collect())
+    /// One block taken off, for goals of each of these numbers of blocks.
+    pub fn new(sizes: impl IntoIterator<Item = usize>) -> Self {
+        Self(sizes.into_iter().map(|size| (size as u8, Frontier { reach: 1, success_rate: 0.0 })).collect())
     }
 
-    /// Records one finished episode. Only those at the frontier count.
-    pub fn record(&mut self, task: &Task, success: bool, config: &ReverseConfig) {
-        let n_blocks = task.blueprint.size() as u8;
-        let undone = match task.start {
+    /// Records one finished episode with a goal of `n_blocks` blocks. Only those at the frontier count.
+    pub fn record(&mut self, start: &Start, n_blocks: usize, success: bool, config: &ReverseConfig) {
+        let n_blocks = n_blocks as u8;
+        let undone = match *start {
             Start::NearGoal { undone } => undone,
             Start::Scattered => n_blocks,
             Start::Prebuilt(_) | Start::AsItIs => return,
@@ -55,31 +54,28 @@ impl ReverseCurriculum {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::trajectory;
 
-    fn near(id: &str, undone: u8) -> Task {
-        Task { blueprint: id.parse().unwrap(), start: Start::NearGoal { undone }, ..trajectory(1, 0).task }
+    fn near(undone: u8) -> Start {
+        Start::NearGoal { undone }
     }
 
     #[test]
     fn the_frontier_moves_by_its_own_successes_up_to_scattered_starts() {
         let config = ReverseConfig { tau: 0.5, gate: 0.7 };
-        let goals = ["2_000", "3_000"].map(|id| id.parse().unwrap());
-        let mut curriculum = ReverseCurriculum::new(&goals);
+        let mut curriculum = ReverseCurriculum::new([2, 3]);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into());
         // 0.5, then 0.75.
-        curriculum.record(&near("3_000", 1), true, &config);
-        curriculum.record(&near("3_000", 2), true, &config);
+        curriculum.record(&near(1), 3, true, &config);
+        curriculum.record(&near(2), 3, true, &config);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into(), "an episode beyond the frontier does not count");
-        curriculum.record(&near("3_000", 1), true, &config);
+        curriculum.record(&near(1), 3, true, &config);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 2)].into());
         // 0.5, 0.25, 0.625, 0.8125.
         for success in [true, false, true, true] {
             assert_eq!(curriculum.reach()[&3], 2);
-            curriculum.record(&near("3_000", 2), success, &config);
+            curriculum.record(&near(2), 3, success, &config);
         }
-        let scattered = Task { start: Start::Scattered, ..near("3_000", 1) };
-        (0..9).for_each(|_| curriculum.record(&scattered, true, &config));
+        (0..9).for_each(|_| curriculum.record(&Start::Scattered, 3, true, &config));
         assert_eq!(curriculum.reach(), [(2, 1), (3, 3)].into(), "three of three blocks is as far as it goes");
     }
 }

@@ -231,7 +231,7 @@ fn paper_curriculum_matches() {
         decay: number("decay"),
         ..PaperConfig::default()
     };
-    let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.clone());
+    let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.iter().map(|id| (id.clone(), 2)));
     for (k, update) in golden["updates"].as_array().unwrap().iter().enumerate() {
         let indices = update["blueprint_indices"].as_array().unwrap().iter();
         let successes = update["success"].as_array().unwrap().iter();

@@ -34,6 +34,12 @@ impl RunPaths {
         self.0.join("run.lock")
     }
 
+    /// Folder of the blueprints that the run is given beside those of the catalog, a file each; it is there only if there are
+    /// any.
+    pub fn blueprints(&self) -> PathBuf {
+        self.0.join("blueprints")
+    }
+
     /// Folder of checkpoints.
     pub fn checkpoints(&self) -> PathBuf {
         self.0.join("checkpoints")

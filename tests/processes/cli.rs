@@ -239,6 +239,31 @@ fn a_bad_blueprint_is_told_apart_from_good_ones() {
 }
 
 #[test]
+fn a_drawing_of_types_and_places_is_completed() {
+    let folder = tempfile::tempdir().unwrap();
+    let blocks = "blocks = [{ type = \"3x1x1\", at = [0, 0, 0] }, { type = \"1x1x1\", at = [2, 0, 1] }]";
+    std::fs::write(folder.path().join("corner.toml"), blocks).unwrap();
+    let check = ["blueprints", "check", "corner.toml", "--write", "whole.toml"];
+    let output = lodestone(folder.path(), &check, &[]);
+    let stdout = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{stdout}");
+    for words in [
+        "corner.toml: block \"block-1\" is turned \"+x +y\": it can fill [3, 1, 1] cells only",
+        "corner.toml: blocks \"block-1\" and \"block-2\" are connected by 1 magnet pair",
+        "1 of 1 blueprints passed all checks",
+    ] {
+        assert!(stdout.contains(words), "no {words:?} in {stdout}");
+    }
+    let whole = std::fs::read_to_string(folder.path().join("whole.toml")).unwrap();
+    assert!(whole.starts_with("id = \"corner\"") && whole.contains("\"+z(2,0,0) -z(0,0,0)\""), "{whole}");
+    let again = lodestone(folder.path(), &check, &[]);
+    assert_eq!(again.status.code(), Some(64), "no file is replaced");
+    let listed = lodestone(folder.path(), &["blueprints", "list", "corner.toml", "--json"], &[]);
+    let rows: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
+    assert_eq!((&rows[0]["id"], &rows[0]["n_connections"]), (&"corner".into(), &1.into()));
+}
+
+#[test]
 fn blueprints_are_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let args = ["blueprints", "show", "2_000", "6_005", "2_000", "--size", "320", "--out", "new/pictures"];

@@ -44,6 +44,7 @@ impl Ring {
             environment: config.environment.clone(),
             id: "lockstep".parse().unwrap(),
             seed: config.seed,
+            catalog: Catalog::builtin(),
         });
         Self { config, learner, worlds }
     }

@@ -29,7 +29,8 @@ fn config() -> ActorConfig {
 
 fn setup(config: ActorConfig) -> ActorSetup {
     let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
-    ActorSetup { config, policy: toy::policy(), environment, id: toy::identity().actor, seed: 1 }
+    let catalog = Catalog::builtin();
+    ActorSetup { config, policy: toy::policy(), environment, id: toy::identity().actor, seed: 1, catalog }
 }
 
 /// Ends a test that waits for what does not come.

@@ -177,7 +177,7 @@ fn a_reverse_curriculum_sets_how_much_is_taken_off() {
     let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
     for _ in 0..6000 {
         let task = sampler.sample(Catalog::builtin(), &mut rng);
-        let n_blocks = task.blueprint.size();
+        let n_blocks = task.blueprint.size().unwrap();
         let undone = match task.start {
             Start::NearGoal { undone } => usize::from(undone),
             Start::Scattered => n_blocks,

@@ -13,14 +13,26 @@ pub enum BlueprintsCommand {
     /// List the catalog, or that in a folder.
     List(BlueprintsArgs),
     /// Check blueprint files or folders of them, or the catalog.
-    Check(BlueprintsArgs),
+    Check(CheckArgs),
     /// Generate blueprints that are not in the catalog, one file each.
     Generate(GenerateArgs),
     /// Draw blueprints as PNG files: one with four views of each, and contact sheets of all.
     Show(ShowArgs),
 }
 
-/// Arguments of `blueprints list` and `blueprints check`.
+/// Arguments of `blueprints check`.
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// Which.
+    #[command(flatten)]
+    pub files: BlueprintsArgs,
+    /// Write the one file that is checked, with all that it leaves open and that was found, to this file, which must not be
+    /// there yet.
+    #[arg(long, value_name = "FILE", requires = "paths")]
+    pub write: Option<PathBuf>,
+}
+
+/// Files for `blueprints list` and `blueprints check`.
 #[derive(Debug, Args)]
 pub struct BlueprintsArgs {
     /// Files or folders [default: the catalog that comes with the program].

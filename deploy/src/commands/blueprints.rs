@@ -5,14 +5,16 @@ mod physical;
 mod show;
 mod table;
 
-use std::path::PathBuf;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
 use blueprints::checks::{CheckResult, Report, check_all};
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use serde::Serialize;
 
-use crate::cli::{BlueprintsArgs, BlueprintsCommand};
+use crate::cli::{BlueprintsArgs, BlueprintsCommand, CheckArgs};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -33,6 +35,8 @@ struct Verdict<'a> {
     id: Option<&'a BlueprintId>,
     passed: bool,
     checks: &'a [CheckResult],
+    /// What the file leaves open and was found.
+    inferred: Vec<String>,
 }
 
 /// Runs the subcommand.
@@ -74,8 +78,16 @@ fn row(blueprint: &Blueprint) -> Row<'_> {
     }
 }
 
-fn check(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
+fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let (write, args) = (&args.write, &args.files);
     let files = files(&args.paths)?;
+    let written = match (write, &files[..]) {
+        (Some(path), [(_, text)]) => Some((path, text)),
+        (Some(_), _) => {
+            return Err(Failure::Usage(format!("--write completes one file, and {} are named", files.len())));
+        }
+        (None, _) => None,
+    };
     let mut reports = check_all(files.iter().map(|(file, text)| (file.as_str(), text.as_str())));
     for report in &mut reports {
         physical::check(report)?;
@@ -86,11 +98,24 @@ fn check(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
     } else {
         terminal.print(&table::render(&reports));
     }
+    if let (Some((path, text)), Some(report)) = (written, reports.first())
+        && report.blueprint.is_ok()
+    {
+        complete(path, report.completed.as_ref().unwrap_or(text))?;
+        terminal.on_stderr().print(&format!("the whole of it is in {}", path.display()));
+    }
     let n_failed = reports.iter().filter(|report| !report.passed()).count();
     match n_failed {
         0 => Ok(()),
         _ => Err(Failure::Blueprints { n_failed, n_files: reports.len() }),
     }
+}
+
+/// Writes a completed file, which replaces none.
+fn complete(path: &Path, text: &str) -> Result<(), Failure> {
+    let failed = |error| Failure::BlueprintFile { path: path.to_owned(), error };
+    let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
+    file.write_all(text.as_bytes()).map_err(failed)
 }
 
 /// The files of all paths, or those of the program.
@@ -102,7 +127,8 @@ fn files(paths: &[PathBuf]) -> Result<Vec<(String, String)>, Failure> {
 }
 
 fn verdict(report: &Report) -> Verdict<'_> {
-    Verdict { file: &report.file, id: report.id.as_ref(), passed: report.passed(), checks: &report.results }
+    let inferred = report.inferred.iter().map(ToString::to_string).collect();
+    Verdict { file: &report.file, id: report.id.as_ref(), passed: report.passed(), checks: &report.results, inferred }
 }
 
 fn json(value: &impl Serialize) -> String {

@@ -27,7 +27,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     let config = source.config(&overrides)?;
     let of_split = |split| Selection { splits: vec![split], ..Selection::default() };
     let selection = args.split.map_or_else(|| final_selection(&config.evaluator), of_split);
-    let goals = Goals::open(&args.blueprint)?;
+    let goals = Goals::open_beside(&args.blueprint, args.model.checkpoint.as_deref())?;
     let (catalog, named) = (goals.catalog(), goals.blueprints()?);
     let blueprints: Vec<&Blueprint> = if named.is_empty() {
         selection.select(catalog).map_err(|error| Failure::Usage(error.to_string()))?

@@ -1,16 +1,23 @@
 //! Which blueprints a command is about: those of the catalog, generated ones, and files of one's own.
 
 use std::borrow::Cow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS};
+use blueprints::catalog::read_files;
+use blueprints::checks::check_text;
+use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
+use runlog::RunPaths;
 
+use super::files::write_files;
 use crate::config::{Override, nearest};
 use crate::exit::Failure;
 
 /// Named blueprints, and the catalog that has them beside those of the program.
 pub(super) struct Goals {
     catalog: Cow<'static, Catalog>,
+    /// Those from files.
+    own: Vec<BlueprintId>,
+    /// The named ones.
     ids: Vec<BlueprintId>,
 }
 
@@ -20,13 +27,30 @@ impl Goals {
     /// # Errors
     /// Names the file that is no blueprint, or the id that is unknown with the nearest one.
     pub(super) fn open(named: &[String]) -> Result<Self, Failure> {
+        Self::open_beside(named, None)
+    }
+
+    /// The same, where ids may also be those of the blueprints that a run was given; `run` is its folder or a path in it.
+    ///
+    /// # Errors
+    /// As [`Self::open`]; also when a blueprint of the run cannot be read.
+    pub(super) fn open_beside(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
         let mut catalog = Cow::Borrowed(Catalog::builtin());
+        let mut own: Vec<BlueprintId> = Vec::new();
+        let mut add = |path: &Path, catalog: &mut Cow<'static, Catalog>| -> Result<Vec<BlueprintId>, Failure> {
+            let loaded = Catalog::load(path)?;
+            *catalog = Cow::Owned(catalog.with(&loaded));
+            let ids: Vec<_> = loaded.iter().map(|blueprint| blueprint.id().clone()).collect();
+            own.extend(ids.iter().filter(|id| !own.contains(id)).cloned().collect::<Vec<_>>());
+            Ok(ids)
+        };
+        if let Some(folder) = run.and_then(blueprints_of_run) {
+            add(&folder, &mut catalog)?;
+        }
         let mut ids: Vec<BlueprintId> = Vec::new();
         for name in named {
-            let found: Vec<BlueprintId> = if is_path(name) {
-                let own = Catalog::load(Path::new(name))?;
-                catalog = Cow::Owned(catalog.with(&own));
-                own.iter().map(|blueprint| blueprint.id().clone()).collect()
+            let found = if is_path(name) {
+                add(Path::new(name), &mut catalog)?
             } else {
                 vec![find(&catalog, name)?.id().clone()]
             };
@@ -36,7 +60,7 @@ impl Goals {
                 }
             }
         }
-        Ok(Self { catalog, ids })
+        Ok(Self { catalog, own, ids })
     }
 
     /// Where all of them, and all of the program's own, are found.
@@ -58,31 +82,102 @@ impl Goals {
     }
 }
 
-/// The settings of a training on these blueprints alone.
+/// What a training learns and evaluates.
+pub(super) struct TrainingGoals {
+    catalog: &'static Catalog,
+    /// Those from files, which the run keeps.
+    own: Vec<&'static Blueprint>,
+    /// The named ones; with none, the configuration chooses.
+    ids: Vec<String>,
+}
+
+impl TrainingGoals {
+    /// Finds what is named, beside the blueprints that the run in the folder `run` was given if it goes on.
+    ///
+    /// # Errors
+    /// As [`Goals::open`]; also names a goal that is held out from training.
+    pub(super) fn open(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
+        let goals = Goals::open_beside(named, run)?;
+        for id in goals.ids.iter().chain(&goals.own) {
+            let goal = find(&goals.catalog, id.as_str())?;
+            if goal.split() != Split::Train {
+                return Err(Failure::Usage(format!(
+                    "--blueprint: {id} is of the split {}, which is held out from training",
+                    goal.split()
+                )));
+            }
+            // Against the program's own, which one of the same structure would replace.
+            if !Catalog::builtin().is_for_training(&goal) {
+                return Err(Failure::Usage(format!(
+                    "--blueprint: {id} has the outline of a test or validation blueprint, which training may not see; \
+                     change its shape"
+                )));
+            }
+        }
+        let ids = goals.ids.iter().map(ToString::to_string).collect();
+        let Goals { catalog, own, .. } = goals;
+        let catalog = match catalog {
+            Cow::Borrowed(catalog) => catalog,
+            // All threads of the run look goals up in it, until the process ends.
+            Cow::Owned(catalog) => Box::leak(Box::new(catalog)),
+        };
+        Ok(Self { catalog, own: own.iter().filter_map(|id| catalog.get(id)).collect(), ids })
+    }
+
+    /// Where all goals are found.
+    pub(super) fn catalog(&self) -> &'static Catalog {
+        self.catalog
+    }
+
+    /// The settings of a training on the named goals alone.
+    pub(super) fn settings(&self) -> Vec<Override> {
+        if self.ids.is_empty() {
+            return Vec::new();
+        }
+        let flag = |path: &str, value: toml::Value| Override::flag("--blueprint", path, value);
+        vec![
+            flag("actor.tasks.filter.blueprints", self.ids.clone().into()),
+            flag("actor.tasks.generated_probability", 0.0_f64.into()),
+            flag("evaluator.selection.splits", vec!["train"].into()),
+            flag("evaluator.selection.sizes", vec![2, N_BLOCKS as i64].into()),
+            flag("evaluator.selection.blueprints", self.ids.clone().into()),
+        ]
+    }
+
+    /// Writes those from files into the run's folder, so that it can go on without the files.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub(super) fn keep(&self, run: &RunPaths) -> Result<(), Failure> {
+        if self.own.is_empty() {
+            return Ok(());
+        }
+        let text = |goal: &&Blueprint| {
+            (format!("{}.toml", goal.id()), goal.to_toml("a goal that this run was given").into_bytes())
+        };
+        write_files(&run.blueprints(), &self.own.iter().map(text).collect::<Vec<_>>())?;
+        Ok(())
+    }
+}
+
+/// The folder of the blueprints that a run was given, if there is one, for its folder or a path in it.
+fn blueprints_of_run(path: &Path) -> Option<PathBuf> {
+    let run = path.ancestors().take(5).map(RunPaths::new).find(|run| run.config().exists())?;
+    Some(run.blueprints()).filter(|folder| folder.is_dir())
+}
+
+/// What had to be found to complete the files and folders among `named`, a line each.
 ///
 /// # Errors
-/// When one is a file, which learner and actors could not look up, or unknown.
-pub(super) fn trained(ids: &[String]) -> Result<Vec<Override>, Failure> {
-    if ids.is_empty() {
-        return Ok(Vec::new());
-    }
-    for id in ids {
-        if is_path(id) {
-            return Err(Failure::Usage(format!(
-                "--blueprint {id}: training takes ids of the catalog (`lodestone blueprints list`), not files; `eval`, \
-                 `expert eval`, `render` and `blueprints show` take both"
-            )));
+/// When a file cannot be read.
+pub(super) fn inferred(named: &[String]) -> Result<Vec<String>, Failure> {
+    let mut lines = Vec::new();
+    for path in named.iter().filter(|name| is_path(name)) {
+        for (file, text) in read_files(Path::new(path))? {
+            lines.extend(check_text(&file, &text).inferred.iter().map(|found| format!("{file}: {found}")));
         }
-        find(Catalog::builtin(), id)?;
     }
-    let flag = |path: &str, value: toml::Value| Override::flag("--blueprint", path, value);
-    Ok(vec![
-        flag("actor.tasks.filter.blueprints", ids.to_vec().into()),
-        flag("actor.tasks.generated_probability", 0.0_f64.into()),
-        flag("evaluator.selection.splits", vec!["train"].into()),
-        flag("evaluator.selection.sizes", vec![2, N_BLOCKS as i64].into()),
-        flag("evaluator.selection.blueprints", ids.to_vec().into()),
-    ])
+    Ok(lines)
 }
 
 /// The blueprint of the catalog or of the generator with that id.
@@ -127,15 +222,52 @@ mod tests {
     }
 
     #[test]
-    fn training_takes_ids_only() {
-        let settings = trained(&["6_005".to_owned()]).unwrap();
+    fn a_run_keeps_the_goals_that_it_was_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("my tower.toml");
+        let blocks = "{ type = \"2x1x1\", at = [0, 0, 0] }, { type = \"2x1x1\", at = [0, 0, 1] }, { type = \"1x1x1\", at = [0, 0, 2] }";
+        std::fs::write(&file, format!("blocks = [{blocks}]")).unwrap();
+        let named = [file.display().to_string(), "6_005".to_owned()];
+        assert_eq!(inferred(&named).unwrap().len(), 5);
+        let goals = TrainingGoals::open(&named, None).unwrap();
         let config =
-            crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &settings).unwrap();
+            crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &goals.settings())
+                .unwrap();
         config.validate().unwrap();
-        let goals = config.evaluator.selection.select(Catalog::builtin()).unwrap();
-        assert_eq!(goals.iter().map(|goal| goal.id().as_str()).collect::<Vec<_>>(), ["6_005"]);
-        for (name, words) in [("my.toml", "not files"), ("6-005", "did you mean `6_005`")] {
-            let message = trained(&[name.to_owned()]).unwrap_err().to_string();
+        assert_eq!(config.actor.tasks.generated_probability, 0.0);
+        let selected = |catalog: &Catalog| {
+            let selected = config.evaluator.selection.select(catalog).unwrap();
+            let mut ids: Vec<String> = selected.iter().map(|goal| goal.id().to_string()).collect();
+            ids.sort();
+            ids
+        };
+        assert_eq!(selected(goals.catalog()), ["6_005", "my-tower"]);
+        assert_eq!(config.actor.tasks.filter.select(goals.catalog()).unwrap().len(), 2);
+
+        let run = RunPaths::new(folder.path().join("run"));
+        goals.keep(&run).unwrap();
+        std::fs::write(run.config(), config.to_toml()).unwrap();
+        std::fs::remove_file(&file).unwrap();
+        let resumed = TrainingGoals::open(&[], Some(run.folder())).unwrap();
+        assert_eq!(selected(resumed.catalog()), ["6_005", "my-tower"]);
+        assert_eq!((resumed.catalog(), resumed.settings().len()), (goals.catalog(), 0));
+        let evaluated = Goals::open_beside(&["my-tower".to_owned()], Some(&run.checkpoints().join("step-1"))).unwrap();
+        assert_eq!(evaluated.blueprints().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn training_refuses_what_is_held_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("chair.toml");
+        let chair = Catalog::builtin().get(&"literal_10_000".parse().unwrap()).unwrap().to_toml("a test");
+        let copy = chair.replace("\"literal_10_000\"", "\"chair\"").replace("\"test-literal\"", "\"train\"");
+        std::fs::write(&file, copy).unwrap();
+        for (name, words) in [
+            (file.display().to_string(), "chair has the outline of a test or validation blueprint"),
+            ("validation_7_000".to_owned(), "of the split validation, which is held out"),
+            ("6-005".to_owned(), "did you mean `6_005`"),
+        ] {
+            let message = TrainingGoals::open(&[name], None).err().unwrap().to_string();
             assert!(message.contains(words), "{message}");
         }
     }

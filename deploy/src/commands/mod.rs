@@ -75,20 +75,21 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let lockstep = args.lockstep.then(|| Override::flag("--lockstep", "lockstep", true));
             let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
-            let goals = goals::trained(&args.blueprint)?;
-            let flags = args.run.overrides().into_iter().chain(goals).chain(given.into_iter().flatten()).collect();
             let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
             let origin = origin(&args.run, &args.config, &said);
+            let goals = goals::TrainingGoals::open(&args.blueprint, origin.config.as_deref())?;
+            let flags = args.run.overrides().into_iter().chain(goals.settings());
+            let flags = flags.chain(given.into_iter().flatten()).collect();
             let Some(settings) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
             on_runtime(async |shutdown| {
                 if let Some(n_seeds) = args.seeds {
-                    let summary = seeds::train(&settings, &args, n_seeds, &said, shutdown).await?;
+                    let summary = seeds::train(&settings, &args, &goals, n_seeds, &said, shutdown).await?;
                     return if args.json { json(&summary, terminal) } else { Ok(()) };
                 }
                 let run_dir = args.run.run_dir.as_deref();
-                let summary = train::run(&settings, &args, run_dir, origin, &said, shutdown).await?;
+                let summary = train::run(&settings, &args, &goals, run_dir, origin, &said, shutdown).await?;
                 if args.json { json(&summary, terminal) } else { Ok(()) }
             })
         }

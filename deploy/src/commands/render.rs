@@ -4,6 +4,7 @@ mod live;
 mod recordings;
 
 use std::borrow::Cow;
+use std::path::PathBuf;
 
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalog};
@@ -49,7 +50,9 @@ impl Goals {
     fn new(args: &RenderArgs) -> Result<Self, Failure> {
         Ok(Self(match &args.path {
             Some(path) => Catalog::load(path)?,
-            None => goals::Goals::open(&args.blueprint)?.into_catalog(),
+            None => {
+                goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?.into_catalog()
+            }
         }))
     }
 

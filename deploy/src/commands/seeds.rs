@@ -10,6 +10,7 @@ use runlog::{History, RunPaths};
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
+use super::goals::TrainingGoals;
 use super::train::{self, Summary};
 use crate::cli::{Settings, TrainArgs};
 use crate::exit::Failure;
@@ -49,6 +50,7 @@ pub(super) struct SeedsSummary {
 pub(super) async fn train(
     settings: &Settings,
     args: &TrainArgs,
+    goals: &TrainingGoals,
     n_seeds: u64,
     terminal: &Terminal,
     shutdown: CancellationToken,
@@ -67,7 +69,7 @@ pub(super) async fn train(
         terminal.print(&format!("seed {seed}, {} of {n_seeds}", runs.len() + 1));
         // A training cancels its token when it ends.
         let its_end = shutdown.child_token();
-        runs.push(train::run(&own, args, Some(&run_dir), Origin::default(), terminal, its_end).await?);
+        runs.push(train::run(&own, args, goals, Some(&run_dir), Origin::default(), terminal, its_end).await?);
     }
     let groups = spreads(&folder)?;
     if !groups.is_empty() {

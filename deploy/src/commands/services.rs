@@ -84,7 +84,7 @@ pub(super) async fn run_learner(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let config = &settings.config;
-    let setup = learner_setup(config, args.run.init_from.as_deref())?;
+    let setup = learner_setup(config, args.run.init_from.as_deref(), Catalog::builtin())?;
     let health = Reporter::start(Role::Learner.as_str(), args.member.health.health_file.as_deref())?;
     let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
     let what = format!("learning up to {} environment steps, seed {},", config.n_env_steps, config.seed);
@@ -240,6 +240,7 @@ pub(super) fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
         environment: config.environment.clone(),
         id,
         seed: config.seed,
+        catalog: Catalog::builtin(),
     }
 }
 
@@ -252,15 +253,15 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
         id,
         seed: config.seed,
         records: run_dir.map(RunPaths::new),
+        catalog: Catalog::builtin(),
     }
 }
 
 /// What a learner is made of; says why the device or the choice of goals cannot be used before anything is written.
 ///
-/// `init` names a policy to start from.
-pub(super) fn learner_setup(config: &Config, init: Option<&Path>) -> Result<LearnerSetup, Failure> {
+/// `init` names a policy to start from, `catalog` has the goals.
+pub(super) fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Catalog) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
-    let catalog = Catalog::builtin();
     let unusable = |error| invalid("actor.tasks.filter", error);
     let tasks = config.actor.tasks.filter.select(catalog).map_err(unusable)?;
     let generated = config.actor.tasks.draws(catalog).map_err(unusable)?;
@@ -287,9 +288,9 @@ pub(super) fn run_options(
 }
 
 /// Worlds that step in turns with the learner.
-pub(super) fn lockstep_feed(config: &Config) -> Feed {
+pub(super) fn lockstep_feed(config: &Config, catalog: &'static Catalog) -> Feed {
     let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
-    let mut worlds = Lockstep::new(actor_setup(config, id));
+    let mut worlds = Lockstep::new(ActorSetup { catalog, ..actor_setup(config, id) });
     Box::new(move |weights, restart| worlds.step(weights, restart))
 }
 

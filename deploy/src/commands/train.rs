@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use actor::ActorSetup;
 use bus::Bus;
 use dashboard::Page;
 use dashboard::config::WebConfig;
-use evaluator::Stop;
+use evaluator::{EvaluatorSetup, Stop};
 use proto::ActorId;
 use proto::keys::{METRICS_LEARNER, Role};
 use proto::metrics::EvalSummary;
@@ -15,6 +16,7 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use super::goals::TrainingGoals;
 use super::services;
 use crate::cli::{Settings, TrainArgs};
 use crate::config::Config;
@@ -48,13 +50,14 @@ pub(super) struct Summary {
 pub(super) async fn run(
     settings: &Settings,
     args: &TrainArgs,
+    goals: &TrainingGoals,
     run_dir: Option<&Path>,
     origin: Origin,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<Summary, Failure> {
-    let (config, start) = (&settings.config, Instant::now());
-    let setup = services::learner_setup(config, args.run.init_from.as_deref())?;
+    let (config, start, catalog) = (&settings.config, Instant::now(), goals.catalog());
+    let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
     // Before anything is written, because the address may be taken.
     let page = page(config, args, terminal).await?;
     let page = page.map(|page| services::Opened { page, about: services::about(settings), first: None });
@@ -63,6 +66,7 @@ pub(super) async fn run(
     terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
     let bus = Bus::open(&config.bus).await.inspect_err(|_| run_dir.abandon())?;
+    goals.keep(run_dir.paths())?;
     health.joined(&bus);
     let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
     let actors = bus.alive(Role::Actor).await?;
@@ -73,8 +77,9 @@ pub(super) async fn run(
 
     let mut running = JoinSet::new();
     let mut options = services::run_options(setup, config, &run_dir, origin.checkpoint);
-    options.feed = config.lockstep.then(|| services::lockstep_feed(config));
-    let evaluator = services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()));
+    options.feed = config.lockstep.then(|| services::lockstep_feed(config, catalog));
+    let evaluator =
+        EvaluatorSetup { catalog, ..services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path())) };
     let (tell, last) = watch::channel(None);
     let (learned, its_summary) = oneshot::channel();
     let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
@@ -92,7 +97,8 @@ pub(super) async fn run(
         Ok(())
     });
     if !config.lockstep {
-        running.spawn(services::actor(services::actor_setup(config, id), bus.clone(), training.clone()));
+        let actor = ActorSetup { catalog, ..services::actor_setup(config, id) };
+        running.spawn(services::actor(actor, bus.clone(), training.clone()));
     }
     running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), stop));
     let mut ended = Ok(());

@@ -22,6 +22,7 @@ fn setup(id: &str, episode_steps: u16) -> EvaluatorSetup {
         id: id.to_owned(),
         seed: 3,
         records: None,
+        catalog: Catalog::builtin(),
     }
 }
 

@@ -36,6 +36,8 @@ struct Files {
     videos: ClipStore,
     replays: ClipStore,
     reel: Option<Reel>,
+    /// Where goals are looked up.
+    catalog: &'static Catalog,
 }
 
 /// Small films for TensorBoard, in two files of which the older one goes when the newer one is full.
@@ -53,7 +55,11 @@ impl VideoRecorder {
     ///
     /// # Errors
     /// When the event file or the thread cannot be made.
-    pub(crate) fn open(config: &FilmsConfig, paths: &RunPaths) -> anyhow::Result<Option<Self>> {
+    pub(crate) fn open(
+        config: &FilmsConfig,
+        paths: &RunPaths,
+        catalog: &'static Catalog,
+    ) -> anyhow::Result<Option<Self>> {
         if !config.any() {
             return Ok(None);
         }
@@ -64,7 +70,7 @@ impl VideoRecorder {
             .transpose()
             .with_context(|| format!("writing to {}", tensorboard.display()))?;
         let mut files =
-            Files { videos: store(paths.videos(), "mp4"), replays: store(paths.replays(), RECORDING), reel };
+            Files { videos: store(paths.videos(), "mp4"), replays: store(paths.replays(), RECORDING), reel, catalog };
         let queue = Arc::new(ClipQueue::default());
         let (its_queue, its_config) = (queue.clone(), config.clone());
         let work = move || {
@@ -118,7 +124,7 @@ impl Files {
         if is_late {
             return Ok(Made::RecordingOnly);
         }
-        let goal = Catalog::builtin().get(id).context("its goal is not in the catalog")?;
+        let goal = self.catalog.get(id).context("its goal is not in the catalog")?;
         let episode = Episode::new(std::slice::from_ref(segment), goal)?;
         let film = mp4(Film::new(&episode, config.width).frames(config.fps), config.fps)?;
         let path = self.videos.put(id, label, &film).context("keeping the film")?;

@@ -40,7 +40,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let setup = small_setup(EpisodeConfig { n_episodes: 2, ..Default::default() });
     let weights = Arc::new(weights());
     let config = FilmsConfig { width: 480, fps: 10, ..Default::default() };
-    let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path())).unwrap().unwrap();
+    let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin()).unwrap().unwrap();
     let selector = recorder.selector(&weights, &setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
     let evaluate = |observer: Option<&EpisodeSelector>| {
@@ -129,6 +129,6 @@ fn a_full_queue_drops_and_counts_and_nobody_waits() {
 fn an_empty_list_makes_no_films() {
     let dir = tempfile::tempdir().unwrap();
     let config = FilmsConfig { groups: Vec::new(), ..Default::default() };
-    assert!(VideoRecorder::open(&config, &RunPaths::new(dir.path())).unwrap().is_none());
+    assert!(VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin()).unwrap().is_none());
     assert!(names(dir.path()).is_empty());
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use blueprints::Split;
+use blueprints::{Catalog, Split};
 use proto::ActionMode;
 use proto::metrics::{EvalBlueprint, EvalSummary};
 
@@ -31,6 +31,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         id: "judge".to_owned(),
         seed: 3,
         records: Some(records.clone()),
+        catalog: Catalog::builtin(),
     };
     let (reports, mut seen) = watch::channel(None);
     let listeners = Listeners { reports: Some(reports), ..Default::default() };
@@ -108,6 +109,7 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
         id: "judge".to_owned(),
         seed: 3,
         records: None,
+        catalog: Catalog::builtin(),
     };
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let (reports, seen) = watch::channel(None);
@@ -150,6 +152,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
         id: "judge".to_owned(),
         seed: 3,
         records: None,
+        catalog: Catalog::builtin(),
     };
     let (reports, mut seen) = watch::channel(None);
     let listeners = Listeners { reports: Some(reports), ..Default::default() };

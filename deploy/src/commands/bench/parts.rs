@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use actor::load::{Load, LoadPlan, LoadReport};
 use anyhow::Context;
+use blueprints::Catalog;
 use bus::{Bus, BusConfig};
 use learner::Learner;
 use learner::sink::{Sink, SinkPlan, SinkReport};
@@ -75,7 +76,7 @@ pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let plan: IngestPlan = orders.plan()?;
     let config = merge(&plan.config, "the plan", Base::Defaults, &[])?;
-    let learner = Learner::new(learner_setup(&config, None)?).map_err(anyhow::Error::new)?;
+    let learner = Learner::new(learner_setup(&config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?;
     let bus = Bus::open(&plan.bus).await?;
     let mut sink = Sink::open(&learner, plan.sink, &bus).await?;
     say(&Note::Ready { n_actors: 0, shortfall: None })?;

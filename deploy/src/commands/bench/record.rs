@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use actor::Lockstep;
 use anyhow::Context;
+use blueprints::Catalog;
 use learner::Learner;
 use proto::codec::encode_trajectory;
 use proto::{ActorId, Trajectory};
@@ -38,7 +39,7 @@ pub(super) struct Recording {
 /// # Errors
 /// When the configuration cannot be used or the folder not written.
 pub(super) fn record(config: &Config, folder: &Path) -> Result<Recording, Failure> {
-    let weights = Learner::new(learner_setup(config, None)?).map_err(anyhow::Error::new)?.weights();
+    let weights = Learner::new(learner_setup(config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?.weights();
     let id = ActorId::try_from(NAME.to_owned()).context("naming a simulated actor")?;
     let mut setup = actor_setup(config, id);
     (setup.config.n_worlds, setup.config.n_threads) = (N_WORLDS, 1);

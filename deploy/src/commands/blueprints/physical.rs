@@ -29,10 +29,9 @@ pub(super) fn check(report: &mut Report) -> Result<(), Failure> {
             let (n_built, n_tries) = try_building(&environment, blueprint).map_err(anyhow::Error::from)?;
             let expert = outcome(n_built > 0, || {
                 format!(
-                    "the expert built it in none of {n_tries} episodes of {} steps; `expert eval {}` says more of a \
-                     blueprint of the catalog",
+                    "the expert built it in none of {n_tries} episodes of {} steps; `expert eval --blueprint FILE --explain DIR` \
+                     says why",
                     environment.episode_steps,
-                    blueprint.id(),
                 )
             });
             [settles, expert]

@@ -9,7 +9,7 @@ use render::picture::{MAX_TILES, Painter, card, encode, sheet};
 
 use crate::cli::ShowArgs;
 use crate::commands::files::write_files;
-use crate::commands::goals::{Goals, find};
+use crate::commands::goals::{Goals, find, inferred};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -28,6 +28,7 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
     let goals = Goals::open(&args.blueprint)?;
     let named = goals.blueprints()?;
+    inferred(&args.blueprint)?.iter().for_each(|line| terminal.print(line));
     let mut selected = if args.ids.is_empty() && !named.is_empty() {
         Vec::new()
     } else {

@@ -2,8 +2,8 @@
 
 use blueprints::checks::{Check, Outcome, Report};
 
-/// A line for each file with its id and how each check went, `-` for one that could not run; then a line for each failure
-/// and one with the sum.
+/// A line for each file with its id and how each check went, `-` for one that could not run; then a line for each thing that
+/// was found because the file leaves it open, for each failure, and one with the sum.
 pub(super) fn render(reports: &[Report]) -> String {
     let header = ["file".to_owned(), "id".to_owned()].into_iter().chain(checks().map(|check| check.to_string()));
     let rows: Vec<Vec<String>> = std::iter::once(header.collect()).chain(reports.iter().map(cells)).collect();
@@ -11,6 +11,7 @@ pub(super) fn render(reports: &[Report]) -> String {
     let widest = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..n_columns).map(widest).collect();
     let mut lines: Vec<String> = rows.iter().map(|row| line(row, &widths)).collect();
+    lines.extend(reports.iter().flat_map(findings));
     lines.extend(reports.iter().flat_map(failures));
     let n_passed = reports.iter().filter(|report| report.passed()).count();
     lines.push(format!("{n_passed} of {} blueprints passed all checks", reports.len()));
@@ -39,6 +40,10 @@ fn line(row: &[String], widths: &[usize]) -> String {
     padded.join("  ").trim_end().to_owned()
 }
 
+fn findings(report: &Report) -> Vec<String> {
+    report.inferred.iter().map(|found| format!("{}: {found}", report.file)).collect()
+}
+
 /// A line for each failed check with file, check and error.
 fn failures(report: &Report) -> Vec<String> {
     let failed = report.results.iter().filter_map(|result| match &result.outcome {
@@ -62,13 +67,13 @@ mod tests {
         let text = render(&reports);
         let lines: Vec<&str> = text.lines().collect();
         let expected = [
-            "file       id     format  inventory  overlap  polarity  connections  connected  stands  strength  assembly  \
+            "file       id     format  inventory  turns  overlap  polarity  connections  connected  stands  strength  assembly  \
              unique  settles  expert",
-            "good.toml  2_000  ok      ok         ok       ok        ok           ok         ok      ok        ok        \
+            "good.toml  2_000  ok      ok         ok     ok       ok        ok           ok         ok      ok        ok        \
              ok      -        -",
-            "same.toml  2_000  ok      ok         ok       ok        ok           ok         ok      ok        ok        \
+            "same.toml  2_000  ok      ok         ok     ok       ok        ok           ok         ok      ok        ok        \
              FAILED  -        -",
-            "bad.toml   -      FAILED  -          -        -         -            -          -       -         -         \
+            "bad.toml   -      FAILED  -          -      -        -         -            -          -       -         -         \
              -       -        -",
             "same.toml, unique: good.toml has the same id",
         ];

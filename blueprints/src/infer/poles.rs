@@ -1,0 +1,77 @@
+//! Linear equations over two values: which signs of magnets fit together.
+
+/// Most unknowns: one bit of a mask each.
+const N_UNKNOWNS: usize = 64;
+
+/// Equations `sum of some unknowns = 0 or 1` modulo 2 that do not contradict each other.
+#[derive(Clone, Debug)]
+pub(super) struct Parities {
+    /// The equation whose highest unknown is this one.
+    rows: [Option<(u64, bool)>; N_UNKNOWNS],
+}
+
+impl Parities {
+    pub(super) fn new() -> Self {
+        Self { rows: [None; N_UNKNOWNS] }
+    }
+
+    /// Adds the equation that the unknowns in `mask` sum to `value`; false, and nothing is added, if it contradicts the
+    /// others.
+    pub(super) fn add(&mut self, mask: u64, value: bool) -> bool {
+        let (mask, value) = self.reduced(mask, value);
+        match highest(mask) {
+            None => !value,
+            Some(at) => {
+                self.rows[at] = Some((mask, value));
+                true
+            }
+        }
+    }
+
+    /// Whether the equations leave one value for the sum of the unknowns in `mask`.
+    pub(super) fn determine(&self, mask: u64) -> bool {
+        self.reduced(mask, false).0 == 0
+    }
+
+    /// Values that solve the equations, as a mask; an unknown that is free is 0.
+    pub(super) fn solution(&self) -> u64 {
+        // An equation's other unknowns are lower, so they have their values already.
+        self.rows.iter().enumerate().fold(0, |solved, (at, row)| match row {
+            Some((mask, value)) if *value != ((mask & solved).count_ones() % 2 == 1) => solved | 1 << at,
+            _ => solved,
+        })
+    }
+
+    /// The equation without the unknowns that lead others, from the highest down.
+    fn reduced(&self, mut mask: u64, mut value: bool) -> (u64, bool) {
+        for at in (0..N_UNKNOWNS).rev() {
+            if let Some((row, sum)) = self.rows[at].filter(|_| mask >> at & 1 == 1) {
+                (mask, value) = (mask ^ row, value ^ sum);
+            }
+        }
+        (mask, value)
+    }
+}
+
+fn highest(mask: u64) -> Option<usize> {
+    mask.checked_ilog2().map(|at| at as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equations_are_solved_and_contradictions_refused() {
+        let mut parities = Parities::new();
+        // a + b = 1, b + c = 1, so a + c = 0.
+        assert!(parities.add(0b011, true) && parities.add(0b110, true));
+        assert!(parities.determine(0b101) && !parities.determine(0b001));
+        assert!(!parities.add(0b101, true));
+        assert!(parities.add(0b101, false));
+        assert_eq!(parities.solution(), 0b010, "a is free and 0");
+        assert!(parities.add(0b001, true));
+        assert_eq!(parities.solution(), 0b101);
+        assert!(parities.determine(0b010));
+    }
+}
