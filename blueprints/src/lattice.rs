@@ -81,6 +81,16 @@ impl CubeRotation {
         Self::from_images(column(0), column(1)).expect("a product of rotations is a rotation")
     }
 
+    /// Directions of the rotated x and y axes, as written in a blueprint's file: `+x +y` for the identity.
+    pub fn axes(self) -> String {
+        let matrix = self.matrix();
+        let image = |column: usize| {
+            let axis = (0..3).find(|&row| matrix[row][column] != 0).unwrap_or(0);
+            format!("{}{}", if matrix[axis][column] > 0 { '+' } else { '-' }, ["x", "y", "z"][axis])
+        };
+        format!("{} {}", image(0), image(1))
+    }
+
     /// The rotation nearest to `orientation`, and the angle between the two in radians, 0 to about 1.1.
     ///
     /// The nearest rotation has the largest trace of `Rᵀ·M`, so no angle is computed for the other 23. The first of
