@@ -60,7 +60,7 @@ fn the_last_checks_speak_of_the_blocks_as_drawn() {
     let checks: Vec<Check> = problems.iter().map(|problem| problem.check).collect();
     assert_eq!(checks, [Check::Strength, Check::Assembly], "{problems:?}");
     assert!(problems[0].blocks.contains(&1) && problems[0].text.contains("cube"), "{problems:?}");
-    assert!(problems[1].text.starts_with("the expert cannot place beam"), "{problems:?}");
+    assert!(problems[1].text.starts_with("the expert cannot place bar 1 and bar 2: "), "{problems:?}");
 }
 
 #[test]
