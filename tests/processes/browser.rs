@@ -232,7 +232,8 @@ fn play_opens_with_a_structure_being_built() {
 
     // The gallery has every blueprint, finds some, and leads to one.
     browser.element("#stage-choose").click();
-    browser.until("document.querySelectorAll('#gallery button img').length === 166");
+    let n_blueprints = Catalog::builtin().len();
+    browser.until(&format!("document.querySelectorAll('#gallery button img').length === {n_blueprints}"));
     browser.element("#gallery input").press("16_002");
     browser.until("document.querySelectorAll('#gallery button img').length === 1");
     browser.until("document.querySelector('#gallery img').naturalWidth === 200");
@@ -340,6 +341,8 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     watched.judged_after(0);
     browser.element("#replay-ask").click();
     browser.until("!document.querySelector('#replay-player').hidden");
+    browser.element("#draw-open").click();
+    browser.until("document.querySelector('#draw-palette button')");
     // Without news nothing is drawn anew, so that elements stay until they are looked at.
     watched.line.cut();
     browser.until("document.querySelector('#state').textContent === 'reconnecting'");

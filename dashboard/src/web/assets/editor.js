@@ -53,7 +53,8 @@ class Editor {
     this.file.addEventListener("change", () => this.upload());
     this.copy.addEventListener("click", () => this.take());
     this.canvas.addEventListener("keydown", (event) => this.key(event));
-    this.canvas.addEventListener("pointerdown", (event) => { this.pressed = [event.clientX, event.clientY]; });
+    // A second finger, like another button, turns or shifts the view.
+    this.canvas.addEventListener("pointerdown", (event) => { this.pressed = event.isPrimary && event.button === 0 ? [event.clientX, event.clientY] : null; });
     this.canvas.addEventListener("pointerup", (event) => this.release(event));
     this.canvas.addEventListener("pointermove", (event) => this.hover(event));
     this.canvas.addEventListener("pointerleave", () => this.desk && this.desk.hint(null));
@@ -212,7 +213,7 @@ class Editor {
       return element("li", {}, button);
     }));
     for (const button of [this.policy, this.expert, this.save]) button.disabled = !toml;
-    this.match.hidden = !problems.some(({ check }) => check === "polarity");
+    this.match.disabled = !problems.some(({ check }) => check === "polarity");
     this.copy.disabled = !this.stage.chosen;
     const needed = { undo: this.past.length > 0, clear: n > 0, fit: true };
     for (const button of this.tools.querySelectorAll("button")) button.disabled = !(needed[button.dataset.do] ?? (this.selected !== null || this.tool !== null));
@@ -270,7 +271,7 @@ class Editor {
 
   release(event) {
     // What moved turned the view.
-    if (!this.desk || !this.pressed || Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 5) return;
+    if (!this.desk || !event.isPrimary || !this.pressed || Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 5) return;
     const hit = this.under(event);
     this.desk.hint(null);
     if (this.tool) {
@@ -338,7 +339,7 @@ class Editor {
       });
     } else if (what === "undo" && this.past.length > 0) {
       this.blocks = JSON.parse(this.past.pop());
-      this.selected = null;
+      if (this.selected >= this.blocks.length) this.selected = null;
       this.draw();
       this.ask();
     }
