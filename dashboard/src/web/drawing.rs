@@ -121,8 +121,13 @@ fn look(body: &[u8]) -> Result<Findings, String> {
 
 /// Checks the drawing of the body, which is JSON or the text of a blueprint file.
 pub(super) async fn check(Extension(desk): Extension<Desk>, body: Bytes) -> Response {
-    let Ok(_turn) = desk.0.acquire().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
-    match tokio::task::spawn_blocking(move || look(&body).map(|found| serde_json::to_vec(&found))).await {
+    let Ok(turn) = desk.0.acquire_owned().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
+    let looked = tokio::task::spawn_blocking(move || {
+        // A check goes on when its browser leaves, and the next one waits for it.
+        let _turn = turn;
+        look(&body).map(|found| serde_json::to_vec(&found))
+    });
+    match looked.await {
         Ok(Ok(Ok(json))) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
         Ok(Err(reason)) => (StatusCode::BAD_REQUEST, reason + "\n").into_response(),
         Ok(Ok(Err(_))) | Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),

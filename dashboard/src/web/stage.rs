@@ -167,12 +167,15 @@ pub(super) async fn play_drawn(
     file: Bytes,
 ) -> Response {
     let Some(stage) = stage else { return nothing_is_played() };
-    let order = {
-        // A check takes its turn as an episode does.
-        let Ok(_turn) = stage.turn.acquire().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
-        tokio::task::spawn_blocking(move || Order::drawn(query.as_deref().unwrap_or_default(), &file)).await
+    // A check takes its turn as an episode does, and keeps it when its browser leaves.
+    let Ok(turn) = stage.turn.clone().acquire_owned().await else {
+        return StatusCode::INTERNAL_SERVER_ERROR.into_response();
     };
-    match order {
+    let order = tokio::task::spawn_blocking(move || {
+        let _turn = turn;
+        Order::drawn(query.as_deref().unwrap_or_default(), &file)
+    });
+    match order.await {
         Ok(Ok(order)) => perform(stage, replays, order, false).await,
         Ok(Err(reason)) => refused(reason),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),

@@ -206,12 +206,15 @@ class Editor {
     const hint = this.tool ? `Click on the grid, or on a side of a block, to place a ${this.kinds.get(this.tool).word}.` : "Choose a block to place.";
     const more = toml ? "It can be built." : problems.length > 0 ? "" : n < 2 ? hint : "Checking …";
     this.say.textContent = n === 0 ? hint : `${counted}. ${more}`;
-    this.problems.replaceChildren(...problems.map(({ blocks, text }) => {
+    // What is said again is not read out again.
+    const told = JSON.stringify(problems);
+    if (this.told !== told) this.problems.replaceChildren(...problems.map(({ blocks, text }) => {
       const button = element("button", { type: "button" }, `${text[0].toUpperCase()}${text.slice(1)}.`);
       // One click after the other leads to each of its blocks.
       button.addEventListener("click", () => { if (blocks.length > 0) this.pick(blocks[(blocks.indexOf(this.selected) + 1) % blocks.length]); });
       return element("li", {}, button);
     }));
+    this.told = told;
     for (const button of [this.policy, this.expert, this.save]) button.disabled = !toml;
     this.match.disabled = !problems.some(({ check }) => check === "polarity");
     this.copy.disabled = !this.stage.chosen;
@@ -224,11 +227,14 @@ class Editor {
     this.axes ||= "+x +y";
     this.desk.hint(null);
     this.draw();
+    this.canvas.focus({ preventScroll: true });
   }
 
+  /** Selects a block, which keys then turn and move. */
   pick(i) {
     [this.selected, this.tool] = [i, null];
     this.draw();
+    this.canvas.focus({ preventScroll: true });
   }
 
   lift(height) {
