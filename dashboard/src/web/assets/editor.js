@@ -311,10 +311,14 @@ class Editor {
       return;
     }
     this.change(() => {
-      const before = this.cells(block.type, block.axes).join();
+      const before = this.cells(block.type, block.axes);
       block.axes = quarter(block.axes, about);
+      const after = this.cells(block.type, block.axes);
+      // Its middle cell stays, and so does what it stands on.
+      const middle = (size, k) => (k === 2 ? 0 : Math.floor((size[k] - 1) / 2));
+      block.at = block.at.map((v, k) => v + middle(before, k) - middle(after, k));
       // Whoever turns a block that fills the same cells as before means its poles: then no other block gives way.
-      if (this.cells(block.type, block.axes).join() === before) this.blocks.forEach((one) => { one.is_free = false; });
+      if (after.join() === before.join()) this.blocks.forEach((one) => { one.is_free = false; });
       this.axes = block.axes;
     });
   }
