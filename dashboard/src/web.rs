@@ -14,6 +14,7 @@ mod export;
 mod films;
 mod gallery;
 mod prometheus;
+mod query;
 mod replay;
 mod routes;
 mod server;

@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tokio::sync::Semaphore;
 
+use super::query::id_of;
+
 /// Most bytes of a drawing, as JSON or as a file. Sixteen blocks take two thousand.
 pub(super) const MAX_BYTES: usize = 64 << 10;
 
@@ -147,7 +149,7 @@ pub(super) async fn inventory() -> Response {
 
 /// The file of the blueprint that the query names.
 pub(super) async fn file(Extension(catalog): Extension<Arc<Catalog>>, RawQuery(query): RawQuery) -> Response {
-    let id = super::routes::id_of(query).parse::<BlueprintId>().ok();
+    let id = id_of(query).parse::<BlueprintId>().ok();
     match id.and_then(|id| catalog.find(&id).map(|blueprint| blueprint.to_toml(&format!("a copy of {id}")))) {
         Some(text) => ([(CONTENT_TYPE, "application/toml")], text).into_response(),
         None => StatusCode::NOT_FOUND.into_response(),

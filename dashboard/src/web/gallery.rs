@@ -13,6 +13,8 @@ use parking_lot::Mutex;
 use render::picture::{Camera, Ground, Painter, View, corners, encode, of_blueprint};
 use serde::Serialize;
 
+use super::query::id_of;
+
 /// Width and height of a picture, pixels.
 const SIZE_PX: [usize; 2] = [200, 150];
 
@@ -91,7 +93,7 @@ pub(super) async fn picture(
     Extension(catalog): Extension<Arc<Catalog>>,
     RawQuery(query): RawQuery,
 ) -> Response {
-    let asked = super::routes::id_of(query);
+    let asked = id_of(query);
     // A file of one's own may have changed before the next start.
     let is_ours = asked.parse().is_ok_and(|id| Catalog::builtin().get(&id) == catalog.get(&id));
     let kept = if is_ours { KEPT } else { "no-store" };

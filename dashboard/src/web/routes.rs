@@ -21,6 +21,7 @@ use super::drawing::{self, Desk};
 use super::films::{FilmView, Films};
 use super::gallery::{self, Gallery};
 use super::prometheus;
+use super::query::id_of;
 use super::replay::Replays;
 use super::server::Connection;
 use super::stage::{self, Stage};
@@ -208,11 +209,6 @@ async fn recording(
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
         Err(error) => failed(&error),
     }
-}
-
-/// What follows `id=`, if the query has nothing else.
-pub(super) fn id_of(query: Option<String>) -> String {
-    query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned()
 }
 
 async fn metrics(State(board): State<Arc<Board>>) -> Response {
