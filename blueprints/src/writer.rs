@@ -6,7 +6,7 @@ use crate::format::MagnetName;
 use crate::{Blueprint, Inventory};
 
 /// Block names in written files, by type name; other types use the type name.
-const NAMES: [(&str, &str); 6] =
+pub(crate) const NAMES: [(&str, &str); 6] =
     [("1x1x1", "cube"), ("2x1x1", "brick"), ("3x1x1", "bar"), ("4x1x1", "beam"), ("2x2x1", "tile"), ("3x2x1", "slab")];
 
 impl Blueprint {

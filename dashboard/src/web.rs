@@ -1,14 +1,16 @@
 //! One web page about a running training: success over training, who is there, how learning goes.
 //!
 //! Reading order: `about` (which run) → `board` (what is known) → `events` (browsers that listen) → `replay`, `attention` and
-//! `films` → `stage` and `gallery` (episodes on demand) → `prometheus` → `routes` (what can be asked, and by whom) → `server` (connections). The page never holds up
-//! an evaluator: whoever writes to the board takes a lock for a moment, and what a browser does not take in time is
-//! dropped and counted.
+//! `films` → `stage` and `gallery` (episodes on demand) → `drawing` (goals of one's own) → `prometheus` → `routes` (what can be
+//! asked, and by whom) → `server` (connections) → `export` (a copy in files). The page never holds up an evaluator: whoever writes to the board takes a
+//! lock for a moment, and what a browser does not take in time is dropped and counted.
 
 mod about;
 mod attention;
 mod board;
+mod drawing;
 mod events;
+mod export;
 mod films;
 mod gallery;
 mod prometheus;
@@ -18,11 +20,14 @@ mod routes;
 mod server;
 mod stage;
 
+use std::borrow::Cow;
 use std::net::SocketAddr;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use blueprints::BlueprintId;
 use bus::Bus;
 use policy::PolicyConfig;
 use proto::Weights;
@@ -132,8 +137,18 @@ impl Page {
         let films = Films::new(source.run);
         let shown =
             Shown { about: source.about, board: board.clone(), replays: replays.clone(), films, stage: source.stage };
-        let routes = routes::routes(shown, Vec::new(), self.config);
         let mut tasks = JoinSet::new();
+        let first = shown.about.catalog.find(&shown.about.first()).map(Cow::into_owned);
+        if let (Kind::Play, Some(stage), Some(first)) = (shown.about.kind, shown.stage.clone(), first) {
+            let (replays, ended) = (replays.clone(), shutdown.clone());
+            tasks.spawn(async move {
+                tokio::select! {
+                    () = ended.cancelled() => {}
+                    () = stage.open_with(first, replays) => {}
+                }
+            });
+        }
+        let routes = routes::routes(shown, Vec::new(), self.config);
         tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
         tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
         let (its_board, its_bus, its_shutdown) = (board.clone(), bus.clone(), shutdown.clone());
@@ -183,6 +198,20 @@ impl Page {
         }
         server.await.context("a task of the page panicked")
     }
+}
+
+/// Writes the page of runs that have ended into `folder`, which must not be there yet, for any web server to serve: with
+/// an episode of each of `goals` by policy and expert where the run has weights. Returns the number of files.
+///
+/// # Errors
+/// When the folder cannot be made or written.
+pub async fn export(
+    first: FinishedRun,
+    others: Vec<FinishedRun>,
+    goals: &[BlueprintId],
+    folder: &Path,
+) -> anyhow::Result<usize> {
+    export::export(first.into_shown(), others.into_iter().map(FinishedRun::into_shown).collect(), goals, folder).await
 }
 
 impl FinishedRun {

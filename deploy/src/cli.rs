@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use ::blueprints::{BlueprintId, Split};
+use ::blueprints::Split;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
@@ -269,7 +269,11 @@ pub struct PlayArgs {
     pub pretrained: bool,
     /// Only these blueprints [default: the whole catalog].
     #[arg(value_name = "ID")]
-    pub blueprints: Vec<BlueprintId>,
+    pub ids: Vec<String>,
+    /// Only this blueprint: an id, also of a generated one, a file, or a folder of files; may be repeated. What is not in the
+    /// catalog is played and not evaluated.
+    #[arg(long, value_name = "FILE|ID")]
+    pub blueprint: Vec<String>,
     /// Episodes per blueprint.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,

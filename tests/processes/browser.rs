@@ -1,12 +1,14 @@
 //! The page in a real browser, over a real run: its numbers are those that were recorded, it lives, it plays, it comes back.
 
 use std::io::{BufRead, BufReader};
+use std::path::Path;
 use std::process::Stdio;
 
 use crate::support::line::Line;
 use crate::support::program::lodestone;
 use crate::support::served::Process;
 use crate::support::webdriver::Browser;
+use blueprints::Catalog;
 use runlog::Pass;
 use runlog::{History, RunPaths};
 use serde_json::{Value, json};
@@ -16,6 +18,9 @@ const MAX_PAGE_BYTES: u64 = 300_000;
 
 /// The right arrow key in the protocol's private code points.
 const RIGHT: &str = "\u{e014}";
+
+/// The enter key, likewise.
+const ENTER: &str = "\u{e007}";
 
 /// A run, its page in a browser, and the line between them.
 struct Watched {
@@ -186,17 +191,28 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     assert_eq!(watched.complaints(), Vec::<Value>::new());
 }
 
-#[test]
-fn play_opens_with_a_structure_being_built() {
-    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let mut command = lodestone(folder.path());
-    let playing = command.args(["play", "2_000", "--episodes", "1", "--run-dir", "played"]);
+/// `play` of such goals in `folder`, and its page in a browser; `None` where there is no driver.
+fn played(folder: &Path, goals: &[&str]) -> Option<(Browser, Process)> {
+    let driver = std::env::var_os("LODESTONE_CHROMEDRIVER")?;
+    let mut command = lodestone(folder);
+    let playing = command.arg("play").args(goals).args(["--episodes", "1", "--run-dir", "played"]);
     let mut playing = Process(playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
     let mut lines = BufReader::new(playing.0.stdout.take().unwrap()).lines().map(Result::unwrap);
     let address = lines.find_map(|line| Some(line.strip_prefix("page at ")?.to_owned())).unwrap();
-    let browser = Browser::start(&driver, folder.path());
+    let browser = Browser::start(&driver, folder);
     browser.open(&address);
+    Some((browser, playing))
+}
+
+/// What the console of a page complains about.
+fn errors(browser: &Browser) -> Vec<Value> {
+    browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE").collect()
+}
+
+#[test]
+fn play_opens_with_a_structure_being_built() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some((browser, _playing)) = played(folder.path(), &["2_000"]) else { return };
     // Nobody has to press anything, and there is nothing about a training.
     browser.until("!document.querySelector('#replay-player').hidden && replay.time > 0");
     let note = |words: &str| {
@@ -216,14 +232,48 @@ fn play_opens_with_a_structure_being_built() {
 
     // The gallery has every blueprint, finds some, and leads to one.
     browser.element("#stage-choose").click();
-    browser.until("document.querySelectorAll('#gallery button img').length === 190");
+    let n_blueprints = Catalog::builtin().len();
+    browser.until(&format!("document.querySelectorAll('#gallery button img').length === {n_blueprints}"));
     browser.element("#gallery input").press("16_002");
     browser.until("document.querySelectorAll('#gallery button img').length === 1");
     browser.until("document.querySelector('#gallery img').naturalWidth === 200");
     browser.element("#gallery .gallery button").click();
     browser.until("document.querySelector('#replay-note').textContent.includes('(16_002), start 1')");
-    let complaints = browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE");
-    assert_eq!(complaints.collect::<Vec<_>>(), Vec::<Value>::new());
+    assert_eq!(errors(&browser), Vec::<Value>::new());
+}
+
+#[test]
+fn what_is_drawn_is_checked_and_built() {
+    let folder = tempfile::tempdir().unwrap();
+    // A file of one's own, which no evaluator knows.
+    let own = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test").replace("2_000", "2_900");
+    std::fs::write(folder.path().join("own.toml"), own).unwrap();
+    let Some((browser, _playing)) = played(folder.path(), &["--blueprint", "own.toml"]) else { return };
+    let says =
+        |words: &str| browser.until(&format!("document.querySelector('#draw-say').textContent.includes({words:?})"));
+    browser.until("document.querySelector('#replay-note').textContent.includes('(2_900), start 1')");
+    browser.element("#draw-open").click();
+    // The middle of the canvas is that of the grid.
+    browser.until("document.querySelector('#draw-palette [data-type=\"2x1x1\"]')");
+    browser.element("#draw-palette [data-type='2x1x1']").click();
+    browser.element("#draw-canvas").click();
+    browser.until("editor.blocks.length === 1 && editor.found.blocks");
+    // Without a pointer, a block goes onto the one before.
+    browser.element("#draw-palette [data-type='1x1x1']").click();
+    browser.element("#draw-canvas").press(ENTER);
+    says("2 blocks, 1 connection. It can be built.");
+    // Upside down, like poles meet.
+    browser.element("#draw-canvas").press("tt");
+    browser.until("document.querySelector('#draw-problems').textContent.includes('repel each other: like poles meet')");
+    assert_eq!(browser.run("return document.querySelector('#draw-expert').disabled"), true);
+    browser.element("#draw-match").click();
+    says("It can be built.");
+    browser.element("#draw-name").press("my tower");
+    browser.element("#draw-expert").click();
+    browser.until("replay.episode && replay.episode.blueprint.startsWith('drawn_2_')");
+    assert_eq!(browser.run("return replay.episode.end"), "success");
+    assert!(browser.text("#replay-note").starts_with("The expert builds my tower"), "{}", browser.text("#replay-note"));
+    assert_eq!(errors(&browser), Vec::<Value>::new());
 }
 
 #[test]
@@ -291,6 +341,8 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     watched.judged_after(0);
     browser.element("#replay-ask").click();
     browser.until("!document.querySelector('#replay-player').hidden");
+    browser.element("#draw-open").click();
+    browser.until("document.querySelector('#draw-palette button')");
     // Without news nothing is drawn anew, so that elements stay until they are looked at.
     watched.line.cut();
     browser.until("document.querySelector('#state').textContent === 'reconnecting'");

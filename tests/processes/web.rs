@@ -144,6 +144,21 @@ fn runs_that_have_ended_are_shown_from_their_files() {
     interrupt(&serving);
     assert!(serving.0.wait().unwrap().success());
 
+    // A copy of the page holds what a browser would ask for.
+    let export =
+        || lodestone(folder.path()).args(["serve", "run", "--export", "copy", "--blueprint", "2_000"]).output();
+    let written = export().unwrap();
+    assert!(written.status.success(), "{}", error(&written));
+    let copied = |path: &str| std::fs::read_to_string(folder.path().join("copy").join(path)).unwrap();
+    let json = |path: &str| -> Value { serde_json::from_str(&copied(path)).unwrap() };
+    assert!(copied("index.html").contains("<html data-copy "));
+    assert_eq!(json("api/about.json")["recorded"], serde_json::json!(["2_000"]));
+    assert_eq!(json("api/history.json")["learner"].as_array().unwrap().len(), updates);
+    for agent in ["policy", "expert"] {
+        assert_eq!(json(&format!("api/play/2_000-{agent}.json"))["actor"], agent);
+    }
+    assert!(error(&export().unwrap()).contains("cannot make the folder copy"));
+
     let gone = lodestone(folder.path()).args(["serve", "gone"]).output().unwrap();
     assert_eq!(gone.status.code(), Some(66));
     assert!(error(&gone).contains("gone is no folder of a run"), "{}", error(&gone));

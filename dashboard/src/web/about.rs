@@ -1,6 +1,6 @@
 //! What the page is about: which run, how far it is to go, and what can be asked.
 
-use blueprints::BlueprintId;
+use blueprints::{BlueprintId, Catalog};
 use render::picture::GRIPPER_COLORS;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -30,6 +30,19 @@ pub struct About {
     pub n_env_steps: Option<u64>,
     /// The goals that are shown first; empty for the whole catalog.
     pub blueprints: Vec<BlueprintId>,
+    /// All goals that can be chosen.
+    pub catalog: Catalog,
+}
+
+/// What is built first where nobody has named a goal: sixteen blocks.
+const FIRST: &str = "16_002";
+
+impl About {
+    /// What a policy that is shown at work builds first.
+    pub(super) fn first(&self) -> BlueprintId {
+        let first = || FIRST.parse().expect("the catalog has it");
+        self.blueprints.first().cloned().unwrap_or_else(first)
+    }
 }
 
 /// The answer to `/api/about`; `runs` are the names of all runs of the page.
@@ -44,6 +57,7 @@ pub(super) fn about(about: &About, can_play: bool, runs: &[String]) -> Value {
         "preset": about.preset,
         "n_env_steps": about.n_env_steps,
         "blueprints": about.blueprints,
+        "first": about.first(),
         "can_play": can_play,
         "gripper_colors": GRIPPER_COLORS,
         "runs": runs,

@@ -13,6 +13,8 @@ use parking_lot::Mutex;
 use render::picture::{Camera, Ground, Painter, View, corners, encode, of_blueprint};
 use serde::Serialize;
 
+use super::query::id_of;
+
 /// Width and height of a picture, pixels.
 const SIZE_PX: [usize; 2] = [200, 150];
 
@@ -48,8 +50,8 @@ struct Entry<'c> {
 
 impl Gallery {
     /// The PNG of a blueprint of the catalog. Drawn one at a time, in some ten milliseconds.
-    fn picture(&self, id: &str) -> Option<Bytes> {
-        let blueprint = Catalog::builtin().get(&id.parse().ok()?)?;
+    fn picture(&self, catalog: &Catalog, id: &str) -> Option<Bytes> {
+        let blueprint = catalog.get(&id.parse().ok()?)?;
         let mut drawn = self.0.lock();
         if let Some(known) = drawn.get(blueprint.id()) {
             return Some(known.clone());
@@ -68,25 +70,35 @@ fn draw(blueprint: &Blueprint) -> Option<Vec<u8>> {
 }
 
 /// Every blueprint of the catalog, in its order.
-pub(super) async fn list() -> Response {
-    let entry = |blueprint: &'static Blueprint| Entry {
-        id: blueprint.id(),
-        title: blueprint.title(),
-        n_blocks: blueprint.n_blocks(),
-        group: Group::of(blueprint.split(), blueprint.n_blocks()).map(Group::name),
-    };
-    let blueprints = Catalog::builtin().iter().map(entry).collect();
+pub(super) async fn list(Extension(catalog): Extension<Arc<Catalog>>) -> Response {
+    let blueprints = catalog.iter().map(entry).collect();
     match serde_json::to_vec(&GalleryView { schema_version: 1, blueprints }) {
         Ok(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }
 }
 
+fn entry(blueprint: &Blueprint) -> Entry<'_> {
+    Entry {
+        id: blueprint.id(),
+        title: blueprint.title(),
+        n_blocks: blueprint.n_blocks(),
+        group: Group::of(blueprint.split(), blueprint.n_blocks()).map(Group::name),
+    }
+}
+
 /// The picture of the blueprint that the query names.
-pub(super) async fn picture(Extension(gallery): Extension<Arc<Gallery>>, RawQuery(query): RawQuery) -> Response {
-    let asked = super::query::id_of(query);
-    match tokio::task::spawn_blocking(move || gallery.picture(&asked)).await {
-        Ok(Some(bytes)) => ([(CONTENT_TYPE, "image/png"), (CACHE_CONTROL, KEPT)], bytes).into_response(),
+pub(super) async fn picture(
+    Extension(gallery): Extension<Arc<Gallery>>,
+    Extension(catalog): Extension<Arc<Catalog>>,
+    RawQuery(query): RawQuery,
+) -> Response {
+    let asked = id_of(query);
+    // A file of one's own may have changed before the next start.
+    let is_ours = asked.parse().is_ok_and(|id| Catalog::builtin().get(&id) == catalog.get(&id));
+    let kept = if is_ours { KEPT } else { "no-store" };
+    match tokio::task::spawn_blocking(move || gallery.picture(&catalog, &asked)).await {
+        Ok(Some(bytes)) => ([(CONTENT_TYPE, "image/png"), (CACHE_CONTROL, kept)], bytes).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }
@@ -98,11 +110,11 @@ mod tests {
 
     #[test]
     fn pictures_are_small_and_of_the_catalog_alone() {
-        let gallery = Gallery::default();
-        let first = gallery.picture("16_002").unwrap();
+        let (gallery, catalog) = (Gallery::default(), Catalog::builtin());
+        let first = gallery.picture(catalog, "16_002").unwrap();
         assert!(first.starts_with(b"\x89PNG") && first.len() < 30_000, "{}", first.len());
-        assert_eq!(gallery.picture("16_002").unwrap(), first);
-        assert_eq!(gallery.picture("../eval.db"), None);
-        assert_eq!(gallery.picture("99_999"), None);
+        assert_eq!(gallery.picture(catalog, "16_002").unwrap(), first);
+        assert_eq!(gallery.picture(catalog, "../eval.db"), None);
+        assert_eq!(gallery.picture(catalog, "99_999"), None);
     }
 }

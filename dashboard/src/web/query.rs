@@ -1,4 +1,4 @@
-//! What a request asks for.
+//! What a query names.
 
 /// What follows `id=`, if the query has nothing else.
 pub(super) fn id_of(query: Option<String>) -> String {

@@ -4,20 +4,20 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::extract::{Extension, RawQuery, Request, State};
+use axum::extract::{DefaultBodyLimit, Extension, RawQuery, Request, State};
 use axum::http::header::{
     AUTHORIZATION, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, COOKIE, HOST, LOCATION,
     REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
-
+use axum::routing::{get, post};
 use serde::Serialize;
 
-use super::about::{About, about};
+use super::about::{About, Kind, about};
 use super::board::Board;
+use super::drawing::{self, Desk};
 use super::films::{FilmView, Films};
 use super::gallery::{self, Gallery};
 use super::prometheus;
@@ -44,7 +44,7 @@ const HEADERS: [(HeaderName, &str); 5] = [
 type Asset = (&'static str, &'static str, &'static str);
 
 /// The page's files, which are part of the program.
-pub(super) const ASSETS: [Asset; 6] = [
+pub(super) const ASSETS: [Asset; 7] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/page.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("assets/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
@@ -61,14 +61,20 @@ pub(super) const ASSETS: [Asset; 6] = [
             include_str!("assets/attention.js"),
             include_str!("assets/replay.js"),
             include_str!("assets/stage.js"),
+            include_str!("assets/editor.js"),
             include_str!("assets/films.js"),
             include_str!("assets/app.js"),
         ),
     ),
-    // Loaded when the first episode is shown.
+    // Loaded when the first episode is shown, and when somebody draws.
     ("/space.js", "text/javascript; charset=utf-8", include_str!("assets/space.js")),
+    ("/draw.js", "text/javascript; charset=utf-8", include_str!("assets/draw.js")),
     ("/three.js", "text/javascript; charset=utf-8", include_str!("assets/vendor/three.min.js")),
 ];
+
+/// What a page loads at once if it opens with an episode.
+const PRELOADS: &str =
+    "<link rel=\"modulepreload\" href=\"/space.js\"><link rel=\"modulepreload\" href=\"/three.js\">\n";
 
 /// A run as the page shows it.
 pub(super) struct Shown {
@@ -84,18 +90,34 @@ pub(super) struct Shown {
 pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Router {
     let board = first.board.clone();
     let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
+    let opens = first.about.kind == Kind::Play;
+    // All runs of a page have the same goals.
+    let catalog = Arc::new(first.about.catalog.clone());
     let names = std::iter::once(&first).chain(&others).map(|run| run.about.run.clone()).collect::<Vec<_>>();
     let mut guarded = of_run(first, &names);
     for (place, run) in others.into_iter().enumerate() {
-        guarded = guarded.nest(&format!("/runs/{}", place + 1), of_run(run, &names));
+        guarded = guarded.nest(&base(place + 1), of_run(run, &names));
     }
-    guarded = guarded.route("/api/blueprints", get(gallery::list)).route("/api/picture", get(gallery::picture));
+    guarded = guarded
+        .route("/api/blueprints", get(gallery::list))
+        .route("/api/picture", get(gallery::picture))
+        .route("/api/blueprint", get(drawing::file))
+        .route("/api/inventory", get(drawing::inventory))
+        .route("/api/check", post(drawing::check));
     for (path, content_type, text) in ASSETS {
-        guarded = guarded.route(path, get(move || async move { ([(CONTENT_TYPE, content_type)], text) }));
+        let text = match path {
+            "/" if opens => text.replace("</head>", &format!("{PRELOADS}</head>")).into(),
+            _ => Bytes::from_static(text.as_bytes()),
+        };
+        let told = move || std::future::ready(([(CONTENT_TYPE, content_type)], text.clone()));
+        guarded = guarded.route(path, get(told));
     }
     guarded
         .fallback(StatusCode::NOT_FOUND)
         .layer(Extension(Arc::new(Gallery::default())))
+        .layer(Extension(catalog))
+        .layer(Extension(Desk::default()))
+        .layer(DefaultBodyLimit::max(drawing::MAX_BYTES))
         .layer(from_fn_with_state(guard, authorize))
         .merge(
             Router::new()
@@ -106,6 +128,11 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Rou
         .layer(from_fn(set_headers))
 }
 
+/// Where the paths of the run at such a place begin.
+pub(super) fn base(place: usize) -> String {
+    if place == 0 { String::new() } else { format!("/runs/{place}") }
+}
+
 /// What can be asked about one run.
 fn of_run(run: Shown, names: &[String]) -> Router {
     let answer = Bytes::from(about(&run.about, run.stage.is_some(), names).to_string());
@@ -114,7 +141,7 @@ fn of_run(run: Shown, names: &[String]) -> Router {
         .route("/api/about", get(told))
         .route("/api/history", get(history))
         .route("/api/events", get(events))
-        .route("/api/play", get(stage::play))
+        .route("/api/play", get(stage::play).post(stage::play_drawn))
         .route("/api/replay", get(replay))
         .route("/api/recording", get(recording))
         .route("/api/films", get(list_films))
@@ -215,12 +242,17 @@ fn failed(error: &dyn std::error::Error) -> Response {
     StatusCode::INTERNAL_SERVER_ERROR.into_response()
 }
 
-/// Puts on the headers of every answer; refuses requests with a body, which no route reads.
+/// What reads a body: a drawing.
+const WITH_BODY: [&str; 2] = ["/api/check", "/api/play"];
+
+/// Puts on the headers of every answer; refuses requests with a body that nothing reads.
 async fn set_headers(request: Request, next: Next) -> Response {
     let headers = request.headers();
     let has_body = headers.contains_key(TRANSFER_ENCODING)
         || headers.get(CONTENT_LENGTH).is_some_and(|length| length.as_bytes() != b"0");
-    let mut response = if has_body { StatusCode::PAYLOAD_TOO_LARGE.into_response() } else { next.run(request).await };
+    let is_read = request.method() == Method::POST && WITH_BODY.iter().any(|path| request.uri().path().ends_with(path));
+    let mut response =
+        if has_body && !is_read { StatusCode::PAYLOAD_TOO_LARGE.into_response() } else { next.run(request).await };
     for (name, value) in HEADERS {
         // What never changes says itself how long it may be kept.
         response.headers_mut().entry(name).or_insert(HeaderValue::from_static(value));

@@ -1,13 +1,16 @@
-//! Episodes on demand: a browser names goal, agent, way of acting and seed, and gets the whole episode.
+//! Episodes on demand: a browser names or draws a goal, says who builds it and how, and gets the whole episode.
 
 use std::fmt;
 use std::sync::Arc;
 
+use axum::body::Bytes;
 use axum::extract::{Extension, RawQuery};
 use axum::http::StatusCode;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER};
 use axum::response::{IntoResponse, Response};
+use blueprints::checks::check_text;
 use blueprints::{Blueprint, BlueprintId, Catalog};
+use parking_lot::Mutex;
 use proto::{ActionMode, Trajectory};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
@@ -25,7 +28,7 @@ pub enum Builder {
 }
 
 /// The episode that somebody wants to see.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Order {
     /// The goal.
     pub blueprint: Blueprint,
@@ -59,6 +62,8 @@ type Play = dyn Fn(&Order, &(dyn Fn() -> bool + Sync)) -> Result<Trajectory, Sta
 pub struct Stage {
     play: Arc<Play>,
     turn: Arc<Semaphore>,
+    /// What every browser asks for first, and the answer.
+    opening: Arc<Mutex<Option<(Order, Bytes)>>>,
 }
 
 impl fmt::Debug for Stage {
@@ -72,30 +77,71 @@ impl Stage {
     pub fn new(
         play: impl Fn(&Order, &(dyn Fn() -> bool + Sync)) -> Result<Trajectory, StageError> + Send + Sync + 'static,
     ) -> Self {
-        Self { play: Arc::new(play), turn: Arc::new(Semaphore::new(1)) }
+        Self { play: Arc::new(play), turn: Arc::new(Semaphore::new(1)), opening: Arc::default() }
+    }
+
+    /// Plays the episode that a page opens with, so that it is there when a browser asks.
+    pub(super) async fn open_with(&self, blueprint: Blueprint, replays: Arc<Replays>) {
+        let order = Order { blueprint, builder: Builder::default(), acting: ActionMode::default(), seed: 0 };
+        let answer = perform(self.clone(), replays, order, true).await;
+        tracing::debug!(status = %answer.status(), "played the first episode");
+    }
+}
+
+/// The part of an order that is not its goal.
+#[derive(Debug, Default)]
+struct Wishes<'q> {
+    id: Option<&'q str>,
+    builder: Builder,
+    acting: ActionMode,
+    seed: u64,
+}
+
+impl<'q> Wishes<'q> {
+    /// Reads `blueprint=…&agent=policy|expert&mode=greedy|sampled&seed=…`, of which none is needed.
+    fn parse(query: &'q str) -> Result<Self, String> {
+        let mut wishes = Self::default();
+        for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+            match pair.split_once('=') {
+                Some(("blueprint", value)) => wishes.id = Some(value),
+                Some(("agent", "policy")) => wishes.builder = Builder::Policy,
+                Some(("agent", "expert")) => wishes.builder = Builder::Expert,
+                Some(("mode", "greedy")) => wishes.acting = ActionMode::Greedy,
+                Some(("mode", "sampled")) => wishes.acting = ActionMode::Sampled,
+                Some(("seed", value)) => {
+                    wishes.seed = value.parse().map_err(|_| format!("seed={value} is no number"))?;
+                }
+                _ => return Err(format!("`{pair}` is not known: use blueprint, agent, mode and seed")),
+            }
+        }
+        Ok(wishes)
+    }
+
+    fn of(self, blueprint: Blueprint) -> Order {
+        Order { blueprint, builder: self.builder, acting: self.acting, seed: self.seed }
     }
 }
 
 impl Order {
-    /// Reads `blueprint=…&agent=policy|expert&mode=greedy|sampled&seed=…`, of which only the first is needed.
-    fn parse(query: &str) -> Result<Self, String> {
-        let (mut id, mut builder, mut acting, mut seed) = (None, Builder::default(), ActionMode::default(), 0);
-        for pair in query.split('&').filter(|pair| !pair.is_empty()) {
-            match pair.split_once('=') {
-                Some(("blueprint", value)) => id = Some(value),
-                Some(("agent", "policy")) => builder = Builder::Policy,
-                Some(("agent", "expert")) => builder = Builder::Expert,
-                Some(("mode", "greedy")) => acting = ActionMode::Greedy,
-                Some(("mode", "sampled")) => acting = ActionMode::Sampled,
-                Some(("seed", value)) => seed = value.parse().map_err(|_| format!("seed={value} is no number"))?,
-                _ => return Err(format!("`{pair}` is not known: use blueprint, agent, mode and seed")),
-            }
-        }
-        let id = id.ok_or_else(|| "blueprint=… is missing".to_owned())?;
+    /// What a query asks for, with a goal of the catalog.
+    fn named(query: &str, catalog: &Catalog) -> Result<Self, String> {
+        let wishes = Wishes::parse(query)?;
+        let id = wishes.id.ok_or_else(|| "blueprint=… is missing".to_owned())?;
         let unknown = || format!("there is no blueprint `{id}`: /api/blueprints lists them");
         let id: BlueprintId = id.parse().map_err(|_| unknown())?;
-        let blueprint = Catalog::builtin().find(&id).ok_or_else(unknown)?.into_owned();
-        Ok(Self { blueprint, builder, acting, seed })
+        let blueprint = catalog.find(&id).ok_or_else(unknown)?.into_owned();
+        Ok(wishes.of(blueprint))
+    }
+
+    /// What a query asks for, with the goal of a blueprint file. It takes up to a second.
+    fn drawn(query: &str, file: &[u8]) -> Result<Self, String> {
+        let wishes = Wishes::parse(query)?;
+        if wishes.id.is_some() {
+            return Err("the blueprint is in the body, so that the query must not name one".to_owned());
+        }
+        let text = std::str::from_utf8(file).map_err(|_| "the blueprint is not text".to_owned())?;
+        let blueprint = check_text("drawing", text).blueprint.map_err(|error| error.error.to_string())?;
+        Ok(wishes.of(blueprint))
     }
 }
 
@@ -103,28 +149,70 @@ impl Order {
 pub(super) async fn play(
     Extension(stage): Extension<Option<Stage>>,
     Extension(replays): Extension<Arc<Replays>>,
+    Extension(catalog): Extension<Arc<Catalog>>,
     RawQuery(query): RawQuery,
 ) -> Response {
-    let Some(stage) = stage else { return (StatusCode::NOT_FOUND, "nothing is played here\n").into_response() };
-    match Order::parse(query.as_deref().unwrap_or_default()) {
-        Ok(order) => perform(stage, replays, order).await,
-        Err(reason) => (StatusCode::BAD_REQUEST, reason + "\n").into_response(),
+    let Some(stage) = stage else { return nothing_is_played() };
+    match Order::named(query.as_deref().unwrap_or_default(), &catalog) {
+        Ok(order) => perform(stage, replays, order, false).await,
+        Err(reason) => refused(reason),
     }
 }
 
-/// Waits for its turn, and gives up when the browser does.
-async fn perform(stage: Stage, replays: Arc<Replays>, order: Order) -> Response {
+/// The same for the blueprint file in the body.
+pub(super) async fn play_drawn(
+    Extension(stage): Extension<Option<Stage>>,
+    Extension(replays): Extension<Arc<Replays>>,
+    RawQuery(query): RawQuery,
+    file: Bytes,
+) -> Response {
+    let Some(stage) = stage else { return nothing_is_played() };
+    // A check takes its turn as an episode does, and keeps it when its browser leaves.
+    let Ok(turn) = stage.turn.clone().acquire_owned().await else {
+        return StatusCode::INTERNAL_SERVER_ERROR.into_response();
+    };
+    let order = tokio::task::spawn_blocking(move || {
+        let _turn = turn;
+        Order::drawn(query.as_deref().unwrap_or_default(), &file)
+    });
+    match order.await {
+        Ok(Ok(order)) => perform(stage, replays, order, false).await,
+        Ok(Err(reason)) => refused(reason),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+fn nothing_is_played() -> Response {
+    (StatusCode::NOT_FOUND, "nothing is played here\n").into_response()
+}
+
+fn refused(reason: String) -> Response {
+    (StatusCode::BAD_REQUEST, reason + "\n").into_response()
+}
+
+/// Waits for its turn, and gives up when the browser does. The answer is kept if it `opens` the page.
+async fn perform(stage: Stage, replays: Arc<Replays>, order: Order, opens: bool) -> Response {
     let Ok(_turn) = stage.turn.acquire().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
+    let shown = |json: Bytes| ([(CONTENT_TYPE, "application/json")], json).into_response();
+    let opening = stage.opening.lock().clone();
+    if let Some((_, json)) = opening.filter(|(first, _)| *first == order) {
+        return shown(json);
+    }
     let unwanted = CancellationToken::new();
     let _dropped_with_the_request = unwanted.clone().drop_guard();
     let play = stage.play.clone();
     let answer = tokio::task::spawn_blocking(move || {
         let episode = play(&order, &|| !unwanted.is_cancelled())?;
-        let shown = replays.show(std::slice::from_ref(&episode), &order.blueprint);
-        shown.ok_or_else(|| StageError::Failed("it has nothing to show".to_owned()))
+        let json = replays.show(std::slice::from_ref(&episode), &order.blueprint);
+        Ok((order, json.ok_or_else(|| StageError::Failed("it has nothing to show".to_owned()))?))
     });
     match answer.await {
-        Ok(Ok(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Ok(Ok((order, json))) => {
+            if opens {
+                *stage.opening.lock() = Some((order, json.clone()));
+            }
+            shown(json)
+        }
         Ok(Err(error @ StageError::NoWeights)) => {
             (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "1")], format!("{error}\n")).into_response()
         }
@@ -142,10 +230,11 @@ mod tests {
 
     #[test]
     fn an_order_says_what_is_wrong_with_it() {
-        let order = Order::parse("blueprint=2_000&agent=expert&mode=sampled&seed=7").unwrap();
+        let catalog = Catalog::builtin();
+        let order = Order::named("blueprint=2_000&agent=expert&mode=sampled&seed=7", catalog).unwrap();
         assert_eq!((order.blueprint.id().as_str(), order.builder), ("2_000", Builder::Expert));
         assert_eq!((order.acting, order.seed), (ActionMode::Sampled, 7));
-        let plain = Order::parse("blueprint=2_000").unwrap();
+        let plain = Order::named("blueprint=2_000", catalog).unwrap();
         assert_eq!((plain.builder, plain.acting, plain.seed), (Builder::Policy, ActionMode::Greedy, 0));
         for (query, words) in [
             ("", "blueprint=… is missing"),
@@ -155,8 +244,26 @@ mod tests {
             ("blueprint=2_000&agent=me", "`agent=me`"),
             ("blueprint=2_000&speed=2", "`speed=2`"),
         ] {
-            let reason = Order::parse(query).unwrap_err();
+            let reason = Order::named(query, catalog).unwrap_err();
             assert!(reason.contains(words), "{query}: {reason}");
+        }
+    }
+
+    #[test]
+    fn a_drawn_goal_is_checked_like_any_file() {
+        let file = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test");
+        let order = Order::drawn("agent=expert&seed=7", file.as_bytes()).unwrap();
+        assert_eq!((order.blueprint.n_blocks(), order.builder, order.seed), (2, Builder::Expert, 7));
+        for (query, file, words) in [
+            ("blueprint=2_000", file.as_bytes(), "must not name one"),
+            ("agent=me", file.as_bytes(), "`agent=me`"),
+            ("", b"\xff", "not text"),
+            ("", b"{}", "line 1"),
+            ("", file.replace("1x1x1", "9x9x9").as_bytes(), "unknown type"),
+            ("", file.replace("[0, 0, 1]", "[0, 0, 999]").as_bytes(), "outside -64..=64"),
+        ] {
+            let reason = Order::drawn(query, file).unwrap_err();
+            assert!(reason.contains(words), "{reason}");
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use blueprints::BlueprintId;
+use blueprints::{BlueprintId, Catalog};
 use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig};
 use proto::codec::encode_trajectory;
 use proto::{Normalization, Role, WeightsVersion};
@@ -45,7 +45,9 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let (passes, its_passes) = mpsc::unbounded_channel();
     let (_, weights) = watch::channel(Some(Arc::new(newest)));
     let run = "r".to_owned();
-    let about = About { kind: Kind::Training, run, preset: None, n_env_steps: Some(5000), blueprints: Vec::new() };
+    let catalog = Catalog::builtin().clone();
+    let about =
+        About { kind: Kind::Training, run, preset: None, n_env_steps: Some(5000), blueprints: Vec::new(), catalog };
     let stage = Stage::new(|order, _| match order.builder {
         Builder::Expert => Ok(segment(order.seed, 0, 3, true)),
         Builder::Policy => Err(StageError::NoWeights),
@@ -145,6 +147,13 @@ async fn only_what_is_meant_to_be_seen_is_served() {
         ("GET /api/picture?id=2_000 HTTP/1.1", &host, 200),
         ("GET /api/picture?id=../eval.db HTTP/1.1", &host, 404),
         ("GET /api/play HTTP/1.1", &host, 400),
+        ("GET /draw.js HTTP/1.1", &host, 200),
+        ("GET /api/inventory HTTP/1.1", &host, 200),
+        ("GET /api/blueprint?id=2_000 HTTP/1.1", &host, 200),
+        ("GET /api/blueprint?id=../eval.db HTTP/1.1", &host, 404),
+        ("GET /api/check HTTP/1.1", &host, 405),
+        ("POST /api/check HTTP/1.1", &host, 400),
+        ("POST /api/check HTTP/1.1", "Host: evil.example\r\nContent-Length: 4\r\n", 403),
         ("GET /runs/1/api/about HTTP/1.1", &host, 404),
         ("GET /api/history HTTP/1.1", &host, 200),
         ("GET /api/replay HTTP/1.1", &host, 202),
@@ -371,6 +380,36 @@ async fn an_episode_is_played_when_somebody_asks_for_it() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_drawing_is_checked_and_built() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), Some(TOKEN)).await;
+    let post = async |path: &str, body: &str, token: &str| {
+        let head = format!("POST {path} HTTP/1.1\r\nHost: {}\r\nAuthorization: Bearer {token}\r\n", served.address);
+        served.send(format!("{head}Content-Length: {}\r\n\r\n{body}", body.len()).as_bytes()).await
+    };
+    let file = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test");
+    let answer = post("/api/check", &file, TOKEN).await;
+    assert_eq!(status(&answer), 200, "{answer}");
+    let found: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
+    assert_eq!((&found["problems"], found["connections"].as_array().unwrap().len()), (&json!([]), 1));
+    assert!(found["toml"].as_str().unwrap().contains("id = \"drawn_2_"));
+    assert_eq!(status(&post("/api/play?agent=expert", &file, TOKEN).await), 200);
+    let table = [
+        ("/api/check", file.as_str(), "wrong", 401),
+        ("/api/play?agent=expert", &file, "wrong", 401),
+        ("/api/play?agent=expert&blueprint=2_000", &file, TOKEN, 400),
+        ("/api/play?agent=expert", "no blueprint", TOKEN, 400),
+        ("/api/check", "no blueprint", TOKEN, 400),
+        ("/api/check", &" ".repeat((64 << 10) + 1), TOKEN, 413),
+        ("/api/about", &file, TOKEN, 413),
+    ];
+    for (path, body, token, expected) in table {
+        assert_eq!(status(&post(path, body, token).await), expected, "{path}");
+    }
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn runs_that_have_ended_stand_side_by_side() {
     let dir = tempfile::tempdir().unwrap();
     let finished = |name: &str, n_env_steps| {
@@ -380,6 +419,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
             preset: None,
             n_env_steps: Some(n_env_steps),
             blueprints: Vec::new(),
+            catalog: Catalog::builtin().clone(),
         };
         let (policy, weights) = untrained();
         let run = RunPaths::new(dir.path());

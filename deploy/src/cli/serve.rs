@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use blueprints::BlueprintId;
 use clap::Args;
 
 /// Arguments of `serve`.
@@ -16,4 +17,10 @@ pub struct ServeArgs {
     /// What a browser must know, for an address that others can reach.
     #[arg(long, value_name = "TOKEN")]
     pub token: Option<String>,
+    /// Serve nothing, and write a copy of the page into this new folder, with recorded episodes, for any web server.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["web", "token"])]
+    pub export: Option<PathBuf>,
+    /// In the copy, record this blueprint; may be repeated [default: one of every group].
+    #[arg(long, value_name = "ID", requires = "export")]
+    pub blueprint: Vec<BlueprintId>,
 }

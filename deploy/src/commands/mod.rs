@@ -59,8 +59,9 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
             let source = models::Source::of(args.checkpoint.as_deref())?;
-            let config = play::configure(&source, &args)?;
-            on_runtime(async |shutdown| play::run(source, &config, &args, terminal, shutdown).await)
+            let program = play::Program::of(&args)?;
+            let config = play::configure(&source, &program, &args)?;
+            on_runtime(async |shutdown| play::run(source, program, &config, &args, terminal, shutdown).await)
         }
         Command::Serve(args) => on_runtime(async |shutdown| serve::run(&args, terminal, shutdown).await),
         Command::Report(args) => report::run(&args, terminal),

@@ -3,7 +3,7 @@
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use blueprints::Catalog;
+use blueprints::{Blueprint, BlueprintId, Catalog};
 use bus::Bus;
 use dashboard::{About, Kind};
 use evaluator::{Policy, Stop};
@@ -11,6 +11,7 @@ use proto::Weights;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::goals::Goals;
 use super::models::Source;
 use super::services;
 use crate::cli::PlayArgs;
@@ -22,19 +23,55 @@ use crate::run_dir::{Origin, RunDir};
 /// Name of the run, and of its only service.
 const NAME: &str = "play";
 
+/// What is shown.
+pub(super) struct Program {
+    /// All goals that can be chosen.
+    catalog: Catalog,
+    /// Those that were named; none for the whole catalog.
+    named: Vec<BlueprintId>,
+    /// Of these, those of the built-in catalog. An evaluator knows no others.
+    judged: Vec<BlueprintId>,
+}
+
+impl Program {
+    /// Finds the goals that were named.
+    ///
+    /// # Errors
+    /// Names the file that is no blueprint, or the id that is unknown with the nearest one.
+    pub(super) fn of(args: &PlayArgs) -> Result<Self, Failure> {
+        let goals = Goals::open(&[&args.ids[..], &args.blueprint[..]].concat())?;
+        let found = goals.blueprints()?;
+        let named: Vec<BlueprintId> = found.iter().map(|blueprint| blueprint.id().clone()).collect();
+        let is_known = |blueprint: &Blueprint| Catalog::builtin().get(blueprint.id()) == Some(blueprint);
+        let known = found.iter().filter(|blueprint| is_known(blueprint));
+        let judged = known.map(|blueprint| blueprint.id().clone()).collect();
+        // Generated ones are in no catalog; the gallery shows them too.
+        let mut catalog = goals.catalog().clone();
+        for blueprint in found.iter().filter(|blueprint| catalog.get(blueprint.id()).is_none()).collect::<Vec<_>>() {
+            catalog = catalog.with(&Catalog::of_one(blueprint.as_ref().clone()));
+        }
+        Ok(Self { catalog, named, judged })
+    }
+
+    /// Whether nothing of it is in the built-in catalog.
+    fn is_strange(&self) -> bool {
+        self.judged.is_empty() && !self.named.is_empty()
+    }
+}
+
 /// The configuration of a run of which there is only the evaluator.
 ///
 /// # Errors
 /// When the policy cannot be read or a setting is not valid.
-pub(super) fn configure(source: &Source, args: &PlayArgs) -> Result<Config, Failure> {
+pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> Result<Config, Failure> {
     let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let mut overrides = vec![
         Override::flag("play", "bus.run", NAME),
         Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes)),
         Override::flag("--web", "dashboard.web.listen", page.to_string()),
     ];
-    if !args.blueprints.is_empty() {
-        let ids: Vec<String> = args.blueprints.iter().map(ToString::to_string).collect();
+    if !program.judged.is_empty() {
+        let ids: Vec<String> = program.judged.iter().map(ToString::to_string).collect();
         overrides.push(Override::flag("ID", "evaluator.films.blueprints", ids.clone()));
         overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
     }
@@ -44,12 +81,13 @@ pub(super) fn configure(source: &Source, args: &PlayArgs) -> Result<Config, Fail
     source.config(&overrides)
 }
 
-/// Judges the policy once and keeps the page up until `shutdown`.
+/// Judges the policy once, on the goals that an evaluator knows, and keeps the page up until `shutdown`.
 ///
 /// # Errors
 /// When the page's address is taken, the folder cannot be written, or the evaluation fails.
 pub(super) async fn run(
     source: Source,
+    program: Program,
     config: &Config,
     args: &PlayArgs,
     terminal: &Terminal,
@@ -60,9 +98,10 @@ pub(super) async fn run(
     let mut policy = Policy::new(&config.policy).map_err(anyhow::Error::from)?;
     policy.load(&weights).map_err(anyhow::Error::from)?;
     let weights = Arc::new(weights);
+    let is_strange = program.is_strange();
     let page = services::page(config.dashboard.web.as_ref(), terminal).await?.map(|page| services::Opened {
         page,
-        about: about(args),
+        about: about(args, program),
         // So that the first episode waits for no bus.
         first: Some(weights.clone()),
     });
@@ -74,20 +113,29 @@ pub(super) async fn run(
     let (reports, judged) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(judged, terminal.clone(), live::detail(false)));
     let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
-    let stop = Stop { now: shutdown, ..Stop::default() };
-    let ended = services::evaluator(setup, reports, page, bus.clone(), stop).await;
+    let ended = match page {
+        Some(page) if is_strange => {
+            drop(reports);
+            services::only_page(&setup, page, bus.clone(), shutdown).await
+        }
+        page => {
+            let stop = Stop { now: shutdown, ..Stop::default() };
+            services::evaluator(setup, reports, page, bus.clone(), stop).await
+        }
+    };
     bus.close().await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
 }
 
 /// The page shows no training here.
-fn about(args: &PlayArgs) -> About {
+fn about(args: &PlayArgs, program: Program) -> About {
     let run = match &args.checkpoint {
         None => "the policy that comes with the program".to_owned(),
         Some(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
     };
-    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints: args.blueprints.clone() }
+    let Program { named: blueprints, catalog, .. } = program;
+    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog }
 }
 
 /// The weights as a learner would send them, which says what to train on: here all that is judged alike.

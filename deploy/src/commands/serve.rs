@@ -1,10 +1,11 @@
-//! `serve`: the page over runs that have ended.
+//! `serve`: the page over runs that have ended, or a copy of it in files.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
+use blueprints::{Blueprint, BlueprintId, Catalog, Group};
 use dashboard::config::WebConfig;
 use dashboard::{About, FinishedRun, Kind, Page};
 use proto::keys::METRICS_LEARNER;
@@ -13,6 +14,7 @@ use runlog::{History, RunPaths};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::goals::find;
 use super::models::Source;
 use super::stage::stage;
 use crate::cli::ServeArgs;
@@ -20,14 +22,23 @@ use crate::config::{Base, Config, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Serves until `shutdown`.
+/// Serves until `shutdown`, or writes the copy.
 ///
 /// # Errors
-/// When a run cannot be read or the page's address is taken.
+/// When a run cannot be read, the page's address is taken, or the copy cannot be written.
 pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let mut runs = args.runs.iter().map(|folder| finished(folder));
     let first = runs.next().context("no run was named")??;
     let others = runs.collect::<Result<Vec<_>, _>>()?;
+    if let Some(folder) = &args.export {
+        let goals = recorded(&args.blueprint)?;
+        let n_files = tokio::select! {
+            () = shutdown.cancelled() => return Ok(()),
+            n_files = dashboard::export(first, others, &goals, folder) => n_files?,
+        };
+        terminal.print(&format!("wrote {n_files} files to {}; any web server can serve them", folder.display()));
+        return Ok(());
+    }
     let listen = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let web = WebConfig { listen, token: args.token.clone().map(Into::into), ..WebConfig::default() };
     web.validate().map_err(|error| Failure::Usage(format!("{error} (here: --web and --token)")))?;
@@ -35,6 +46,22 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     terminal.print(&format!("page at http://{}\nCtrl-C ends", page.address()));
     page.show(first, others, shutdown).await?;
     Ok(())
+}
+
+/// The blueprints whose episodes a copy of the page has: those that were named, or the first of every group.
+fn recorded(named: &[BlueprintId]) -> Result<Vec<BlueprintId>, Failure> {
+    let catalog = Catalog::builtin();
+    if !named.is_empty() {
+        return named.iter().map(|id| Ok(find(catalog, id.as_str())?.id().clone())).collect();
+    }
+    let mut groups = Vec::new();
+    let is_first = |blueprint: &&Blueprint| {
+        let group = Group::of(blueprint.split(), blueprint.n_blocks());
+        let is_new = group.is_some() && !groups.contains(&group);
+        groups.extend(is_new.then_some(group));
+        is_new
+    };
+    Ok(catalog.iter().filter(is_first).map(|blueprint| blueprint.id().clone()).collect())
 }
 
 /// What the files of a run tell.
@@ -53,7 +80,8 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     let run = paths.folder().canonicalize().unwrap_or_else(|_| folder.to_owned());
     let run = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();
     let n_env_steps = Some(config.n_env_steps);
-    let about = About { kind: Kind::Finished, run, preset: None, n_env_steps, blueprints: Vec::new() };
+    let catalog = Catalog::builtin().clone();
+    let about = About { kind: Kind::Finished, run, preset: None, n_env_steps, blueprints: Vec::new(), catalog };
     Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
 }
 
@@ -100,6 +128,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let error = finished(folder.path()).unwrap_err().to_string();
         assert!(error.contains("no folder of a run") && error.contains("config.toml"), "{error}");
+    }
+
+    #[test]
+    fn a_copy_has_one_blueprint_of_every_group_unless_some_are_named() {
+        let groups = |ids: Vec<BlueprintId>| -> Vec<_> {
+            let blueprints = ids.iter().map(|id| Catalog::builtin().get(id).unwrap());
+            blueprints.map(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks())).collect()
+        };
+        let found = groups(recorded(&[]).unwrap());
+        assert!(found.len() >= 6 && found.iter().all(Option::is_some), "{found:?}");
+        let named = ["16_002".parse().unwrap()];
+        assert_eq!(recorded(&named).unwrap(), named);
+        assert!(recorded(&["9_999".parse().unwrap()]).is_err());
     }
 
     #[test]

@@ -14,7 +14,7 @@ use learner::{Feed, LearnerSetup, RunOptions};
 use proto::keys::{self, METRICS_LEARNER};
 use proto::metrics::EvalReport;
 use proto::{ActorId, Role, Weights};
-use runlog::RunPaths;
+use runlog::{Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -199,6 +199,7 @@ pub(super) fn about(settings: &Settings) -> About {
         preset: settings.preset.map(|preset| preset.name.to_owned()),
         n_env_steps: Some(config.n_env_steps),
         blueprints: config.evaluator.selection.blueprints.clone(),
+        catalog: Catalog::builtin().clone(),
     }
 }
 
@@ -211,17 +212,51 @@ pub(super) async fn evaluator(
     stop: Stop,
 ) -> Result<(), Failure> {
     let mut listeners = Listeners { reports: Some(reports), ..Listeners::default() };
-    let Some(Opened { page, about, first }) = page else {
+    let Some(mut opened) = page else {
         evaluator::run(setup, &bus, listeners, stop).await?;
         return Ok(());
     };
-    let ((passes, its_passes), (weights, its_weights)) = (mpsc::unbounded_channel(), watch::channel(first));
+    let ((passes, its_passes), (weights, its_weights)) =
+        (mpsc::unbounded_channel(), watch::channel(opened.first.take()));
     (listeners.evaluations, listeners.weights) = (Some(passes), Some(weights));
-    let (policy, run) = (setup.policy.clone(), setup.records.clone());
-    let stage = Some(stage(setup.environment.clone(), policy.clone(), its_weights.clone()));
-    let source = Source { passes: its_passes, weights: its_weights, policy, run, about, stage };
+    let (page, source) = opened.onto(&setup, its_passes, its_weights);
     tokio::try_join!(evaluator::run(setup, &bus, listeners, stop), page.serve(&bus, source))?;
     Ok(())
+}
+
+/// The page alone, until `shutdown`: for goals that no evaluator knows.
+pub(super) async fn only_page(
+    setup: &EvaluatorSetup,
+    mut opened: Opened,
+    bus: Bus,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let (passes, its_passes) = mpsc::unbounded_channel();
+    // The page goes on showing the weights when nobody can send others.
+    let (_, its_weights) = watch::channel(opened.first.take());
+    let (page, source) = opened.onto(setup, its_passes, its_weights);
+    let until = async {
+        shutdown.cancelled().await;
+        drop(passes);
+        Ok(())
+    };
+    tokio::try_join!(until, page.serve(&bus, source))?;
+    Ok(())
+}
+
+impl Opened {
+    /// The page and what it shows, with what such an evaluator would have.
+    fn onto(
+        self,
+        setup: &EvaluatorSetup,
+        passes: mpsc::UnboundedReceiver<Pass>,
+        weights: watch::Receiver<Option<Arc<Weights>>>,
+    ) -> (Page, Source) {
+        let Self { page, about, .. } = self;
+        let (policy, run) = (setup.policy.clone(), setup.records.clone());
+        let stage = Some(stage(setup.environment.clone(), policy.clone(), weights.clone()));
+        (page, Source { passes, weights, policy, run, about, stage })
+    }
 }
 
 /// Takes the address of the page, if there is to be one, and says it.

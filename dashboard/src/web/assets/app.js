@@ -28,10 +28,16 @@ const stage = new Stage(replay, {
   choose: $("stage-choose"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), mode: $("stage-mode"),
   onward: $("stage-onward"), note: $("replay-note"), dialog: $("gallery"), only: [],
 });
+const editor = new Editor(stage, {
+  open: $("draw-open"), board: $("draw-board"), palette: $("draw-palette"), canvas: $("draw-canvas"), layer: $("draw-layer"),
+  layerText: $("draw-layer-text"), tools: $("draw-tools"), say: $("draw-say"), problems: $("draw-problems"), list: $("draw-list"),
+  match: $("draw-match"), name: $("draw-name"), policy: $("draw-policy"), expert: $("draw-expert"), save: $("draw-save"),
+  file: $("draw-file"), copy: $("draw-copy"),
+});
 const openFilm = (film) => openRecording(replay, $("replay-note"), film);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
 heat.opened = ({ id }) => {
-  if (!model.about || !model.about.can_play) return;
+  if (!model.about || !model.about.can_play || (isCopy && !stage.only.includes(id))) return;
   stage.seed = 0;
   stage.start(id);
   $("replay-title").scrollIntoView();
@@ -89,19 +95,21 @@ function introduce(about) {
   document.title = `${about.run} · Lodestone`;
   about.gripper_colors.forEach((color, i) => document.documentElement.style.setProperty(`--gripper${i}`, `rgb(${color.join(",")})`));
   if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
-  if (!about.can_play) $("stage-bar").remove();
+  if (!about.can_play) ["stage-bar", "draw"].forEach((id) => $(id).remove());
+  else if (isCopy) ["stage-again", "stage-mode", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
-  if (about.kind !== "play") return;
-  $("learner").remove();
+  if (about.kind === "play") {
+    $("learner").remove();
+    $("tiles").before($("stage"), $("draw"));
+    stage.only = about.blueprints;
+  } else if (isCopy && about.recorded.length > 0) {
+    $("tiles").before($("stage"));
+    stage.only = about.recorded;
+  } else return;
   $("replay-more").open = false;
-  $("tiles").before($("stage"));
-  stage.only = about.blueprints;
   $("stage-onward").checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-  stage.start(about.blueprints[0] || FIRST);
+  stage.start(isCopy ? about.recorded[about.recorded.length - 1] : about.first);
 }
-
-/** What a policy that is shown at work builds first: sixteen blocks. */
-const FIRST = "16_002";
 
 /** A choice of the run that is shown, and the curves of all runs together. */
 function chooseRun(runs) {
@@ -111,7 +119,7 @@ function chooseRun(runs) {
   $("run-name").replaceChildren(choice);
   const place = element("div", {});
   $("tiles").after(element("section", { class: "card wide", "aria-labelledby": "beside-title" }, element("h2", { id: "beside-title" }, "Side by side"), place));
-  const asked = runs.map(async ({ name, base }) => ({ name, history: await (await fetch(`${base}/api/history`)).json() }));
+  const asked = runs.map(async ({ name, base }) => ({ name, history: await (await fetch(answerAt(base, "history"))).json() }));
   Promise.all(asked).then((all) => {
     const draw = () => drawBeside(place, all, model.acting);
     draw();
@@ -135,7 +143,7 @@ async function askHistory() {
   if (asking) return;
   asking = true;
   try {
-    const answer = await fetch(`${model.base}/api/history`);
+    const answer = await fetch(answerAt(model.base, "history"));
     if (answer.ok) {
       model.history = await answer.json();
       const newest = model.points.slice(-1)[0];
@@ -215,12 +223,19 @@ async function begin() {
   const place = new URLSearchParams(location.search).get("run");
   model.base = place && place !== "0" ? `/runs/${Number(place)}` : "";
   try {
-    const answer = await fetch(`${model.base}/api/about`);
+    const answer = await fetch(answerAt(model.base, "about"));
     if (answer.ok) introduce(await answer.json());
   } catch {
     // The stream of events says that nobody answers.
   }
   redraw("history", "learner");
-  listen();
+  if (!isCopy) {
+    listen();
+    return;
+  }
+  document.querySelector("footer").remove();
+  say("live", "a copy");
+  askHistory();
+  askFilms($("films"), $("films-note"), openFilm);
 }
 begin();

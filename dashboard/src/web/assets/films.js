@@ -6,7 +6,7 @@ let shownFilms = "";
 async function askFilms(list, note, open) {
   let films;
   try {
-    const answer = await fetch(`${model.base}/api/films`);
+    const answer = await fetch(answerAt(model.base, "films"));
     if (!answer.ok) return;
     films = (await answer.json()).films;
   } catch {
@@ -20,9 +20,9 @@ async function askFilms(list, note, open) {
   list.replaceChildren(...films.slice(0, 12).map((film) => {
     const title = `${film.blueprint}, ${film.ending}, weights ${film.weights_version}`;
     const video = element("video", { controls: "", preload: "none", playsinline: "", "aria-label": title });
-    video.src = `${model.base}/api/film?id=${film.id}`;
+    video.src = answerAt(model.base, "film", film.id);
     // Until it plays, what is to be built.
-    video.poster = `/api/picture?id=${encodeURIComponent(film.blueprint)}`;
+    video.poster = answerAt("", "picture", film.blueprint);
     const turned = element("button", { type: "button", "aria-label": `Turn and step: ${title}` }, "Turn and step");
     turned.addEventListener("click", () => open(film));
     return element("figure", {}, video, element("figcaption", {}, title, " ", turned));

@@ -1,6 +1,16 @@
 "use strict";
 // Numbers and elements. Text from outside goes in as text only, never as markup.
 
+/** Whether this is a copy of the page, where every answer is a file and nothing runs. */
+const isCopy = document.documentElement.hasAttribute("data-copy");
+
+/** Where the answer to a question about a run is, or about a thing of it. */
+function answerAt(base, name, id) {
+  if (!isCopy) return `${base}/api/${name}${id === undefined ? "" : `?id=${encodeURIComponent(id)}`}`;
+  const ending = { film: "mp4", picture: "png" }[name] || "json";
+  return `.${base}/api/${name}${id === undefined ? "" : `/${id}`}.${ending}`;
+}
+
 const percent = (rate) => `${(100 * rate).toFixed(rate > 0 && rate < 1 ? 1 : 0)} %`;
 const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
 

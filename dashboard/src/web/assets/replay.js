@@ -3,7 +3,7 @@
 let spaceModule = null;
 
 /** The part that draws three dimensions; asked for once, with the first episode. */
-const loadSpace = () => (spaceModule ||= import("/space.js"));
+const loadSpace = () => (spaceModule ||= import("./space.js"));
 
 class Replay {
   constructor(parts) {
@@ -76,7 +76,7 @@ class Replay {
     this.terms.show(episode);
     this.attention.show(episode);
     this.plan();
-    this.resize();
+    this.size();
     this.follows = true;
     this.seek(0);
     this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
@@ -108,14 +108,20 @@ class Replay {
     });
   }
 
-  resize() {
-    if (!this.space || !this.episode) return;
+  /** As large as there is room, with the next picture. */
+  size() {
     const width = this.canvas.clientWidth;
     if (width === 0) return;
+    this.width = width;
     const isFull = this.player.classList.contains("full") || document.fullscreenElement === this.player;
     if (isFull) this.canvas.style.height = "";
     else this.canvas.style.height = `${Math.round(Math.min(Math.max(width * 0.56, 300), 560, window.innerHeight * 0.66))}px`;
     this.space.resize(width, this.canvas.clientHeight);
+  }
+
+  resize() {
+    if (!this.space || !this.episode) return;
+    this.size();
     this.draw();
   }
 
@@ -197,7 +203,7 @@ async function present(replay, episode, ended) {
 async function openRecording(replay, note, film) {
   let episode = null;
   try {
-    const answer = await fetch(`${model.base}/api/recording?id=${film.id}`);
+    const answer = await fetch(answerAt(model.base, "recording", film.id));
     if (answer.ok) episode = await answer.json();
   } catch {
     // Said below.

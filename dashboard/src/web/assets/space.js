@@ -1,21 +1,22 @@
-// Three dimensions, drawn by three.js: the world of an episode, and its goal in a corner. Loaded with the first episode.
+// Three dimensions, drawn by three.js: blocks, and the world of an episode with its goal in a corner. Loaded with the first
+// episode, and with the first drawing.
 
 import {
   AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, DirectionalLight, EdgesGeometry, GridHelper,
   HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, MeshLambertMaterial, OrbitControls,
   PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene, ShadowMaterial, Vector3, WebGLRenderer,
-} from "/three.js";
+} from "./three.js";
 
 /** Colors of negative and positive magnets, as in films. */
 const MAGNETS = [[32, 82, 196], [208, 40, 46]];
 
 /** Angle of view, degrees, and width of the frame around a held block, meters. */
-const VIEW = 32;
+export const VIEW = 32;
 const FRAME_M = 0.007;
 
 const BACK_SIDE = 1;
 
-const rgb = ([r, g, b]) => new Color().setRGB(r / 255, g / 255, b / 255, "srgb");
+export const rgb = ([r, g, b]) => new Color().setRGB(r / 255, g / 255, b / 255, "srgb");
 
 /** A disc with its sign in the middle of each unit cell of a block: red and blue are not apart for everyone. */
 function magnets(half, unit) {
@@ -65,7 +66,7 @@ function magnets(half, unit) {
 }
 
 /** A block with magnets, edges, and a frame that is hidden until a gripper holds it. */
-function blockMesh(half, color, unit) {
+export function blockMesh(half, color, unit) {
   const size = half.map((x) => 2 * x);
   const box = new BoxGeometry(...size);
   const mesh = new Mesh(box, new MeshLambertMaterial({ color: rgb(color) }));
@@ -81,7 +82,7 @@ function blockMesh(half, color, unit) {
 }
 
 /** A block as if of glass: where one is to be. */
-function ghostMesh(half, color) {
+export function ghostMesh(half, color) {
   const box = new BoxGeometry(...half.map((x) => 2 * x));
   const paint = rgb(color);
   const mesh = new Mesh(box, new MeshBasicMaterial({ color: paint, transparent: true, opacity: 0.2, depthWrite: false }));
@@ -90,12 +91,12 @@ function ghostMesh(half, color) {
   return mesh;
 }
 
-function put(mesh, pose) {
+export function put(mesh, pose) {
   mesh.position.set(pose[0], pose[1], pose[2]);
   mesh.quaternion.set(pose[3], pose[4], pose[5], pose[6]);
 }
 
-function dispose(scene, meshes) {
+export function dispose(scene, meshes) {
   for (const mesh of meshes) {
     scene.remove(mesh);
     mesh.traverse((part) => {
@@ -106,7 +107,7 @@ function dispose(scene, meshes) {
 }
 
 /** Light from above on one side, so that edges and heights are seen. */
-function lit(scene) {
+export function lit(scene) {
   scene.add(new HemisphereLight(0xffffff, 0xb9c0c8, 1.5), new AmbientLight(0xffffff, 0.35));
   const sun = new DirectionalLight(0xffffff, 2.1);
   scene.add(sun, sun.target);
@@ -139,7 +140,8 @@ export class Space {
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.maxPolarAngle = Math.PI / 2 - 0.03;
     [this.controls.minDistance, this.controls.maxDistance] = [0.2, 30];
-    this.controls.addEventListener("change", () => this.render());
+    // Not while a picture follows anyway: each takes as long as the blocks and their shadows.
+    this.controls.addEventListener("change", () => { if (!this.still) this.render(); });
     this.controls.addEventListener("start", moved);
     [this.blocks, this.ghosts, this.goal] = [[], [], []];
     this.theme();
@@ -176,7 +178,8 @@ export class Space {
     if (this.goal.length > 0) this.corner.add(...this.goal);
     const places = goal.map(([, pose]) => new Vector3(pose[0], pose[1], pose[2]));
     this.middle = places.reduce((sum, place) => sum.add(place), new Vector3()).divideScalar(Math.max(places.length, 1));
-    this.reach = Math.max(...places.map((place) => place.distanceTo(this.middle)), 0.1) + 0.13;
+    const ends = goal.map(([block], i) => places[i].distanceTo(this.middle) + Math.hypot(...halves[block]));
+    this.reach = Math.max(...ends, 0.2);
   }
 
   /**
@@ -207,7 +210,14 @@ export class Space {
     const distance = (radius / Math.sin((VIEW * Math.PI) / 360) / narrow) * 1.02;
     this.controls.target.copy(target);
     this.camera.position.copy(target).add(from.setLength(distance));
+    this.settle();
+  }
+
+  /** Takes the camera's new place, without a picture. */
+  settle() {
+    this.still = true;
     this.controls.update();
+    this.still = false;
   }
 
   /** Turns around what is looked at and tilts, radians. */
@@ -219,7 +229,7 @@ export class Space {
     const length = from.length();
     from.set(Math.cos(angle) * Math.cos(kept), Math.sin(angle) * Math.cos(kept), Math.sin(kept)).multiplyScalar(length);
     this.camera.position.copy(this.controls.target).add(from);
-    this.controls.update();
+    this.settle();
     this.render();
   }
 
@@ -228,11 +238,11 @@ export class Space {
     const from = this.camera.position.clone().sub(this.controls.target);
     const length = Math.min(Math.max(from.length() / factor, this.controls.minDistance), this.controls.maxDistance);
     this.camera.position.copy(this.controls.target).add(from.setLength(length));
-    this.controls.update();
+    this.settle();
     this.render();
   }
 
-  /** As many pixels as the canvas has on the page. */
+  /** As many pixels as the canvas has on the page, with the next picture. */
   resize(width, height) {
     if (width === 0 || height === 0) return;
     this.size = [width, height];
@@ -240,11 +250,10 @@ export class Space {
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    this.render();
   }
 
   render() {
-    if (!this.size || this.blocks.length === 0) return;
+    if (!this.size) return;
     const [width, height] = this.size;
     const target = this.controls.target;
     // The light goes along, or shadows would end where its map does.

@@ -6,11 +6,11 @@ const REST_MS = 2500;
 class Stage {
   constructor(replay, parts) {
     Object.assign(this, parts, { replay });
-    [this.blueprints, this.chosen, this.seed, this.asked] = [[], null, 0, 0];
+    [this.blueprints, this.chosen, this.drawn, this.seed, this.asked] = [[], null, null, 0, 0];
     this.next.addEventListener("click", () => this.go(1));
     this.again.addEventListener("click", () => {
       this.seed += 1;
-      if (this.chosen) this.build();
+      if (this.chosen || this.drawn) this.build();
       else this.go(1);
     });
     this.choose.addEventListener("click", () => this.open());
@@ -21,8 +21,10 @@ class Stage {
   /** Learns which blueprints there are. */
   async learn() {
     if (this.blueprints.length > 0) return;
-    const answer = await fetch("/api/blueprints");
+    const answer = await fetch(answerAt("", "blueprints"));
     if (answer.ok) this.blueprints = (await answer.json()).blueprints;
+    // A copy has no others.
+    if (isCopy) this.blueprints = this.blueprints.filter(({ id }) => this.only.includes(id));
   }
 
   /** Goes on to the blueprint after the chosen one, in the gallery's order. */
@@ -34,30 +36,42 @@ class Stage {
   }
 
   start(id) {
-    this.chosen = id;
+    [this.chosen, this.drawn] = [id, null];
     this.build();
   }
 
-  query() {
+  /** Builds what somebody has drawn, as a blueprint file. */
+  startDrawn(file, title, agent) {
+    [this.drawn, this.seed] = [{ file, title }, 0];
+    this.agent.querySelector(`input[value="${agent}"]`).checked = true;
+    this.build();
+  }
+
+  /** Asks for the episode as it is wished for. */
+  request() {
     const picked = (choices) => choices.querySelector("input:checked").value;
-    return `blueprint=${encodeURIComponent(this.chosen)}&agent=${picked(this.agent)}&mode=${picked(this.mode)}&seed=${this.seed}`;
+    const { signal } = this.gone;
+    if (isCopy) return fetch(answerAt(model.base, "play", `${this.chosen}-${picked(this.agent)}`), { signal });
+    const wishes = `agent=${picked(this.agent)}&mode=${picked(this.mode)}&seed=${this.seed}`;
+    if (this.drawn) return fetch(`${model.base}/api/play?${wishes}`, { method: "POST", body: this.drawn.file, signal });
+    return fetch(`${model.base}/api/play?blueprint=${encodeURIComponent(this.chosen)}&${wishes}`, { signal });
   }
 
   /** Asks for the episode and plays it, unless another is asked for meanwhile. */
   async build() {
-    if (!this.chosen) return;
+    if (!this.chosen && !this.drawn) return;
     this.asked += 1;
     const mine = this.asked;
     const isWanted = () => mine === this.asked;
     const who = this.agent.querySelector("input:checked").value === "expert" ? "The expert" : "The policy";
-    this.note.textContent = `${who} builds ${this.chosen} …`;
+    this.note.textContent = `${who} builds ${this.drawn ? this.drawn.title : this.chosen} …`;
     this.replay.prepare();
     if (this.gone) this.gone.abort();
     this.gone = new AbortController();
     for (;;) {
       let answer;
       try {
-        answer = await fetch(`${model.base}/api/play?${this.query()}`, { signal: this.gone.signal });
+        answer = await this.request();
       } catch {
         if (isWanted()) this.note.textContent = "The program does not answer. Is it still running?";
         return;
@@ -78,7 +92,7 @@ class Stage {
       const weights = episode.actor === "expert" ? "" : ` with weights ${episode.weights_version}`;
       this.note.textContent = `${who} builds ${episode.title} (${episode.blueprint}), start ${this.seed + 1}${weights}`;
       await present(this.replay, episode, () => {
-        if (this.onward.checked) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1); }, REST_MS);
+        if (this.onward.checked && !this.drawn) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1); }, REST_MS);
       });
       return;
     }
@@ -101,7 +115,7 @@ class Stage {
           group = one.group;
           parts.push(element("h3", {}, group || "other"));
         }
-        const picture = element("img", { src: `/api/picture?id=${encodeURIComponent(one.id)}`, alt: "", loading: "lazy", width: "200", height: "150" });
+        const picture = element("img", { src: answerAt("", "picture", one.id), alt: "", loading: "lazy", width: "200", height: "150" });
         const tile = element("button", { type: "button", "aria-pressed": String(one.id === this.chosen) }, picture,
           element("b", {}, one.title), element("span", { class: "quiet" }, `${one.id}, ${one.n_blocks} blocks`));
         tile.addEventListener("click", () => {

@@ -1,0 +1,317 @@
+//! A drawing in progress: blocks on the lattice that need not be a blueprint yet, and what keeps them from being one.
+//!
+//! [`checks`](crate::checks) ends at the first error of a file. Whoever draws wants all of them at once, each with the
+//! blocks that it is about, and wants the blocks turned so that the poles that meet attract.
+
+mod turns;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::checks::{Check, check_placements, check_text};
+use crate::error::BlueprintError;
+use crate::format::MAX_COORDINATE;
+use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
+use crate::{
+    Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, NoAssembly, Placement,
+    RelativePlacement, Split, writer,
+};
+
+/// Most characters of a title; the rest is cut off.
+pub const MAX_TITLE: usize = 80;
+
+/// The title of a drawing that has none.
+const UNTITLED: &str = "a drawing";
+
+/// A block of a drawing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DrawnBlock {
+    /// Name of its type in the inventory.
+    pub type_name: String,
+    /// The lowest-numbered corner cell that it fills.
+    pub at: [i32; 3],
+    /// Its turn.
+    pub rotation: CubeRotation,
+    /// Whether another turn that fills the same cells is as good.
+    pub is_free: bool,
+}
+
+/// Blocks on the lattice.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Drawing {
+    /// A short description of the structure.
+    pub title: String,
+    /// At most as many of each type as the inventory has.
+    pub blocks: Vec<DrawnBlock>,
+}
+
+/// Something that keeps a drawing from being a blueprint.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Problem {
+    /// The check that fails.
+    pub check: Check,
+    /// The blocks that it is about, by their index in the drawing; all of them if none is named.
+    pub blocks: Vec<usize>,
+    /// One sentence without a full stop.
+    pub text: String,
+}
+
+/// Two blocks of a drawing, by their index, that hold each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Connection {
+    /// The lower index.
+    pub a: usize,
+    /// The higher index.
+    pub b: usize,
+    /// Number of magnet pairs, at least 1.
+    pub n_magnet_pairs: usize,
+}
+
+/// What there is to say about a drawing.
+#[derive(Clone, Debug)]
+pub struct Findings {
+    /// Every overlap, every pair of blocks that repel, every block that is not connected; without any of these the first
+    /// failure of the other checks.
+    pub problems: Vec<Problem>,
+    /// The pairs of blocks that hold each other.
+    pub connections: Vec<Connection>,
+    /// The blueprint, with an id made from its structure, if there are no problems and at least two blocks.
+    pub blueprint: Option<Blueprint>,
+}
+
+impl DrawnBlock {
+    /// A block as a file has it; `axes` are the directions of its own x and y axes, for example `+x +y`.
+    ///
+    /// # Errors
+    /// If there is no such type, the axes are no turn, or the cell is out of range.
+    pub fn new(type_name: &str, at: [i32; 3], axes: &str, is_free: bool) -> Result<Self, BlueprintError> {
+        let block = || type_name.to_owned();
+        let inventory = Inventory::standard();
+        if inventory.blocks_of_type(type_name).is_empty() {
+            let known = inventory.types().iter().map(|t| t.name.as_str()).collect::<Vec<_>>().join(", ");
+            return Err(BlueprintError::UnknownType { block: block(), type_name: block(), known });
+        }
+        if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
+            return Err(BlueprintError::OutOfRange { block: block(), at });
+        }
+        let rotation = CubeRotation::all().find(|rotation| rotation.axes() == axes);
+        let rotation = rotation.ok_or_else(|| BlueprintError::BadAxes { block: block(), axes: axes.to_owned() })?;
+        Ok(Self { type_name: block(), at, rotation, is_free })
+    }
+
+    /// Directions of its own x and y axes, as written in a file.
+    pub fn axes(&self) -> String {
+        self.rotation.axes()
+    }
+}
+
+/// The everyday word for a type of block, for example `cube`.
+pub fn word(type_name: &str) -> &str {
+    writer::NAMES.iter().find(|(of, _)| *of == type_name).map_or(type_name, |(_, word)| word)
+}
+
+impl Drawing {
+    /// The blocks of a blueprint file. The lowest corner lies at the origin.
+    ///
+    /// # Errors
+    /// If the text is no blueprint.
+    pub fn from_toml(text: &str) -> Result<Self, BlueprintError> {
+        let blueprint = check_text("drawing.toml", text).blueprint.map_err(|error| error.error)?;
+        let inventory = Inventory::standard();
+        let block = |placement: &Placement| {
+            let size = placement.size_cells(inventory);
+            DrawnBlock {
+                type_name: inventory.block_type(placement.block).name.clone(),
+                at: std::array::from_fn(|k| (placement.center_half_units[k] - size[k]) / 2),
+                rotation: placement.rotation,
+                is_free: false,
+            }
+        };
+        let blocks = blueprint.placements().iter().map(block).collect();
+        Ok(Self { title: blueprint.title().to_owned(), blocks })
+    }
+
+    /// Gives every free block a turn that fills the same cells, so that as few like poles meet as possible.
+    ///
+    /// # Errors
+    /// If the inventory has too few blocks.
+    pub fn turn_free_blocks(&mut self) -> Result<(), BlueprintError> {
+        let placements = self.placements()?;
+        let is_free: Vec<bool> = self.blocks.iter().map(|block| block.is_free).collect();
+        for (block, rotation) in self.blocks.iter_mut().zip(turns::matching(&placements, &is_free)) {
+            block.rotation = rotation;
+        }
+        Ok(())
+    }
+
+    /// Checks the drawing as it is.
+    ///
+    /// # Errors
+    /// If the inventory has too few blocks.
+    pub fn examine(&self) -> Result<Findings, BlueprintError> {
+        let placements = self.placements()?;
+        let mut found = Findings { problems: Vec::new(), connections: Vec::new(), blueprint: None };
+        self.overlaps(&placements, &mut found);
+        self.meetings(&placements, &mut found);
+        self.loose(&mut found);
+        if found.problems.is_empty() && !placements.is_empty() {
+            found.problems.extend(self.topples(&placements));
+        }
+        if found.problems.is_empty() && placements.len() > 1 {
+            match self.blueprint(&placements) {
+                Ok(blueprint) => found.blueprint = Some(blueprint),
+                Err(error) => {
+                    let is_assembly = matches!(error, BlueprintError::NoAssembly { .. });
+                    found.problems.push(self.explain(&error, &placements));
+                    // What is too weak nearly always has no order either, and the order says which block is the trouble.
+                    if let (false, Err(NoAssembly { missing })) = (is_assembly, Assembly::of_placements(&placements)) {
+                        found.problems.push(self.unreached(&missing, &placements));
+                    }
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    /// The k-th block of a type is the k-th of the inventory. The lowest corner lies at the origin.
+    fn placements(&self) -> Result<Vec<Placement>, BlueprintError> {
+        let inventory = Inventory::standard();
+        let lowest: [i32; 3] = std::array::from_fn(|k| self.blocks.iter().map(|b| b.at[k]).min().unwrap_or(0));
+        let mut n_used: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut placements = Vec::with_capacity(self.blocks.len());
+        for drawn in &self.blocks {
+            let same = inventory.blocks_of_type(&drawn.type_name);
+            let k = n_used.entry(&drawn.type_name).or_default();
+            let block = *same.get(*k).ok_or_else(|| BlueprintError::TooMany {
+                block: format!("{} {}", word(&drawn.type_name), *k + 1),
+                type_name: drawn.type_name.clone(),
+                count: same.len(),
+            })?;
+            *k += 1;
+            let size = drawn.rotation.apply(inventory.cells(block).map(i32::from)).map(i32::abs);
+            let center_half_units = std::array::from_fn(|k| 2 * (drawn.at[k] - lowest[k]) + size[k]);
+            placements.push(Placement { block, center_half_units, rotation: drawn.rotation });
+        }
+        Ok(placements)
+    }
+
+    /// The word for a block, with a number if there are several of its type.
+    fn name(&self, i: usize) -> String {
+        let same = |blocks: &[DrawnBlock]| blocks.iter().filter(|b| b.type_name == self.blocks[i].type_name).count();
+        let word = word(&self.blocks[i].type_name);
+        if same(&self.blocks) == 1 { word.to_owned() } else { format!("{word} {}", same(&self.blocks[..=i])) }
+    }
+
+    fn names(&self, blocks: &[usize]) -> String {
+        let names: Vec<String> = blocks.iter().map(|&i| self.name(i)).collect();
+        match names.split_last() {
+            Some((last, rest)) if !rest.is_empty() => format!("{} and {last}", rest.join(", ")),
+            _ => names.concat(),
+        }
+    }
+
+    fn problem(&self, check: Check, blocks: Vec<usize>, words: &str) -> Problem {
+        let text = format!("{} {words}", self.names(&blocks));
+        Problem { check, blocks, text }
+    }
+
+    fn overlaps(&self, placements: &[Placement], found: &mut Findings) {
+        let mut filled: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
+        for (i, placement) in placements.iter().enumerate() {
+            for cell in placement.filled_cells(Inventory::standard()) {
+                filled.entry(cell).or_default().push(i);
+            }
+        }
+        let shared: BTreeSet<Vec<usize>> = filled.into_values().filter(|blocks| blocks.len() > 1).collect();
+        found.problems.extend(
+            shared.into_iter().map(|blocks| self.problem(Check::Overlap, blocks, "overlap: they fill the same place")),
+        );
+    }
+
+    fn meetings(&self, placements: &[Placement], found: &mut Findings) {
+        let inventory = Inventory::standard();
+        for (a, first) in placements.iter().enumerate() {
+            for (b, second) in placements.iter().enumerate().skip(a + 1) {
+                let relative = RelativePlacement::between(first, second);
+                let n_magnet_pairs = inventory.magnet_pairs(first.block, second.block, relative).len();
+                if n_magnet_pairs > 0 {
+                    found.connections.push(Connection { a, b, n_magnet_pairs });
+                }
+                if !inventory.clashing_pairs(first.block, second.block, relative).is_empty() {
+                    let words = "repel each other: like poles meet";
+                    found.problems.push(self.problem(Check::Polarity, vec![a, b], words));
+                }
+            }
+        }
+    }
+
+    /// Names the blocks outside the largest piece.
+    fn loose(&self, found: &mut Findings) {
+        let mut piece: Vec<usize> = (0..self.blocks.len()).collect();
+        for Connection { a, b, .. } in &found.connections {
+            let (low, high) = (piece[*a].min(piece[*b]), piece[*a].max(piece[*b]));
+            piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
+        }
+        let size = |of: usize| piece.iter().filter(|&&p| p == of).count();
+        let Some(largest) = piece.iter().copied().max_by_key(|&p| (size(p), std::cmp::Reverse(p))) else { return };
+        let loose: Vec<usize> = (0..piece.len()).filter(|&i| piece[i] != largest).collect();
+        if !loose.is_empty() {
+            let words = if loose.len() == 1 { "is not connected to the rest" } else { "are not connected to the rest" };
+            found.problems.push(self.problem(Check::Connected, loose, words));
+        }
+    }
+
+    fn topples(&self, placements: &[Placement]) -> Option<Problem> {
+        let margin_u = stance(placements, Inventory::standard()).margin_u;
+        let text = "the structure tips over: too little of its lowest layer is under its center of mass".to_owned();
+        (margin_u < MIN_SUPPORT_MARGIN_U).then_some(Problem { check: Check::Stands, blocks: Vec::new(), text })
+    }
+
+    fn blueprint(&self, placements: &[Placement]) -> Result<Blueprint, BlueprintError> {
+        let title: String = self.title.trim().chars().filter(|c| !c.is_control()).take(MAX_TITLE).collect();
+        let title = if title.is_empty() { UNTITLED.to_owned() } else { title };
+        let blueprint = check_placements(draft_id(placements.len(), 0), Split::Train, title, placements)?;
+        let id = draft_id(placements.len(), blueprint.canonical_hash());
+        Ok(Blueprint { id, ..blueprint })
+    }
+
+    /// A failure of the checks that run last, in words for whoever draws.
+    fn explain(&self, error: &BlueprintError, placements: &[Placement]) -> Problem {
+        // In these errors a block is called by its number in the inventory.
+        let find = |name: &String| BlockIdx::all().find(|block| block.get().to_string() == *name);
+        match error {
+            BlueprintError::Overloaded { a, b, .. } => {
+                let named: Vec<BlockIdx> = [a, b].into_iter().filter_map(find).collect();
+                let words = "are pulled apart: too much hangs on their magnets";
+                self.problem(Check::Strength, of_blocks(&named, placements), words)
+            }
+            BlueprintError::NoAssembly { blocks } => {
+                self.unreached(&blocks.iter().filter_map(find).collect::<Vec<_>>(), placements)
+            }
+            _ => Problem { check: Check::Format, blocks: Vec::new(), text: error.to_string() },
+        }
+    }
+
+    fn unreached(&self, missing: &[BlockIdx], placements: &[Placement]) -> Problem {
+        let blocks = of_blocks(missing, placements);
+        let text = format!(
+            "the expert cannot place {}: on no side of the structure is there an order in which it stands after every \
+             block and each block has a straight way in",
+            self.names(&blocks)
+        );
+        Problem { check: Check::Assembly, blocks, text }
+    }
+}
+
+/// The indices of these blocks in the drawing.
+fn of_blocks(blocks: &[BlockIdx], placements: &[Placement]) -> Vec<usize> {
+    (0..placements.len()).filter(|&i| blocks.contains(&placements[i].block)).collect()
+}
+
+/// The id of a drawing: equal structures have equal ids, others nearly always different ones.
+fn draft_id(n_blocks: usize, hash: u64) -> BlueprintId {
+    let id = format!("drawn_{}_{:03}", n_blocks.clamp(2, N_BLOCKS), hash % 1000);
+    BlueprintId::try_from(id).expect("a size of 2 to 16 and an index of three digits")
+}
+
+#[cfg(test)]
+mod tests;

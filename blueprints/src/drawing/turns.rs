@@ -1,0 +1,76 @@
+//! Turns that let the poles that meet attract, without moving a block.
+//!
+//! As in the generator: two blocks that touch along an axis attract exactly if the magnets on their sides toward +axis
+//! have equal signs. So each piece of blocks that touch along an axis shares one sign. A block that keeps its turn settles
+//! the signs of its pieces; any other piece has the sign of its first block. A block with three different sides reaches
+//! only half of the combinations, and may need another sign for a piece that nothing has settled.
+
+use std::collections::BTreeMap;
+
+use crate::{CubeRotation, Inventory, Placement};
+
+/// Combinations of three signs. A block with two equal sides reaches all of them.
+const N_COMBINATIONS: usize = 8;
+
+/// A turn for every block; those that are not free keep theirs.
+pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRotation> {
+    let inventory = Inventory::standard();
+    let mut turns: Vec<CubeRotation> = placements.iter().map(|p| p.rotation).collect();
+    let pieces = pieces(placements, inventory);
+    let mut signs = [0, 1, 2].map(|k| turns.iter().map(|turn| signs_of(*turn)[k]).collect::<Vec<i32>>());
+    let mut settled = [(); 3].map(|()| vec![false; placements.len()]);
+    // Backward, so that of two that disagree the first one has its way.
+    for i in (0..placements.len()).rev().filter(|&i| !is_free[i]) {
+        for k in 0..3 {
+            signs[k][pieces[k][i]] = signs_of(turns[i])[k];
+            settled[k][pieces[k][i]] = true;
+        }
+    }
+    let choices = |i: usize| -> Vec<CubeRotation> {
+        let size = |turn: CubeRotation| turn.apply(inventory.cells(placements[i].block).map(i32::from)).map(i32::abs);
+        CubeRotation::all().filter(|turn| size(*turn) == size(placements[i].rotation)).collect()
+    };
+    let free = (0..placements.len()).filter(|&i| is_free[i]).map(|i| (i, choices(i)));
+    // Those that cannot have all signs come first.
+    let (few, all): (Vec<_>, Vec<_>) = free.partition(|(_, choices)| choices.len() < N_COMBINATIONS);
+    for (i, choices) in few.into_iter().chain(all) {
+        let own: [usize; 3] = std::array::from_fn(|k| pieces[k][i]);
+        let cost = |turn: &CubeRotation| {
+            let differing = || (0..3).filter(|&k| signs_of(*turn)[k] != signs[k][own[k]]);
+            let n_clashes = differing().filter(|&k| settled[k][own[k]]).count();
+            (n_clashes, differing().count(), *turn != placements[i].rotation)
+        };
+        let Some(turn) = choices.iter().copied().min_by_key(cost) else { continue };
+        turns[i] = turn;
+        for k in (0..3).filter(|_| choices.len() < N_COMBINATIONS) {
+            if !settled[k][own[k]] {
+                signs[k][own[k]] = signs_of(turn)[k];
+                settled[k][own[k]] = true;
+            }
+        }
+    }
+    turns
+}
+
+/// Signs of the magnets on the sides toward +x, +y and +z.
+fn signs_of(turn: CubeRotation) -> [i32; 3] {
+    turn.matrix().map(|row| row.iter().sum())
+}
+
+/// For each axis and block, the first block of its piece.
+fn pieces(placements: &[Placement], inventory: &Inventory) -> [Vec<usize>; 3] {
+    let cells = placements.iter().enumerate();
+    let cells = cells.flat_map(|(i, p)| p.filled_cells(inventory).into_iter().map(move |cell| (cell, i)));
+    let filled: BTreeMap<[i32; 3], usize> = cells.collect();
+    [0, 1, 2].map(|axis| {
+        let mut piece: Vec<usize> = (0..placements.len()).collect();
+        for (cell, &a) in &filled {
+            let mut next = *cell;
+            next[axis] += 1;
+            let Some(&b) = filled.get(&next) else { continue };
+            let (low, high) = (piece[a].min(piece[b]), piece[a].max(piece[b]));
+            piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
+        }
+        piece
+    })
+}

@@ -1,0 +1,124 @@
+// The drawing in three dimensions: blocks on a grid, and which of them somebody points at. Lengths are in unit cells, but for
+// those of the pictures. Loaded when somebody begins to draw.
+
+import { Space, blockMesh, dispose, ghostMesh, put, rgb } from "./space.js";
+import { Color, GridHelper, Vector3 } from "./three.js";
+
+/** Frames of selected blocks and of those with which something is wrong. */
+const [SELECTED, WRONG] = [[31, 111, 199], [214, 60, 20]];
+
+/** Cells along a side of the grid. */
+const GRID = 24;
+
+export class Desk extends Space {
+  constructor(canvas, unit) {
+    super(canvas, () => {});
+    [this.unit, this.layer, this.drawn] = [unit, 0, []];
+    this.theme();
+    this.camera.position.set(0.7, -1.25, 0.95);
+    this.settle();
+  }
+
+  /** A grid of cells, at the height of the layer. */
+  theme() {
+    super.theme();
+    // The first time is too early to know how large a cell is.
+    if (!this.unit) return;
+    dispose(this.scene, [this.grid]);
+    const color = () => new Color(getComputedStyle(document.documentElement).getPropertyValue("--line").trim());
+    this.grid = new GridHelper(GRID * this.unit, GRID, color(), color());
+    this.grid.rotation.x = Math.PI / 2;
+    this.scene.add(this.grid);
+    this.lift(this.layer);
+  }
+
+  lift(layer) {
+    this.layer = layer;
+    this.grid.position.z = layer * this.unit + 0.0005;
+  }
+
+  /**
+   * Shows the blocks of `drawn`, each with its `type`, `color`, `cells` of its own, `pose`, lowest corner `at` and `size` on the
+   * grid; `marks` says of each whether it is `"selected"`, `"wrong"` or neither.
+   */
+  set(drawn, marks) {
+    const fresh = drawn.map(({ type, cells, color }, i) => {
+      if (this.drawn[i] && this.drawn[i].type === type) return this.blocks[i];
+      return blockMesh(cells.map((n) => (n * this.unit) / 2), color, this.unit);
+    });
+    dispose(this.scene, this.blocks.filter((mesh) => !fresh.includes(mesh)));
+    [this.blocks, this.drawn] = [fresh, drawn];
+    drawn.forEach(({ pose }, i) => {
+      const mesh = fresh[i];
+      if (!mesh.parent) this.scene.add(mesh);
+      put(mesh, pose);
+      const mark = rgb(marks[i] === "wrong" ? WRONG : SELECTED);
+      mesh.userData.frame.visible = Boolean(marks[i]);
+      mesh.userData.frame.material.color.copy(mark);
+      // Neighbors may hide the frame.
+      mesh.material.emissive.copy(mark).multiplyScalar(marks[i] ? 0.45 : 0);
+    });
+    this.render();
+  }
+
+  /** Shows where a block would go; `null` shows none. */
+  hint(place) {
+    dispose(this.scene, this.ghosts);
+    this.ghosts = [];
+    if (place) {
+      const mesh = ghostMesh(place.size.map((n) => (n * this.unit) / 2), place.color);
+      mesh.position.set(...place.at.map((x, k) => (x + place.size[k] / 2) * this.unit));
+      this.scene.add(mesh);
+      this.ghosts = [mesh];
+    }
+    this.render();
+  }
+
+  /** What is under a point of the canvas, in pixels: a block and the cell before its side, or a cell of the grid. */
+  pick(x, y) {
+    const [width, height] = this.size;
+    this.camera.updateMatrixWorld();
+    const far = new Vector3((2 * x) / width - 1, 1 - (2 * y) / height, 0.5).unproject(this.camera);
+    const from = this.camera.position.toArray().map((v) => v / this.unit);
+    const way = far.toArray().map((v, k) => v / this.unit - from[k]);
+    const at = (t) => from.map((v, k) => v + t * way[k]);
+    let best = null;
+    this.drawn.forEach(({ at: low, size }, block) => {
+      // The ray is inside where it is between the two planes of all three axes.
+      let [enter, leave, axis] = [0, Infinity, -1];
+      for (let k = 0; k < 3; k += 1) {
+        const [a, b] = [low[k], low[k] + size[k]].map((plane) => (plane - from[k]) / way[k]);
+        if (Math.min(a, b) > enter) [enter, axis] = [Math.min(a, b), k];
+        leave = Math.min(leave, Math.max(a, b));
+      }
+      if (axis < 0 || enter >= leave || (best && best.t <= enter)) return;
+      const normal = [0, 0, 0];
+      normal[axis] = way[axis] < 0 ? 1 : -1;
+      const cell = at(enter).map((v, k) => Math.min(Math.max(Math.floor(v), low[k]), low[k] + size[k] - 1) + normal[k]);
+      best = { t: enter, block, cell, normal };
+    });
+    const t = (this.layer - from[2]) / way[2];
+    if (t > 0 && (!best || t < best.t)) {
+      const cell = at(t).map(Math.floor);
+      cell[2] = this.layer;
+      if (Math.max(Math.abs(cell[0] + 0.5), Math.abs(cell[1] + 0.5)) < GRID / 2) return { t, block: null, cell, normal: [0, 0, 1] };
+    }
+    return best;
+  }
+
+  /** The direction of the grid that is to the right on the screen. */
+  right() {
+    const { x, y } = this.camera.position.clone().sub(this.controls.target);
+    // A quarter turn from where the viewer stands.
+    return Math.abs(y) >= Math.abs(x) ? [y < 0 ? 1 : -1, 0, 0] : [0, x > 0 ? 1 : -1, 0];
+  }
+
+  /** Looks at everything. */
+  all() {
+    const ends = this.drawn.flatMap(({ at, size }) => [at, at.map((v, k) => v + size[k])]);
+    if (ends.length === 0) ends.push([-2, -2, 0], [2, 2, 2]);
+    const [low, high] = [Math.min, Math.max].map((pick) => [0, 1, 2].map((k) => pick(...ends.map((end) => end[k])) * this.unit));
+    this.fit(low.map((v, k) => (v + high[k]) / 2), Math.max(Math.hypot(...low.map((v, k) => high[k] - v)) / 2 + 0.12, 0.34));
+    this.render();
+  }
+}

@@ -1,0 +1,233 @@
+//! What somebody draws on the page: its blocks are checked and turned, and come back with what is wrong and as a file.
+
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::{Extension, RawQuery};
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use blueprints::checks::Check;
+use blueprints::drawing::{Drawing, DrawnBlock, word};
+use blueprints::{BlueprintId, Catalog, Inventory, UNIT_M};
+use render::picture::TYPE_COLORS;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tokio::sync::Semaphore;
+
+use super::query::id_of;
+
+/// Most bytes of a drawing, as JSON or as a file. Sixteen blocks take two thousand.
+pub(super) const MAX_BYTES: usize = 64 << 10;
+
+/// Where drawings are checked, one at a time: a search for an order of assembly can take a second.
+#[derive(Clone, Debug)]
+pub(super) struct Desk(Arc<Semaphore>);
+
+impl Default for Desk {
+    fn default() -> Self {
+        Self(Arc::new(Semaphore::new(1)))
+    }
+}
+
+/// A drawing as the page sends it, and, with what was found, as it gets it back.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DrawingView {
+    title: String,
+    blocks: Vec<BlockView>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BlockView {
+    #[serde(rename = "type")]
+    type_name: String,
+    /// The lowest-numbered corner cell that it fills.
+    at: [i32; 3],
+    /// Directions of its own x and y axes.
+    axes: String,
+    /// Whether another turn that fills the same cells may take the place of this one.
+    #[serde(default)]
+    is_free: bool,
+}
+
+/// What there is to say about a drawing.
+#[derive(Debug, Serialize)]
+struct Findings {
+    schema_version: u32,
+    #[serde(flatten)]
+    drawing: DrawingView,
+    problems: Vec<ProblemView>,
+    connections: Vec<ConnectionView>,
+    /// The file of the blueprint, if there are no problems and at least two blocks.
+    toml: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct ProblemView {
+    check: Check,
+    /// Places in `blocks`; none if it is about the whole.
+    blocks: Vec<usize>,
+    text: String,
+}
+
+#[derive(Debug, Serialize)]
+struct ConnectionView {
+    a: usize,
+    b: usize,
+    n_magnet_pairs: usize,
+}
+
+/// Reads a drawing: JSON begins with a brace, and no blueprint file does.
+fn read(body: &[u8]) -> Result<Drawing, String> {
+    let text = std::str::from_utf8(body).map_err(|_| "the drawing is not text".to_owned())?;
+    if !text.trim_start().starts_with('{') {
+        return Drawing::from_toml(text).map_err(|error| error.to_string());
+    }
+    let DrawingView { title, blocks } = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    let block = |view: BlockView| DrawnBlock::new(&view.type_name, view.at, &view.axes, view.is_free);
+    let blocks = blocks.into_iter().map(block).collect::<Result<_, _>>().map_err(|error| error.to_string())?;
+    Ok(Drawing { title, blocks })
+}
+
+/// Reads a drawing, turns its free blocks and says what there is to say.
+fn look(body: &[u8]) -> Result<Findings, String> {
+    let mut drawing = read(body)?;
+    drawing.turn_free_blocks().map_err(|error| error.to_string())?;
+    let found = drawing.examine().map_err(|error| error.to_string())?;
+    let block = |block: DrawnBlock| BlockView {
+        axes: block.axes(),
+        type_name: block.type_name,
+        at: block.at,
+        is_free: block.is_free,
+    };
+    let problem = |problem: blueprints::drawing::Problem| ProblemView {
+        check: problem.check,
+        blocks: problem.blocks,
+        text: problem.text,
+    };
+    let connection = |found: blueprints::drawing::Connection| ConnectionView {
+        a: found.a,
+        b: found.b,
+        n_magnet_pairs: found.n_magnet_pairs,
+    };
+    Ok(Findings {
+        schema_version: 1,
+        drawing: DrawingView { title: drawing.title, blocks: drawing.blocks.into_iter().map(block).collect() },
+        problems: found.problems.into_iter().map(problem).collect(),
+        connections: found.connections.into_iter().map(connection).collect(),
+        toml: found.blueprint.map(|blueprint| blueprint.to_toml("drawn on the page of lodestone")),
+    })
+}
+
+/// Checks the drawing of the body, which is JSON or the text of a blueprint file.
+pub(super) async fn check(Extension(desk): Extension<Desk>, body: Bytes) -> Response {
+    let Ok(turn) = desk.0.acquire_owned().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
+    let looked = tokio::task::spawn_blocking(move || {
+        // A check goes on when its browser leaves, and the next one waits for it.
+        let _turn = turn;
+        look(&body).map(|found| serde_json::to_vec(&found))
+    });
+    match looked.await {
+        Ok(Ok(Ok(json))) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Ok(Err(reason)) => (StatusCode::BAD_REQUEST, reason + "\n").into_response(),
+        Ok(Ok(Err(_))) | Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
+/// The blocks that can be drawn with.
+pub(super) async fn inventory() -> Response {
+    let kind = |(i, of): (usize, &blueprints::BlockType)| {
+        let color = TYPE_COLORS[i % TYPE_COLORS.len()];
+        json!({ "type": of.name, "word": word(&of.name), "cells": of.cells, "count": of.count, "color": color })
+    };
+    let types: Vec<_> = Inventory::standard().types().iter().enumerate().map(kind).collect();
+    let answer = json!({ "schema_version": 1, "unit_m": UNIT_M, "types": types });
+    ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
+}
+
+/// The file of the blueprint that the query names.
+pub(super) async fn file(Extension(catalog): Extension<Arc<Catalog>>, RawQuery(query): RawQuery) -> Response {
+    let id = id_of(query).parse::<BlueprintId>().ok();
+    match id.and_then(|id| catalog.find(&id).map(|blueprint| blueprint.to_toml(&format!("a copy of {id}")))) {
+        Some(text) => ([(CONTENT_TYPE, "application/toml")], text).into_response(),
+        None => StatusCode::NOT_FOUND.into_response(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drawing_comes_back_turned_and_as_a_file() {
+        let cube = |at: [i32; 3], axes: &str, is_free: bool| json!({ "type": "1x1x1", "at": at, "axes": axes, "is_free": is_free });
+        let drawn = |is_free| {
+            let blocks = [cube([0, 0, 0], "+x +y", false), cube([0, 0, 1], "+x -y", is_free)];
+            look(json!({ "title": "two cubes", "blocks": blocks }).to_string().as_bytes()).unwrap()
+        };
+        let repelled = drawn(false);
+        assert_eq!((repelled.problems[0].check, &repelled.problems[0].blocks[..]), (Check::Polarity, &[0, 1][..]));
+        assert_eq!(repelled.toml, None);
+        let turned = drawn(true);
+        assert_eq!((turned.problems.len(), turned.connections.len()), (0, 1));
+        assert_ne!(turned.drawing.blocks[1].axes, "+x -y");
+        let again = look(turned.toml.unwrap().as_bytes()).unwrap();
+        assert_eq!((again.drawing.title.as_str(), again.problems.len()), ("two cubes", 0));
+        assert!(again.toml.unwrap().contains("drawn_2_"));
+    }
+
+    #[test]
+    fn every_blueprint_can_be_drawn_on() {
+        for blueprint in Catalog::builtin().iter() {
+            let found = look(blueprint.to_toml("a test").as_bytes()).unwrap();
+            assert_eq!((found.drawing.blocks.len(), found.problems.len()), (blueprint.n_blocks(), 0));
+        }
+    }
+
+    #[test]
+    fn strangers_are_told_what_is_wrong() {
+        let deep = "[".repeat(30_000);
+        let many = format!(
+            "{{\"title\":\"\",\"blocks\":[{}]}}",
+            ["{\"type\":\"1x1x1\",\"at\":[0,0,0],\"axes\":\"+x +y\"}"; 900].join(",")
+        );
+        for (body, words) in [
+            (&b"\xff\xfe"[..], "not text"),
+            (b"", "missing field"),
+            (b"{", "EOF"),
+            (b"{}", "missing field `title`"),
+            (b"{\"title\":\"\",\"blocks\":[],\"more\":1}", "unknown field `more`"),
+            (
+                b"{\"title\":\"\",\"blocks\":[{\"type\":\"1x1x1\",\"at\":[0,0,99999999999],\"axes\":\"+x +y\"}]}",
+                "invalid value",
+            ),
+            (
+                b"{\"title\":\"\",\"blocks\":[{\"type\":\"1x1x1\",\"at\":[0,0,2147483647],\"axes\":\"+x +y\"}]}",
+                "outside -64..=64",
+            ),
+            (b"{\"title\":\"\",\"blocks\":[{\"type\":\"0x0x0\",\"at\":[0,0,0],\"axes\":\"+x +y\"}]}", "unknown type"),
+            (
+                b"{\"title\":\"\",\"blocks\":[{\"type\":\"1x1x1\",\"at\":[0,0,0],\"axes\":\"up\"}]}",
+                "not two different axes",
+            ),
+            (many.as_bytes(), "one too many of type 1x1x1"),
+            (format!("{{\"title\":\"\",\"blocks\":{deep}").as_bytes(), "invalid type"),
+            (format!("a = {deep}").as_bytes(), "line 1"),
+            (b"id = \"2_000\"", "line 1: missing field"),
+        ] {
+            let reason = look(body).unwrap_err();
+            assert!(reason.contains(words), "{reason}");
+        }
+    }
+
+    #[test]
+    fn an_empty_drawing_and_a_single_block_have_no_problems_and_no_file() {
+        let nothing = look(b"{\"title\":\"\",\"blocks\":[]}").unwrap();
+        assert_eq!((nothing.problems.len(), nothing.toml), (0, None));
+        let one =
+            look(b"{\"title\":\"\",\"blocks\":[{\"type\":\"4x1x1\",\"at\":[0,0,9],\"axes\":\"+z +x\"}]}").unwrap();
+        assert_eq!((one.problems.len(), one.toml), (0, None));
+    }
+}

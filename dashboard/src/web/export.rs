@@ -1,0 +1,119 @@
+//! A copy of the page for any web server: what a browser would ask for is asked once, and each answer becomes a file.
+
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+
+use anyhow::{Context, ensure};
+use axum::Router;
+use axum::body::{Body, Bytes, to_bytes};
+use axum::http::{Request, StatusCode, header::HOST};
+use blueprints::BlueprintId;
+use hyper::service::Service;
+use hyper_util::service::TowerToHyperService;
+use serde_json::{Value, json};
+
+use super::routes::{self, ASSETS, Shown};
+use crate::config::WebConfig;
+
+/// Largest answer. A film has a few hundred kilobytes, an episode less.
+const MAX_ANSWER_BYTES: usize = 64 << 20;
+
+/// Who builds what is recorded, by the name in a query.
+const AGENTS: [&str; 2] = ["policy", "expert"];
+
+/// The routes to ask, and the folder to write to.
+struct Copy<'d> {
+    routes: TowerToHyperService<Router>,
+    folder: &'d Path,
+    n_files: usize,
+}
+
+/// Writes the page of these runs into `folder`, which is made, with an episode of each of `goals` by policy and expert. Returns
+/// the number of files.
+pub(super) async fn export(
+    first: Shown,
+    others: Vec<Shown>,
+    goals: &[BlueprintId],
+    folder: &Path,
+) -> anyhow::Result<usize> {
+    fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let bases: Vec<String> = (0..=others.len()).map(routes::base).collect();
+    let routes = TowerToHyperService::new(routes::routes(first, others, WebConfig::default()));
+    let mut copy = Copy { routes, folder, n_files: 0 };
+    for (path, _, text) in ASSETS {
+        let text = text.replacen("<html ", "<html data-copy ", usize::from(path == "/"));
+        copy.write(if path == "/" { "/index.html" } else { path }, text.as_bytes())?;
+    }
+    copy.take("/api/blueprints", "/api/blueprints.json").await?;
+    let mut pictured: Vec<String> = goals.iter().map(ToString::to_string).collect();
+    for base in bases {
+        pictured.extend(copy.run(&base, goals).await?);
+    }
+    pictured.sort_unstable();
+    pictured.dedup();
+    for id in pictured {
+        copy.take(&format!("/api/picture?id={id}"), &format!("/api/picture/{id}.png")).await?;
+    }
+    Ok(copy.n_files)
+}
+
+impl Copy<'_> {
+    /// Copies what there is of one run; returns the blueprints of its films.
+    async fn run(&mut self, base: &str, goals: &[BlueprintId]) -> anyhow::Result<Vec<String>> {
+        let mut about: Value = serde_json::from_slice(&self.ask(&format!("{base}/api/about")).await?.1)?;
+        let mut recorded = Vec::new();
+        for goal in goals.iter().filter(|_| about["can_play"] == true) {
+            let mut has_all = true;
+            for agent in AGENTS {
+                let question = format!("{base}/api/play?blueprint={goal}&agent={agent}");
+                has_all &= self.take(&question, &format!("{base}/api/play/{goal}-{agent}.json")).await?;
+            }
+            recorded.extend(has_all.then(|| goal.to_string()));
+        }
+        about["recorded"] = json!(recorded);
+        self.write(&format!("{base}/api/about.json"), about.to_string().as_bytes())?;
+        self.take(&format!("{base}/api/history"), &format!("{base}/api/history.json")).await?;
+        let (_, films) = self.ask(&format!("{base}/api/films")).await?;
+        self.write(&format!("{base}/api/films.json"), &films)?;
+        let films: Value = serde_json::from_slice(&films)?;
+        let films = films["films"].as_array().into_iter().flatten();
+        let text = |film: &Value, field: &str| film[field].as_str().unwrap_or_default().to_owned();
+        let mut blueprints = Vec::new();
+        for film in films {
+            let id = text(film, "id");
+            self.take(&format!("{base}/api/film?id={id}"), &format!("{base}/api/film/{id}.mp4")).await?;
+            self.take(&format!("{base}/api/recording?id={id}"), &format!("{base}/api/recording/{id}.json")).await?;
+            blueprints.push(text(film, "blueprint"));
+        }
+        Ok(blueprints)
+    }
+
+    /// Writes the answer to a question into a file; says whether there was one.
+    async fn take(&mut self, question: &str, file: &str) -> anyhow::Result<bool> {
+        let (status, answer) = self.ask(question).await?;
+        if status != StatusCode::OK {
+            tracing::warn!(%status, question, "left out of the copy");
+            return Ok(false);
+        }
+        self.write(file, &answer)?;
+        Ok(true)
+    }
+
+    async fn ask(&self, question: &str) -> anyhow::Result<(StatusCode, Bytes)> {
+        let request = Request::builder().uri(question).header(HOST, "localhost").body(Body::empty())?;
+        let answer = self.routes.call(request).await?;
+        Ok((answer.status(), to_bytes(answer.into_body(), MAX_ANSWER_BYTES).await?))
+    }
+
+    fn write(&mut self, file: &str, bytes: &[u8]) -> anyhow::Result<()> {
+        let relative = PathBuf::from(file.trim_start_matches('/'));
+        ensure!(relative.components().all(|part| matches!(part, Component::Normal(_))), "{file} is no file");
+        let path = self.folder.join(relative);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        fs::write(&path, bytes).with_context(|| format!("cannot write {}", path.display()))?;
+        self.n_files += 1;
+        Ok(())
+    }
+}
