@@ -1,0 +1,155 @@
+"""PettingZoo's and Stable-Baselines3's judges, and the agents that come with the package.
+
+python -m unittest discover -s python/tests
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import unittest
+import warnings
+
+import gymnasium
+import lodestone
+import numpy as np
+from lodestone.batch import flatten, unflatten
+from lodestone.parallel import parallel_env
+from lodestone.sb3 import AssemblyVecEnv
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecMonitor
+
+ID = "Lodestone/Assembly-v0"
+FORMS = ({}, {"observation": "flat", "action": "flat"})
+
+
+class PettingZoo(unittest.TestCase):
+    def test_its_judges_find_nothing(self) -> None:
+        for form in (*FORMS, {"settings": {"n_grippers": 1}}):
+            with self.subTest(form), contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+                warnings.simplefilter("error")
+                settings = {"episode_steps": 30, **form.get("settings", {})}
+                parallel_api_test(parallel_env(blueprint="3_000", **{**form, "settings": settings}), num_cycles=100)
+                parallel_seed_test(lambda form=form: parallel_env(blueprint="train", **form), num_cycles=20)
+
+    def test_each_gripper_sees_itself_first(self) -> None:
+        env = parallel_env(blueprint="2_000")
+        env.reset(seed=1)
+        still = np.zeros(6, np.float32)
+        choices = {"gripper_0": 3, "gripper_1": 12}
+        seen, *_ = env.step({agent: {"choice": choice, "move": still} for agent, choice in choices.items()})
+        for agent, choice in choices.items():
+            self.assertIn(seen[agent], env.observation_space(agent))
+            np.testing.assert_array_equal(np.flatnonzero(seen[agent]["nodes"][:, 1]), [choice])
+            np.testing.assert_array_equal(np.flatnonzero(seen[agent]["globals"][9:25]), [choice])
+            other = sum(choices.values()) - choice
+            np.testing.assert_array_equal(np.flatnonzero(seen[agent]["nodes"][:, 2]), [other])
+            np.testing.assert_array_equal(np.flatnonzero(seen[agent]["globals"][34:50]), [other])
+
+    def test_the_expert_and_the_policy_build_with_it(self) -> None:
+        for form in FORMS:
+            env = parallel_env(blueprint="2_000", starts="near-goal", **form)
+            for agent in (lodestone.Expert(), lodestone.Policy.pretrained()):
+                env.reset(seed=2)
+                while env.agents:
+                    _, _, terminated, _, _ = env.step(agent.act(env))
+                self.assertTrue(all(terminated.values()))
+
+
+class Agents(unittest.TestCase):
+    def test_both_build_in_every_form(self) -> None:
+        for form in (*FORMS, {"features": "paper"}):
+            envs = gymnasium.make_vec(ID, num_envs=8, blueprint=["2_000", "4_000"], **form)
+            for agent in (lodestone.Expert(), lodestone.Policy.pretrained()):
+                with self.subTest(form=form, agent=type(agent).__name__):
+                    _, built = envs.reset(seed=5), np.zeros(8, np.bool_)
+                    for _ in range(100):
+                        built |= envs.step(agent.act(envs))[2]
+                    self.assertGreaterEqual(built.sum(), 7)
+
+    def test_one_world_and_a_batch_agree(self) -> None:
+        policy = lodestone.Policy.pretrained()
+        env, envs = gymnasium.make(ID, blueprint="4_000"), gymnasium.make_vec(ID, num_envs=3, blueprint="4_000")
+        one, many = env.reset(seed=6)[0], envs.reset(seed=5)[0]
+        acted, batch = policy.act(env), policy.act(envs)
+        np.testing.assert_array_equal(acted["choices"], batch["choices"][1])
+        np.testing.assert_allclose(acted["moves"], batch["moves"][1], atol=1e-5)
+        predicted, _ = policy.predict(one)
+        np.testing.assert_array_equal(predicted["moves"], acted["moves"])
+        self.assertIn(predicted, env.action_space)
+        predicted, _ = policy.predict(many)
+        np.testing.assert_array_equal(predicted["moves"], batch["moves"])
+        flat = np.concatenate([many[name].reshape(3, -1) for name in ("nodes", "edges", "globals")], axis=1)
+        predicted, _ = lodestone.Policy.pretrained(action="flat").predict(flat)
+        choices, moves = unflatten(predicted.reshape(3, 2, 22))
+        np.testing.assert_array_equal(choices, batch["choices"])
+        for gripper in range(2):
+            chosen = (np.arange(3), choices[:, gripper])
+            np.testing.assert_array_equal(moves[chosen], batch["moves"][chosen])
+        self.assertEqual(policy.evaluate(many).shape, (3,))
+
+    def test_samples_follow_the_seed(self) -> None:
+        policy = lodestone.Policy.pretrained()
+        seen = gymnasium.make_vec(ID, num_envs=3, blueprint="4_000").reset(seed=1)[0]
+        draws = []
+        for seed in (1, 1, 2):
+            policy.seed(seed)
+            draws.append(policy.predict(seen, deterministic=False)[0]["moves"])
+        np.testing.assert_array_equal(draws[0], draws[1])
+        self.assertFalse(np.array_equal(draws[0], draws[2]))
+
+    def test_what_does_not_fit_is_named(self) -> None:
+        policy = lodestone.Policy.pretrained()
+        paper = gymnasium.make(ID, features="paper").reset(seed=1)[0]
+        with self.assertRaisesRegex(ValueError, r"nodes has shape \(16, 3\): this policy expects \(1, 16, 23\)"):
+            policy.predict(paper)
+        one = gymnasium.make(ID, settings={"n_grippers": 1})
+        one.reset(seed=1)
+        with self.assertRaisesRegex(ValueError, "2 grippers cannot act with 1"):
+            policy.act(one)
+        with self.assertRaisesRegex(ValueError, "no environment of lodestone"):
+            policy.act(gymnasium.make("CartPole-v1"))
+        with self.assertRaisesRegex(OSError, "cannot read /nowhere"):
+            lodestone.Policy.load("/nowhere")
+        with self.assertRaisesRegex(ValueError, "is not a policy"):
+            lodestone.Policy.load(__file__)
+
+    def test_flat_actions_go_there_and_back(self) -> None:
+        choices = np.array([[3, 12], [5, 5]])
+        moves = np.zeros((2, 16, 6), np.float32)
+        moves[0, 3], moves[0, 12], moves[1, 5] = 0.5, -0.25, 1.0
+        back = unflatten(flatten(choices, moves))
+        np.testing.assert_array_equal(back[0], choices)
+        np.testing.assert_array_equal(back[1], moves)
+        # Both chose block 5; its move is the mean.
+        flat = flatten(choices, moves)
+        flat[1, 1, 16:] = 0.0
+        np.testing.assert_array_equal(unflatten(flat)[1][1, 5], np.full(6, 0.5))
+
+
+class StableBaselines3(unittest.TestCase):
+    def test_its_judge_finds_nothing(self) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            check_env(lodestone.AssemblyEnv(blueprint="2_000", observation="flat", action="flat"))
+            # It would rather have no matrices in a dictionary.
+            warnings.filterwarnings("ignore", message="Your observation (nodes|edges) has an unconventional shape")
+            check_env(lodestone.AssemblyEnv(blueprint="2_000", action="flat"))
+
+    def test_it_evaluates_our_policy(self) -> None:
+        envs = AssemblyVecEnv(4, blueprint="2_000", starts="near-goal")
+        policy = lodestone.Policy.pretrained(action="flat")
+        returns, lengths = evaluate_policy(policy, VecMonitor(envs), n_eval_episodes=8, return_episode_rewards=True)
+        self.assertGreater(min(returns), 0.5)
+        self.assertLess(max(lengths), 60)
+
+    def test_ppo_learns_a_start_next_to_the_goal(self) -> None:
+        raise NotImplementedError
+        PPO("MlpPolicy", AssemblyVecEnv(16))
+
+
+if __name__ == "__main__":
+    unittest.main()
