@@ -5,9 +5,10 @@
     python python/examples/ppo.py                                   # two blocks, begun next to the goal; a few minutes
     python python/examples/ppo.py --blueprint train --starts scattered --steps 10000000
 
-The network is small and treats every block alike: a vector for each block from its features and the sum over its edges, from
-which come the logits of the grippers' choices and the means of the moves. The log-probability of an action is that of the
-choices and of the moves of the chosen blocks, each counted once, as in the paper.
+The network is small and treats every block alike: a vector for each block from its features and from the sum over its edges
+within the blueprint, from which come the logits of the grippers' choices and the means of the moves. Grippers choose among the
+blueprint's blocks. The log-probability of an action is that of the choices and of the moves of the chosen blocks, each counted
+once, as in the paper.
 """
 
 from __future__ import annotations
@@ -28,19 +29,23 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--blueprint", default="2_000", help="id, split, or path of a TOML file")
     parser.add_argument("--starts", default="near-goal:1", help="scattered, prebuilt, near-goal:N, ...")
-    parser.add_argument("--steps", type=int, default=60_000, help="steps of all worlds")
+    parser.add_argument("--steps", type=int, default=300_000, help="steps of all worlds")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--worlds", type=int, default=32)
     parser.add_argument("--rollout", type=int, default=32, help="steps of each world between two updates")
     parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--minibatches", type=int, default=4)
     parser.add_argument("--rate", type=float, default=1e-3, help="learning rate of Adam")
-    parser.add_argument("--gamma", type=float, default=0.97)
-    parser.add_argument("--gae-lambda", type=float, default=0.95)
+    parser.add_argument("--gamma", type=float, default=0.95)
+    parser.add_argument("--gae-lambda", type=float, default=0.9)
     parser.add_argument("--clip", type=float, default=0.2)
     parser.add_argument("--entropy", type=float, default=0.003)
     parser.add_argument("--width", type=int, default=64)
     return parser.parse_args()
+
+
+# Features that the network uses as flags: the block belongs to the blueprint, and both blocks of an edge do.
+MEMBER, BOTH_MEMBERS = 6, 23
 
 
 class Agent(nn.Module):
@@ -54,7 +59,7 @@ class Agent(nn.Module):
         self.choices = nn.Linear(width, n_grippers)
         self.moves = nn.Linear(width, 6)
         self.value = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
-        self.log_std = nn.Parameter(torch.full((6,), -1.0))
+        self.log_std = nn.Parameter(torch.full((6,), -0.7))
         # Edges are sender-major without self-edges.
         receivers = [i for j in range(16) for i in range(16) if i != j]
         self.register_buffer("gather", nn.functional.one_hot(torch.tensor(receivers), 16).T.float())
@@ -64,10 +69,11 @@ class Agent(nn.Module):
 
     def forward(self, seen: dict[str, Tensor]) -> tuple[Categorical, Normal, Tensor]:
         """Distributions of choices [n, grippers] and of moves [n, 16, 6], and values [n]."""
-        edges = self.gather @ self.edge(seen["edges"])
+        edges = self.gather @ (self.edge(seen["edges"]) * seen["edges"][..., BOTH_MEMBERS, None])
         globals_ = seen["globals"][:, None].expand(-1, 16, -1)
         blocks = self.node(torch.cat([seen["nodes"], edges, globals_], dim=-1))
-        choices = Categorical(logits=self.choices(blocks).transpose(1, 2))
+        logits = self.choices(blocks).masked_fill(seen["nodes"][..., MEMBER, None] == 0, -1e9)
+        choices = Categorical(logits=logits.transpose(1, 2))
         moves = Normal(self.moves(blocks), self.log_std.exp())
         return choices, moves, self.value(blocks.mean(dim=1)).squeeze(-1)
 

@@ -86,6 +86,9 @@ class Worlds:
     def episode(self, row: int) -> tuple[str, str, int]:
         """The goal of a world's episode, how it began, and the seed of its start. IndexError if there is none."""
 
+    def allowed(self) -> NDArray[np.bool_]:
+        """Whether a masked gripper may choose a block [n, 16]: those of the blueprint and those with a connection."""
+
     def expert(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """What the scripted expert does in each world: choices [n, g] and moves [n, 16, 6]."""
 

@@ -97,6 +97,8 @@ class Batch:
             linear and angular velocity of each block in its own frame as fractions of the speed limits; only those of chosen
             blocks count. Or `flat` for 22 numbers in [-1, 1] per gripper: a score for each block, and the move of the block
             with the highest score. Two grippers that choose one block move it by the mean of their moves.
+        mask: `blueprint` lets the scores of flat actions choose only among the blocks of the blueprint and those with a
+            connection, as `mask` in `[policy]` does; `none` among all.
         num_threads: threads that step worlds; by default as many as there are processors.
     """
 
@@ -111,15 +113,21 @@ class Batch:
         features: Features = "all",
         observation: Literal["features", "flat"] = "features",
         action: Literal["native", "flat"] = "native",
+        mask: Literal["none", "blueprint"] = "none",
         num_threads: int | None = None,
     ) -> None:
         if observation not in ("features", "flat"):
             raise ValueError(f"observation {observation!r} is unknown: expected features or flat")
         if action not in ("native", "flat"):
             raise ValueError(f"action {action!r} is unknown: expected native or flat")
+        if mask not in ("none", "blueprint"):
+            raise ValueError(f"mask {mask!r} is unknown: expected none or blueprint")
+        if mask == "blueprint" and action == "native":
+            raise ValueError("mask 'blueprint' is for flat actions: a native one names its blocks")
         weights = {starts: 1.0} if isinstance(starts, str) else dict(starts)
         self.n = n
         self.flat_observation, self.flat_action = observation == "flat", action == "flat"
+        self.masked = mask == "blueprint"
         self.features = read_features(features)
         threads = num_threads if num_threads is not None else min(n, os.cpu_count() or 1)
         pairs = [(start, float(weight)) for start, weight in weights.items()]
@@ -176,7 +184,11 @@ class Batch:
         flat = np.asarray(action, np.float32)
         if flat.size != self.n * self.n_grippers * N_FLAT:
             raise ValueError(f"actions have shape {flat.shape}: expected {(self.n, self.n_grippers * N_FLAT)}")
-        return unflatten(flat.reshape(self.n, self.n_grippers, N_FLAT))
+        return unflatten(flat.reshape(self.n, self.n_grippers, N_FLAT), self.allowed())
+
+    def allowed(self) -> NDArray[np.bool_] | None:
+        """Whether a score of a flat action counts [n, 16]; None if all do."""
+        return self.worlds.allowed() if self.masked else None
 
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> Action:
         """Choices and moves as a batch of actions of the action space."""
@@ -201,11 +213,17 @@ def row_of(batch: Any, row: int) -> Any:
     return {name: values[row] for name, values in batch.items()} if isinstance(batch, dict) else batch[row]
 
 
-def unflatten(flat: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Flat actions [n, grippers, 22] as choices [n, grippers] and moves [n, 16, 6]."""
+def unflatten(
+    flat: NDArray[np.float32], allowed: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Flat actions [n, grippers, 22] as choices [n, grippers] and moves [n, 16, 6]; scores that are not `allowed` [n, 16] do
+    not count."""
     n, n_grippers, _ = flat.shape
     rows = np.arange(n)
-    choices = flat[..., :N_BLOCKS].argmax(axis=-1)
+    scores = flat[..., :N_BLOCKS]
+    if allowed is not None:
+        scores = np.where(allowed[:, None], scores, -np.inf)
+    choices = scores.argmax(axis=-1)
     moves = np.zeros((n, N_BLOCKS, N_MOVES), np.float32)
     for gripper in range(n_grippers):
         moves[rows, choices[:, gripper]] += flat[:, gripper, N_BLOCKS:]

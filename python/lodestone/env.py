@@ -33,7 +33,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         render_mode: `human` for a window (needs pygame-ce), `rgb_array` for pictures [height, width, 3] of unsigned bytes.
         render_size: width and height of a picture in pixels, 32 to 4096.
         **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
-            `observation`, `action`.
+            `observation`, `action`, `mask`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}

@@ -37,7 +37,7 @@ class AssemblyParallelEnv(ParallelEnv):
         render_mode: `human` for a window (needs pygame-ce), `rgb_array` for pictures [height, width, 3] of unsigned bytes.
         render_size: width and height of a picture in pixels.
         **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
-            `observation`, `action`.
+            `observation`, `action`, `mask`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -53,8 +53,8 @@ class AssemblyParallelEnv(ParallelEnv):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode {render_mode!r} is unknown: expected human or rgb_array")
         self.flat_observation = world.pop("observation", "features") == "flat"
-        self.flat_action = world.pop("action", "native") == "flat"
         self.batch = Batch(1, **{"num_threads": 1} | world)
+        self.flat_action = self.batch.flat_action
         self.possible_agents = [f"gripper_{gripper}" for gripper in range(self.batch.n_grippers)]
         self.agents: list[str] = []
         self.render_mode, self.render_size = render_mode, render_size
@@ -93,8 +93,7 @@ class AssemblyParallelEnv(ParallelEnv):
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Moves the world by one step."""
         out = self.batch.empty()
-        choices, moves = self._to_native(actions)
-        rewards, statuses, terms = self.batch.step({"choices": choices, "moves": moves}, _NONE, out)
+        rewards, statuses, terms = self.batch.step(self._joint(actions), _NONE, out)
         status, agents = int(statuses[0]), self.agents
         truncated = status in (TIME_LIMIT, DIVERGED)
         infos = {
@@ -150,7 +149,8 @@ class AssemblyParallelEnv(ParallelEnv):
         move = spaces.Box(-1.0, 1.0, (N_MOVES,), np.float32)
         return spaces.Dict({"choice": spaces.Discrete(N_BLOCKS), "move": move})
 
-    def _to_native(self, actions: Mapping[str, Any]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def _joint(self, actions: Mapping[str, Any]) -> Any:
+        """The agents' actions as one of the batch."""
         flat = np.full((1, len(self.possible_agents), N_FLAT), -1.0, np.float32)
         for gripper, agent in enumerate(self.possible_agents):
             if agent not in actions:
@@ -164,7 +164,10 @@ class AssemblyParallelEnv(ParallelEnv):
                 raise ValueError(f"the choice of {agent} is {choice}: expected a block from 0 to {N_BLOCKS - 1}")
             flat[0, gripper, choice] = 1.0
             flat[0, gripper, N_BLOCKS:] = action["move"]
-        return unflatten(flat)
+        if self.flat_action:
+            return flat
+        choices, moves = unflatten(flat)
+        return {"choices": choices, "moves": moves}
 
     def _views(self, out: Any) -> dict[str, Any]:
         views = {}

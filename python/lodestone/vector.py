@@ -29,7 +29,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         render_mode: `rgb_array` lets `render` give a picture of each world.
         render_size: width and height of a picture in pixels.
         **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
-            `observation`, `action`, `num_threads`.
+            `observation`, `action`, `mask`, `num_threads`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use blueprints::{BlockIdx, Inventory};
+use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use environment::vec_env::generator;
 use environment::{Env, EnvironmentConfig, World};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods};
@@ -202,6 +202,19 @@ impl Worlds {
         let task = all.get(row).and_then(|row| row.task.as_ref());
         let task = task.ok_or_else(|| PyIndexError::new_err(format!("world {row} has no episode")))?;
         Ok((task.blueprint.to_string(), name(&task.start), task.seed))
+    }
+
+    /// Whether a masked gripper may choose a block, `[n, 16]`: those of the blueprint and those with a connection, as they may
+    /// have to be taken apart.
+    fn allowed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        let all = self.lock(py);
+        let mut allowed = Vec::with_capacity(all.len() * N_BLOCKS);
+        for row in all.iter() {
+            let (scene, goal) = (row.world.scene(), row.world.blueprint());
+            let connected = |block: BlockIdx| scene.joints.iter().any(|joint| joint.a == block || joint.b == block);
+            allowed.extend(BlockIdx::all().map(|block| goal.contains(block) || connected(block)));
+        }
+        allowed.into_pyarray(py).reshape([all.len(), N_BLOCKS])
     }
 
     /// What the scripted expert does in each world.
