@@ -38,7 +38,7 @@ def vector(act: str, **world: Any) -> Callable[[int], float]:
         envs.reset(seed=1000 * seed)
         before, n_steps = time.process_time(), 0
         for step in range(N_STEPS):
-            _, _, terminated, truncated, infos = envs.step(policy.act(envs) if act == "policy" else drawn[step % 16])
+            infos = envs.step(policy.act(envs) if act == "policy" else drawn[step % 16])[4]
             # What starts an episode does not step.
             n_steps += N_WORLDS - infos.get("_blueprint", np.zeros(1)).sum()
         return n_steps / (time.process_time() - before)

@@ -164,7 +164,9 @@ def main() -> None:
             n_steps = update * args.worlds * args.rollout
             share = f"{np.mean(finished):.0%}" if finished else "–"
             rate = n_steps / (time.monotonic() - began)
-            print(f"{n_steps:>9,} steps  success {share:>4} of the last {len(finished)}  {rate:,.0f} steps/s", flush=True)
+            print(
+                f"{n_steps:>9,} steps  success {share:>4} of the last {len(finished)}  {rate:,.0f} steps/s", flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -6,19 +6,22 @@ ValueError and leaves the worlds as they are.
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = ["Policy", "Worlds", "blueprints"]
+
 def blueprints(names: Sequence[str]) -> list[tuple[str, int]]:
     """Ids and numbers of blocks of what the names name: ids, splits, and paths of TOML files or of folders with such files."""
 
+@final
 class Worlds:
     """`n` worlds that step side by side on up to `n_threads` threads, without the global interpreter lock."""
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         n: int,
         blueprints: Sequence[str],
         starts: Sequence[tuple[str, float]],
@@ -26,7 +29,7 @@ class Worlds:
         settings: str,
         features: str,
         n_threads: int,
-    ) -> None:
+    ) -> Worlds:
         """`settings` is the section `[environment]` of a configuration as JSON, `features` the section `[policy.features]`."""
 
     @property
@@ -98,6 +101,7 @@ class Worlds:
     def picture(self, row: int, width: int, height: int) -> NDArray[np.uint8]:
         """A picture of a world and its goal, [height, width, 3]; sides are 32 to 4096 pixels."""
 
+@final
 class Policy:
     """A frozen policy on the CPU."""
 
@@ -137,5 +141,5 @@ class Policy:
     ) -> tuple[tuple[NDArray[np.int64], NDArray[np.float32]], NDArray[np.float32], NDArray[np.float32]]:
         """Acts on features [n, 16, nd], [n, 240, ed], [n, gd].
 
-        Returns choices [n, g] and moves [n, 16, 6], their log-probabilities [n] in nats, and values [n] in units of reward.
+        Returns choices [n, g] and moves [n, 16, 6], their log-probabilities [n] in nats, and values [n] as returns.
         """

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lodestone import _native
 from lodestone.batch import N_BLOCKS, N_EDGES, Action, Batch, Observation, flatten, row_of
+
+# Nodes, edges, and globals.
+Parts: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 
 class Expert:
@@ -45,8 +48,10 @@ class Policy:
 
     @classmethod
     def pretrained(cls, action: Literal["native", "flat"] = "native") -> Policy:
-        """The policy that comes with the package; it was trained on the settings and `features` that environments have by
-        default."""
+        """The policy that comes with the package.
+
+        It was trained on the settings and `features` that environments have by default.
+        """
         return cls(_native.Policy.pretrained(), action)
 
     @classmethod
@@ -77,7 +82,7 @@ class Policy:
         if seen is None:
             nd, ed, gd = self.native.sizes
             shapes = ((batch.n, N_BLOCKS, nd), (batch.n, N_EDGES, ed), (batch.n, gd))
-            seen = tuple(np.empty(shape, np.float32) for shape in shapes)
+            seen = _three([np.empty(shape, np.float32) for shape in shapes])
             batch.worlds.observe(self.native.features, seen)
         actions, _, _ = self.native.act(*seen, not deterministic)
         return target.put(actions)
@@ -109,7 +114,7 @@ class Policy:
     def _sees_what(self, batch: Batch) -> bool:
         return batch.worlds.sizes == self.native.sizes and batch.worlds.features == self.native.features
 
-    def _parts(self, observation: Observation, n: int) -> tuple[NDArray[np.float32], ...]:
+    def _parts(self, observation: Observation, n: int) -> Parts:
         nd, ed, gd = self.native.sizes
         shapes = ((n, N_BLOCKS, nd), (n, N_EDGES, ed), (n, gd))
         if isinstance(observation, dict):
@@ -123,9 +128,8 @@ class Policy:
         for name, part, shape in zip(("nodes", "edges", "globals"), parts, shapes, strict=True):
             if np.size(part) != np.prod(shape):
                 raise ValueError(f"{name} has shape {np.shape(part)}: this policy expects {shape}")
-        return tuple(
-            np.ascontiguousarray(part, np.float32).reshape(shape) for part, shape in zip(parts, shapes, strict=True)
-        )
+        pairs = zip(parts, shapes, strict=True)
+        return _three([np.ascontiguousarray(part, np.float32).reshape(shape) for part, shape in pairs])
 
 
 class _Target:
@@ -145,3 +149,7 @@ class _Target:
         made = self.batch.from_native(*actions)
         return made if hasattr(self.env, "num_envs") else row_of(made, 0)
 
+
+def _three(parts: list[NDArray[np.float32]]) -> Parts:
+    nodes, edges, globals_ = parts
+    return nodes, edges, globals_

@@ -143,7 +143,9 @@ class Batch:
             total = sum(int(np.prod(shape)) for shape in self.shapes.values())
             self.observation_space: spaces.Space[Any] = _box(MAX_FEATURE, (total,))
         else:
-            self.observation_space = spaces.Dict({name: _box(MAX_FEATURE, shape) for name, shape in self.shapes.items()})
+            self.observation_space = spaces.Dict(
+                {name: _box(MAX_FEATURE, shape) for name, shape in self.shapes.items()}
+            )
         if self.flat_action:
             self.action_space: spaces.Space[Any] = _box(1.0, (self.n_grippers * N_FLAT,))
         else:
@@ -152,7 +154,7 @@ class Batch:
 
     def empty(self) -> Observation:
         """Arrays for the observations of all worlds."""
-        if self.flat_observation:
+        if isinstance(self.observation_space, spaces.Box):
             return np.empty((self.n, *self.observation_space.shape), np.float32)
         return {name: np.empty((self.n, *shape), np.float32) for name, shape in self.shapes.items()}
 
@@ -176,11 +178,15 @@ class Batch:
 
     def to_native(self, action: Action) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Choices [n, grippers] and moves [n, 16, 6] of a batch of actions."""
-        if not self.flat_action:
+        if isinstance(action, dict):
+            if self.flat_action:
+                raise ValueError("an action is a dictionary: expected flat ones")
             return (
                 np.ascontiguousarray(action["choices"], np.int64),
                 np.ascontiguousarray(action["moves"], np.float32),
             )
+        if not self.flat_action:
+            raise ValueError(f"an action is {type(action).__name__}: expected a dictionary of choices and moves")
         flat = np.asarray(action, np.float32)
         if flat.size != self.n * self.n_grippers * N_FLAT:
             raise ValueError(f"actions have shape {flat.shape}: expected {(self.n, self.n_grippers * N_FLAT)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -36,11 +36,9 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
             `observation`, `action`, `mask`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
 
-    def __init__(
-        self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any
-    ) -> None:
+    def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode {render_mode!r} is unknown: expected human or rgb_array")
         self.batch = Batch(1, **{"num_threads": 1} | world)

@@ -8,7 +8,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from copy import deepcopy
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -40,19 +41,21 @@ class AssemblyParallelEnv(ParallelEnv):
             `observation`, `action`, `mask`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {
         "name": "lodestone_assembly_v0",
         "render_modes": ["human", "rgb_array"],
         "render_fps": 10,
         "is_parallelizable": True,
     }
 
-    def __init__(
-        self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any
-    ) -> None:
+    def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode {render_mode!r} is unknown: expected human or rgb_array")
-        self.flat_observation = world.pop("observation", "features") == "flat"
+        observation = world.pop("observation", "features")
+        if observation not in ("features", "flat"):
+            raise ValueError(f"observation {observation!r} is unknown: expected features or flat")
+        self.flat_observation = observation == "flat"
+        # Each agent gets an arrangement of its own, which is made of the parts.
         self.batch = Batch(1, **{"num_threads": 1} | world)
         self.flat_action = self.batch.flat_action
         self.possible_agents = [f"gripper_{gripper}" for gripper in range(self.batch.n_grippers)]
@@ -62,7 +65,7 @@ class AssemblyParallelEnv(ParallelEnv):
         self._random: np.random.Generator | None = None
         single = self.batch.observation_space
         self._observation_spaces = {
-            agent: spaces.flatten_space(single) if self.flat_observation else _copy(single)
+            agent: spaces.flatten_space(single) if self.flat_observation else deepcopy(single)
             for agent in self.possible_agents
         }
         self._action_spaces = {agent: self._action_space() for agent in self.possible_agents}
@@ -185,12 +188,6 @@ class AssemblyParallelEnv(ParallelEnv):
             if self._window is None:
                 self._window = Window("Lodestone", self.render_size, self.metadata["render_fps"])
             self._window.show(self.batch.worlds.picture(0, *self.render_size))
-
-
-def _copy(space: spaces.Space[Any]) -> spaces.Dict:
-    """A space that is seeded by itself."""
-    assert isinstance(space, spaces.Dict)
-    return spaces.Dict({name: spaces.Box(box.low, box.high, dtype=box.dtype) for name, box in space.items()})
 
 
 def parallel_env(**kwargs: Any) -> AssemblyParallelEnv:

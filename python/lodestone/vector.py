@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -32,7 +32,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
             `observation`, `action`, `mask`, `num_threads`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {
         "render_modes": ["rgb_array"],
         "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -75,10 +75,10 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         if isinstance(seed, (int, np.integer)):
             self._np_random, self._np_random_seed = seeding.np_random(int(seed))
             seed = [int(seed) + row for row in range(self.num_envs)]
-        seeds = list(seed) if seed is not None else [None] * self.num_envs
+        seeds: list[int | None] = list(seed) if seed is not None else [None] * self.num_envs
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
-        for row in np.flatnonzero(mask & ~self._seeded):
+        for row in np.flatnonzero(mask & ~self._seeded).tolist():
             if seeds[row] is None:
                 seeds[row] = int(self.np_random.integers(2**63))
         out = self._arrays()
@@ -134,8 +134,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         return self.batch.worlds.scene(row)
 
     def _arrays(self) -> Observation:
-        reuse = not self.copy and self._observation is not None
-        return self._observation if reuse else self.batch.empty()
+        return self.batch.empty() if self.copy or self._observation is None else self._observation
 
     def _mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:
@@ -153,16 +152,16 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
     ) -> dict[str, Any]:
         """How episodes ended, in the form of Gymnasium's infos."""
         infos: dict[str, Any] = {}
-        for row in np.flatnonzero(ended):
+        for row in np.flatnonzero(ended).tolist():
             seen = row_of(out, row)
             seen = {name: x.copy() for name, x in seen.items()} if isinstance(seen, dict) else seen.copy()
             success, diverged = bool(statuses[row] == SUCCESS), bool(statuses[row] == DIVERGED)
             last = {"is_success": success, "diverged": diverged, "reward_terms": terms[row]}
-            infos = self._add_info(infos, {"final_obs": seen, "final_info": last}, int(row))
+            infos = self._add_info(infos, {"final_obs": seen, "final_info": last}, row)
         return infos
 
     def _with_episodes(self, infos: dict[str, Any], begun: NDArray[np.bool_]) -> dict[str, Any]:
         """Adds what a reset tells of episodes that have begun."""
-        for row in np.flatnonzero(begun):
-            infos = self._add_info(infos, self.batch.about(int(row)), int(row))
+        for row in np.flatnonzero(begun).tolist():
+            infos = self._add_info(infos, self.batch.about(row), row)
         return infos

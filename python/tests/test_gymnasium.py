@@ -21,7 +21,11 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 ID = "Lodestone/Assembly-v0"
 # Short episodes, so that every way to end one comes up.
-SHORT = {"blueprint": ["2_000", "3_000"], "starts": {"near-goal": 0.5, "scattered": 0.5}, "settings": {"episode_steps": 5}}
+SHORT = {
+    "blueprint": ["2_000", "3_000"],
+    "starts": {"near-goal": 0.5, "scattered": 0.5},
+    "settings": {"episode_steps": 5},
+}
 FORMS = ({}, {"observation": "flat", "action": "flat"}, {"features": "paper", "settings": {"n_grippers": 1}})
 CATALOG = Path(__file__).parents[2] / "blueprints/catalog"
 
@@ -208,7 +212,9 @@ class VectorEnvironment(unittest.TestCase):
 def _same(ours: Any, theirs: Any) -> bool:
     """Equal infos; Gymnasium's comparison does not look into arrays of objects."""
     if isinstance(ours, dict):
-        return isinstance(theirs, dict) and ours.keys() == theirs.keys() and all(_same(ours[k], theirs[k]) for k in ours)
+        return (
+            isinstance(theirs, dict) and ours.keys() == theirs.keys() and all(_same(ours[k], theirs[k]) for k in ours)
+        )
     ours, theirs = np.asarray(ours), np.asarray(theirs)
     if ours.dtype == object:
         return len(ours) == len(theirs) and all(

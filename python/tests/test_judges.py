@@ -161,10 +161,11 @@ class StableBaselines3(unittest.TestCase):
 
     def test_it_evaluates_our_policy(self) -> None:
         envs = AssemblyVecEnv(4, blueprint="2_000", starts="near-goal")
+        envs.seed(1)
         policy = lodestone.Policy.pretrained(action="flat")
         returns, lengths = evaluate_policy(policy, VecMonitor(envs), n_eval_episodes=8, return_episode_rewards=True)
-        self.assertGreater(min(returns), 0.5)
-        self.assertLess(max(lengths), 60)
+        self.assertGreater(np.median(returns), 1.0)
+        self.assertLess(np.median(lengths), 30)
 
     def test_ppo_learns_a_start_next_to_the_goal(self) -> None:
         # Magnets that pull hard and far, and slow grippers: with the real ones it takes ten times as many steps.
