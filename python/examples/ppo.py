@@ -2,7 +2,7 @@
 """Proximal policy optimization in one file, after CleanRL, on Lodestone's worlds.
 
     pip install ./python torch
-    python python/examples/ppo.py                                   # two blocks, begun next to the goal; a few minutes
+    python python/examples/ppo.py                                   # two blocks, begun next to the goal; ten minutes
     python python/examples/ppo.py --blueprint train --starts scattered --steps 10000000
 
 The network is small and treats every block alike: a vector for each block from its features and from the sum over its edges

@@ -25,6 +25,9 @@ const PRETRAINED: &[u8] = include_bytes!("../../deploy/pretrained/model.safetens
 const CONNECTED: usize = 22;
 const BOTH_BELONG: usize = 23;
 
+/// Actions, log-probabilities `[n]`, and values `[n]`.
+type DecisionArrays<'py> = (ActionArrays<'py>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
+
 /// A frozen policy.
 #[pyclass(module = "lodestone._native")]
 pub(crate) struct Policy {
@@ -103,7 +106,7 @@ impl Policy {
         edges: PyReadonlyArray3<'py, f32>,
         globals: PyReadonlyArray2<'py, f32>,
         sampled: bool,
-    ) -> PyResult<(ActionArrays<'py>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
+    ) -> PyResult<DecisionArrays<'py>> {
         let n = nodes.shape()[0];
         for (name, shape, wanted) in [
             ("nodes", nodes.shape(), &[n, N_BLOCKS, self.sizes.node][..]),
