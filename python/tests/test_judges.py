@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import unittest
 import warnings
 
@@ -51,6 +52,24 @@ class PettingZoo(unittest.TestCase):
             other = sum(choices.values()) - choice
             np.testing.assert_array_equal(np.flatnonzero(seen[agent]["nodes"][:, 2]), [other])
             np.testing.assert_array_equal(np.flatnonzero(seen[agent]["globals"][34:50]), [other])
+
+    def test_it_shows_its_world(self) -> None:
+        os.environ["SDL_VIDEODRIVER"] = "dummy"
+        for mode, shown in (("rgb_array", (64, 96, 3)), ("human", None), (None, None)):
+            env = parallel_env(blueprint="2_000", render_mode=mode, render_size=(96, 64))
+            env.reset(seed=1)
+            self.assertEqual(getattr(env.render(), "shape", None), shown)
+            env.close()
+
+    def test_what_is_wrong_is_named(self) -> None:
+        with self.assertRaisesRegex(ValueError, "'pixels' is unknown"):
+            parallel_env(observation="pixels")
+        env = parallel_env(blueprint="2_000")
+        env.reset(seed=1)
+        with self.assertRaisesRegex(ValueError, "no action for agent gripper_1"):
+            env.step({"gripper_0": {"choice": 0, "move": np.zeros(6, np.float32)}})
+        with self.assertRaisesRegex(ValueError, "choice of gripper_0 is 16"):
+            env.step({agent: {"choice": 16, "move": np.zeros(6, np.float32)} for agent in env.agents})
 
     def test_the_expert_and_the_policy_build_with_it(self) -> None:
         for form in FORMS:
