@@ -174,14 +174,65 @@ impl Policy {
         Ok(self.run(observations)?.values)
     }
 
+    /// Decides as [`Agent::act`] does, for features instead of scenes: those of a batch as [`FeatureBatch::push`] writes them,
+    /// with their `allowed`. Afterwards they are normalized.
+    ///
+    /// # Errors
+    /// [`PolicyError::NoDistribution`] if a forward pass gives none for one of the rows.
+    ///
+    /// # Panics
+    /// When there are not as many generators and modes as rows, or the features have other sizes.
+    pub fn act_on(
+        &mut self,
+        batch: &mut FeatureBatch,
+        modes: &[ActionMode],
+        rngs: &mut [ChaCha8Rng],
+    ) -> Result<Vec<Decision>, PolicyError> {
+        assert_eq!((rngs.len(), modes.len()), (batch.n, batch.n), "one generator and one mode per row");
+        let mut output = self.forward(batch)?;
+        let per_scene = output.logits.len() / batch.n.max(1);
+        let mut decisions = Vec::with_capacity(batch.n);
+        for (row, (rng, mode)) in rngs.iter_mut().zip(modes).enumerate() {
+            let logits = &mut output.logits[row * per_scene..(row + 1) * per_scene];
+            if let Some(allowed) = self.config.choosable(batch, row) {
+                mask_logits(logits, &allowed);
+            }
+            let moves = row * 96..(row + 1) * 96;
+            let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
+            let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
+            let action = match mode {
+                ActionMode::Sampled => distribution.sample(rng).ok_or(self.no_distribution("a logit", f32::NAN))?,
+                ActionMode::Greedy => distribution.mode(),
+            };
+            let log_prob = distribution.log_prob(&action);
+            self.check("a log-probability", &[log_prob])?;
+            decisions.push(Decision { action, log_prob, value: output.values[row] });
+        }
+        Ok(decisions)
+    }
+
     fn run(&mut self, observations: &[Observation<'_>]) -> Result<Outputs, PolicyError> {
-        if observations.is_empty() {
+        self.with_batch(|policy, batch| {
+            batch.fill(observations);
+            policy.forward(batch)
+        })
+    }
+
+    /// Lends the batch that is kept for its memory.
+    fn with_batch<T>(&mut self, with: impl FnOnce(&mut Self, &mut FeatureBatch) -> T) -> T {
+        let mut batch = std::mem::replace(&mut self.batch, FeatureBatch::new(&self.config.features));
+        let result = with(self, &mut batch);
+        self.batch = batch;
+        result
+    }
+
+    fn forward(&mut self, batch: &mut FeatureBatch) -> Result<Outputs, PolicyError> {
+        if batch.n == 0 {
             return Ok(Outputs::default());
         }
-        self.batch.fill(observations);
-        normalize(&mut self.batch, &self.normalization);
-        let rows: Vec<usize> = (0..self.batch.n).collect();
-        let mut output = self.engine.run(&self.batch, &rows);
+        normalize(batch, &self.normalization);
+        let rows: Vec<usize> = (0..batch.n).collect();
+        let mut output = self.engine.run(batch, &rows);
         let Normalization { value_mean, value_std, .. } = self.normalization;
         output.values.iter_mut().for_each(|v| *v = *v * value_std + value_mean);
         for (name, numbers) in [
@@ -248,27 +299,9 @@ impl Agent for Policy {
         modes: &[ActionMode],
         rngs: &mut [ChaCha8Rng],
     ) -> Result<Vec<Decision>, PolicyError> {
-        let n = observations.len();
-        assert_eq!((rngs.len(), modes.len()), (n, n), "one generator and one mode per observation");
-        let mut output = self.run(observations)?;
-        let per_scene = output.logits.len() / n.max(1);
-        let mut decisions = Vec::with_capacity(n);
-        for (row, (rng, mode)) in rngs.iter_mut().zip(modes).enumerate() {
-            let logits = &mut output.logits[row * per_scene..(row + 1) * per_scene];
-            if let Some(allowed) = self.config.choosable(&self.batch, row) {
-                mask_logits(logits, &allowed);
-            }
-            let moves = row * 96..(row + 1) * 96;
-            let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
-            let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
-            let action = match mode {
-                ActionMode::Sampled => distribution.sample(rng).ok_or(self.no_distribution("a logit", f32::NAN))?,
-                ActionMode::Greedy => distribution.mode(),
-            };
-            let log_prob = distribution.log_prob(&action);
-            self.check("a log-probability", &[log_prob])?;
-            decisions.push(Decision { action, log_prob, value: output.values[row] });
-        }
-        Ok(decisions)
+        self.with_batch(|policy, batch| {
+            batch.fill(observations);
+            policy.act_on(batch, modes, rngs)
+        })
     }
 }

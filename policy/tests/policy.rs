@@ -165,6 +165,18 @@ fn a_decision_depends_on_its_own_scene_and_generator_alone() {
 }
 
 #[test]
+fn features_decide_as_their_scenes_do() {
+    let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
+    let mut policy = Policy::new(&config).unwrap();
+    policy.load(&weights(&config, 3)).unwrap();
+    let seeds = [4, 5, 6];
+    let mut batch = FeatureBatch::new(&config.features);
+    batch.fill(&observations(&scenes(&seeds)));
+    let decided = policy.act_on(&mut batch, &[ActionMode::Sampled; 3], &mut rngs(&seeds)).unwrap();
+    assert_eq!(decided, act(&mut policy, &seeds));
+}
+
+#[test]
 fn the_mask_keeps_choices_in_the_blueprint() {
     let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
     let mut policy = Policy::new(&config).unwrap();

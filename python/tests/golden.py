@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "python"))
+# Behind the installed packages: the sources of the package `lodestone` lie there too, without their native part.
+sys.path.append(str(ROOT / "python"))
 
 from lodestone_torch import Config, GraphNetwork
 

@@ -4,7 +4,10 @@
 //! (training runs).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
+#![cfg_attr(not(feature = "films"), allow(dead_code, unused_imports))]
 
 pub mod picture;
+#[cfg(feature = "films")]
 pub mod plot;
+#[cfg(feature = "films")]
 pub mod video;

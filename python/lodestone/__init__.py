@@ -1,0 +1,28 @@
+"""Worlds of magnet blocks that two grippers assemble into blueprints, for Python.
+
+`import lodestone` registers `Lodestone/Assembly-v0` with Gymnasium:
+
+    env = gymnasium.make("Lodestone/Assembly-v0", blueprint="4_000")
+    envs = gymnasium.make_vec("Lodestone/Assembly-v0", num_envs=32, blueprint="4_000")
+
+`lodestone.parallel` has the same world for PettingZoo, with an agent for each gripper, and `lodestone.sb3` a batch of worlds
+for Stable-Baselines3.
+"""
+
+import gymnasium
+
+from lodestone.agents import Expert, Policy
+from lodestone.batch import REWARD_TERMS, blueprints
+from lodestone.env import AssemblyEnv
+from lodestone.vector import AssemblyVectorEnv
+
+__all__ = ["REWARD_TERMS", "AssemblyEnv", "AssemblyVectorEnv", "Expert", "Policy", "blueprints"]
+
+ENV_ID = "Lodestone/Assembly-v0"
+
+if ENV_ID not in gymnasium.registry:
+    gymnasium.register(
+        ENV_ID,
+        entry_point="lodestone.env:AssemblyEnv",
+        vector_entry_point="lodestone.vector:AssemblyVectorEnv",
+    )

@@ -1,0 +1,145 @@
+"""Batches of worlds and the policy, in Rust. `lodestone.batch` and `lodestone.agents` are what to use instead.
+
+Arrays are C-contiguous. `n` is the number of worlds, `g` the number of grippers. Whatever is wrong with an argument raises
+ValueError and leaves the worlds as they are.
+"""
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Policy", "Worlds", "blueprints"]
+
+def blueprints(names: Sequence[str]) -> list[tuple[str, int]]:
+    """Ids and numbers of blocks of what the names name: ids, splits, and paths of TOML files or of folders with such files."""
+
+@final
+class Worlds:
+    """`n` worlds that step side by side on up to `n_threads` threads, without the global interpreter lock."""
+
+    def __new__(
+        cls,
+        n: int,
+        blueprints: Sequence[str],
+        starts: Sequence[tuple[str, float]],
+        shuffle_blocks: bool,
+        settings: str,
+        features: str,
+        n_threads: int,
+    ) -> Worlds:
+        """`settings` is the section `[environment]` of a configuration as JSON, `features` the section `[policy.features]`."""
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Numbers of features of a node (nd), of an edge (ed), and of the whole scene (gd)."""
+
+    @property
+    def features(self) -> str:
+        """What is seen: the section `[policy.features]` as JSON."""
+
+    @property
+    def n_grippers(self) -> int:
+        """1 or 2."""
+
+    @property
+    def episode_steps(self) -> int:
+        """Steps before an episode ends at the time limit."""
+
+    @property
+    def step_s(self) -> float:
+        """Length of a step in seconds."""
+
+    @property
+    def blueprints(self) -> list[str]:
+        """Ids of the goals that are drawn."""
+
+    def reset(
+        self,
+        mask: NDArray[np.bool_],
+        seeds: Sequence[int | None],
+        blueprint: str | None,
+        start: str | None,
+        features: Sequence[NDArray[np.float32]],
+    ) -> None:
+        """Starts episodes in the worlds of `mask` and writes their rows of `features`.
+
+        A seed, if there is one for a world, determines its episodes from here on. `features` is one array with
+        n × (16 nd + 240 ed + gd) entries, or three with n × 16 nd, n × 240 ed, and n × gd.
+        """
+
+    def step(
+        self,
+        choices: NDArray[np.int64],
+        moves: NDArray[np.float32],
+        resets: NDArray[np.bool_],
+        features: Sequence[NDArray[np.float32]],
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float32]]:
+        """Moves each world by one step, but starts an episode in those of `resets`; writes all features.
+
+        `choices` is [n, g], blocks from 0 to 15; `moves` is [n, 16, 6], fractions of the speed limits. Returns rewards [n],
+        statuses [n] (0 running, 1 success, 2 time limit, 3 diverged), and the terms of the rewards [n, 5].
+        """
+
+    def observe(self, settings: str, features: Sequence[NDArray[np.float32]]) -> None:
+        """Writes the features that other `[policy.features]`, as JSON, give."""
+
+    def episode(self, row: int) -> tuple[str, str, int]:
+        """The goal of a world's episode, how it began, and the seed of its start. IndexError if there is none."""
+
+    def allowed(self) -> NDArray[np.bool_]:
+        """Whether a masked gripper may choose a block [n, 16]: those of the blueprint and those with a connection."""
+
+    def expert(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """What the scripted expert does in each world: choices [n, g] and moves [n, 16, 6]."""
+
+    def scene(self, row: int) -> dict[str, Any]:
+        """The state of a world; `lodestone.AssemblyEnv.scene` says what is in it."""
+
+    def picture(self, row: int, width: int, height: int) -> NDArray[np.uint8]:
+        """A picture of a world and its goal, [height, width, 3]; sides are 32 to 4096 pixels."""
+
+@final
+class Policy:
+    """A frozen policy on the CPU."""
+
+    @staticmethod
+    def pretrained() -> Policy:
+        """The policy that comes with the program."""
+
+    @staticmethod
+    def load(path: str | PathLike[str]) -> Policy:
+        """The policy in a file of `lodestone export`. OSError if it cannot be read."""
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Numbers of features of a node (nd), of an edge (ed), and of the whole scene (gd)."""
+
+    @property
+    def n_grippers(self) -> int:
+        """1 or 2."""
+
+    @property
+    def features(self) -> str:
+        """What it sees: the section `[policy.features]` as JSON."""
+
+    @property
+    def version(self) -> int:
+        """Version of its weights."""
+
+    def seed(self, seed: int) -> None:
+        """Draws sampled actions by this seed from now on."""
+
+    def act(
+        self,
+        nodes: NDArray[np.float32],
+        edges: NDArray[np.float32],
+        globals: NDArray[np.float32],
+        sampled: bool,
+    ) -> tuple[tuple[NDArray[np.int64], NDArray[np.float32]], NDArray[np.float32], NDArray[np.float32]]:
+        """Acts on features [n, 16, nd], [n, 240, ed], [n, gd].
+
+        Returns choices [n, g] and moves [n, 16, 6], their log-probabilities [n] in nats, and values [n] as returns.
+        """

@@ -1,0 +1,155 @@
+"""Who can act: the policy and the scripted expert."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lodestone import _native
+from lodestone.batch import N_BLOCKS, N_EDGES, Action, Batch, Observation, flatten, row_of
+
+# Nodes, edges, and globals.
+Parts: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+
+
+class Expert:
+    """The scripted expert, which sees the whole state of the world and builds almost any blueprint.
+
+    It has no memory: what it does follows from the state of the world alone.
+    """
+
+    def act(self, env: Any) -> Any:
+        """Actions in the form of the environment: one, a batch, or one for each of PettingZoo's agents."""
+        target = _Target(env)
+        return target.put(target.batch.worlds.expert())
+
+
+class Policy:
+    """A trained policy, frozen.
+
+    `act` acts in an environment of this package whatever the form of its observations; `predict` acts on observations alone,
+    as the policies of Stable-Baselines3 do.
+
+    Args:
+        native: what `Policy.pretrained` and `Policy.load` make.
+        action: what `predict` returns: `native` or `flat` actions, as for `lodestone.batch.Batch`.
+    """
+
+    def __init__(self, native: _native.Policy, action: Literal["native", "flat"] = "native") -> None:
+        if action not in ("native", "flat"):
+            raise ValueError(f"action {action!r} is unknown: expected native or flat")
+        self.native = native
+        self.flat_action = action == "flat"
+        self.features: dict[str, Any] = json.loads(native.features)
+
+    @classmethod
+    def pretrained(cls, action: Literal["native", "flat"] = "native") -> Policy:
+        """The policy that comes with the package.
+
+        It was trained on the settings and `features` that environments have by default.
+        """
+        return cls(_native.Policy.pretrained(), action)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], action: Literal["native", "flat"] = "native") -> Policy:
+        """The policy in a file that `lodestone export` wrote."""
+        return cls(_native.Policy.load(path), action)
+
+    @property
+    def version(self) -> int:
+        """Version of its weights."""
+        return self.native.version
+
+    def seed(self, seed: int) -> None:
+        """Draws sampled actions by this seed from now on."""
+        self.native.seed(seed)
+
+    def act(self, env: Any, deterministic: bool = True) -> Any:
+        """Actions in the form of the environment: one, a batch, or one for each of PettingZoo's agents.
+
+        `deterministic` takes the most probable block and the mean move, else actions are sampled. Sampled actions of the
+        pretrained policy build nothing: the spread of its moves was never trained.
+        """
+        target = _Target(env)
+        batch = target.batch
+        if self.native.n_grippers != batch.n_grippers:
+            raise ValueError(f"a policy for {self.native.n_grippers} grippers cannot act with {batch.n_grippers}")
+        seen = self._parts(batch.latest, batch.n) if batch.latest is not None and self._sees_what(batch) else None
+        if seen is None:
+            nd, ed, gd = self.native.sizes
+            shapes = ((batch.n, N_BLOCKS, nd), (batch.n, N_EDGES, ed), (batch.n, gd))
+            seen = _three([np.empty(shape, np.float32) for shape in shapes])
+            batch.worlds.observe(self.native.features, seen)
+        actions, _, _ = self.native.act(*seen, not deterministic)
+        return target.put(actions)
+
+    def predict(
+        self,
+        observation: Observation,
+        state: None = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Action, None]:
+        """Acts on an observation or a batch of them, a dictionary or flat; returns actions, and None for a state."""
+        del state, episode_start
+        nodes = observation["nodes"] if isinstance(observation, dict) else np.asarray(observation)
+        single = nodes.ndim == (2 if isinstance(observation, dict) else 1)
+        n = 1 if single else len(nodes)
+        (choices, moves), _, _ = self.native.act(*self._parts(observation, n), not deterministic)
+        moves = moves.clip(-1.0, 1.0)
+        actions: Action = {"choices": choices, "moves": moves}
+        if self.flat_action:
+            actions = flatten(choices, moves).reshape(n, -1)
+        return (row_of(actions, 0) if single else actions), None
+
+    def evaluate(self, observation: Observation) -> NDArray[np.float32]:
+        """Values of a batch of observations [n]: expected returns in units of reward."""
+        n = len(observation["nodes"]) if isinstance(observation, dict) else len(observation)
+        return self.native.act(*self._parts(observation, n), False)[2]
+
+    def _sees_what(self, batch: Batch) -> bool:
+        return batch.worlds.sizes == self.native.sizes and batch.worlds.features == self.native.features
+
+    def _parts(self, observation: Observation, n: int) -> Parts:
+        nd, ed, gd = self.native.sizes
+        shapes = ((n, N_BLOCKS, nd), (n, N_EDGES, ed), (n, gd))
+        if isinstance(observation, dict):
+            parts = [observation["nodes"], observation["edges"], observation["globals"]]
+        else:
+            flat = np.asarray(observation, np.float32).reshape(n, -1)
+            ends = np.cumsum([int(np.prod(shape[1:])) for shape in shapes])
+            if flat.shape[1] != ends[-1]:
+                raise ValueError(f"an observation has {flat.shape[1]} entries: this policy expects {ends[-1]}")
+            parts = np.split(flat, ends[:-1], axis=1)
+        for name, part, shape in zip(("nodes", "edges", "globals"), parts, shapes, strict=True):
+            if np.size(part) != np.prod(shape):
+                raise ValueError(f"{name} has shape {np.shape(part)}: this policy expects {shape}")
+        pairs = zip(parts, shapes, strict=True)
+        return _three([np.ascontiguousarray(part, np.float32).reshape(shape) for part, shape in pairs])
+
+
+class _Target:
+    """An environment of this package, below whatever wraps it."""
+
+    def __init__(self, env: Any) -> None:
+        self.env = getattr(env, "unwrapped", env)
+        batch = getattr(self.env, "batch", None)
+        if not isinstance(batch, Batch):
+            raise ValueError(f"{env!r} is no environment of lodestone")
+        self.batch = batch
+
+    def put(self, actions: tuple[NDArray[np.int64], NDArray[np.float32]]) -> Any:
+        """Native actions in the form of the environment."""
+        if hasattr(self.env, "possible_agents"):
+            return self.env.from_native(*actions)
+        made = self.batch.from_native(*actions)
+        return made if hasattr(self.env, "num_envs") else row_of(made, 0)
+
+
+def _three(parts: list[NDArray[np.float32]]) -> Parts:
+    nodes, edges, globals_ = parts
+    return nodes, edges, globals_

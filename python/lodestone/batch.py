@@ -1,0 +1,254 @@
+"""Native worlds with the spaces that Gymnasium, PettingZoo, and Stable-Baselines3 see them through."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, TypedDict
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from lodestone import _native
+
+Names: TypeAlias = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+Starts: TypeAlias = str | Mapping[str, float]
+Settings: TypeAlias = Mapping[str, Any] | str | os.PathLike[str] | None
+Features: TypeAlias = Literal["all", "paper"] | Mapping[str, bool]
+Observation: TypeAlias = dict[str, NDArray[np.float32]] | NDArray[np.float32]
+Action: TypeAlias = dict[str, NDArray[Any]] | NDArray[np.float32]
+
+N_BLOCKS, N_EDGES, N_MOVES = 16, 240, 6
+# Entries of a gripper's part of a flat action: a score for each block, then the move of the block with the highest.
+N_FLAT = N_BLOCKS + N_MOVES
+REWARD_TERMS = ("connected", "wrong", "magnets", "blocks", "force")
+# No feature of a sound world is beyond; those of one that has diverged are clipped.
+MAX_FEATURE = 256.0
+SUCCESS, TIME_LIMIT, DIVERGED = 1, 2, 3
+# What a policy may see, by name; the flags are those of `[policy.features]` in a configuration.
+FEATURES: dict[str, dict[str, bool]] = {
+    "all": {"plan": True, "pieces": True},
+    "paper": {"up_axis": False, "membership": False, "block_shape": False, "needed_moves": False},
+}
+
+
+class Options(TypedDict, total=False):
+    """What `reset` can be asked for in place of what would be drawn."""
+
+    blueprint: str
+    start: str
+
+
+def names_of(blueprint: Names) -> list[str]:
+    """A blueprint argument as a list of texts."""
+    if isinstance(blueprint, (str, os.PathLike)):
+        return [os.fspath(blueprint)]
+    return [os.fspath(name) for name in blueprint]
+
+
+def blueprints(blueprint: Names = "train") -> dict[str, int]:
+    """Ids of blueprints with their numbers of blocks.
+
+    `blueprint` is the id of one of the catalog (`4_000`) or of the generator (`gen1-arch-7_6_000`), a split (`train`, `test`,
+    `test-literal`, `test-longest`, `test-tallest`, `validation`), the path of a TOML file or of a folder with such files, or a
+    list of any of these.
+    """
+    return dict(_native.blueprints(names_of(blueprint)))
+
+
+def read_settings(settings: Settings) -> str:
+    """The section `[environment]` as JSON; of a configuration file, such as a run's `config.toml`, if a path is given."""
+    if settings is None:
+        return "{}"
+    if isinstance(settings, Mapping):
+        return json.dumps(dict(settings))
+    with Path(settings).open("rb") as file:
+        return json.dumps(tomllib.load(file).get("environment", {}))
+
+
+def read_features(features: Features) -> str:
+    """The section `[policy.features]` as JSON."""
+    if isinstance(features, Mapping):
+        return json.dumps(dict(features))
+    if features not in FEATURES:
+        raise ValueError(f"features {features!r} are unknown: expected {', '.join(FEATURES)}, or flags by name")
+    return json.dumps(FEATURES[features])
+
+
+class Batch:
+    """Worlds, their observation and action spaces, and the way between these and the arrays of the native module.
+
+    Args:
+        n: number of worlds.
+        blueprint: the goals, as for `lodestone.blueprints`; each entry is equally likely.
+        starts: how episodes begin: `scattered`, `prebuilt` (another training blueprint stands), `prebuilt:ID`, `near-goal`
+            (the goal stands but for one or two blocks), `near-goal:N`, `near-goal:M-N`, or `as-it-is` (as the last episode
+            left the world). Or such words with their weights.
+        shuffle_blocks: whether equal blocks swap roles from episode to episode.
+        settings: settings of the world, `{"physics": {"friction": 0.4}}`, or the path of a configuration file.
+        features: what is seen: `all` that a policy can see, as the pretrained one does, the `paper`'s, or flags by name.
+        observation: `features` for a dictionary of `nodes` [16, nd], `edges` [240, ed], and `globals` [gd], or `flat` for all
+            of them in a row.
+        action: `native` for a dictionary of `choices` [grippers], the block that each gripper moves, and `moves` [16, 6], the
+            linear and angular velocity of each block in its own frame as fractions of the speed limits; only those of chosen
+            blocks count. Or `flat` for 22 numbers in [-1, 1] per gripper: a score for each block, and the move of the block
+            with the highest score. Two grippers that choose one block move it by the mean of their moves.
+        mask: `blueprint` lets the scores of flat actions choose only among the blocks of the blueprint and those with a
+            connection, as `mask` in `[policy]` does; `none` among all.
+        num_threads: threads that step worlds; by default as many as there are processors.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        *,
+        blueprint: Names = "train",
+        starts: Starts = "scattered",
+        shuffle_blocks: bool = True,
+        settings: Settings = None,
+        features: Features = "all",
+        observation: Literal["features", "flat"] = "features",
+        action: Literal["native", "flat"] = "native",
+        mask: Literal["none", "blueprint"] = "none",
+        num_threads: int | None = None,
+    ) -> None:
+        if observation not in ("features", "flat"):
+            raise ValueError(f"observation {observation!r} is unknown: expected features or flat")
+        if action not in ("native", "flat"):
+            raise ValueError(f"action {action!r} is unknown: expected native or flat")
+        if mask not in ("none", "blueprint"):
+            raise ValueError(f"mask {mask!r} is unknown: expected none or blueprint")
+        if mask == "blueprint" and action == "native":
+            raise ValueError("mask 'blueprint' is for flat actions: a native one names its blocks")
+        weights = {starts: 1.0} if isinstance(starts, str) else dict(starts)
+        self.n = n
+        self.flat_observation, self.flat_action = observation == "flat", action == "flat"
+        self.masked = mask == "blueprint"
+        self.features = read_features(features)
+        threads = num_threads if num_threads is not None else min(n, os.cpu_count() or 1)
+        pairs = [(start, float(weight)) for start, weight in weights.items()]
+        self.worlds = _native.Worlds(
+            n, names_of(blueprint), pairs, shuffle_blocks, read_settings(settings), self.features, threads
+        )
+        self.n_grippers = self.worlds.n_grippers
+        self.latest: Observation | None = None
+
+        nd, ed, gd = self.worlds.sizes
+        self.shapes = {"nodes": (N_BLOCKS, nd), "edges": (N_EDGES, ed), "globals": (gd,)}
+        if self.flat_observation:
+            total = sum(int(np.prod(shape)) for shape in self.shapes.values())
+            self.observation_space: spaces.Space[Any] = _box(MAX_FEATURE, (total,))
+        else:
+            self.observation_space = spaces.Dict(
+                {name: _box(MAX_FEATURE, shape) for name, shape in self.shapes.items()}
+            )
+        if self.flat_action:
+            self.action_space: spaces.Space[Any] = _box(1.0, (self.n_grippers * N_FLAT,))
+        else:
+            choices = spaces.MultiDiscrete([N_BLOCKS] * self.n_grippers)
+            self.action_space = spaces.Dict({"choices": choices, "moves": _box(1.0, (N_BLOCKS, N_MOVES))})
+
+    def empty(self) -> Observation:
+        """Arrays for the observations of all worlds."""
+        if isinstance(self.observation_space, spaces.Box):
+            return np.empty((self.n, *self.observation_space.shape), np.float32)
+        return {name: np.empty((self.n, *shape), np.float32) for name, shape in self.shapes.items()}
+
+    def reset(
+        self, mask: NDArray[np.bool_], seeds: Sequence[int | None], options: Mapping[str, Any], out: Observation
+    ) -> None:
+        """Starts episodes in the worlds of `mask`, and writes what is seen in these into `out`."""
+        seeds = [None if seed is None else int(seed) % 2**64 for seed in seeds]
+        blueprint, start = options.get("blueprint"), options.get("start")
+        self.worlds.reset(mask, seeds, blueprint, start, arrays(out))
+        self.latest = out
+
+    def step(
+        self, action: Action, resets: NDArray[np.bool_], out: Observation
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float32]]:
+        """Moves each world by one step, but starts an episode in those of `resets`; see `Worlds.step` of the native module."""
+        choices, moves = self.to_native(action)
+        result = self.worlds.step(choices, moves, resets, arrays(out))
+        self.latest = out
+        return result
+
+    def to_native(self, action: Action) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Choices [n, grippers] and moves [n, 16, 6] of a batch of actions."""
+        if isinstance(action, dict):
+            if self.flat_action:
+                raise ValueError("an action is a dictionary: expected flat ones")
+            return (
+                np.ascontiguousarray(action["choices"], np.int64),
+                np.ascontiguousarray(action["moves"], np.float32),
+            )
+        if not self.flat_action:
+            raise ValueError(f"an action is {type(action).__name__}: expected a dictionary of choices and moves")
+        flat = np.asarray(action, np.float32)
+        if flat.size != self.n * self.n_grippers * N_FLAT:
+            raise ValueError(f"actions have shape {flat.shape}: expected {(self.n, self.n_grippers * N_FLAT)}")
+        return unflatten(flat.reshape(self.n, self.n_grippers, N_FLAT), self.allowed())
+
+    def allowed(self) -> NDArray[np.bool_] | None:
+        """Whether a score of a flat action counts [n, 16]; None if all do."""
+        return self.worlds.allowed() if self.masked else None
+
+    def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> Action:
+        """Choices and moves as a batch of actions of the action space."""
+        moves = moves.clip(-1.0, 1.0)
+        return flatten(choices, moves).reshape(self.n, -1) if self.flat_action else {"choices": choices, "moves": moves}
+
+    def about(self, row: int) -> dict[str, Any]:
+        """What `reset` tells of an episode."""
+        blueprint, start, _ = self.worlds.episode(row)
+        return {"blueprint": blueprint, "start": start}
+
+
+def arrays(observation: Observation) -> list[NDArray[np.float32]]:
+    """The arrays of a batch of observations in the order of the native module."""
+    if isinstance(observation, dict):
+        return [observation["nodes"], observation["edges"], observation["globals"]]
+    return [observation]
+
+
+def row_of(batch: Any, row: int) -> Any:
+    """An entry of a batch of observations or actions."""
+    return {name: values[row] for name, values in batch.items()} if isinstance(batch, dict) else batch[row]
+
+
+def unflatten(
+    flat: NDArray[np.float32], allowed: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Flat actions [n, grippers, 22] as choices [n, grippers] and moves [n, 16, 6]; scores that are not `allowed` [n, 16] do
+    not count."""
+    n, n_grippers, _ = flat.shape
+    rows = np.arange(n)
+    scores = flat[..., :N_BLOCKS]
+    if allowed is not None:
+        scores = np.where(allowed[:, None], scores, -np.inf)
+    choices = scores.argmax(axis=-1)
+    moves = np.zeros((n, N_BLOCKS, N_MOVES), np.float32)
+    for gripper in range(n_grippers):
+        moves[rows, choices[:, gripper]] += flat[:, gripper, N_BLOCKS:]
+    if n_grippers == 2:
+        same = np.flatnonzero(choices[:, 0] == choices[:, 1])
+        moves[same, choices[same, 0]] /= 2
+    return choices, moves
+
+
+def flatten(choices: NDArray[np.int64], moves: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Choices [n, grippers] and moves [n, 16, 6] as flat actions [n, grippers, 22]."""
+    n, n_grippers = choices.shape
+    flat = np.full((n, n_grippers, N_FLAT), -1.0, np.float32)
+    rows = np.arange(n)
+    for gripper in range(n_grippers):
+        flat[rows, gripper, choices[:, gripper]] = 1.0
+        flat[:, gripper, N_BLOCKS:] = moves[rows, choices[:, gripper]]
+    return flat
+
+
+def _box(limit: float, shape: tuple[int, ...]) -> spaces.Box:
+    return spaces.Box(-limit, limit, shape, np.float32)

@@ -1,0 +1,112 @@
+"""One world for Gymnasium: `gymnasium.make("Lodestone/Assembly-v0")`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from lodestone.batch import DIVERGED, SUCCESS, TIME_LIMIT, Action, Batch, Observation, Options, row_of
+from lodestone.window import Window
+
+_ONE = np.ones(1, np.bool_)
+_NONE = np.zeros(1, np.bool_)
+
+
+class AssemblyEnv(gymnasium.Env[Observation, Action]):
+    """Two grippers assemble magnet blocks on the ground until a blueprint stands.
+
+    A step lasts a tenth of a second. An episode terminates when the blueprint stands, and is truncated at the time limit of
+    100 steps, and when the physics diverges, which is rare (`info["diverged"]`).
+
+    The reward is the change of a potential: 1 for each required connection, -1 for each other, up to 1 for each required pair
+    as its blocks and magnets come closer, and less up to 1 for hard contacts. `info["reward_terms"]` has the five terms that
+    `REWARD_TERMS` names, `info["is_success"]` whether the blueprint stands. `reset` says in its info which `blueprint` is the
+    goal and how the episode `start`s.
+
+    The same seed gives the same episodes. `reset(options={"blueprint": ID, "start": "near-goal:1"})` asks for either.
+
+    Args:
+        render_mode: `human` for a window (needs pygame-ce), `rgb_array` for pictures [height, width, 3] of unsigned bytes.
+        render_size: width and height of a picture in pixels, 32 to 4096.
+        **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
+            `observation`, `action`, `mask`.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+
+    def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode {render_mode!r} is unknown: expected human or rgb_array")
+        self.batch = Batch(1, **{"num_threads": 1} | world)
+        self.observation_space, self.action_space = self.batch.observation_space, self.batch.action_space
+        self.render_mode, self.render_size = render_mode, render_size
+        self._window: Window | None = None
+        self._seeded = False
+
+    def reset(
+        self, *, seed: int | None = None, options: Options | Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode."""
+        super().reset(seed=seed)
+        if seed is None and not self._seeded:
+            seed = int(self.np_random.integers(2**63))
+        options = checked(options)
+        out = self.batch.empty()
+        self.batch.reset(_ONE, [seed], options, out)
+        self._seeded = True
+        self._show()
+        return row_of(out, 0), self.batch.about(0)
+
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Moves the world by one step."""
+        out = self.batch.empty()
+        batched = {name: np.asarray(x)[None] for name, x in action.items()} if isinstance(action, dict) else action
+        rewards, statuses, terms = self.batch.step(batched, _NONE, out)
+        status = int(statuses[0])
+        info = {"is_success": status == SUCCESS, "diverged": status == DIVERGED, "reward_terms": terms[0]}
+        self._show()
+        return row_of(out, 0), float(rewards[0]), status == SUCCESS, status in (TIME_LIMIT, DIVERGED), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of the world with its goal in the corner, or None with `human`, which shows each step by itself."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() does nothing without a render_mode: human or rgb_array")
+            return None
+        if self.render_mode == "human":
+            self._show()
+            return None
+        return self.batch.worlds.picture(0, *self.render_size)
+
+    def close(self) -> None:
+        """Closes the window."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def scene(self) -> dict[str, Any]:
+        """The state of the world, with z up and lengths in meters.
+
+        `positions` [16, 3] and `orientations` [16, 4] (quaternions x, y, z, w) of the blocks, their `half_extents` [16, 3] and
+        `speeds` [16] in m/s, `connections` [k, 2] between blocks, the block `held` [grippers] in the last step (-1 for none),
+        `in_blueprint` [16], and the number of `heavy_contacts`.
+        """
+        return self.batch.worlds.scene(0)
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            if self._window is None:
+                self._window = Window("Lodestone", self.render_size, self.metadata["render_fps"])
+            self._window.show(self.batch.worlds.picture(0, *self.render_size))
+
+
+def checked(options: Options | Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Options of a reset, none of them unknown."""
+    options = {} if options is None else options
+    unknown = set(options) - {"blueprint", "start"}
+    if unknown:
+        raise ValueError(f"option {sorted(unknown)[0]!r} is unknown: expected blueprint or start")
+    return options

@@ -1,0 +1,195 @@
+"""One world for PettingZoo's parallel API, with an agent for each gripper.
+
+    from lodestone.parallel import parallel_env
+
+    env = parallel_env(blueprint="4_000")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from lodestone.batch import DIVERGED, N_BLOCKS, N_FLAT, N_MOVES, SUCCESS, TIME_LIMIT, Batch, unflatten
+from lodestone.window import Window
+
+_ONE = np.ones(1, np.bool_)
+_NONE = np.zeros(1, np.bool_)
+
+
+class AssemblyParallelEnv(ParallelEnv):
+    """The world of `lodestone.AssemblyEnv` with an agent for each gripper, `gripper_0` and `gripper_1`.
+
+    Agents share the goal and the reward and end together. Each sees itself first: in its observation the first of the two
+    entries of a node that say who holds the block is its own, and the first half of the globals is about itself.
+
+    An action is a dictionary of `choice`, a block from 0 to 15, and `move` [6], its linear and angular velocity in the block's
+    frame as fractions of the speed limits; or, with `action="flat"`, 22 numbers in [-1, 1]: a score for each block, and the
+    move of the block with the highest. Two agents that choose one block move it by the mean of their moves.
+
+    Args:
+        render_mode: `human` for a window (needs pygame-ce), `rgb_array` for pictures [height, width, 3] of unsigned bytes.
+        render_size: width and height of a picture in pixels.
+        **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
+            `observation`, `action`, `mask`.
+    """
+
+    metadata: dict[str, Any] = {
+        "name": "lodestone_assembly_v0",
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 10,
+        "is_parallelizable": True,
+    }
+
+    def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode {render_mode!r} is unknown: expected human or rgb_array")
+        observation = world.pop("observation", "features")
+        if observation not in ("features", "flat"):
+            raise ValueError(f"observation {observation!r} is unknown: expected features or flat")
+        self.flat_observation = observation == "flat"
+        # Each agent gets an arrangement of its own, which is made of the parts.
+        self.batch = Batch(1, **{"num_threads": 1} | world)
+        self.flat_action = self.batch.flat_action
+        self.possible_agents = [f"gripper_{gripper}" for gripper in range(self.batch.n_grippers)]
+        self.agents: list[str] = []
+        self.render_mode, self.render_size = render_mode, render_size
+        self._window: Window | None = None
+        self._random: np.random.Generator | None = None
+        single = self.batch.observation_space
+        self._observation_spaces = {
+            agent: spaces.flatten_space(single) if self.flat_observation else deepcopy(single)
+            for agent in self.possible_agents
+        }
+        self._action_spaces = {agent: self._action_space() for agent in self.possible_agents}
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """What an agent sees: features as a dictionary, or flat."""
+        return self._observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """What an agent does."""
+        return self._action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Starts an episode; `options` may name a `blueprint` and a `start`, and others have no meaning here."""
+        if seed is not None or self._random is None:
+            self._random, _ = seeding.np_random(seed)
+            seed = seed if seed is not None else int(self._random.integers(2**63))
+        out = self.batch.empty()
+        self.batch.reset(_ONE, [seed], options or {}, out)
+        self.agents = list(self.possible_agents)
+        self._show()
+        return self._views(out), {agent: self.batch.about(0) for agent in self.agents}
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Moves the world by one step."""
+        out = self.batch.empty()
+        rewards, statuses, terms = self.batch.step(self._joint(actions), _NONE, out)
+        status, agents = int(statuses[0]), self.agents
+        truncated = status in (TIME_LIMIT, DIVERGED)
+        infos = {
+            agent: {"is_success": status == SUCCESS, "diverged": status == DIVERGED, "reward_terms": terms[0].copy()}
+            for agent in agents
+        }
+        if status == SUCCESS or truncated:
+            self.agents = []
+        self._show()
+        return (
+            {agent: view for agent, view in self._views(out).items() if agent in agents},
+            dict.fromkeys(agents, float(rewards[0])),
+            dict.fromkeys(agents, status == SUCCESS),
+            dict.fromkeys(agents, truncated),
+            infos,
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of the world with its goal in the corner, or None with `human`, which shows each step by itself."""
+        if self.render_mode == "rgb_array":
+            return self.batch.worlds.picture(0, *self.render_size)
+        self._show()
+        return None
+
+    def close(self) -> None:
+        """Closes the window."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def scene(self) -> dict[str, Any]:
+        """The state of the world, as `lodestone.AssemblyEnv.scene` gives it."""
+        return self.batch.worlds.scene(0)
+
+    def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> dict[str, Any]:
+        """Choices [1, grippers] and moves [1, 16, 6] as an action for each agent."""
+        moves = moves.clip(-1.0, 1.0)
+        made: dict[str, Any] = {}
+        for gripper, agent in enumerate(self.possible_agents):
+            choice = int(choices[0, gripper])
+            move = moves[0, choice].copy()
+            if self.flat_action:
+                scores = np.full(N_BLOCKS, -1.0, np.float32)
+                scores[choice] = 1.0
+                made[agent] = np.concatenate([scores, move])
+            else:
+                made[agent] = {"choice": choice, "move": move}
+        return made
+
+    def _action_space(self) -> spaces.Space[Any]:
+        if self.flat_action:
+            return spaces.Box(-1.0, 1.0, (N_FLAT,), np.float32)
+        move = spaces.Box(-1.0, 1.0, (N_MOVES,), np.float32)
+        return spaces.Dict({"choice": spaces.Discrete(N_BLOCKS), "move": move})
+
+    def _joint(self, actions: Mapping[str, Any]) -> Any:
+        """The agents' actions as one of the batch."""
+        flat = np.full((1, len(self.possible_agents), N_FLAT), -1.0, np.float32)
+        for gripper, agent in enumerate(self.possible_agents):
+            if agent not in actions:
+                raise ValueError(f"no action for agent {agent}")
+            action = actions[agent]
+            if self.flat_action:
+                flat[0, gripper] = action
+                continue
+            choice = int(action["choice"])
+            if not 0 <= choice < N_BLOCKS:
+                raise ValueError(f"the choice of {agent} is {choice}: expected a block from 0 to {N_BLOCKS - 1}")
+            flat[0, gripper, choice] = 1.0
+            flat[0, gripper, N_BLOCKS:] = action["move"]
+        if self.flat_action:
+            return flat
+        choices, moves = unflatten(flat)
+        return {"choices": choices, "moves": moves}
+
+    def _views(self, out: Any) -> dict[str, Any]:
+        views = {}
+        for gripper, agent in enumerate(self.possible_agents):
+            nodes, edges, globals_ = (out[name][0].copy() for name in ("nodes", "edges", "globals"))
+            if gripper == 1:
+                nodes[:, [1, 2]] = nodes[:, [2, 1]]
+                globals_ = np.roll(globals_, len(globals_) // 2)
+            view = {"nodes": nodes, "edges": edges, "globals": globals_}
+            views[agent] = spaces.flatten(self.batch.observation_space, view) if self.flat_observation else view
+        return views
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            if self._window is None:
+                self._window = Window("Lodestone", self.render_size, self.metadata["render_fps"])
+            self._window.show(self.batch.worlds.picture(0, *self.render_size))
+
+
+def parallel_env(**kwargs: Any) -> AssemblyParallelEnv:
+    """The environment, by the name that PettingZoo's own have."""
+    return AssemblyParallelEnv(**kwargs)

@@ -1,0 +1,98 @@
+"""Many worlds for Stable-Baselines3.
+
+    from lodestone.sb3 import AssemblyVecEnv
+
+    model = PPO("MlpPolicy", AssemblyVecEnv(32, blueprint="2_000", starts="near-goal"))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from lodestone.vector import AssemblyVectorEnv
+
+
+class AssemblyVecEnv(VecEnv):
+    """The worlds of `lodestone.AssemblyVectorEnv` as Stable-Baselines3 has them; wrap it in its `VecMonitor` for statistics.
+
+    Args:
+        num_envs: number of worlds.
+        render_mode: `rgb_array` lets `render` give pictures.
+        **world: what `lodestone.batch.Batch` takes; observations and actions are `flat` unless said otherwise, as
+            Stable-Baselines3 has no dictionaries of actions.
+    """
+
+    def __init__(self, num_envs: int, render_mode: str | None = None, **world: Any) -> None:
+        world = {"observation": "flat", "action": "flat"} | world
+        self.envs = AssemblyVectorEnv(num_envs, autoreset_mode="SameStep", render_mode=render_mode, **world)
+        self.batch = self.envs.batch
+        self._actions: Any = None
+        self.render_mode = render_mode
+        super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
+
+    def reset(self) -> Any:
+        """Starts episodes in all worlds, by the seeds of `seed`."""
+        seeds = list(self._seeds) if any(seed is not None for seed in self._seeds) else None
+        observation, infos = self.envs.reset(seed=seeds)
+        self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keeps the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Moves every world by one step; those whose episode ends start the next."""
+        observation, rewards, terminations, truncations, infos = self.envs.step(self._actions)
+        dones = terminations | truncations
+        rows: list[dict[str, Any]] = []
+        for row in range(self.num_envs):
+            if dones[row]:
+                info = _row(infos["final_info"], row)
+                info["terminal_observation"] = infos["final_obs"][row]
+                info["TimeLimit.truncated"] = bool(truncations[row])
+                self.reset_infos[row] = {name: infos[name][row] for name in ("blueprint", "start")}
+            else:
+                info = {"is_success": False, "diverged": False, "reward_terms": infos["reward_terms"][row]}
+            rows.append(info)
+        return observation, rewards.astype(np.float32), dones, rows
+
+    def close(self) -> None:
+        """Nothing has to be closed."""
+        self.envs.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A picture of each world."""
+        return self.envs.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute that all worlds share."""
+        return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Sets an attribute of all worlds."""
+        del indices
+        setattr(self.envs, attr_name, value)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Calls a method of all worlds at once."""
+        result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """No world is wrapped."""
+        del wrapper_class
+        return [False for _ in self._get_indices(indices)]
+
+
+def _row(infos: dict[str, Any], row: int) -> dict[str, Any]:
+    """A world's part of Gymnasium's infos."""
+    return {name: values[row] for name, values in infos.items() if not name.startswith("_") and infos[f"_{name}"][row]}

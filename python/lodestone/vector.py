@@ -1,0 +1,167 @@
+"""Many worlds for Gymnasium: `gymnasium.make_vec("Lodestone/Assembly-v0", num_envs=32)`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from lodestone.batch import DIVERGED, SUCCESS, TIME_LIMIT, Action, Batch, Observation, arrays, row_of
+from lodestone.env import checked
+
+
+class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
+    """Worlds of `AssemblyEnv` that step side by side on native threads, without the global interpreter lock.
+
+    It gives what `gymnasium.vector.SyncVectorEnv` gives for as many `AssemblyEnv`s: world i has the episodes of an environment
+    that was reset with seed + i. The features are written into the arrays that are returned, with no copy between.
+
+    Args:
+        num_envs: number of worlds.
+        autoreset_mode: when a world whose episode ended starts the next: `NextStep`, `SameStep`, or `Disabled`, as Gymnasium
+            defines them; `metadata["autoreset_mode"]` has it.
+        copy: False writes each step into the arrays of the step before, for whoever has copied what it needs.
+        render_mode: `rgb_array` lets `render` give a picture of each world.
+        render_size: width and height of a picture in pixels.
+        **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
+            `observation`, `action`, `mask`, `num_threads`.
+    """
+
+    metadata: dict[str, Any] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+        render_size: tuple[int, int] = (640, 480),
+        **world: Any,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode {render_mode!r} is unknown: expected rgb_array")
+        self.batch = Batch(num_envs, **world)
+        self.num_envs, self.copy = num_envs, copy
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.render_mode, self.render_size = render_mode, render_size
+        self.single_observation_space = self.batch.observation_space
+        self.single_action_space = self.batch.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._observation: Observation | None = None
+        self._ended = np.zeros(num_envs, np.bool_)
+        self._seeded = np.zeros(num_envs, np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts episodes in all worlds, or in those of `options["reset_mask"]` [num_envs].
+
+        A single seed stands for seed, seed + 1, and so on. `options` may also name a `blueprint` and a `start`.
+        """
+        options = dict(options or {})
+        mask = self._mask(options.pop("reset_mask", None))
+        options = checked(options)
+        if isinstance(seed, (int, np.integer)):
+            self._np_random, self._np_random_seed = seeding.np_random(int(seed))
+            seed = [int(seed) + row for row in range(self.num_envs)]
+        seeds: list[int | None] = list(seed) if seed is not None else [None] * self.num_envs
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        for row in np.flatnonzero(mask & ~self._seeded).tolist():
+            if seeds[row] is None:
+                seeds[row] = int(self.np_random.integers(2**63))
+        out = self._arrays()
+        if self._observation is not None and out is not self._observation and not mask.all():
+            for new, old in zip(arrays(out), arrays(self._observation), strict=True):
+                new[:] = old
+        self.batch.reset(mask, seeds, options, out)
+        self._observation = out
+        self._seeded |= mask
+        self._ended &= ~mask
+        return out, self._with_episodes({}, mask)
+
+    def step(
+        self, actions: Action
+    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Moves every world by one step; in `NextStep` mode, those whose episode ended before start the next instead."""
+        resets = self._ended
+        if self.autoreset_mode == AutoresetMode.DISABLED and resets.any():
+            row = int(np.flatnonzero(resets)[0])
+            raise ValueError(f"the episode of environment {row} has ended: reset it with options['reset_mask']")
+        out = self._arrays()
+        rewards, statuses, terms = self.batch.step(actions, resets, out)
+        self._observation = out
+        terminations = statuses == SUCCESS
+        truncations = (statuses == TIME_LIMIT) | (statuses == DIVERGED)
+        ended = terminations | truncations
+        stepped = ~resets
+        infos: dict[str, Any] = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            stepped = ~ended
+            self._ended = np.zeros(self.num_envs, np.bool_)
+            if ended.any():
+                infos = self._finals(ended, statuses, terms, out)
+                self.batch.reset(ended, [None] * self.num_envs, {}, out)
+                resets = ended
+        else:
+            self._ended = ended
+        if stepped.any():
+            diverged = (statuses == DIVERGED) & stepped
+            for name, values in (("is_success", terminations & stepped), ("diverged", diverged)):
+                infos[name], infos[f"_{name}"] = values, stepped.copy()
+            infos["reward_terms"], infos["_reward_terms"] = np.where(stepped[:, None], terms, 0), stepped.copy()
+        return out, rewards, terminations, truncations, self._with_episodes(infos, resets)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture of each world with its goal in the corner, [height, width, 3] of unsigned bytes."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.batch.worlds.picture(row, *self.render_size) for row in range(self.num_envs))
+
+    def scene(self, row: int) -> dict[str, Any]:
+        """The state of a world, as `AssemblyEnv.scene` gives it."""
+        return self.batch.worlds.scene(row)
+
+    def _arrays(self) -> Observation:
+        return self.batch.empty() if self.copy or self._observation is None else self._observation
+
+    def _mask(self, mask: Any) -> NDArray[np.bool_]:
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        mask = np.asarray(mask)
+        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+            expected = f"booleans of shape ({self.num_envs},), at least one of them true"
+            raise ValueError(f"options['reset_mask'] is {mask.dtype} of shape {mask.shape}: expected {expected}")
+        if self._observation is None and not mask.all():
+            raise ValueError("options['reset_mask'] leaves out environments that have no episode yet")
+        return mask
+
+    def _finals(
+        self, ended: NDArray[np.bool_], statuses: NDArray[np.uint8], terms: NDArray[np.float32], out: Observation
+    ) -> dict[str, Any]:
+        """How episodes ended, in the form of Gymnasium's infos."""
+        infos: dict[str, Any] = {}
+        for row in np.flatnonzero(ended).tolist():
+            seen = row_of(out, row)
+            seen = {name: x.copy() for name, x in seen.items()} if isinstance(seen, dict) else seen.copy()
+            success, diverged = bool(statuses[row] == SUCCESS), bool(statuses[row] == DIVERGED)
+            last = {"is_success": success, "diverged": diverged, "reward_terms": terms[row]}
+            infos = self._add_info(infos, {"final_obs": seen, "final_info": last}, row)
+        return infos
+
+    def _with_episodes(self, infos: dict[str, Any], begun: NDArray[np.bool_]) -> dict[str, Any]:
+        """Adds what a reset tells of episodes that have begun."""
+        for row in np.flatnonzero(begun).tolist():
+            infos = self._add_info(infos, self.batch.about(row), row)
+        return infos

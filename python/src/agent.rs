@@ -1,0 +1,201 @@
+//! The policy on arrays of features.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+
+use blueprints::N_BLOCKS;
+use environment::vec_env::generator;
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use policy::features::N_EDGES;
+use policy::{FeatureBatch, FeatureSizes};
+use proto::{ActionMode, Decision, N_GRIPPERS};
+use pyo3::exceptions::{PyOSError, PyValueError};
+use pyo3::sync::MutexExt;
+use pyo3::{Bound, PyResult, Python, pyclass, pymethods};
+use rand_chacha::ChaCha8Rng;
+
+use crate::arrays::{ActionArrays, action_arrays};
+use crate::error::refused;
+use crate::model::{Model, ModelError};
+
+/// The policy that comes with the program.
+const PRETRAINED: &[u8] = include_bytes!("../../deploy/pretrained/model.safetensors");
+
+/// Features of an edge that say of its two blocks: they are connected, and both belong to the blueprint.
+const CONNECTED: usize = 22;
+const BOTH_BELONG: usize = 23;
+
+/// Actions, log-probabilities `[n]`, and values `[n]`.
+type DecisionArrays<'py> = (ActionArrays<'py>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
+
+/// A frozen policy.
+#[pyclass(module = "lodestone._native")]
+pub(crate) struct Policy {
+    sizes: FeatureSizes,
+    n_grippers: usize,
+    features: String,
+    version: u64,
+    /// Behind a lock, because Python may call from several threads.
+    actor: Mutex<Actor>,
+}
+
+struct Actor {
+    policy: policy::Policy,
+    batch: FeatureBatch,
+    seed: u64,
+    /// One for each row that was ever sampled for.
+    rngs: Vec<ChaCha8Rng>,
+}
+
+#[pymethods]
+impl Policy {
+    /// The policy that comes with the program.
+    #[staticmethod]
+    fn pretrained() -> PyResult<Self> {
+        Self::from_bytes(PRETRAINED).map_err(|error| refused(&error))
+    }
+
+    /// The policy in a file that `lodestone export` wrote.
+    #[staticmethod]
+    fn load(path: PathBuf) -> PyResult<Self> {
+        let shown = path.display();
+        let bytes =
+            std::fs::read(&path).map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
+        Self::from_bytes(&bytes).map_err(|error| {
+            let text = refused(&error);
+            PyValueError::new_err(format!("{shown} is not a policy: {text}"))
+        })
+    }
+
+    /// Numbers of features of a node, of an edge, and of the whole scene.
+    #[getter]
+    fn sizes(&self) -> (usize, usize, usize) {
+        (self.sizes.node, self.sizes.edge, self.sizes.global)
+    }
+
+    /// Number of grippers.
+    #[getter]
+    fn n_grippers(&self) -> usize {
+        self.n_grippers
+    }
+
+    /// The flags of what it sees, as JSON.
+    #[getter]
+    fn features(&self) -> &str {
+        &self.features
+    }
+
+    /// Version of its weights.
+    #[getter]
+    fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// Draws sampled actions by this seed from now on.
+    fn seed(&self, py: Python<'_>, seed: u64) {
+        let mut actor = self.actor.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
+        actor.seed = seed;
+        actor.rngs.clear();
+    }
+
+    /// Blocks, moves, log-probabilities, and values for each row of features.
+    fn act<'py>(
+        &self,
+        py: Python<'py>,
+        nodes: PyReadonlyArray3<'py, f32>,
+        edges: PyReadonlyArray3<'py, f32>,
+        globals: PyReadonlyArray2<'py, f32>,
+        sampled: bool,
+    ) -> PyResult<DecisionArrays<'py>> {
+        let n = nodes.shape()[0];
+        for (name, shape, wanted) in [
+            ("nodes", nodes.shape(), &[n, N_BLOCKS, self.sizes.node][..]),
+            ("edges", edges.shape(), &[n, N_EDGES, self.sizes.edge][..]),
+            ("globals", globals.shape(), &[n, self.sizes.global][..]),
+        ] {
+            if shape != wanted {
+                let text = format!("{name} has shape {shape:?}: this policy expects {wanted:?}");
+                return Err(PyValueError::new_err(text));
+            }
+        }
+        let parts = [nodes.as_slice()?, edges.as_slice()?, globals.as_slice()?];
+        let mode = if sampled { ActionMode::Sampled } else { ActionMode::Greedy };
+        let mut held = self.actor.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
+        let actor = &mut *held;
+        let decided = py.detach(|| actor.act(parts, n, self.sizes.edge, mode));
+        let decisions = decided.map_err(|error| refused(&error))?;
+        let log_probs: Vec<f32> = decisions.iter().map(|decision| decision.log_prob).collect();
+        let values: Vec<f32> = decisions.iter().map(|decision| decision.value).collect();
+        let actions: Vec<_> = decisions.into_iter().map(|decision| decision.action).collect();
+        let actions = action_arrays(py, &actions, self.n_grippers)?;
+        Ok((actions, log_probs.into_pyarray(py), values.into_pyarray(py)))
+    }
+}
+
+/// Why a policy cannot be made.
+#[derive(Debug, thiserror::Error)]
+enum PolicyError {
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error(transparent)]
+    Policy(#[from] policy::PolicyError),
+    #[error(transparent)]
+    Features(#[from] serde_json::Error),
+    #[error("it keeps a grip for {0} steps (policy.grip_steps), and features do not tell which step it is")]
+    Grip(u16),
+}
+
+impl Policy {
+    fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
+        let Model { config, weights } = Model::read(bytes)?;
+        if config.grip_steps != 1 {
+            return Err(PolicyError::Grip(config.grip_steps));
+        }
+        let policy = policy::Policy::with_weights(&config, &weights)?;
+        let batch = FeatureBatch::new(&config.features);
+        Ok(Self {
+            sizes: config.sizes(),
+            n_grippers: usize::from(config.network.n_grippers),
+            features: serde_json::to_string(&config.features)?,
+            version: weights.version.0,
+            actor: Mutex::new(Actor { policy, batch, seed: 0, rngs: Vec::new() }),
+        })
+    }
+}
+
+impl Actor {
+    fn act(
+        &mut self,
+        [nodes, edges, globals]: [&[f32]; 3],
+        n: usize,
+        edge: usize,
+        mode: ActionMode,
+    ) -> Result<Vec<Decision>, policy::PolicyError> {
+        self.batch.clear();
+        self.batch.n = n;
+        self.batch.nodes.extend_from_slice(nodes);
+        self.batch.edges.extend_from_slice(edges);
+        self.batch.globals.extend_from_slice(globals);
+        edges.chunks_exact(N_EDGES * edge).for_each(|edges| self.batch.allowed.extend(allowed(edges, edge)));
+        // Only a policy that keeps its grips asks, and such a policy is not loaded.
+        self.batch.held.resize(n, [None; N_GRIPPERS]);
+        self.batch.n_steps.resize(n, 0);
+        for row in self.rngs.len()..n {
+            self.rngs.push(generator(self.seed, row as u64));
+        }
+        self.policy.act_on(&mut self.batch, &vec![mode; n], &mut self.rngs[..n])
+    }
+}
+
+/// The blocks that a masked policy may choose, read off a scene's edges: those of the blueprint, which has at least two, and
+/// those with a connection.
+fn allowed(edges: &[f32], edge: usize) -> [bool; N_BLOCKS] {
+    let mut allowed = [false; N_BLOCKS];
+    for (pair, features) in edges.chunks_exact(edge).enumerate() {
+        if features[CONNECTED] > 0.5 || features[BOTH_BELONG] > 0.5 {
+            // Sender-major and without self-edges, so a pair may be met from its sender alone.
+            allowed[pair / (N_BLOCKS - 1)] = true;
+        }
+    }
+    allowed
+}

@@ -1,0 +1,118 @@
+//! A policy's file, as `lodestone export` writes it.
+//!
+//! The learner's `Model` reads the same files. It is not used here because the learner brings the bus, and with it two minutes
+//! of compiling.
+
+use policy::PolicyConfig;
+use proto::{Normalization, Weights, WeightsVersion};
+use safetensors::tensor::Dtype;
+use safetensors::{SafeTensorError, SafeTensors};
+use serde::Deserialize;
+
+/// Version of the format that is read.
+const FORMAT_VERSION: u32 = 1;
+
+/// Name of the metadata entry.
+const ENTRY: &str = "lodestone";
+
+/// Why a file is refused.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ModelError {
+    /// Not such a file at all.
+    #[error("it is no safetensors file")]
+    Format(#[from] SafeTensorError),
+    /// Not a policy.
+    #[error("its metadata has no entry `{ENTRY}`")]
+    NoPolicy,
+    /// The entry is not what it should be.
+    #[error("its entry `{ENTRY}` cannot be read")]
+    Entry(#[from] serde_json::Error),
+    /// Written by another program.
+    #[error("its format version is {0}, this package reads {FORMAT_VERSION}")]
+    Version(u32),
+    /// A tensor that is not the table's.
+    #[error("tensor {name} is {dtype:?} {shape:?}, its table says F32 {expected:?}")]
+    Tensor {
+        /// Its name.
+        name: String,
+        /// Its type.
+        dtype: Dtype,
+        /// Its shape.
+        shape: Vec<usize>,
+        /// The shape in the table.
+        expected: Vec<usize>,
+    },
+}
+
+/// A frozen policy: its configuration and its weights.
+#[derive(Debug)]
+pub(crate) struct Model {
+    pub(crate) config: PolicyConfig,
+    pub(crate) weights: Weights,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    format_version: u32,
+    weights_version: u64,
+    n_env_steps: u64,
+    policy: PolicyConfig,
+    table: Vec<Parameter>,
+    // The spelling of format version 1.
+    #[serde(rename = "normalisation", with = "Statistics")]
+    normalization: Normalization,
+}
+
+/// Name and shape of a parameter.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Parameter {
+    name: String,
+    shape: Vec<usize>,
+}
+
+/// The serde form of [`Normalization`].
+#[derive(Deserialize)]
+#[serde(remote = "Normalization", deny_unknown_fields)]
+struct Statistics {
+    feature_mean: [Vec<f32>; 3],
+    feature_std: [Vec<f32>; 3],
+    value_mean: f32,
+    value_std: f32,
+}
+
+impl Model {
+    /// Reads a file's bytes.
+    ///
+    /// # Errors
+    /// When they are not a policy that this version reads.
+    pub(crate) fn read(bytes: &[u8]) -> Result<Self, ModelError> {
+        let (_, metadata) = SafeTensors::read_metadata(bytes)?;
+        let entry = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY)).ok_or(ModelError::NoPolicy)?;
+        let header: Header = serde_json::from_str(entry)?;
+        if header.format_version != FORMAT_VERSION {
+            return Err(ModelError::Version(header.format_version));
+        }
+        let tensors = SafeTensors::deserialize(bytes)?;
+        let mut parameters = Vec::new();
+        for Parameter { name, shape } in header.table {
+            let tensor = tensors.tensor(&name)?;
+            if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
+                let (dtype, found) = (tensor.dtype(), tensor.shape().to_vec());
+                return Err(ModelError::Tensor { name, dtype, shape: found, expected: shape });
+            }
+            parameters.extend(tensor.data().as_chunks::<4>().0.iter().map(|x| f32::from_le_bytes(*x)));
+        }
+        let weights = Weights {
+            version: WeightsVersion(header.weights_version),
+            n_env_steps: header.n_env_steps,
+            network_hash: header.policy.hash(),
+            parameters,
+            normalization: header.normalization,
+            task_probabilities: Default::default(),
+            reverse_reach: Default::default(),
+        };
+        Ok(Self { config: header.policy, weights })
+    }
+}

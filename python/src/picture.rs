@@ -1,0 +1,71 @@
+//! Pictures of a world with its goal in a corner.
+
+use blueprints::Blueprint;
+use nalgebra::Point3;
+use proto::Scene;
+use render::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, corners, of_blueprint, of_scene};
+
+/// Height up to which the camera shows the space above the blocks, m.
+const HEADROOM_M: f32 = 0.45;
+
+/// Blocks farther than this from the origin are not framed at the start, m.
+const REACH_M: f32 = 3.0;
+
+/// Side of the picture of the goal, as a share of the shorter side.
+const GOAL_SHARE: f32 = 0.3;
+
+/// Color of the frame around it.
+const FRAME: Rgb = [190, 196, 206];
+
+/// Draws worlds, and goals, which have a painter of their own because it keeps what lies behind the blocks.
+#[derive(Debug, Default)]
+pub(crate) struct Easel {
+    worlds: Painter,
+    goals: Painter,
+}
+
+/// A fixed camera for an episode, so that only blocks move, and the picture of its goal.
+#[derive(Debug)]
+pub(crate) struct Stage {
+    camera: Camera,
+    ground: Ground,
+    goal: Image,
+}
+
+impl Stage {
+    /// A camera for what a scene shows, in pictures of `size_px` (width, height).
+    pub(crate) fn new(easel: &mut Easel, scene: &Scene, goal: &Blueprint, size_px: [usize; 2]) -> Self {
+        let blocks = of_scene(scene);
+        let on_ground: Vec<Point3<f32>> =
+            corners(&blocks).into_iter().filter(|corner| corner.coords.norm() < REACH_M).collect();
+        let above = on_ground.iter().map(|corner| Point3::new(corner.x, corner.y, HEADROOM_M));
+        let points: Vec<Point3<f32>> = on_ground.iter().copied().chain(above).collect();
+        let margin_px = 0.02 * size_px[1] as f32;
+        let camera = Camera::framing(View::FrontQuarter, &points, size_px, margin_px, f32::INFINITY);
+        Self { camera, ground: Ground::under(&blocks), goal: goal_picture(easel, goal, size_px) }
+    }
+
+    /// Width and height of the pictures in pixels.
+    pub(crate) fn size_px(&self) -> [usize; 2] {
+        self.camera.size_px()
+    }
+
+    /// The colors of the pixels of a scene, by row from the top.
+    pub(crate) fn picture(&self, easel: &mut Easel, scene: &Scene) -> Vec<u8> {
+        let mut image = easel.worlds.paint(&of_scene(scene), &self.camera, self.ground);
+        image.paste(&self.goal, image.width().saturating_sub(self.goal.width()), 0);
+        image.pixels().as_flattened().to_vec()
+    }
+}
+
+/// The goal in a frame.
+fn goal_picture(easel: &mut Easel, goal: &Blueprint, size_px: [usize; 2]) -> Image {
+    let side = (GOAL_SHARE * size_px[0].min(size_px[1]) as f32) as usize;
+    let blocks: Vec<Block> = of_blueprint(goal);
+    let camera =
+        Camera::framing(View::FrontQuarter, &corners(&blocks), [side, side], 0.12 * side as f32, f32::INFINITY);
+    let picture = easel.goals.paint(&blocks, &camera, Ground::under(&blocks));
+    let mut framed = Image::filled(side + 2, side + 2, FRAME);
+    framed.paste(&picture, 1, 1);
+    framed
+}

@@ -1,0 +1,329 @@
+//! A batch of worlds.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use blueprints::{BlockIdx, Inventory, N_BLOCKS};
+use environment::vec_env::generator;
+use environment::{Env, EnvironmentConfig, World};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods};
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use policy::{FeatureConfig, FeatureSizes};
+use proto::{Action, Scene, Status};
+use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::sync::MutexExt;
+use pyo3::types::{PyDict, PyDictMethods};
+use pyo3::{Bound, PyResult, Python, pyclass, pymethods};
+use serde::de::DeserializeOwned;
+
+use crate::arrays::{ActionArrays, action_arrays, actions, hold, rows, share};
+use crate::error::refused;
+use crate::goals::Goals;
+use crate::picture::{Easel, Stage};
+use crate::row::{Features, Outcome, Row};
+use crate::tasks::{Tasks, Wish, name};
+
+/// Rewards `[n]`, statuses `[n]`, and the terms of the rewards `[n, 5]`.
+type StepArrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f32>>);
+
+/// Worlds that step side by side.
+#[pyclass(module = "lodestone._native")]
+pub(crate) struct Worlds {
+    config: EnvironmentConfig,
+    features: FeatureConfig,
+    sizes: FeatureSizes,
+    tasks: Tasks,
+    /// Behind a lock, because Python may call from several threads.
+    rows: Mutex<Vec<Row>>,
+    n_threads: usize,
+    easel: Mutex<Easel>,
+}
+
+/// What is to be done with one world.
+struct Job<'a> {
+    row: &'a mut Row,
+    /// None starts an episode.
+    action: Option<Action>,
+    features: Features<'a>,
+    outcome: &'a mut Outcome,
+}
+
+#[pymethods]
+impl Worlds {
+    /// Worlds that wait for their first reset.
+    #[new]
+    #[pyo3(signature = (n, blueprints, starts, shuffle_blocks, settings, features, n_threads))]
+    fn new(
+        n: usize,
+        blueprints: Vec<String>,
+        starts: Vec<(String, f64)>,
+        shuffle_blocks: bool,
+        settings: &str,
+        features: &str,
+        n_threads: usize,
+    ) -> PyResult<Self> {
+        if n == 0 || n_threads == 0 {
+            let text = format!("{n} worlds on {n_threads} threads: expected at least one of each");
+            return Err(PyValueError::new_err(text));
+        }
+        let config: EnvironmentConfig = parsed("settings", settings)?;
+        let features: FeatureConfig = parsed("features", features)?;
+        let features = FeatureConfig { n_grippers: config.n_grippers, ..features };
+        let goals = Goals::new(&blueprints).map_err(|error| refused(&error))?;
+        let tasks = Tasks::new(goals, &starts, shuffle_blocks).map_err(|error| refused(&error))?;
+        let row = |row: usize| Ok(Row::new(World::new(&config)?, generator(0, row as u64)));
+        let rows = (0..n).map(row).collect::<Result<Vec<_>, _>>();
+        let rows = Mutex::new(rows.map_err(|error: proto::InvalidSetting| refused(&error))?);
+        let (sizes, easel) = (FeatureSizes::new(&features), Mutex::new(Easel::default()));
+        Ok(Self { config, features, sizes, tasks, rows, n_threads, easel })
+    }
+
+    /// Numbers of features of a node, of an edge, and of the whole scene.
+    #[getter]
+    fn sizes(&self) -> (usize, usize, usize) {
+        (self.sizes.node, self.sizes.edge, self.sizes.global)
+    }
+
+    /// The flags of what is seen, as JSON.
+    #[getter]
+    fn features(&self) -> PyResult<String> {
+        serde_json::to_string(&self.features).map_err(|error| refused(&error))
+    }
+
+    /// Number of grippers.
+    #[getter]
+    fn n_grippers(&self) -> usize {
+        usize::from(self.config.n_grippers)
+    }
+
+    /// Steps before an episode ends at the time limit.
+    #[getter]
+    fn episode_steps(&self) -> u16 {
+        self.config.episode_steps
+    }
+
+    /// Length of a step in seconds.
+    #[getter]
+    fn step_s(&self) -> f32 {
+        f32::from(self.config.physics.n_substeps) * self.config.physics.substep_s()
+    }
+
+    /// Ids of the goals that are drawn.
+    #[getter]
+    fn blueprints(&self) -> Vec<String> {
+        self.tasks.goals.ids.iter().map(ToString::to_string).collect()
+    }
+
+    /// Starts episodes in the worlds of `mask`, first reseeding those that have a seed, and writes the features of these worlds.
+    #[pyo3(signature = (mask, seeds, blueprint, start, features))]
+    fn reset(
+        &self,
+        py: Python<'_>,
+        mask: PyReadonlyArray1<'_, bool>,
+        seeds: Vec<Option<u64>>,
+        blueprint: Option<&str>,
+        start: Option<&str>,
+        features: Vec<Bound<'_, PyArrayDyn<f32>>>,
+    ) -> PyResult<()> {
+        let mut all = self.lock(py);
+        let mask = masked(&mask, all.len())?;
+        if seeds.len() != all.len() {
+            let text = format!("{} seeds for {} worlds", seeds.len(), all.len());
+            return Err(PyValueError::new_err(text));
+        }
+        let wish = Wish::new(&self.tasks, blueprint, start).map_err(|error| refused(&error))?;
+        let mut held = hold(&features, &self.sizes, all.len())?;
+        let slices = rows(&mut held, &self.sizes)?;
+        let mut outcomes = vec![Outcome::default(); all.len()];
+        let parts = all.iter_mut().zip(slices).zip(&mut outcomes).zip(seeds).zip(mask);
+        let jobs = parts.filter(|(_, masked)| **masked).map(|((((row, features), outcome), seed), _)| {
+            if let Some(seed) = seed {
+                row.rng = generator(seed, 0);
+            }
+            Job { row, action: None, features, outcome }
+        });
+        let jobs = jobs.collect();
+        py.detach(|| self.work(jobs, &wish));
+        first_failure(&outcomes)
+    }
+
+    /// Moves every world by one step, but starts an episode in those of `resets`, and writes all features.
+    fn step<'py>(
+        &self,
+        py: Python<'py>,
+        choices: PyReadonlyArray2<'py, i64>,
+        moves: PyReadonlyArray3<'py, f32>,
+        resets: PyReadonlyArray1<'py, bool>,
+        features: Vec<Bound<'py, PyArrayDyn<f32>>>,
+    ) -> PyResult<StepArrays<'py>> {
+        let mut all = self.lock(py);
+        let n = all.len();
+        let resets = masked(&resets, n)?;
+        let actions = actions(&choices, &moves, n, self.n_grippers())?;
+        if let Some(row) = all.iter().zip(resets).position(|(row, reset)| row.task.is_none() && !reset) {
+            return Err(PyValueError::new_err(format!(
+                "world {row} has no episode yet: reset it before the first step"
+            )));
+        }
+        let mut held = hold(&features, &self.sizes, n)?;
+        let slices = rows(&mut held, &self.sizes)?;
+        let mut outcomes = vec![Outcome::default(); n];
+        let parts = all.iter_mut().zip(slices).zip(&mut outcomes).zip(actions).zip(resets);
+        let jobs = parts.map(|((((row, features), outcome), action), reset)| {
+            let action = if *reset { None } else { Some(action) };
+            Job { row, action, features, outcome }
+        });
+        let jobs = jobs.collect();
+        py.detach(|| self.work(jobs, &Wish::default()));
+        first_failure(&outcomes)?;
+        let rewards: Vec<f64> = outcomes.iter().map(|outcome| f64::from(outcome.reward.total())).collect();
+        let statuses: Vec<u8> = outcomes.iter().map(|outcome| code(outcome.status)).collect();
+        let terms = |outcome: &Outcome| {
+            let terms = &outcome.reward;
+            [terms.connected, terms.wrong, terms.magnets, terms.blocks, terms.force]
+        };
+        let terms: Vec<f32> = outcomes.iter().flat_map(terms).collect();
+        Ok((rewards.into_pyarray(py), statuses.into_pyarray(py), terms.into_pyarray(py).reshape([n, 5])?))
+    }
+
+    /// Writes the features that another configuration gives.
+    fn observe(&self, py: Python<'_>, settings: &str, features: Vec<Bound<'_, PyArrayDyn<f32>>>) -> PyResult<()> {
+        let mut all = self.lock(py);
+        let config: FeatureConfig = parsed("features", settings)?;
+        let sizes = FeatureSizes::new(&config);
+        let mut held = hold(&features, &sizes, all.len())?;
+        let jobs: Vec<(&mut Row, Features<'_>)> = all.iter_mut().zip(rows(&mut held, &sizes)?).collect();
+        py.detach(|| share(self.n_threads, jobs, |(row, features)| row.observe(&config, features)));
+        Ok(())
+    }
+
+    /// The goal of a world's episode, how it began, and the seed of its start.
+    fn episode(&self, py: Python<'_>, row: usize) -> PyResult<(String, String, u64)> {
+        let all = self.lock(py);
+        let task = all.get(row).and_then(|row| row.task.as_ref());
+        let task = task.ok_or_else(|| PyIndexError::new_err(format!("world {row} has no episode")))?;
+        Ok((task.blueprint.to_string(), name(&task.start), task.seed))
+    }
+
+    /// Whether a masked gripper may choose a block, `[n, 16]`: those of the blueprint and those with a connection, as they may
+    /// have to be taken apart.
+    fn allowed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        let all = self.lock(py);
+        let mut allowed = Vec::with_capacity(all.len() * N_BLOCKS);
+        for row in all.iter() {
+            let (scene, goal) = (row.world.scene(), row.world.blueprint());
+            let connected = |block: BlockIdx| scene.joints.iter().any(|joint| joint.a == block || joint.b == block);
+            allowed.extend(BlockIdx::all().map(|block| goal.contains(block) || connected(block)));
+        }
+        allowed.into_pyarray(py).reshape([all.len(), N_BLOCKS])
+    }
+
+    /// What the scripted expert does in each world.
+    fn expert<'py>(&self, py: Python<'py>) -> PyResult<ActionArrays<'py>> {
+        let mut all = self.lock(py);
+        let mut actions = vec![Action::IDLE; all.len()];
+        let jobs: Vec<(&mut Row, &mut Action)> = all.iter_mut().zip(&mut actions).collect();
+        py.detach(|| share(self.n_threads, jobs, |(row, action)| *action = row.ask_expert(&self.config)));
+        action_arrays(py, &actions, self.n_grippers())
+    }
+
+    /// The state of a world as arrays.
+    fn scene<'py>(&self, py: Python<'py>, row: usize) -> PyResult<Bound<'py, PyDict>> {
+        let all = self.lock(py);
+        let world = &all.get(row).ok_or_else(|| PyIndexError::new_err(format!("there is no world {row}")))?.world;
+        let (scene, goal) = (world.scene(), world.blueprint());
+        let state = PyDict::new(py);
+        let positions: Vec<f32> = scene.blocks.iter().flat_map(|pose| pose.position).collect();
+        let orientations: Vec<f32> = scene.blocks.iter().flat_map(|pose| pose.orientation).collect();
+        let extents: Vec<f32> = BlockIdx::all().flat_map(|b| Inventory::standard().half_extents_m(b)).collect();
+        let joints: Vec<i64> = scene.joints.iter().flat_map(|j| [j.a, j.b].map(|b| i64::from(u8::from(b)))).collect();
+        let goal: Vec<bool> = BlockIdx::all().map(|block| goal.contains(block)).collect();
+        state.set_item("positions", positions.into_pyarray(py).reshape([16, 3])?)?;
+        state.set_item("orientations", orientations.into_pyarray(py).reshape([16, 4])?)?;
+        state.set_item("half_extents", extents.into_pyarray(py).reshape([16, 3])?)?;
+        state.set_item("speeds", scene.speeds_mps.to_vec().into_pyarray(py))?;
+        state.set_item("connections", joints.into_pyarray(py).reshape([scene.joints.len(), 2])?)?;
+        state.set_item("held", held(scene, self.n_grippers()).into_pyarray(py))?;
+        state.set_item("in_blueprint", goal.into_pyarray(py))?;
+        state.set_item("heavy_contacts", scene.n_heavy_contacts)?;
+        Ok(state)
+    }
+
+    /// A picture of a world and its goal, `[height, width, 3]`.
+    fn picture<'py>(
+        &self,
+        py: Python<'py>,
+        row: usize,
+        width: usize,
+        height: usize,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let sides = 32..=4096;
+        if !(sides.contains(&width) && sides.contains(&height)) {
+            let text = format!("a picture of {width} × {height} pixels: expected 32 to 4096 each");
+            return Err(PyValueError::new_err(text));
+        }
+        let mut all = self.lock(py);
+        let row = all.get_mut(row).ok_or_else(|| PyIndexError::new_err(format!("there is no world {row}")))?;
+        let pixels = py.detach(|| {
+            let mut easel = self.easel.lock().unwrap_or_else(PoisonError::into_inner);
+            let size = [width, height];
+            row.stage.take_if(|stage| stage.size_px() != size);
+            let (scene, goal) = (row.world.scene(), row.world.blueprint());
+            let stage = row.stage.get_or_insert_with(|| Stage::new(&mut easel, scene, goal, size));
+            stage.picture(&mut easel, scene)
+        });
+        pixels.into_pyarray(py).reshape([height, width, 3])
+    }
+}
+
+impl Worlds {
+    /// The worlds. Whoever waits for them gives the interpreter to others meanwhile.
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, Vec<Row>> {
+        self.rows.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn work(&self, jobs: Vec<Job<'_>>, wish: &Wish) {
+        share(self.n_threads, jobs, |Job { row, action, features, outcome }| {
+            match action {
+                Some(action) => {
+                    let result = row.step(&action);
+                    (outcome.reward, outcome.status) = (result.reward, result.status);
+                }
+                None => outcome.failure = row.begin(&self.tasks, wish).err(),
+            }
+            row.observe(&self.features, features);
+        });
+    }
+}
+
+/// A JSON text as settings.
+fn parsed<T: DeserializeOwned>(name: &str, text: &str) -> PyResult<T> {
+    serde_json::from_str(text).map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
+}
+
+fn masked<'a>(mask: &'a PyReadonlyArray1<'_, bool>, n: usize) -> PyResult<&'a [bool]> {
+    if mask.len() != n {
+        return Err(PyValueError::new_err(format!("a mask has {} entries for {n} worlds", mask.len())));
+    }
+    Ok(mask.as_slice()?)
+}
+
+fn first_failure(outcomes: &[Outcome]) -> PyResult<()> {
+    outcomes.iter().find_map(|outcome| outcome.failure.as_ref()).map_or(Ok(()), |failure| Err(refused(failure)))
+}
+
+/// The block that each gripper held in the last step, −1 for none.
+fn held(scene: &Scene, n_grippers: usize) -> Vec<i64> {
+    let block = |gripper: &Option<proto::Gripper>| gripper.and_then(|gripper| gripper.held);
+    let grippers = scene.grippers.iter().take(n_grippers);
+    grippers.map(|gripper| block(gripper).map_or(-1, |block| i64::from(u8::from(block)))).collect()
+}
+
+/// The number of a status in Python.
+fn code(status: Status) -> u8 {
+    match status {
+        Status::Running => 0,
+        Status::Success => 1,
+        Status::TimeLimit => 2,
+        Status::Diverged => 3,
+    }
+}
