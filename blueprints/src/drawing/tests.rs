@@ -1,3 +1,5 @@
+//! What is said about drawings, and how their blocks are turned.
+
 use proptest::prelude::*;
 
 use super::*;
