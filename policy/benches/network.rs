@@ -91,6 +91,7 @@ fn batch(config: &FeatureConfig, b: usize) -> FeatureBatch {
     batch.n = b;
     (batch.nodes, batch.edges, batch.globals) = (fill(b * 16 * node), fill(b * 240 * edge), fill(b * global));
     batch.allowed = vec![true; b * 16];
+    (batch.held, batch.n_steps) = (vec![[None; 2]; b], vec![0; b]);
     batch
 }
 

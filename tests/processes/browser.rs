@@ -269,6 +269,7 @@ fn what_is_drawn_is_checked_and_built() {
     browser.element("#draw-match").click();
     says("It can be built.");
     browser.element("#draw-name").press("my tower");
+    browser.until("document.querySelector('#draw-name').value === 'my tower'");
     browser.element("#draw-expert").click();
     browser.until("replay.episode && replay.episode.blueprint.startsWith('drawn_2_')");
     assert_eq!(browser.run("return replay.episode.end"), "success");

@@ -255,7 +255,7 @@ fn a_drawing_of_types_and_places_is_completed() {
         assert!(stdout.contains(words), "no {words:?} in {stdout}");
     }
     let whole = std::fs::read_to_string(folder.path().join("whole.toml")).unwrap();
-    assert!(whole.starts_with("id = \"corner\"") && whole.contains("\"+z(2,0,0) -z(0,0,0)\""), "{whole}");
+    assert!(whole.starts_with("id = \"corner\"") && whole.contains("\"-z(0,0,0) +z(2,0,0)\""), "{whole}");
     let again = lodestone(folder.path(), &check, &[]);
     assert_eq!(again.status.code(), Some(64), "no file is replaced");
     let listed = lodestone(folder.path(), &["blueprints", "list", "corner.toml", "--json"], &[]);

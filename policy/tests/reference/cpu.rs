@@ -28,6 +28,7 @@ fn batch(sizes: FeatureSizes, n: usize) -> FeatureBatch {
     batch.edges = numbers("edges", n * N_EDGES * sizes.edge);
     batch.globals = numbers("globals", n * sizes.global);
     batch.allowed = vec![true; n * 16];
+    (batch.held, batch.n_steps) = (vec![[None; 2]; n], vec![0; n]);
     batch
 }
 
