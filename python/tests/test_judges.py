@@ -202,6 +202,7 @@ class StableBaselines3(unittest.TestCase):
         }
         near = {"blueprint": "2_000", "starts": "near-goal:1", "shuffle_blocks": False, "settings": settings}
         envs = VecMonitor(AssemblyVecEnv(32, observation="features", mask="blueprint", **near))
+        self.addCleanup(torch.set_num_threads, torch.get_num_threads())
         torch.set_num_threads(1)
         model = PPO(
             "MultiInputPolicy",
