@@ -40,7 +40,7 @@ doc:
 test *ARGS:
     {{ if ARGS == "" { ".ci/run test" } else { "cargo test --locked " + ARGS } }}
 
-# The network in PyTorch, and its export to ONNX.
+# The Python package and its judges; the network in PyTorch, and its export to ONNX.
 python:
     .ci/run python
 

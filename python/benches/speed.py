@@ -91,7 +91,7 @@ def main() -> None:
     rows = [
         ("32 worlds, the policy acts", best(vector("policy")), rust["policy"]),
         ("32 worlds, random actions", best(vector("random")), rust["random"]),
-        ("32 worlds, random actions, arrays reused", best(vector("random", copy=False)), rust["random"]),
+        ("32 worlds, random actions, `copy=False`", best(vector("random", copy=False)), rust["random"]),
         ("32 worlds, random actions, flat", best(vector("random", observation="flat", action="flat")), rust["random"]),
         ("one world, random actions", best(single()), rust["random"]),
     ]

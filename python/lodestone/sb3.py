@@ -2,7 +2,7 @@
 
     from lodestone.sb3 import AssemblyVecEnv
 
-    model = PPO("MlpPolicy", AssemblyVecEnv(32, blueprint="2_000", starts="near-goal"))
+    model = PPO("MlpPolicy", AssemblyVecEnv(32, blueprint="2_000", starts="near-goal"), n_steps=128)
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ use pyo3::{Bound, PyResult, Python, pyclass, pymethods};
 use rand_chacha::ChaCha8Rng;
 
 use crate::arrays::{ActionArrays, action_arrays};
-use crate::error::refused;
+use crate::error::{message, refused};
 use crate::model::{Model, ModelError};
 
 /// The policy that comes with the program.
@@ -61,10 +61,9 @@ impl Policy {
         let shown = path.display();
         let bytes =
             std::fs::read(&path).map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
-        Self::from_bytes(&bytes).map_err(|error| {
-            let text = refused(&error);
-            PyValueError::new_err(format!("{shown} is not a policy: {text}"))
-        })
+        let refused =
+            |error: PolicyError| PyValueError::new_err(format!("{shown} is not a policy: {}", message(&error)));
+        Self::from_bytes(&bytes).map_err(refused)
     }
 
     /// Numbers of features of a node, of an edge, and of the whole scene.

@@ -7,6 +7,11 @@ use pyo3::exceptions::PyValueError;
 
 /// A `ValueError` with the message and the causes of an error.
 pub(crate) fn refused(error: &dyn Error) -> PyErr {
+    PyValueError::new_err(message(error))
+}
+
+/// The message and the causes of an error.
+pub(crate) fn message(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
@@ -18,5 +23,5 @@ pub(crate) fn refused(error: &dyn Error) -> PyErr {
         }
         cause = error.source();
     }
-    PyValueError::new_err(text)
+    text
 }
