@@ -6,9 +6,10 @@ use deploy::config::{Config, PRESETS};
 use learner::Model;
 
 /// The hash of the network of each preset, which weights on the bus carry.
-const NETWORK_HASHES: [(&str, u64); 16] = [
+const NETWORK_HASHES: [(&str, u64); 17] = [
     ("quickstart", 0x9686_a0e2_b319_3676),
     ("laptop", 0x9686_a0e2_b319_3676),
+    ("randomized", 0xfaa1_2ad2_f4b7_14df),
     ("two-blocks", 0xfe94_2fa2_bb58_14c9),
     ("reverse-curriculum", 0xfe94_2fa2_bb58_14c9),
     ("near-goal", 0x27ac_c63f_8183_123f),
