@@ -59,6 +59,11 @@ impl Goals {
         }
         Ok(Self { catalog: Arc::new(catalog), ids })
     }
+
+    /// Blocks of a goal.
+    pub(crate) fn n_blocks(&self, goal: &BlueprintId) -> usize {
+        self.catalog.find(goal).map_or(0, |blueprint| blueprint.n_blocks())
+    }
 }
 
 /// The id in a text, of a blueprint that the catalog or the generator has.
@@ -74,5 +79,5 @@ pub(crate) fn known(catalog: &Catalog, name: &str) -> Result<BlueprintId, GoalEr
 #[pyfunction(name = "blueprints")]
 pub(crate) fn named(names: Vec<String>) -> PyResult<Vec<(String, usize)>> {
     let goals = Goals::new(&names).map_err(|error| refused(&error))?;
-    Ok(goals.ids.iter().map(|id| (id.to_string(), id.size())).collect())
+    Ok(goals.ids.iter().map(|id| (id.to_string(), goals.n_blocks(id))).collect())
 }

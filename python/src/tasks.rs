@@ -136,7 +136,7 @@ impl Tasks {
                 Start::Prebuilt(others[rng.random_range(0..others.len())].clone())
             }
             StartRule::NearGoal(undone) => {
-                let most = u8::try_from(blueprint.size()).unwrap_or(u8::MAX).saturating_sub(1).max(1);
+                let most = u8::try_from(self.goals.n_blocks(&blueprint)).unwrap_or(u8::MAX).saturating_sub(1).max(1);
                 let [fewest, most] = [undone.start(), undone.end()].map(|n| (*n).min(most));
                 Start::NearGoal { undone: rng.random_range(fewest..=most) }
             }
