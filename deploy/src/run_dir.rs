@@ -56,9 +56,10 @@ fn has_learned(paths: &RunPaths) -> bool {
     has_metrics || learner::checkpoint::exists(&paths.checkpoints())
 }
 
-/// Whether there is more in the folder than what a run writes before its services start.
+/// Whether there is more in the folder than what a run writes before its services start. A history alone is of an evaluator
+/// that was there before the learner.
 fn has_begun(paths: &RunPaths) -> bool {
-    has_learned(paths) || paths.history().exists()
+    has_learned(paths) || (paths.config().exists() && paths.history().exists())
 }
 
 /// What produced a run, beside its configuration.
@@ -173,6 +174,16 @@ mod tests {
         assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: None });
         start(&path, &resumed).unwrap().abandon();
         assert!(path.join("config.toml").exists(), "what was there before stays");
+    }
+
+    #[test]
+    fn an_evaluator_that_came_first_makes_no_run_of_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(RunPaths::new(folder.path()).history(), "").unwrap();
+        drop(start(folder.path(), &Origin::default()).unwrap());
+        // Now there is a run, and it has been evaluated.
+        let message = start(folder.path(), &Origin::default()).unwrap_err().to_string();
+        assert!(message.contains("holds a run already"), "{message}");
     }
 
     #[test]
