@@ -3,6 +3,24 @@
 const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "all", "validation"];
 const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "1 2", "7 2 1 2"];
 
+/** An empty picture of rates, 0 to 1, against at most `most` environment steps, and where a point of it is. */
+function rateAxes(place, most, label) {
+  const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
+  const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
+  const x = (steps) => left + (steps / most) * (width - left - right);
+  const y = (rate) => top + (1 - rate) * (height - top - bottom);
+  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
+  for (const rate of [0, 0.25, 0.5, 0.75, 1]) {
+    drawing.append(svg("line", { class: "grid", x1: left, x2: width - right, y1: y(rate), y2: y(rate) }));
+    drawing.append(svg("text", { x: left - 6, y: y(rate) + 4, "text-anchor": "end" }, `${100 * rate} %`));
+  }
+  for (const steps of ticks(most, width < 500 ? 3 : 6)) {
+    const anchor = x(steps) > width - 30 ? "end" : "middle";
+    drawing.append(svg("text", { x: x(steps), y: height - 8, "text-anchor": anchor }, steps === 0 ? "0 steps" : count(steps)));
+  }
+  return { drawing, x, y };
+}
+
 /** Round numbers from 0 on, about `n` of them. */
 function ticks(most, n) {
   if (most < n) return [0];
@@ -25,23 +43,10 @@ function drawCurves(place, history, acting) {
     place.replaceChildren();
     return;
   }
-  const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
-  const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
-  const most = Math.max(...passes.map((pass) => pass.n_env_steps), 1);
-  const x = (steps) => left + (steps / most) * (width - left - right);
-  const y = (rate) => top + (1 - rate) * (height - top - bottom);
   const last = passes[passes.length - 1];
   const said = last.groups.filter((group) => group[acting]).map((group) => `${group.name} ${percent(group[acting].rate)}`);
   const label = `Success by group over ${passes.length} evaluations; newest: ${said.join(", ") || percent(last.all[acting].rate)}`;
-  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
-  for (const rate of [0, 0.25, 0.5, 0.75, 1]) {
-    drawing.append(svg("line", { class: "grid", x1: left, x2: width - right, y1: y(rate), y2: y(rate) }));
-    drawing.append(svg("text", { x: left - 6, y: y(rate) + 4, "text-anchor": "end" }, `${100 * rate} %`));
-  }
-  for (const steps of ticks(most, width < 500 ? 3 : 6)) {
-    const anchor = x(steps) > width - 30 ? "end" : "middle";
-    drawing.append(svg("text", { x: x(steps), y: height - 8, "text-anchor": anchor }, steps === 0 ? "0 steps" : count(steps)));
-  }
+  const { drawing, x, y } = rateAxes(place, Math.max(...passes.map((pass) => pass.n_env_steps), 1), label);
   GROUPS.forEach((name, i) => {
     const points = passes
       .map((pass) => ({ steps: pass.n_env_steps, rate: (pass.groups.find((group) => group.name === name) || {})[acting] }))
@@ -85,22 +90,9 @@ function drawBeside(place, runs, acting) {
     name,
     points: history.passes.filter((pass) => pass.all[acting]).map((pass) => ({ steps: pass.n_env_steps, rate: pass.all[acting].rate })),
   }));
-  const most = Math.max(...curves.flatMap(({ points }) => points.map(({ steps }) => steps)), 1);
-  const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
-  const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
-  const x = (steps) => left + (steps / most) * (width - left - right);
-  const y = (rate) => top + (1 - rate) * (height - top - bottom);
   const newest = ({ points }) => (points.length > 0 ? percent(points[points.length - 1].rate) : "no evaluation");
   const label = `Success over environment steps; at last: ${curves.map((curve) => `${curve.name} ${newest(curve)}`).join(", ")}`;
-  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
-  for (const rate of [0, 0.25, 0.5, 0.75, 1]) {
-    drawing.append(svg("line", { class: "grid", x1: left, x2: width - right, y1: y(rate), y2: y(rate) }));
-    drawing.append(svg("text", { x: left - 6, y: y(rate) + 4, "text-anchor": "end" }, `${100 * rate} %`));
-  }
-  for (const steps of ticks(most, width < 500 ? 3 : 6)) {
-    const anchor = x(steps) > width - 30 ? "end" : "middle";
-    drawing.append(svg("text", { x: x(steps), y: height - 8, "text-anchor": anchor }, steps === 0 ? "0 steps" : count(steps)));
-  }
+  const { drawing, x, y } = rateAxes(place, Math.max(...curves.flatMap(({ points }) => points.map(({ steps }) => steps)), 1), label);
   const names = curves.map((curve, i) => {
     const [style, dashes] = [`g${i % GROUPS.length}`, DASHES[i % DASHES.length]];
     const line = curve.points.map(({ steps, rate }) => `${x(steps)},${y(rate)}`).join(" ");

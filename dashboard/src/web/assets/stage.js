@@ -90,7 +90,9 @@ class Stage {
       const episode = await answer.json();
       if (!isWanted()) return;
       const weights = episode.actor === "expert" ? "" : ` with weights ${episode.weights_version}`;
-      this.note.textContent = `${who} builds ${episode.title} (${episode.blueprint}), start ${this.seed + 1}${weights}`;
+      // The name may be newer than the file that was checked last.
+      const title = this.drawn ? this.drawn.title : episode.title;
+      this.note.textContent = `${who} builds ${title} (${episode.blueprint}), start ${this.seed + 1}${weights}`;
       await present(this.replay, episode, () => {
         if (this.onward.checked && !this.drawn) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1); }, REST_MS);
       });
