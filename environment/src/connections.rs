@@ -8,9 +8,13 @@ use crate::config::{MagnetConfig, PhysicsConfig};
 use crate::engine::{Engine, JointHandle};
 use crate::magnets::{Frame, MagnetPair, MagnetTable, magnet_position_m};
 
+mod effort;
+
 /// A connection that exists.
 struct Connection {
     joint: Joint,
+    /// The wanted pose of its second block as seen from the first.
+    b_in_a: Isometry3<f32>,
     handle: JointHandle,
     /// Magnet pairs that count for its strength.
     n_strong_pairs: f32,
@@ -18,6 +22,8 @@ struct Connection {
     snap_left: u16,
     /// Running mean of its load; it breaks above 1.
     load: f32,
+    /// Whether its joint is left out of the solver, because it carries nothing.
+    is_spared: bool,
 }
 
 /// All connections of a world.
@@ -31,6 +37,8 @@ pub(crate) struct Connections {
     linked: [[bool; N_BLOCKS]; N_BLOCKS],
     /// Lowest block of each block's component.
     components: [usize; N_BLOCKS],
+    /// Where the blocks were before the substep.
+    frames: [Frame; N_BLOCKS],
 }
 
 impl Connections {
@@ -43,6 +51,7 @@ impl Connections {
             cooldown: [[0; N_BLOCKS]; N_BLOCKS],
             linked: [[false; N_BLOCKS]; N_BLOCKS],
             components: std::array::from_fn(|i| i),
+            frames: [Frame::new(&Isometry3::identity()); N_BLOCKS],
         }
     }
 
@@ -71,6 +80,11 @@ impl Connections {
         self.live[index].handle
     }
 
+    #[cfg(test)]
+    pub(crate) fn n_spared(&self) -> usize {
+        self.live.iter().filter(|c| c.is_spared).count()
+    }
+
     /// Whether two blocks hang together through connections.
     pub(crate) fn same_component(&self, a: BlockIdx, b: BlockIdx) -> bool {
         self.components[a.get()] == self.components[b.get()]
@@ -83,6 +97,7 @@ impl Connections {
         }
         let poses: [Isometry3<f32>; N_BLOCKS] = block_array(|block| engine.pose(block));
         let frames = poses.each_ref().map(Frame::new);
+        self.frames = frames;
         let asleep = block_array(|block| engine.is_asleep(block));
         let reach = self.config.attraction_range_m.max(self.config.snap_gap_m);
         for a in BlockIdx::all() {
@@ -116,9 +131,13 @@ impl Connections {
             if engine.is_asleep(connection.joint.a) && engine.is_asleep(connection.joint.b) {
                 continue;
             }
-            let (force, torque) = engine.joint_load(connection.handle);
-            let strength = connection.n_strong_pairs * self.config.break_force_n;
-            let load = (force / strength).max(torque / (strength * break_torque_per_n));
+            let load = if connection.is_spared {
+                0.0
+            } else {
+                let (force, torque) = engine.joint_load(connection.handle);
+                let strength = connection.n_strong_pairs * self.config.break_force_n;
+                (force / strength).max(torque / (strength * break_torque_per_n))
+            };
             connection.load += (1.0 - self.config.load_smoothing) * (load - connection.load);
             if connection.load > 1.0 && worst.is_none_or(|(_, most)| connection.load > most) {
                 worst = Some((i, connection.load));
@@ -183,7 +202,7 @@ impl Connections {
         let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency_hz);
         let snap_left = self.substeps(self.config.snap_ms);
         let n_strong_pairs = pairs.len().min(usize::from(self.config.break_max_pairs)) as f32;
-        self.live.push(Connection { joint, handle, n_strong_pairs, snap_left, load: 0.0 });
+        self.live.push(Connection { joint, b_in_a, handle, n_strong_pairs, snap_left, load: 0.0, is_spared: false });
         self.regroup();
     }
 

@@ -1,7 +1,7 @@
 //! The grippers: what each holds, and how it moves what it holds.
 
 use blueprints::BlockIdx;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use proto::{Action, Gripper, N_GRIPPERS};
 
 use crate::config::EnvironmentConfig;
@@ -100,8 +100,9 @@ impl Grippers {
         }
     }
 
-    /// Sets the held blocks in motion; to be called before a substep, after the magnets' forces.
-    pub(crate) fn drive(&mut self, engine: &mut Engine, connections: &Connections) {
+    /// Sets the held blocks in motion; to be called before a substep, after the magnets' forces. Returns the blocks that
+    /// move with all that hangs on them as one rigid body.
+    pub(crate) fn drive(&mut self, engine: &mut Engine, connections: &Connections) -> [Option<BlockIdx>; N_GRIPPERS] {
         let held = |i: usize| self.states.get(i).and_then(|s| s.held);
         match (held(0), held(1)) {
             (Some(a), Some(b)) if a != b && connections.same_component(a, b) => {
@@ -112,6 +113,7 @@ impl Grippers {
                         state.motor = Some(engine.insert_motor(block, state.command));
                     }
                 }
+                [None, None]
             }
             (first, second) => {
                 self.remove_motors(engine);
@@ -122,6 +124,7 @@ impl Grippers {
                         carry(engine, connections, block, state.command, self.substep_s);
                     }
                 }
+                [first, second]
             }
         }
     }
@@ -160,7 +163,9 @@ impl Grippers {
 fn carry(engine: &mut Engine, connections: &Connections, held: BlockIdx, command: Velocity, substep_s: f32) {
     weightless(engine, connections, held);
     let pivot = engine.pose(held).translation.vector;
-    let turn = UnitQuaternion::from_scaled_axis(command.angular * substep_s);
+    // As the engine turns a body in a substep, which is not quite by ω·dt.
+    let half_turn = command.angular * (0.5 * substep_s);
+    let turn = UnitQuaternion::new_normalize(Quaternion::from_parts(1.0, half_turn));
     for block in BlockIdx::all().filter(|&block| connections.same_component(block, held)) {
         let arm = engine.pose(block).translation.vector - pivot;
         // The chord of the arc, not its tangent: tangents stretch the structure by (ω·dt)²/2 in every substep.

@@ -65,6 +65,17 @@ impl MagnetTable {
         Self { half_extents, radii: half_extents.map(|h| h.norm()), faces }
     }
 
+    /// Radius of the sphere around a block in meters.
+    pub(crate) fn radius(&self, block: BlockIdx) -> f32 {
+        self.radii[block.get()]
+    }
+
+    /// Height of a block's lowest point in meters.
+    pub(crate) fn bottom(&self, block: BlockIdx, frame: &Frame) -> f32 {
+        let half_extents = self.half_extents[block.get()];
+        frame.position.z - (0..3).map(|k| frame.rotation[(2, k)].abs() * half_extents[k]).sum::<f32>()
+    }
+
     /// Whether the two blocks' surfaces are possibly within `reach` meters; false is certain.
     pub(crate) fn may_touch(
         &self,

@@ -105,7 +105,8 @@ impl World {
         let mut heavy = [0_u32; N_BLOCKS + 1];
         for _ in 0..self.config.physics.n_substeps {
             self.connections.attract(&mut self.engine);
-            self.grippers.drive(&mut self.engine, &self.connections);
+            let carried = self.grippers.drive(&mut self.engine, &self.connections);
+            self.connections.spare(&mut self.engine, carried);
             self.engine.substep();
             self.connections.strain(&mut self.engine);
             self.engine.for_each_contact(self.heavy_contact_n, |bodies| {
