@@ -150,9 +150,10 @@ impl Ppo {
         let Some(mut imitation_update) = imitation_update else { return (metrics, None) };
         let mut steps = Steps::default();
         while imitation_update.n_left() > 0 {
-            let mut gradient = vec![0.0; self.parameters.len()];
+            let mut gradient = self.workers.zeros(self.parameters.len());
             imitation_update.add_gradient(&mut self.workers, config.forward_size, progress.rng, &mut gradient);
             self.step(&mut gradient, *progress.learning_rate, config, &mut steps);
+            self.workers.reuse(gradient);
         }
         if metrics.n_gradient_steps == 0 {
             metrics.grad_norm = steps.mean_grad_norm();
@@ -264,10 +265,11 @@ impl Ppo {
         order.shuffle(rng);
         let mut log_probs = vec![0.0; n_samples];
         for minibatch in pieces(&order, config.minibatch_size) {
-            let mut gradient = vec![0.0; self.parameters.len()];
+            let mut gradient = self.workers.zeros(self.parameters.len());
             let mut samples = minibatch.iter();
             for pass in self.workers.gradients(batch, minibatch, config.forward_size, targets) {
                 gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += g);
+                self.workers.reuse(pass.gradient);
                 pass.log_probs.iter().zip(&mut samples).for_each(|(&log_prob, &sample)| log_probs[sample] = log_prob);
                 steps.losses += pass.losses;
             }
@@ -282,6 +284,7 @@ impl Ppo {
             } else {
                 self.step(&mut gradient, rate, config, steps);
             }
+            self.workers.reuse(gradient);
         }
         RatioStatistics::new(&log_probs, targets.reference, config.loss.clip)
     }
@@ -320,13 +323,14 @@ impl Ppo {
     /// One gradient step of the value head alone. While nothing trains the policy, the critic's gradient must not move it
     /// either through the layers that they share.
     fn step_critic(&mut self, gradient: &[f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
-        let mut of_critic = vec![0.0; gradient.len()];
+        let mut of_critic = self.workers.zeros(gradient.len());
         for range in &self.value_head.parameters {
             of_critic[range.clone()].copy_from_slice(&gradient[range.clone()]);
         }
         std::mem::swap(&mut self.adam, &mut self.critic_adam);
         self.step(&mut of_critic, rate, config, steps);
         std::mem::swap(&mut self.adam, &mut self.critic_adam);
+        self.workers.reuse(of_critic);
     }
 
     /// Recomputes advantages and value targets with the current network.

@@ -138,8 +138,8 @@ impl Engine {
     }
 
     /// Gradient of a loss in the order of the flat parameters; `leaves` are those of the engine's last tracked pass, whose
-    /// output the loss was made of.
-    pub fn gradient(&mut self, leaves: Leaves, loss: &Tensor<1>) -> Vec<f32> {
+    /// output the loss was made of. The memory of `spare`, an earlier gradient, is used again.
+    pub fn gradient(&mut self, leaves: Leaves, loss: &Tensor<1>, mut spare: Vec<f32>) -> Vec<f32> {
         let mut gradients = loss.backward();
         match (&mut self.form, leaves.0) {
             (Form::Cpu { network, tape, .. }, Some(leaves)) => {
@@ -149,7 +149,8 @@ impl Engine {
                     logits: leaf_gradient(&leaves.logits, &mut gradients),
                     values: leaf_gradient(&leaves.values, &mut gradients),
                 };
-                network.backward(tape, &by_output)
+                network.backward(tape, &by_output, &mut spare);
+                spare
             }
             (Form::Burn { tracked: Some(network), .. }, None) => parameters::flatten_gradients(network, &mut gradients),
             _ => panic!("a tracked pass of another engine"),

@@ -70,6 +70,7 @@ impl<'a> ImitationUpdate<'a> {
         normalize(&mut features, normalization);
         for pass in workers.imitate(&ImitationBatch { features, labels }, forward_size, config, self.scale_weight) {
             gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += self.weight * g);
+            workers.reuse(pass.gradient);
             self.sums += pass.sums;
         }
         self.n_left = self.n_left.saturating_sub(1);

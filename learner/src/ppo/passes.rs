@@ -167,6 +167,7 @@ impl Passes {
         config: &ImitationConfig,
         scale_weight: f32,
         share: f32,
+        spare: Vec<f32>,
     ) -> ImitationPass {
         // Not masked: the expert may move an obstructing block that a mask would forbid.
         let (output, leaves) = self.engine.run_tracked(&batch.features, rows);
@@ -179,7 +180,7 @@ impl Passes {
         if scale_weight > 0.0 {
             total = total + loss.scales.sum() * scale_weight;
         }
-        let gradient = self.engine.gradient(leaves, &(total * share));
+        let gradient = self.engine.gradient(leaves, &(total * share), spare);
         let sums = to_vec(Tensor::cat(vec![blocks, moves], 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let n_hits = n_hits(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);
@@ -214,6 +215,7 @@ impl Passes {
         samples: &[usize],
         targets: &Targets<'_>,
         share: f32,
+        spare: Vec<f32>,
     ) -> GradientPass {
         let (mut output, leaves) = self.engine.run_tracked(&batch.features, samples);
         self.mask(&mut output, &batch.features, samples);
@@ -242,7 +244,7 @@ impl Passes {
             loss = loss + divergence.clone() * config.imitator_kl;
             parts.push(divergence);
         }
-        let gradient = self.engine.gradient(leaves, &(loss * share));
+        let gradient = self.engine.gradient(leaves, &(loss * share), spare);
         let sums = to_vec(Tensor::cat(parts, 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let imitator_kl = sums.get(4).copied().map_or(0.0, f64::from);

@@ -1,5 +1,6 @@
 //! Worker threads that run the pieces of a batch through their own networks.
 
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use burn::tensor::Device;
@@ -16,17 +17,37 @@ use crate::config::ImitationConfig;
 /// The split into pieces does not depend on the number of workers, and results are combined in piece order, so the sums
 /// do not depend on it either.
 #[derive(Debug)]
-pub(super) struct Workers(Vec<Passes>);
+pub(super) struct Workers {
+    all: Vec<Passes>,
+    spares: Spares,
+}
+
+/// Gradients that are no longer wanted: a new one of 5 MB costs more in fresh pages than its zeros.
+#[derive(Debug, Default)]
+struct Spares(Mutex<Vec<Vec<f32>>>);
+
+impl Spares {
+    fn take(&self) -> Vec<f32> {
+        self.0.lock().ok().and_then(|mut spares| spares.pop()).unwrap_or_default()
+    }
+
+    fn put(&self, gradient: Vec<f32>) {
+        if let Ok(mut spares) = self.0.lock() {
+            spares.push(gradient);
+        }
+    }
+}
 
 impl Workers {
     /// `n` workers, at least one, whose networks have the initial parameters of `seed`.
     pub(super) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n: usize) -> Self {
-        Self((0..n.max(1)).map(|_| Passes::new(policy, seed, device)).collect())
+        let all = (0..n.max(1)).map(|_| Passes::new(policy, seed, device)).collect();
+        Self { all, spares: Spares::default() }
     }
 
     /// One of the networks; all are equal.
     pub(super) fn engine(&self) -> &Engine {
-        self.0[0].engine()
+        self.all[0].engine()
     }
 
     /// Loads `parameters` into all networks.
@@ -34,7 +55,7 @@ impl Workers {
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        let loaded = self.each(|passes| passes.load(parameters));
+        let loaded = self.each(|passes, _| passes.load(parameters));
         loaded.into_iter().collect()
     }
 
@@ -43,7 +64,7 @@ impl Workers {
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        self.each(|passes| passes.freeze(parameters)).into_iter().collect()
+        self.each(|passes, _| passes.freeze(parameters)).into_iter().collect()
     }
 
     /// Gradients of the mean imitation loss of the batch, one for each piece of about `size` scenes.
@@ -56,14 +77,16 @@ impl Workers {
     ) -> Vec<ImitationPass> {
         let rows: Vec<usize> = (0..batch.labels.len()).collect();
         let share = 1.0 / rows.len() as f32;
-        self.map(&pieces(&rows, size), |passes, piece| passes.imitate(batch, piece, config, scale_weight, share))
+        self.map(&pieces(&rows, size), |passes, piece, spares| {
+            passes.imitate(batch, piece, config, scale_weight, share, spares.take())
+        })
     }
 
     /// Values of all rows and log-probabilities of all actions, in pieces of about `size` rows.
     pub(super) fn evaluate(&mut self, batch: &Batch, size: usize) -> Evaluation {
         let rows: Vec<usize> = (0..batch.features.n).collect();
         let mut whole = Evaluation::default();
-        for piece in self.map(&pieces(&rows, size), |passes, rows| passes.evaluate(batch, rows)) {
+        for piece in self.map(&pieces(&rows, size), |passes, rows, _| passes.evaluate(batch, rows)) {
             whole.values.extend(piece.values);
             whole.log_probs.extend(piece.log_probs);
         }
@@ -72,13 +95,13 @@ impl Workers {
 
     /// Log-probabilities of the actions of samples, whose rows must ascend.
     pub(super) fn log_probs(&mut self, batch: &Batch, rows: &[usize], size: usize) -> Vec<f32> {
-        self.map(&pieces(rows, size), |passes, rows| passes.evaluate(batch, rows).log_probs).concat()
+        self.map(&pieces(rows, size), |passes, rows, _| passes.evaluate(batch, rows).log_probs).concat()
     }
 
     /// Values of all rows, in pieces of about `size` rows.
     pub(super) fn values(&mut self, batch: &Batch, size: usize) -> Vec<f32> {
         let rows: Vec<usize> = (0..batch.features.n).collect();
-        self.map(&pieces(&rows, size), |passes, rows| passes.values(batch, rows)).concat()
+        self.map(&pieces(&rows, size), |passes, rows, _| passes.values(batch, rows)).concat()
     }
 
     /// Gradients of `share` × the summed loss of `samples`, one for each piece of about `size` samples.
@@ -90,17 +113,36 @@ impl Workers {
         targets: &Targets<'_>,
     ) -> Vec<GradientPass> {
         let share = 1.0 / samples.len() as f32;
-        self.map(&pieces(samples, size), |passes, piece| passes.gradient(batch, piece, targets, share))
+        self.map(&pieces(samples, size), |passes, piece, spares| {
+            passes.gradient(batch, piece, targets, share, spares.take())
+        })
+    }
+
+    /// A gradient of `n` zeros.
+    pub(super) fn zeros(&self, n: usize) -> Vec<f32> {
+        let mut gradient = self.spares.take();
+        gradient.clear();
+        gradient.resize(n, 0.0);
+        gradient
+    }
+
+    /// Keeps the memory of a gradient for the next one.
+    pub(super) fn reuse(&self, gradient: Vec<f32>) {
+        self.spares.put(gradient);
     }
 
     /// Runs `work` on every piece; the results are in piece order. Whoever is done takes the next piece, because other
     /// threads on the same cores make some workers slower.
-    fn map<R: Send>(&mut self, pieces: &[&[usize]], work: impl Fn(&mut Passes, &[usize]) -> R + Sync) -> Vec<R> {
+    fn map<R: Send>(
+        &mut self,
+        pieces: &[&[usize]],
+        work: impl Fn(&mut Passes, &[usize], &Spares) -> R + Sync,
+    ) -> Vec<R> {
         let next = AtomicUsize::new(0);
-        let by_worker = self.each(|passes| {
+        let by_worker = self.each(|passes, spares| {
             // Relaxed: the counter orders no other memory accesses.
             let take = || Some(next.fetch_add(1, Ordering::Relaxed)).filter(|&i| i < pieces.len());
-            std::iter::from_fn(take).map(|i| (i, work(passes, pieces[i]))).collect::<Vec<_>>()
+            std::iter::from_fn(take).map(|i| (i, work(passes, pieces[i], spares))).collect::<Vec<_>>()
         });
         let mut results: Vec<(usize, R)> = by_worker.into_iter().flatten().collect();
         results.sort_unstable_by_key(|(i, _)| *i);
@@ -108,12 +150,14 @@ impl Workers {
     }
 
     /// Runs `work` on every worker in parallel; the results are in worker order.
-    fn each<R: Send>(&mut self, work: impl Fn(&mut Passes) -> R + Sync) -> Vec<R> {
-        let (first, others) = self.0.split_first_mut().expect("there is at least one worker");
+    fn each<R: Send>(&mut self, work: impl Fn(&mut Passes, &Spares) -> R + Sync) -> Vec<R> {
+        let Self { all, spares } = self;
+        let spares = &*spares;
+        let (first, others) = all.split_first_mut().expect("there is at least one worker");
         std::thread::scope(|scope| {
             let work = &work;
-            let threads: Vec<_> = others.iter_mut().map(|passes| scope.spawn(move || work(passes))).collect();
-            let mut results = vec![work(first)];
+            let threads: Vec<_> = others.iter_mut().map(|passes| scope.spawn(move || work(passes, spares))).collect();
+            let mut results = vec![work(first, spares)];
             // Propagate a panic with its message to the waiting thread.
             let join = |thread: std::thread::ScopedJoinHandle<'_, R>| {
                 thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))

@@ -101,15 +101,18 @@ impl Fold {
         self.is_raw
     }
 
-    /// An empty gradient.
-    pub(super) fn gradient(&self) -> FoldGradient {
-        let zeros = |matrix: &[f32]| vec![0.0; matrix.len()];
-        FoldGradient {
-            to_node: zeros(&self.to_node),
-            to_edge: zeros(&self.to_edge),
-            from_nodes: zeros(&self.from_nodes),
-            from_edges: zeros(&self.from_edges),
-            constant: zeros(&self.constant),
+    /// Sets a gradient to zero.
+    pub(super) fn clear(&self, gradient: &mut FoldGradient) {
+        let FoldGradient { to_node, to_edge, from_nodes, from_edges, constant } = gradient;
+        for (values, matrix) in [
+            (to_node, &self.to_node),
+            (to_edge, &self.to_edge),
+            (from_nodes, &self.from_nodes),
+            (from_edges, &self.from_edges),
+            (constant, &self.constant),
+        ] {
+            values.clear();
+            values.resize(matrix.len(), 0.0);
         }
     }
 

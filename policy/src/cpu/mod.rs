@@ -21,6 +21,7 @@ use pulp::Arch;
 pub use heads::Outputs;
 
 use self::activations::{Activations, GRAPHS};
+use self::fold::FoldGradient;
 use self::heads::{PolicyKernels, ValueActivations, ValueKernels, unscale};
 use self::layer::{Flow, Layer};
 use self::matmul::{Base, Packed, add_transposed, product};
@@ -54,6 +55,8 @@ pub struct Tape {
     n_parts: usize,
     value: ValueActivations,
     flow: Flow,
+    /// Gradients by the folded matrices of each layer.
+    folded: Vec<FoldGradient>,
     outputs: Outputs,
 }
 
@@ -155,22 +158,24 @@ impl CpuNetwork {
         }
     }
 
-    /// Gradient of a loss in the order of the flat parameters, from its gradient by the outputs of the last forward pass on this
-    /// tape.
+    /// Sets `gradient` to that of a loss in the order of the flat parameters, from its gradient by the outputs of the last forward
+    /// pass on this tape. Whoever passes the same vector again spares the system the pages of a new one.
     ///
     /// # Panics
     /// When the network was made without gradients, the last pass on the tape was not a [`CpuNetwork::forward`], or `by_output` has
     /// other lengths than its outputs.
-    pub fn backward(&self, tape: &mut Tape, by_output: &Outputs) -> Vec<f32> {
+    pub fn backward(&self, tape: &mut Tape, by_output: &Outputs, gradient: &mut Vec<f32>) {
         let net = self.context();
         let Context { arch, shape, spans, .. } = net;
         let (policy, value) = self.backward.as_ref().expect("the network was made for gradients");
-        let Tape { parts, n_parts, value: of_value, flow, outputs } = tape;
+        let Tape { parts, n_parts, value: of_value, flow, folded, outputs } = tape;
         let n_kept: usize = parts[..*n_parts].iter().map(|part| part.n).sum();
         assert_eq!(by_output.values.len(), n_kept, "gradients of the last forward pass");
-        let mut gradient = vec![0.0; spans.n_parameters];
-        let mut folded: Vec<_> = self.layers.iter().map(|layer| layer.fold.gradient()).collect();
-        let global = value.backward(net, of_value, &by_output.values, &mut gradient);
+        gradient.clear();
+        gradient.resize(spans.n_parameters, 0.0);
+        folded.resize_with(self.layers.len(), FoldGradient::default);
+        self.layers.iter().zip(&mut *folded).for_each(|(layer, folded)| layer.fold.clear(folded));
+        let global = value.backward(net, of_value, &by_output.values, gradient);
         let scales = unscale(&shape.scale, &outputs.scales, &by_output.scales);
         let (mut moves, mut choices) = (0, 0);
         for (x, global) in parts[..*n_parts].iter_mut().zip(global.chunks(GRAPHS * shape.width)) {
@@ -181,9 +186,9 @@ impl CpuNetwork {
             (moves, choices) = (moves + n_moves, choices + n_choices);
             flow.global.clear();
             flow.global.extend_from_slice(global);
-            policy.backward(net, x, by_head, flow, &mut gradient);
-            for (l, (layer, folded)) in self.layers.iter().zip(&mut folded).enumerate().rev() {
-                layer.backward(net, l, x, flow, folded, &mut gradient);
+            policy.backward(net, x, by_head, flow, gradient);
+            for (l, (layer, folded)) in self.layers.iter().zip(&mut *folded).enumerate().rev() {
+                layer.backward(net, l, x, flow, folded, gradient);
             }
             let (w, nd) = (shape.width, shape.sizes.node);
             add_transposed(arch, &x.raw, nd + 1, &flow.nodes, w, &mut gradient[spans.embed_node.clone()]);
@@ -198,10 +203,9 @@ impl CpuNetwork {
                 &mut gradient[of_global.w.clone()],
             );
         }
-        for (l, (layer, folded)) in self.layers.iter().zip(&folded).enumerate() {
-            layer.fold.unfold(net, l, folded, &mut gradient);
+        for (l, (layer, folded)) in self.layers.iter().zip(folded).enumerate() {
+            layer.fold.unfold(net, l, folded, gradient);
         }
-        gradient
     }
 }
 
