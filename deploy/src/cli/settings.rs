@@ -1,5 +1,6 @@
 //! Where the settings of a process come from.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -17,6 +18,9 @@ pub struct ConfigArgs {
     /// Configuration that comes with the program, under --config if both are given [default: quickstart].
     #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
     pub preset: Option<String>,
+    /// One of the paper's ablations, put over preset and file.
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(Preset::ablations().map(|preset| preset.name)))]
+    pub ablation: Option<String>,
     /// Set one key of the configuration, for example actor.n_worlds=16; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
@@ -54,9 +58,19 @@ impl ConfigArgs {
     /// # Errors
     /// Names file, variable or flag and what would be valid.
     pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Settings, ConfigError> {
-        let overrides = self.overrides(flags)?;
+        let mut settings = self.merged(resume, &self.overrides(flags)?)?;
+        if let Some(name) = &self.ablation {
+            write!(settings.source, ", with the ablation `{name}`").expect("a string takes all");
+            // It no longer tells how long the run takes.
+            settings.preset = None;
+        }
+        Ok(settings)
+    }
+
+    /// `overrides` over the run, file or preset.
+    fn merged(&self, resume: Option<&PathBuf>, overrides: &[Override]) -> Result<Settings, ConfigError> {
         let settings = |text: &str, origin: &str, base, source, preset| -> Result<Settings, ConfigError> {
-            Ok(Settings { config: merge(text, origin, base, &overrides)?, source, preset })
+            Ok(Settings { config: merge(text, origin, base, overrides)?, source, preset })
         };
         if let Some(folder) = resume {
             // Runs of earlier versions name no base, and stand on the defaults as the others.
@@ -90,9 +104,13 @@ impl ConfigArgs {
         Preset::find(self.preset.as_deref().unwrap_or(DEFAULT_PRESET))
     }
 
-    /// Variables, then flags, `flags` last.
+    /// The ablation, then variables, then flags, `flags` last.
     fn overrides(&self, flags: Vec<Override>) -> Result<Vec<Override>, ConfigError> {
-        let mut overrides = Override::from_variables(std::env::vars());
+        let mut overrides = match self.ablation.as_deref() {
+            Some(name) => Preset::find(name)?.overrides()?,
+            None => Vec::new(),
+        };
+        overrides.extend(Override::from_variables(std::env::vars()));
         for text in &self.set {
             overrides.push(Override::parse(text)?);
         }
@@ -136,6 +154,30 @@ mod tests {
         assert_eq!(load("", Some("two-blocks")).unwrap().config, preset("two-blocks"));
         assert_eq!(load("base = \"paper\"", None).unwrap().config, preset("paper"));
         assert_eq!(load("base = \"none\"", None).unwrap().config, Config::default());
+    }
+
+    #[test]
+    fn an_ablation_changes_its_own_keys_alone() {
+        let load = |ablation: &str, set: &[&str]| {
+            let set = set.iter().map(|&text| text.to_owned()).collect();
+            let (preset, ablation) = (Some("laptop".to_owned()), Some(ablation.to_owned()));
+            let args = ConfigArgs { preset, ablation, set, ..ConfigArgs::default() };
+            args.load(None, Vec::new()).unwrap()
+        };
+        let settings = load("single-gripper", &[]);
+        let mut expected = preset("laptop");
+        expected.bus.run = "single-gripper".to_owned();
+        expected.environment.n_grippers = 1;
+        expected.policy.network.n_grippers = 1;
+        expected.policy.features.n_grippers = 1;
+        assert_eq!((&settings.config, settings.preset), (&expected, None));
+        assert_eq!(settings.source, "the preset `laptop`, with the ablation `single-gripper`");
+        assert_eq!(
+            load("single-blueprint", &[]).config.actor.tasks.filter,
+            preset("single-blueprint").actor.tasks.filter
+        );
+        assert_eq!(load("no-curriculum", &[]).config.learner.curriculum, preset("no-curriculum").learner.curriculum);
+        assert_eq!(load("single-gripper", &["bus.run=one"]).config.bus.run, "one", "flags come last");
     }
 
     #[test]

@@ -63,6 +63,24 @@ impl Override {
         overrides
     }
 
+    /// All keys of a table; of a choice, the whole choice.
+    pub(super) fn of_table(origin: &str, keys: toml::Table) -> Vec<Self> {
+        let mut overrides = Vec::new();
+        let mut open = vec![(Vec::new(), keys)];
+        while let Some((sections, keys)) = open.pop() {
+            for (key, value) in keys {
+                let path = [&sections[..], std::slice::from_ref(&key)].concat();
+                match value {
+                    toml::Value::Table(keys) if !keys.contains_key("kind") && !CHOICES.contains(&key.as_str()) => {
+                        open.push((path, keys));
+                    }
+                    value => overrides.push(Self { origin: origin.to_owned(), path, value }),
+                }
+            }
+        }
+        overrides
+    }
+
     /// The same by the key's present name.
     fn renamed(&self) -> Self {
         let path = self.path.join(".");

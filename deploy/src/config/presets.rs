@@ -1,6 +1,6 @@
 //! The presets, embedded so that the binary needs no files beside it.
 
-use super::{ConfigError, error::nearest};
+use super::{ConfigError, Override, error::nearest};
 
 /// A named configuration file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,6 +47,22 @@ pub const PRESETS: &[Preset] = presets![
 ];
 
 impl Preset {
+    /// The paper's ablations: what the paper's protocol is the base of.
+    pub fn ablations() -> impl Iterator<Item = &'static Self> {
+        PRESETS.iter().filter(|preset| preset.text.lines().any(|line| line == "base = \"paper\""))
+    }
+
+    /// What the file itself sets, without its base.
+    ///
+    /// # Errors
+    /// When the file is not TOML.
+    pub fn overrides(&self) -> Result<Vec<Override>, ConfigError> {
+        let mut keys: toml::Table =
+            toml::from_str(self.text).map_err(|error| ConfigError::from_toml(&error, Some(self.text), self.name))?;
+        keys.remove("base");
+        Ok(Override::of_table(self.name, keys))
+    }
+
     /// The preset of this name.
     ///
     /// # Errors
