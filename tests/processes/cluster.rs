@@ -5,7 +5,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use crate::support::judges::{python, told_by};
+use crate::support::judges::{python, told_by, told_by_script};
 use crate::support::program::{lodestone, n_saved_steps};
 
 /// The task of CI's learning test, saved often enough to be killed at any time.
@@ -165,4 +165,61 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let [step, success] = [0, 1].map(|i| &plotted["success-mode/all"][0][i]);
     let summary = record("eval/summary", "judged/metrics.jsonl", &|line| line["n_env_steps"] == *step);
     same(success, &summary["all"]["mode"]["success"]["rate"]);
+}
+
+#[test]
+fn trackers_are_told_what_was_recorded() {
+    let Some(python) = python() else { return };
+    let cluster = Cluster::start();
+    let _actor = cluster.member("actor", &[]);
+    let _evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let saved = cluster.learn(["--run-dir", "run"], 2048);
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let store = cluster.folder.path().join("store");
+    let track = |args: &[&str]| {
+        let mut track = Command::new(&python);
+        track.arg(repository.join("deploy/examples/track.py")).args(args).current_dir(cluster.folder.path());
+        track.env("MLFLOW_ALLOW_FILE_STORE", "true").env("MLFLOW_TRACKING_URI", format!("file://{}", store.display()));
+        track.env("WANDB_MODE", "offline").env("WANDB_ERROR_REPORTING", "false");
+        track.stdout(Stdio::piped());
+        track
+    };
+    let told = |tracker: &str, folder: &Path| {
+        told_by_script(
+            &python,
+            &repository.join("tests/processes/tracked.py"),
+            &[tracker, &folder.display().to_string()],
+        )
+    };
+    let updates = || {
+        let recorded = std::fs::read_to_string(cluster.folder.path().join("run/metrics.jsonl")).unwrap();
+        let lines = recorded.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let updates = lines.filter(|line| line["key"] == "learner");
+        updates.map(|line| serde_json::json!([line["n_env_steps"], line["ppo"]["entropy"]])).collect::<Vec<_>>()
+    };
+
+    // As they come, beside what came last.
+    let live = [&cluster.endpoint, "--run", "near-goal", "--to", "mlflow", "--config", "run/config.toml"];
+    let mut listener = Process(track(&live).spawn().unwrap());
+    let mut lines = BufReader::new(listener.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line == "listening"));
+    cluster.learn(["--resume", "run"], saved + 4096);
+    let mut missing = vec!["learner", "eval/summary"];
+    while !missing.is_empty() {
+        let line = lines.next().expect("it listens until it is told to end");
+        missing.retain(|key| !line.contains(key));
+    }
+    assert!(Command::new("kill").args(["-INT", &listener.0.id().to_string()]).status().unwrap().success());
+    assert!(listener.0.wait().unwrap().success());
+    let kept = told("mlflow", &store);
+    assert_eq!(kept["config"]["bus.run"], "near-goal");
+    assert!(!kept["metrics"]["success-mode/all"].as_array().unwrap().is_empty());
+    let (recorded, logged) = (updates(), kept["metrics"]["learner/ppo/entropy"].as_array().unwrap());
+    assert!(!logged.is_empty() && logged.iter().all(|update| recorded.contains(update)), "{logged:?}: {recorded:?}");
+
+    // All that a run has left.
+    assert!(track(&["run", "--to", "wandb"]).status().unwrap().success());
+    let kept = told("wandb", cluster.folder.path());
+    assert_eq!(kept["config"]["bus"]["run"], "near-goal");
+    assert_eq!(kept["metrics"]["learner/ppo/entropy"], serde_json::Value::Array(updates()));
 }
