@@ -3,8 +3,8 @@
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (worlds side by side) → `work_queue` (who runs which) →
 //! [`episodes`] and [`reset_free`] (what is run) → `follower` (who is told) → [`table`] (what is printed) → [`run()`] (the
 //! service on the bus), which shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes
-//! video clips in every evaluation, [`expert`] evaluates the scripted expert in the same way, and [`perform`] plays one
-//! episode to be shown.
+//! video clips in every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one
+//! episode to be shown, and [`record()`] many to be kept.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -17,6 +17,7 @@ mod follower;
 mod nice;
 mod performance;
 mod pool;
+pub mod record;
 mod recording;
 mod records;
 pub mod report;
@@ -40,6 +41,7 @@ pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_e
 pub use follower::Follower;
 pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
+pub use record::{Recorded, Scribe, record};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
 pub use table::{Detail, render, render_expert};

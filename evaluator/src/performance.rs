@@ -44,18 +44,11 @@ pub fn perform(
     performer: Performer<'_>,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Trajectory>, EvalError> {
+    let witness = Witness { credits: Credits::of(performer, performance.acting), seen: Mutex::default() };
     match performer {
-        Performer::Expert => {
-            let witness = Witness::new("expert", WeightsVersion(0), Driver::Expert);
-            run(performance, ExpertAgent::new(performance.environment), witness, keep_going)
-        }
+        Performer::Expert => run(performance, ExpertAgent::new(performance.environment), witness, keep_going),
         Performer::Policy(config, weights) => {
-            let driver = match performance.acting {
-                ActionMode::Greedy => Driver::Mode,
-                ActionMode::Sampled => Driver::Sample,
-            };
-            let policy = Policy::with_weights(config, weights)?;
-            run(performance, policy, Witness::new("policy", weights.version, driver), keep_going)
+            run(performance, Policy::with_weights(config, weights)?, witness, keep_going)
         }
     }
 }
@@ -79,19 +72,31 @@ where
     Ok(witness.seen.into_inner())
 }
 
-/// Writes down the only episode.
-struct Witness {
-    actor: ActorId,
-    weights_version: WeightsVersion,
-    driver: Driver,
-    seen: Mutex<Option<Trajectory>>,
+/// Who is named in a recording.
+#[derive(Clone, Debug)]
+pub(crate) struct Credits {
+    pub(crate) actor: ActorId,
+    pub(crate) driver: Driver,
+    pub(crate) weights_version: WeightsVersion,
 }
 
-impl Witness {
-    fn new(actor: &str, weights_version: WeightsVersion, driver: Driver) -> Self {
+impl Credits {
+    /// The actor is `expert` or `policy`.
+    pub(crate) fn of(performer: Performer<'_>, acting: ActionMode) -> Self {
+        let (actor, driver, weights_version) = match (performer, acting) {
+            (Performer::Expert, _) => ("expert", Driver::Expert, WeightsVersion(0)),
+            (Performer::Policy(_, weights), ActionMode::Greedy) => ("policy", Driver::Mode, weights.version),
+            (Performer::Policy(_, weights), ActionMode::Sampled) => ("policy", Driver::Sample, weights.version),
+        };
         let actor = ActorId::try_from(actor.to_owned()).expect("the name is lower case");
-        Self { actor, weights_version, driver, seen: Mutex::default() }
+        Self { actor, driver, weights_version }
     }
+}
+
+/// Writes down the only episode.
+struct Witness {
+    credits: Credits,
+    seen: Mutex<Option<Trajectory>>,
 }
 
 impl<A> EpisodeObserver<A> for Witness {
@@ -106,8 +111,8 @@ impl<A> EpisodeObserver<A> for Witness {
     }
 
     fn end(&self, recording: Recording, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
-        let (actor, version) = (self.actor.clone(), self.weights_version);
-        *self.seen.lock() = recording.into_trajectory(actor, self.driver, version, spec.task(), last, result);
+        let Credits { actor, driver, weights_version } = self.credits.clone();
+        *self.seen.lock() = recording.into_trajectory(actor, driver, weights_version, spec.task(), last, result);
     }
 }
 

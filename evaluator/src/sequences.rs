@@ -70,7 +70,7 @@ impl EpisodeSpec {
 
     /// Episode `episode_idx` of a goal; only these and `seed` determine it.
     pub(crate) fn new(blueprint: &Blueprint, start: Start, seed: u64, episode_idx: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(mix(seed, blueprint.id(), episode_idx));
+        let mut rng = ChaCha8Rng::seed_from_u64(episode_seed(seed, blueprint.id(), episode_idx));
         let assignment = sample_assignment(&mut rng);
         let task = Task { blueprint: blueprint.id().clone(), assignment, start, seed: rng.random() };
         Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
@@ -265,8 +265,8 @@ fn settles<E: Env>(env: &mut E, success: &SuccessConfig) -> bool {
     })
 }
 
-/// One number from all that names an episode.
-fn mix(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
+/// One number from all that names an episode; the generator of its task begins with it.
+pub(crate) fn episode_seed(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
     let bytes = seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes());
     fnv1a(bytes)
 }

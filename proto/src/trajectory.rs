@@ -91,6 +91,18 @@ pub enum Driver {
     Expert,
 }
 
+impl fmt::Display for Start {
+    /// In the words of `reset` in the package for Python.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Scattered => f.write_str("scattered"),
+            Self::Prebuilt(id) => write!(f, "prebuilt:{id}"),
+            Self::NearGoal { undone } => write!(f, "near-goal:{undone}"),
+            Self::AsItIs => f.write_str("as-it-is"),
+        }
+    }
+}
+
 impl Label {
     /// The label of an expert's action; `None` if a gripper of the world has no block.
     pub fn new(action: &Action, n_grippers: usize) -> Option<Self> {

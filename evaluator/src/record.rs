@@ -1,0 +1,238 @@
+//! Episodes of one agent written down, in the order in which they are planned.
+
+use std::collections::BTreeMap;
+
+use blueprints::Blueprint;
+use environment::{ExpertAgent, Step};
+use parking_lot::Mutex;
+use policy::Policy;
+use proto::unit::End;
+use proto::{ActionMode, Agent, Observation, Scene, Trajectory};
+
+use crate::performance::{Credits, Performer};
+use crate::pool::EvaluationPool;
+use crate::recording::Recording;
+use crate::report::EpisodeResult;
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, episode_seed};
+use crate::setup::{EvalError, EvalSetup};
+use crate::work_queue::WorkQueue;
+
+/// An episode that ended.
+#[derive(Clone, Debug)]
+pub struct Recorded {
+    /// Its steps; the actor is `expert` or `policy`.
+    pub trajectory: Trajectory,
+    /// What came of it. A diverged episode has [`Status::Running`](proto::Status::Running) in its trajectory.
+    pub result: EpisodeResult,
+    /// Seeds the generator that draws, in this order, who plays the blocks and the seed of the task.
+    pub seed: u64,
+}
+
+/// Who records episodes. Both are called by the threads that run them, `on_episode` by one at a time.
+pub struct Scribe<'s> {
+    /// Asked at every step.
+    pub keep_going: &'s (dyn Fn() -> bool + Sync),
+    /// Takes an episode that ended. Episodes come in the order of the plan: the first of every blueprint, then the second
+    /// of every blueprint, and so on. When it is not to go on, gaps are left.
+    pub on_episode: &'s (dyn Fn(Recorded) + Sync),
+}
+
+/// Plays `n_episodes` of the setup for each blueprint; the setup's ways of acting and its reset-free runs do not count.
+/// Returns whether all ended: false if the scribe was not to go on.
+///
+/// # Errors
+/// When the weights do not fit or an episode cannot be started.
+pub fn record(
+    setup: &EvalSetup<'_>,
+    performer: Performer<'_>,
+    acting: ActionMode,
+    blueprints: &[&Blueprint],
+    scribe: &Scribe<'_>,
+) -> Result<bool, EvalError> {
+    let credits = Credits::of(performer, acting);
+    match performer {
+        Performer::Expert => {
+            let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
+            play(setup, &agent, credits, acting, blueprints, scribe)
+        }
+        Performer::Policy(config, weights) => {
+            let agent = || Policy::with_weights(config, weights).map_err(EvalError::from);
+            play(setup, &agent, credits, acting, blueprints, scribe)
+        }
+    }
+}
+
+fn play<A: Agent>(
+    setup: &EvalSetup<'_>,
+    agent: &(dyn Fn() -> Result<A, EvalError> + Sync),
+    credits: Credits,
+    acting: ActionMode,
+    blueprints: &[&Blueprint],
+    scribe: &Scribe<'_>,
+) -> Result<bool, EvalError>
+where
+    EvalError: From<A::Error>,
+{
+    let (catalog, starts, seed) = (setup.catalog, setup.episodes.starts, setup.seed);
+    let rounds = 0..u64::from(setup.episodes.n_episodes);
+    let plan = rounds.flat_map(|idx| blueprints.iter().map(move |&blueprint| (blueprint, idx)));
+    let (sequences, seeds): (Vec<_>, Vec<_>) = plan
+        .map(|(blueprint, idx)| {
+            let spec = EpisodeSpec::one_of(catalog, blueprint, starts, seed, idx);
+            (vec![spec], episode_seed(seed, blueprint.id(), idx))
+        })
+        .unzip();
+    let shelf = Mutex::new(Shelf::new(scribe.on_episode));
+    let recorder = Recorder { credits, seeds: &seeds, shelf: &shelf };
+    let queue = &WorkQueue::default();
+    let pool = EvaluationPool { setup, agent, queue, observer: Some(&recorder), keep_going: scribe.keep_going };
+    let played = pool.run(&sequences, acting);
+    shelf.into_inner().clear();
+    match played {
+        Ok(_) => Ok(true),
+        Err(EvalError::Interrupted) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Writes down every episode.
+struct Recorder<'r, 's> {
+    credits: Credits,
+    /// Of each sequence.
+    seeds: &'r [u64],
+    shelf: &'r Mutex<Shelf<'s, Recorded>>,
+}
+
+impl<A> EpisodeObserver<A> for Recorder<'_, '_> {
+    type Record = (usize, Recording);
+
+    fn begin(&self, place: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Self::Record> {
+        Some((place.sequence_idx, Recording::default()))
+    }
+
+    fn observe(&self, (_, recording): &mut Self::Record, step: Step, _: &A, _: usize, _: Observation<'_>) {
+        recording.push(step);
+    }
+
+    fn end(&self, (idx, recording): Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
+        let Credits { actor, driver, weights_version } = self.credits.clone();
+        let trajectory = recording.into_trajectory(actor, driver, weights_version, spec.task(), last, result);
+        let seed = self.seeds[idx];
+        let recorded = trajectory.map(|trajectory| Recorded { trajectory, result: result.clone(), seed });
+        self.shelf.lock().put(idx, recorded);
+    }
+}
+
+/// Holds what came too early, and hands all on in order.
+struct Shelf<'s, T> {
+    /// The number whose turn it is.
+    next: usize,
+    /// `None` is a number without anything.
+    early: BTreeMap<usize, Option<T>>,
+    take: &'s (dyn Fn(T) + Sync),
+}
+
+impl<'s, T> Shelf<'s, T> {
+    fn new(take: &'s (dyn Fn(T) + Sync)) -> Self {
+        Self { next: 0, early: BTreeMap::new(), take }
+    }
+
+    /// Takes the thing with this number. The first counts: a sequence that nobody brought back in time is run again.
+    fn put(&mut self, idx: usize, thing: Option<T>) {
+        if idx < self.next {
+            return;
+        }
+        self.early.entry(idx).or_insert(thing);
+        while let Some(thing) = self.early.remove(&self.next) {
+            self.next += 1;
+            thing.into_iter().for_each(self.take);
+        }
+    }
+
+    /// Hands on what is left, whatever is missing in between.
+    fn clear(self) {
+        self.early.into_values().flatten().for_each(self.take);
+    }
+}
+
+impl Recorded {
+    /// Whether physics failed in it.
+    pub fn is_diverged(&self) -> bool {
+        matches!(self.result.end, End::Diverged)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use blueprints::Catalog;
+    use environment::{Env, EnvironmentConfig, World};
+    use proto::Status;
+
+    use super::*;
+    use crate::config::EpisodeConfig;
+
+    #[test]
+    fn what_comes_too_early_waits_for_its_turn() {
+        let taken = Mutex::new(Vec::new());
+        let take = |x: char| taken.lock().push(x);
+        let mut shelf = Shelf::new(&take);
+        for (idx, thing) in [(1, Some('b')), (0, Some('a')), (1, Some('x')), (3, Some('d')), (2, None), (6, Some('g'))]
+        {
+            shelf.put(idx, thing);
+        }
+        assert_eq!(*taken.lock(), ['a', 'b', 'd']);
+        shelf.put(5, Some('f'));
+        shelf.clear();
+        assert_eq!(*taken.lock(), ['a', 'b', 'd', 'f', 'g']);
+    }
+
+    fn setup(n_threads: usize) -> EvalSetup<'static> {
+        let episodes = EpisodeConfig { n_episodes: 3, n_threads, n_worlds: 1, ..EpisodeConfig::default() };
+        let environment = EnvironmentConfig::default();
+        EvalSetup { catalog: Catalog::builtin(), environment, episodes, reset_free: None, seed: 5 }
+    }
+
+    fn blueprints() -> Vec<&'static Blueprint> {
+        ["2_000", "3_000"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap()).to_vec()
+    }
+
+    fn recorded(setup: &EvalSetup<'_>, keep_going: &(dyn Fn() -> bool + Sync)) -> (bool, Vec<Recorded>) {
+        let episodes = Mutex::new(Vec::new());
+        let scribe = Scribe { keep_going, on_episode: &|episode| episodes.lock().push(episode) };
+        let is_complete = record(setup, Performer::Expert, ActionMode::Greedy, &blueprints(), &scribe).unwrap();
+        (is_complete, episodes.into_inner())
+    }
+
+    #[test]
+    fn episodes_come_in_the_order_of_the_plan_and_can_be_played_again() {
+        let (is_complete, episodes) = recorded(&setup(1), &|| true);
+        assert!(is_complete);
+        let ids: Vec<&str> = episodes.iter().map(|episode| episode.result.blueprint.as_str()).collect();
+        assert_eq!(ids, ["2_000", "3_000", "2_000", "3_000", "2_000", "3_000"]);
+        let (_, again) = recorded(&setup(3), &|| true);
+        let trajectories = |episodes: &[Recorded]| episodes.iter().map(|e| e.trajectory.clone()).collect::<Vec<_>>();
+        assert_eq!(trajectories(&episodes), trajectories(&again));
+        // The actions lead from the start to the end that was recorded.
+        let Recorded { trajectory, .. } = &episodes[0];
+        let mut world = World::new(&EnvironmentConfig::default()).unwrap();
+        world.reset(&trajectory.task, Catalog::builtin()).unwrap();
+        for step in &trajectory.transitions {
+            assert_eq!(world.scene(), &step.scene);
+            assert_eq!(world.step(&step.action).reward, step.reward);
+        }
+        assert_eq!((world.scene(), trajectory.status), (&trajectory.last_scene, Status::Success));
+    }
+
+    #[test]
+    fn whole_episodes_are_kept_when_it_is_not_to_go_on() {
+        let n_asked = AtomicUsize::new(0);
+        let (is_complete, episodes) = recorded(&setup(1), &|| n_asked.fetch_add(1, Ordering::Relaxed) < 60);
+        assert!(!is_complete && !episodes.is_empty() && episodes.len() < 6, "{} episodes", episodes.len());
+        let (_, all) = recorded(&setup(1), &|| true);
+        for (kept, whole) in episodes.iter().zip(&all) {
+            assert_eq!((&kept.trajectory, kept.seed), (&whole.trajectory, whole.seed));
+        }
+    }
+}
