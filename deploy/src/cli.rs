@@ -10,6 +10,7 @@ mod bench;
 mod blueprints;
 mod bus;
 mod expert;
+mod record;
 mod render;
 mod report;
 mod serve;
@@ -21,6 +22,7 @@ pub use self::bench::{BenchActorsArgs, BenchCommand, Transport};
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
+pub use self::record::{GoalArgs, PerformerArgs, RecordArgs, RecordFormat};
 pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
 pub use self::report::ReportArgs;
 pub use self::serve::ServeArgs;
@@ -75,6 +77,8 @@ pub enum Command {
     /// Let the scripted expert build.
     #[command(subcommand)]
     Expert(ExpertCommand),
+    /// Play episodes and keep them: as a dataset that Minari reads, for offline learning, or for `render`.
+    Record(RecordArgs),
     /// Make films of recorded episodes.
     Render(RenderArgs),
     /// Look at blueprints.

@@ -8,6 +8,7 @@ use blueprints::Split;
 use bus::BusError;
 use dashboard::WebError;
 use dashboard::terminal::WatchError;
+use dataset::DatasetError;
 use learner::{CheckpointError, LearnerError};
 use runlog::HistoryError;
 
@@ -80,6 +81,9 @@ pub enum Failure {
         /// What is wrong with them.
         reason: String,
     },
+    /// Recorded episodes cannot be written, or are there already; code 64.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
     /// A part of the catalog without blueprints; code 64.
     #[error("the catalog has no blueprints of the split {0}")]
     EmptySplit(Split),
@@ -162,6 +166,7 @@ impl Failure {
             | Self::BlueprintFile { .. }
             | Self::UnknownBlueprint { .. }
             | Self::Recording { .. }
+            | Self::Dataset(_)
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
             Self::Checkpoint(_) | Self::History(_) | Self::NothingToShow(_) => 66,

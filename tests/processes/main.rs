@@ -12,6 +12,7 @@ mod cli;
 mod cluster;
 mod compatibility;
 mod films;
+mod record;
 mod report;
 mod resume;
 mod support;

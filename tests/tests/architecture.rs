@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use crate::repository::{files, manifest, members, read, root, shown};
 
 /// Each crate with all crates of the workspace that it may depend on.
-const ALLOWED: [(&str, &[&str]); 12] = [
+const ALLOWED: [(&str, &[&str]); 13] = [
     ("blueprints", &[]),
     ("proto", &["blueprints"]),
     ("bus", &["proto"]),
@@ -17,11 +17,16 @@ const ALLOWED: [(&str, &[&str]); 12] = [
     ("learner", &["blueprints", "proto", "bus", "policy", "runlog"]),
     ("evaluator", &["blueprints", "proto", "bus", "environment", "policy", "runlog", "render"]),
     ("dashboard", &["blueprints", "proto", "bus", "policy", "runlog", "render"]),
-    ("deploy", &["blueprints", "proto", "bus", "runlog", "render", "actor", "learner", "evaluator", "dashboard"]),
+    ("dataset", &["blueprints", "proto", "policy"]),
+    (
+        "deploy",
+        &["blueprints", "proto", "bus", "runlog", "render", "actor", "learner", "evaluator", "dashboard", "dataset"],
+    ),
 ];
 
 /// External crates, by the beginning of their name, with the only crates that may name them.
-const HOMES: [(&str, &[&str]); 11] = [
+const HOMES: [(&str, &[&str]); 12] = [
+    ("arrow", &["dataset"]),
     ("rapier", &["environment"]),
     ("burn", &["policy", "learner"]),
     ("cubecl", &["policy", "learner"]),

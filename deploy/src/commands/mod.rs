@@ -10,6 +10,7 @@ mod goals;
 mod keys;
 mod models;
 mod play;
+mod record;
 mod render;
 mod report;
 mod router;
@@ -48,6 +49,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Bench(command) => bench::run(&command, terminal),
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Expert(command) => on_runtime(async |shutdown| expert::run(&command, terminal, &shutdown)),
+        Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown)),
         Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
         Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
         Command::Completions(args) => {
