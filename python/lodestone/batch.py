@@ -54,8 +54,8 @@ def blueprints(blueprint: Names = "train") -> dict[str, int]:
     """Ids of blueprints with their numbers of blocks.
 
     `blueprint` is the id of one of the catalog (`4_000`) or of the generator (`gen1-arch-7_6_000`), a split (`train`, `test`,
-    `test-literal`, `test-longest`, `test-tallest`, `validation`), the path of a TOML file or of a folder with such files, or a
-    list of any of these.
+    `test-literal`, `test-longest`, `test-tallest`, `validation`), the path of a TOML file or of a folder with such files, the
+    text of such a file, or a list of any of these.
     """
     return dict(_native.blueprints(names_of(blueprint)))
 

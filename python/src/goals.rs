@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use blueprints::checks::check_text;
 use blueprints::{Blueprint, BlueprintId, Catalog, CatalogError, Split};
 use pyo3::{PyResult, pyfunction};
 
@@ -35,7 +36,7 @@ pub(crate) enum GoalError {
 }
 
 impl Goals {
-    /// The goals that `names` name: ids of the catalog or the generator, splits, and paths of files or folders.
+    /// The goals that `names` name: ids of the catalog or the generator, splits, paths of files or folders, and texts of files.
     ///
     /// # Errors
     /// When there are none, or one of them is unknown.
@@ -44,7 +45,11 @@ impl Goals {
         let mut ids = Vec::new();
         for name in names {
             let path = Path::new(name);
-            if path.extension().is_some_and(|extension| extension == "toml") || path.is_dir() {
+            if name.contains('\n') {
+                let own = check_text("the text of a blueprint", name).blueprint.map_err(CatalogError::from)?;
+                ids.push(own.id().clone());
+                catalog = catalog.with(&Catalog::of_one(own));
+            } else if path.extension().is_some_and(|extension| extension == "toml") || path.is_dir() {
                 let own = Catalog::load(path)?;
                 ids.extend(own.iter().map(Blueprint::id).cloned());
                 catalog = catalog.with(&own);

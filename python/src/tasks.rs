@@ -157,16 +157,6 @@ impl Tasks {
     }
 }
 
-/// How an episode began, in the words that [`StartRule`] reads.
-pub(crate) fn name(start: &Start) -> String {
-    match start {
-        Start::Scattered => "scattered".to_owned(),
-        Start::Prebuilt(id) => format!("prebuilt:{id}"),
-        Start::NearGoal { undone } => format!("near-goal:{undone}"),
-        Start::AsItIs => "as-it-is".to_owned(),
-    }
-}
-
 fn as_they_are() -> [BlockIdx; N_BLOCKS] {
     let mut blocks = BlockIdx::all();
     std::array::from_fn(|_| blocks.next().expect("there are as many indices as blocks"))

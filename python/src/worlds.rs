@@ -20,7 +20,7 @@ use crate::error::refused;
 use crate::goals::Goals;
 use crate::picture::{Easel, Stage};
 use crate::row::{Features, Outcome, Row};
-use crate::tasks::{Tasks, Wish, name};
+use crate::tasks::{Tasks, Wish};
 
 /// Rewards `[n]`, statuses `[n]`, and the terms of the rewards `[n, 5]`.
 type StepArrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f32>>);
@@ -201,7 +201,7 @@ impl Worlds {
         let all = self.lock(py);
         let task = all.get(row).and_then(|row| row.task.as_ref());
         let task = task.ok_or_else(|| PyIndexError::new_err(format!("world {row} has no episode")))?;
-        Ok((task.blueprint.to_string(), name(&task.start), task.seed))
+        Ok((task.blueprint.to_string(), task.start.to_string(), task.seed))
     }
 
     /// Whether a masked gripper may choose a block, `[n, 16]`: those of the blueprint and those with a connection, as they may

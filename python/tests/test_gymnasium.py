@@ -67,6 +67,9 @@ class SingleEnvironment(unittest.TestCase):
             own = Path(folder, "mine.toml")
             own.write_text(text.replace('"4_000"', '"mine_4_000"'))
             self.assertEqual(lodestone.blueprints([own, "2_000"]), {"mine_4_000": 4, "2_000": 2})
+            self.assertEqual(lodestone.blueprints(own.read_text()), {"mine_4_000": 4})
+            with self.assertRaisesRegex(ValueError, "the text of a blueprint"):
+                lodestone.blueprints("blocks = [\n")
             env = gymnasium.make(ID, blueprint=own)
             self.assertEqual(env.reset(seed=1)[1]["blueprint"], "mine_4_000")
         self.assertEqual(len(lodestone.blueprints("train")), 142)
