@@ -147,12 +147,12 @@ impl BusConfig {
         self.security.keys.as_deref().map(|folder| Keys::read(folder, self.is_listening())).transpose()
     }
 
-    /// Converts the configuration to zenoh's.
-    pub(super) fn to_zenoh(&self, keys: Option<&Keys>) -> Result<zenoh::Config, zenoh::Error> {
+    /// Converts the configuration to zenoh's, for a session with this prefix of all keys.
+    pub(super) fn to_zenoh(&self, namespace: &str, keys: Option<&Keys>) -> Result<zenoh::Config, zenoh::Error> {
         let retry = json!({ "period_init_ms": 500, "period_max_ms": 8000, "period_increase_factor": 2 });
         let mut config = json!({
             "mode": match self.mode { BusMode::Router => "router", BusMode::Client => "client" },
-            "namespace": keys::namespace(&self.run),
+            "namespace": namespace,
             // No time limit: a process may start before its router.
             "connect": { "endpoints": self.connect, "timeout_ms": -1, "exit_on_failure": false, "retry": retry },
             // Report a port that is in use at once.
@@ -198,7 +198,7 @@ mod tests {
     fn default_config_is_valid_and_accepted_by_zenoh() {
         let config = BusConfig::default();
         assert_eq!(config.validate(), Ok(()));
-        assert!(config.to_zenoh(None).is_ok());
+        assert!(config.to_zenoh("lodestone/default", None).is_ok());
     }
 
     #[test]

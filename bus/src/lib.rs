@@ -1,7 +1,7 @@
 //! The bus: zenoh sessions that carry [`proto`]'s messages between actors, learner, evaluator, and viewers.
 //!
 //! Reading order: `config` and [`security`] (authentication) → `session` → `sender` and `ingest` (trajectories) →
-//! `weights` → `metrics`, `history`, and `viewer` → `units` (distributed evaluation) → `alive` and `pulse`.
+//! `weights` → `metrics`, `history`, and `viewer` → `units` (distributed evaluation) → `alive`, `pulse` and `runs`.
 //!
 //! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
 //! liveliness tokens show which processes are alive. The services use only the types of this crate, never zenoh's.
@@ -22,6 +22,7 @@ mod latest;
 mod matching;
 mod metrics;
 mod pulse;
+mod runs;
 pub mod security;
 mod sender;
 mod session;
@@ -36,6 +37,7 @@ pub use history::HistoryAnswer;
 pub use ingest::TrajectoryServer;
 pub use metrics::{MetricsPublisher, MetricsSample, MetricsSubscriber};
 pub use pulse::{Pulse, Waiting};
+pub use runs::runs;
 pub use security::{KeysError, SecurityConfig};
 pub use sender::TrajectorySender;
 pub use session::{Bus, process_epoch_ms};

@@ -6,6 +6,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::counters::BusCounters;
 use super::{BusConfig, BusError, BusMode, Pulse};
+use proto::keys;
 use proto::metrics::BusCounts;
 
 /// Timeout of closing a session.
@@ -31,9 +32,15 @@ impl Bus {
     /// # Errors
     /// If the configuration is invalid, or an endpoint is invalid or cannot be listened on.
     pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
+        Self::open_within(&keys::namespace(&config.run), config).await
+    }
+
+    /// Like [`Self::open`], with this prefix of all keys instead of the run's.
+    pub(super) async fn open_within(namespace: &str, config: &BusConfig) -> Result<Self, BusError> {
         config.validate()?;
-        let keys = config.read_keys()?;
-        let zenoh_config = config.to_zenoh(keys.as_ref()).map_err(BusError::during("configuring the bus"))?;
+        let credentials = config.read_keys()?;
+        let zenoh_config =
+            config.to_zenoh(namespace, credentials.as_ref()).map_err(BusError::during("configuring the bus"))?;
         let joining = || match &config.listen[..] {
             [] => format!("joining the bus at {}", config.connect.join(" and ")),
             listen => format!("listening on {}", listen.join(" and ")),

@@ -9,9 +9,15 @@ pub fn is_valid_run(run: &str) -> bool {
     (1..=64).contains(&run.len()) && run.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-')
 }
 
+/// The prefix of all keys of all runs.
+pub const ROOT: &str = "lodestone";
+
+/// Key expression of the liveliness tokens of all runs, relative to [`ROOT`].
+pub const LIVE_IN_ALL_RUNS: &str = "*/live/**";
+
 /// The prefix of all keys in a run.
 pub fn namespace(run: &str) -> String {
-    format!("lodestone/{run}")
+    format!("{ROOT}/{run}")
 }
 
 /// Key of an actor's trajectories, sent as queries to the learner.

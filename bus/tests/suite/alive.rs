@@ -68,3 +68,20 @@ async fn name_invalid_in_a_key_is_refused() {
     let error = cluster.router.declare_alive(Role::Actor, "a/b").await.unwrap_err().to_string();
     assert_eq!(error, r#"name "a/b" is not 1 to 64 characters of a-z, 0-9 and -"#);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_runs_of_a_router_are_listed() {
+    let cluster = Cluster::start().await;
+    let config = |run: &str| bus::BusConfig { run: run.to_owned(), ..cluster.client_config() };
+    let listed = async |run: &str| within("the runs", bus::runs(&config(run))).await.unwrap();
+    assert_eq!(listed("paper").await, names(&[]));
+    let paper = within("a client", bus::Bus::open(&config("paper"))).await.unwrap();
+    let _tokens = (
+        paper.declare_alive(Role::Actor, "a").await.unwrap(),
+        paper.declare_alive(Role::Learner, "learner").await.unwrap(),
+        cluster.router.declare_alive(Role::Evaluator, "e").await.unwrap(),
+    );
+    // One of one's own is not another.
+    assert_eq!(listed("paper").await, names(&["default"]));
+    assert_eq!(listed("nobody").await, names(&["default", "paper"]));
+}
