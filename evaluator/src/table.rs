@@ -1,7 +1,6 @@
 //! A report as plain text for a terminal.
 
 use std::collections::BTreeMap;
-use std::fmt::{Arguments, Write};
 
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
 
@@ -18,42 +17,57 @@ pub enum Detail {
     Blueprints,
 }
 
-/// The report as lines of at most 90 characters, each ended by a line break.
+/// Least width of the column of names.
+const NAME_WIDTH: usize = 24;
+
+/// Lines whose first column is as wide as its longest name.
+#[derive(Default)]
+struct Table(Vec<Row>);
+
+enum Row {
+    /// Words that are in no column.
+    Words(String),
+    /// A name, and the columns after it.
+    Columns(String, String),
+}
+
+/// The report as lines of at most 90 characters unless a name is long, each ended by a line break.
 ///
 /// Rates are in percent, with Wilson's 95 % interval for success. `stable` is the rate of stable success, `steps` the
 /// mean number of steps of the successful episodes, `return` the mean undiscounted return of all.
 pub fn render(report: &EvalReport, detail: Detail) -> String {
     let summary = &report.summary;
-    let mut text = format!("weights {} after {} environment steps\n", summary.weights_version.0, summary.n_env_steps);
+    let mut text = Table::default();
+    text.words(format!("weights {} after {} environment steps", summary.weights_version.0, summary.n_env_steps));
     if !summary.is_complete {
-        push_line(&mut text, format_args!("interrupted: only the episodes that had ended count"));
+        text.words("interrupted: only the episodes that had ended count".to_owned());
     }
-    header(&mut text, "group (blueprints)");
+    text.header("group (blueprints)");
     for group in summary.groups.iter().chain([&summary.all]) {
         let name = format!("{} ({})", group.name, group.n_blueprints);
-        lines(&mut text, &name, &group.mode, &group.sampled);
+        text.lines(&name, &group.mode, &group.sampled);
     }
     if let Some(runs) = &summary.reset_free {
         let name = format!("reset-free ({} x {})", runs.n_runs, runs.n_goals);
-        lines(&mut text, &name, &runs.mode.outcome, &runs.sampled.outcome);
+        text.lines(&name, &runs.mode.outcome, &runs.sampled.outcome);
     }
     let rate = |score: &EvalBlueprint| {
         let evaluated = [score.mode.success, score.sampled.success].into_iter().find(|success| success.n_episodes > 0);
         evaluated.map_or(0.0, |success| success.rate)
     };
     blueprints(&mut text, &report.blueprints, detail, rate, |text, score| {
-        lines(text, &format!("{} {}", score.split, score.blueprint), &score.mode, &score.sampled);
+        text.lines(&format!("{} {}", score.split, score.blueprint), &score.mode, &score.sampled);
     });
-    text
+    text.render()
 }
 
 /// The part about single blueprints, each of which is written by `write`. `rate` is its success, 0 to 1.
 fn blueprints<B>(
-    text: &mut String,
+    text: &mut Table,
     all: &[B],
     detail: Detail,
     rate: impl Fn(&B) -> f64,
-    write: impl Fn(&mut String, &B),
+    write: impl Fn(&mut Table, &B),
 ) {
     let (title, shown): (_, Vec<&B>) = match detail {
         Detail::Groups => return,
@@ -67,7 +81,7 @@ fn blueprints<B>(
         }
     };
     if !shown.is_empty() {
-        header(text, &title);
+        text.header(&title);
         shown.into_iter().for_each(|one| write(text, one));
     }
 }
@@ -75,18 +89,18 @@ fn blueprints<B>(
 /// The expert's report as lines, each ended by a line break; the columns are those of [`render()`], and `built` is the
 /// number of blueprints that were built at least once.
 pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
-    let mut text = String::new();
+    let mut text = Table::default();
     if !report.is_complete {
-        push_line(&mut text, format_args!("interrupted: only the episodes that had ended count"));
+        text.words("interrupted: only the episodes that had ended count".to_owned());
     }
-    header(&mut text, "group (blueprints, built)");
+    text.header("group (blueprints, built)");
     for group in &report.groups {
         let name = format!("{} ({}, {})", group.name, group.n_blueprints, group.n_built);
-        line(&mut text, &name, "expert", &group.outcome);
+        text.line(&name, "expert", &group.outcome);
     }
     if let Some(found) = &report.reset_free {
         let name = format!("reset-free ({} x {})", found.n_runs, found.n_goals);
-        line(&mut text, &name, "expert", &found.runs.outcome);
+        text.line(&name, "expert", &found.runs.outcome);
     }
     blueprints(
         &mut text,
@@ -94,55 +108,64 @@ pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
         detail,
         |score| score.outcome.success.rate,
         |text, score| {
-            line(text, &format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
+            text.line(&format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
         },
     );
     let mut causes: BTreeMap<Cause, usize> = BTreeMap::new();
     report.failures.iter().for_each(|failure| *causes.entry(failure.trouble.cause).or_default() += 1);
     for (cause, n) in causes {
-        push_line(&mut text, format_args!("failed for {cause:<24} {n:>6}"));
+        text.words(format!("failed for {cause:<24} {n:>6}"));
     }
-    text
+    text.render()
 }
 
-fn header(text: &mut String, what: &str) {
-    let columns = ("actions", "episodes", "%", "interval", "stable", "steps", "return");
-    let (actions, episodes, rate, interval, stable, steps, episode_return) = columns;
-    push_line(
-        text,
-        format_args!(
-            "{what:<24} {actions:<8} {episodes:>8} {rate:>6} {interval:^15} {stable:>6} {steps:>6} {episode_return:>7}"
-        ),
-    );
-}
+impl Table {
+    fn words(&mut self, words: String) {
+        self.0.push(Row::Words(words));
+    }
 
-/// A line for each way of acting that was evaluated.
-fn lines(text: &mut String, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
-    for (acting, outcome) in [("mode", mode), ("sampled", sampled)] {
-        if outcome.success.n_episodes > 0 {
-            line(text, name, acting, outcome);
+    fn header(&mut self, what: &str) {
+        let columns = ("actions", "episodes", "%", "interval", "stable", "steps", "return");
+        let (actions, episodes, rate, interval, stable, steps, episode_return) = columns;
+        let columns =
+            format!("{actions:<8} {episodes:>8} {rate:>6} {interval:^15} {stable:>6} {steps:>6} {episode_return:>7}");
+        self.0.push(Row::Columns(what.to_owned(), columns));
+    }
+
+    /// A line for each way of acting that was evaluated.
+    fn lines(&mut self, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
+        for (acting, outcome) in [("mode", mode), ("sampled", sampled)] {
+            if outcome.success.n_episodes > 0 {
+                self.line(name, acting, outcome);
+            }
         }
     }
-}
 
-fn line(text: &mut String, name: &str, actions: &str, outcome: &EvalOutcome) {
-    let n_episodes = outcome.success.n_episodes;
-    let rate = 100.0 * outcome.success.rate;
-    let (low, high) = (100.0 * outcome.success.wilson_low, 100.0 * outcome.success.wilson_high);
-    let stable = 100.0 * outcome.stable_success.rate;
-    let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
-    let mean_return = outcome.mean_return.total();
-    push_line(
-        text,
-        format_args!(
-            "{name:<24} {actions:<8} {n_episodes:>8} {rate:>6.1} {low:>6.1} - {high:<6.1} {stable:>6.1} {steps:>6} \
-             {mean_return:>7.2}"
-        ),
-    );
-}
+    fn line(&mut self, name: &str, actions: &str, outcome: &EvalOutcome) {
+        let n_episodes = outcome.success.n_episodes;
+        let rate = 100.0 * outcome.success.rate;
+        let (low, high) = (100.0 * outcome.success.wilson_low, 100.0 * outcome.success.wilson_high);
+        let stable = 100.0 * outcome.stable_success.rate;
+        let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
+        let mean_return = outcome.mean_return.total();
+        let columns = format!(
+            "{actions:<8} {n_episodes:>8} {rate:>6.1} {low:>6.1} - {high:<6.1} {stable:>6.1} {steps:>6} {mean_return:>7.2}"
+        );
+        self.0.push(Row::Columns(name.to_owned(), columns));
+    }
 
-fn push_line(text: &mut String, line: Arguments<'_>) {
-    writeln!(text, "{line}").expect("writing to a string does not fail");
+    fn render(self) -> String {
+        let name_len = |row: &Row| match row {
+            Row::Words(_) => 0,
+            Row::Columns(name, _) => name.chars().count(),
+        };
+        let width = self.0.iter().map(name_len).fold(NAME_WIDTH, usize::max);
+        let line = |row: Row| match row {
+            Row::Words(words) => format!("{words}\n"),
+            Row::Columns(name, columns) => format!("{name:<width$} {columns}\n"),
+        };
+        self.0.into_iter().map(line).collect()
+    }
 }
 
 #[cfg(test)]
@@ -185,6 +208,17 @@ mod tests {
         assert!(!render(&perfect, Detail::Worst(2)).contains("worst"));
         report.summary.is_complete = false;
         assert!(render(&report, Detail::Groups).contains("interrupted"));
+    }
+
+    #[test]
+    fn long_names_widen_their_column() {
+        let mut table = Table::default();
+        table.words("words of any length do not count, however long they may be".to_owned());
+        table.header("group");
+        table.line("test-tallest tallest_16_000", "mode", &EvalOutcome::default());
+        let text = table.render();
+        let columns = |word: &str| text.lines().find_map(|line| line.find(word)).unwrap();
+        assert_eq!((columns("actions"), columns("mode")), (28, 28), "{text}");
     }
 
     #[test]
