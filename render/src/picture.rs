@@ -28,5 +28,6 @@ pub use png::encode;
 pub use sheet::{MAX_TILES, card, sheet};
 pub use texture::{NEGATIVE_COLOR, POSITIVE_COLOR};
 
+pub(crate) use camera::Window;
 pub(crate) use image::mix;
 pub(crate) use text::{Type, write};

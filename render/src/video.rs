@@ -1,7 +1,7 @@
 //! Films of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
 //!
-//! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode from a fixed
-//! camera, at any time) → `film` (frames with the goal and the score next to the world) → `mp4` and `gif` (frames →
+//! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode through a
+//! camera that follows what is built) → `film` (frames with the goal and the score next to the world) → `mp4` and `gif` (frames →
 //! bytes) → `miniature` (a small GIF of bounded size) → `strip` (an episode as one picture) → `attention` and `heads`
 //! (a policy's attention in an episode).
 

@@ -33,6 +33,15 @@ pub struct Camera {
     light: Vector3<f32>,
 }
 
+/// A rectangle in the image plane of a view, in meters at the camera's target: right of the target, and below it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Window {
+    /// Left and upper side.
+    pub(crate) low: [f32; 2],
+    /// Right and lower side.
+    pub(crate) high: [f32; 2],
+}
+
 /// A projected point. Each field is linear in the image plane along any flat surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Projected {
@@ -113,21 +122,36 @@ impl Camera {
             center_px: [0.0; 2],
             light: light.normalize(),
         };
-        let mut low = [f32::INFINITY; 2];
-        let mut high = [f32::NEG_INFINITY; 2];
-        for at in points.iter().filter_map(|point| camera.project(point)) {
-            for (axis, value) in [at.x, at.y].into_iter().enumerate() {
-                low[axis] = low[axis].min(value);
-                high[axis] = high[axis].max(value);
+        match camera.window(points) {
+            Some(window) => camera.on(&window, margin_px, max_px_per_m),
+            None => {
+                camera.center_px = [width, height].map(|side| 0.5 * side as f32);
+                camera
             }
         }
-        let sides = [width, height].map(|side| side as f32);
+    }
+
+    /// The smallest rectangle around all `points` (m, world) that are in front of the viewer.
+    pub(crate) fn window(&self, points: &[Point3<f32>]) -> Option<Window> {
+        let at = |point| self.project(point).map(|at| [at.x, at.y]);
+        let placed = points.iter().filter_map(at).map(|px| {
+            let place = std::array::from_fn(|axis| (px[axis] - self.center_px[axis]) / self.scale);
+            Window { low: place, high: place }
+        });
+        placed.reduce(|all, window| all.with(&window))
+    }
+
+    /// The same view of this part of its image plane: as large as possible, with `margin_px` pixels on each side and at
+    /// most `max_px_per_m` pixels per meter.
+    ///
+    /// This moves the image rather than the viewer, so that parallels and verticals are the same in all pictures.
+    pub(crate) fn on(&self, window: &Window, margin_px: f32, max_px_per_m: f32) -> Self {
+        let Window { low, high } = window;
+        let sides = self.size_px.map(|side| side as f32);
         let room = |axis: usize| (sides[axis] - 2.0 * margin_px).max(1.0) / (high[axis] - low[axis]).max(1e-6);
-        camera.scale = room(0).min(room(1)).min(max_px_per_m);
-        let middle = |axis: usize| 0.5 * (sides[axis] - camera.scale * (low[axis] + high[axis]));
-        // Shift the image rather than the camera, so that verticals are the same in all pictures of a view.
-        camera.center_px = if points.is_empty() { sides.map(|side| 0.5 * side) } else { [middle(0), middle(1)] };
-        camera
+        let scale = room(0).min(room(1)).min(max_px_per_m);
+        let center_px = std::array::from_fn(|axis| 0.5 * (sides[axis] - scale * (low[axis] + high[axis])));
+        Self { scale, center_px, ..self.clone() }
     }
 
     /// Width and height of the image in pixels.
@@ -189,6 +213,29 @@ impl Camera {
         let [right, up, back] = self.axes.map(|axis| axis.dot(&from_target));
         let depth = 1.0 - back * self.closeness;
         [self.center_px[0] * depth + self.scale * right, self.center_px[1] * depth - self.scale * up, depth]
+    }
+}
+
+impl Window {
+    /// The smallest rectangle around both.
+    pub(crate) fn with(&self, other: &Self) -> Self {
+        Self {
+            low: std::array::from_fn(|axis| self.low[axis].min(other.low[axis])),
+            high: std::array::from_fn(|axis| self.high[axis].max(other.high[axis])),
+        }
+    }
+
+    /// Height of the smallest picture of such an aspect, width by height, that contains it.
+    pub(crate) fn height_at(&self, aspect: f32) -> f32 {
+        let [width, height] = [0, 1].map(|axis| self.high[axis] - self.low[axis]);
+        height.max(width / aspect)
+    }
+
+    /// The sides between those of `self` and, at a `share` of 1, `other`.
+    pub(crate) fn toward(&self, other: &Self, share: f32) -> Self {
+        let between =
+            |from: [f32; 2], to: [f32; 2]| std::array::from_fn(|axis| from[axis] + share * (to[axis] - from[axis]));
+        Self { low: between(self.low, other.low), high: between(self.high, other.high) }
     }
 }
 

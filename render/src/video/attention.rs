@@ -178,13 +178,14 @@ impl<'e> EpisodeAttention<'e> {
             };
             block.finish = Finish::Shaded { fill: shade(received[block.block.get()]), frame };
         }
-        let mut image = stage.paint(painter, &blocks);
+        let mut image = stage.paint(painter, &blocks, n_done as f32);
         let AttentionSource::Head { layer, head } = source else { return image };
+        let camera = stage.camera(n_done as f32);
         for receiver in self.receivers() {
             let row = self.scenes[n_done].row(layer, head, receiver);
             for sender in BlockIdx::all().filter(|sender| row[sender.get()] >= LINE_FROM) {
                 let ends = [receiver, sender].map(|block| scene.blocks[block.get()].position);
-                stage.line(&mut image, ends, LINE, (80.0 + 175.0 * row[sender.get()]) as u8);
+                Stage::line(&mut image, &camera, ends, LINE, (80.0 + 175.0 * row[sender.get()]) as u8);
             }
         }
         image

@@ -1,8 +1,8 @@
 //! Joins the segments of a trajectory into one episode.
 
-use blueprints::{Blueprint, BlueprintId};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, N_BLOCKS};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use proto::{Pose, RewardTerms, Scene, Status, Trajectory};
+use proto::{Joint, Pose, RewardTerms, Scene, Status, Trajectory};
 
 /// Length of a control step in seconds, which trajectories do not contain; other worlds are shown at this pace.
 pub const STEP_S: f32 = 0.1;
@@ -137,10 +137,18 @@ impl Episode {
 
     /// Number of the goal's connections that exist after `n_done` steps.
     pub fn n_connected(&self, n_done: usize) -> usize {
-        let is_right = |joint: &&proto::Joint| {
-            self.goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative)
-        };
+        let is_right =
+            |joint: &&Joint| self.goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
         self.scenes[n_done].joints.iter().filter(is_right).count()
+    }
+
+    /// The largest piece of the goal that stands after `n_done` steps; of pieces of one size, that with the lowest block.
+    /// No blocks if none are connected.
+    pub(super) fn largest_piece(&self, n_done: usize) -> Vec<BlockIdx> {
+        let pieces = self.scenes[n_done].pieces(&self.goal);
+        let members = |piece: usize| BlockIdx::all().filter(move |block| pieces[block.get()] == piece);
+        let largest = (0..N_BLOCKS).rev().max_by_key(|piece| members(*piece).count());
+        largest.map(|piece| members(piece).collect()).filter(|piece: &Vec<_>| piece.len() > 1).unwrap_or_default()
     }
 
     /// The scene at a time in seconds; block poses are interpolated between steps.

@@ -3,7 +3,7 @@
 use blueprints::Inventory;
 use proto::{Scene, Status};
 
-use super::episode::Episode;
+use super::episode::{Episode, STEP_S};
 use super::stage::Stage;
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Camera, GRIPPER_COLORS, Ground, Image, Painter, Rgb, View, WHITE, corners, of_blueprint};
@@ -21,8 +21,8 @@ const TRACK: Rgb = [222, 226, 235];
 const GREEN: Rgb = [24, 132, 84];
 const AMBER: Rgb = [186, 104, 10];
 
-/// Duration of the last scene, in seconds, long enough to read it.
-const LAST_S: f32 = 1.5;
+/// Duration of the last scene, in seconds: the camera comes near and then stays for a moment.
+const LAST_S: f32 = 2.0;
 
 /// Wider frames use larger text, pixels.
 const WIDE_PX: usize = 800;
@@ -69,19 +69,22 @@ impl<'a> Film<'a> {
         self.size_px
     }
 
-    /// All frames in order, `fps` (at least 1) per second, from the first scene to the last, which stays for a moment.
+    /// All frames in order, `fps` (at least 1) per second, from the first scene to the last, to which the camera comes
+    /// nearer before it stays for a moment.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
         let per_second = fps.max(1) as f32;
         let n_frames = (self.episode.length_s() * per_second).ceil() as usize + 1 + (LAST_S * per_second) as usize;
         (0..n_frames).map(move |i| self.frame(i as f32 / per_second))
     }
 
-    /// The frame at a time in seconds since the first scene; after the end, the last frame.
+    /// The frame at a time in seconds since the first scene; after the end, the last scene, to which the camera comes
+    /// nearer.
     pub fn frame(&mut self, time_s: f32) -> Image {
+        let n_done = time_s / STEP_S;
         let time_s = time_s.clamp(0.0, self.episode.length_s());
         let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
         let scene = self.episode.scene_at(time_s);
-        image.paste(&self.stage.picture(&mut self.painter, &scene), 0, 0);
+        image.paste(&self.stage.picture(&mut self.painter, &scene, n_done), 0, 0);
         let left = self.size_px[0] - self.layout.width;
         image.paste(&self.panel, left, 0);
         self.score(&mut image, left, time_s, &scene);

@@ -71,7 +71,7 @@ impl<'g> AttentionFilm<'g> {
     fn frame(&mut self, n_done: usize) -> Image {
         let (attention, episode) = (self.attention, self.attention.episode);
         let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
-        let world = self.stage.picture(&mut self.painter, &episode.scenes()[n_done]);
+        let world = self.stage.picture(&mut self.painter, &episode.scenes()[n_done], n_done as f32);
         let n_links = episode.goal().links().len();
         let step = episode.first_step() + n_done;
         let words = format!("step {step}: {}/{n_links} connected", episode.n_connected(n_done));
@@ -149,7 +149,7 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
         let x = MARGIN + moment * step_px[0];
         let words = format!("step {}", episode.first_step() + n_done);
         write(&mut image, [x + 2, 2], &fitted(&words, Type::Small, tile_px[0]), Type::Small, GRAY);
-        put(&mut image, [x, FOOT], &stage.picture(&mut painter, &episode.scenes()[n_done]));
+        put(&mut image, [x, FOOT], &stage.picture(&mut painter, &episode.scenes()[n_done], n_done as f32));
         for (row, source) in sources.iter().enumerate() {
             put(
                 &mut image,

@@ -4,7 +4,7 @@ use super::VideoError;
 use super::episode::{Episode, STEP_S};
 use super::film::{HAIRLINE, INK, ending, goal_picture};
 use super::gif::gif;
-use super::stage::Stage;
+use super::stage::{SETTLING_STEPS, Stage};
 use crate::picture::text::{Type, write};
 use crate::picture::{Image, Painter, WHITE};
 
@@ -20,7 +20,7 @@ const FPS: u32 = 5;
 /// Maximum number of frames before the last one.
 const MAX_FRAMES: usize = 60;
 
-/// Number of times that the last frame is repeated; each repetition takes a few bytes.
+/// Number of frames of the last scene, while the camera comes nearer.
 const LAST_FRAMES: usize = 6;
 
 /// Height of the line of text, and size of the goal in the upper right corner.
@@ -51,8 +51,9 @@ pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
     let mut every = usual.max(episode.n_steps().div_ceil(MAX_FRAMES)).max(1);
     loop {
         let before_last = (0..episode.n_steps()).step_by(every);
-        let steps = before_last.chain(std::iter::repeat_n(episode.n_steps(), LAST_FRAMES));
-        let frames = steps.map(|n_done| frame(episode, n_done, &goal, &stage, &mut painter));
+        let settling = (1..=LAST_FRAMES).map(|i| episode.n_steps() + i * SETTLING_STEPS / LAST_FRAMES);
+        let times = before_last.chain(settling);
+        let frames = times.map(|time| frame(episode, time, &goal, &stage, &mut painter));
         let gif = gif(frames, FPS)?;
         if gif.len() <= MAX_MINIATURE_BYTES {
             return Ok(Some(Miniature { gif, size_px: MINIATURE_PX }));
@@ -64,10 +65,12 @@ pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
     }
 }
 
-fn frame(episode: &Episode, n_done: usize, goal: &Image, stage: &Stage, painter: &mut Painter) -> Image {
+/// The frame at a time in steps; after the end, the last scene.
+fn frame(episode: &Episode, time: usize, goal: &Image, stage: &Stage, painter: &mut Painter) -> Image {
+    let n_done = time.min(episode.n_steps());
     let [width, height] = MINIATURE_PX;
     let mut image = Image::filled(width, height, WHITE);
-    image.paste(&stage.picture(painter, &episode.scenes()[n_done]), 0, 0);
+    image.paste(&stage.picture(painter, &episode.scenes()[n_done], time as f32), 0, 0);
     let [goal_width, goal_height] = GOAL_PX;
     let left = width - goal_width;
     image.fill([left - 1, 0], [goal_width + 1, goal_height + 1], HAIRLINE);

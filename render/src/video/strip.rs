@@ -4,7 +4,7 @@ use proto::Status;
 
 use super::episode::Episode;
 use super::film::{GRAY, HAIRLINE, INK, goal_picture};
-use super::stage::Stage;
+use super::stage::{SETTLING_STEPS, Stage};
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Image, Painter, Rgb, WHITE};
 
@@ -38,7 +38,9 @@ pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let n_links = episode.goal().links().len();
     for i in 0..n_frames {
         let n_done = i * episode.n_steps() / (n_frames - 1);
-        let picture = stage.picture(&mut painter, &episode.scenes()[n_done]);
+        // The last picture is taken when the camera has come near.
+        let settled = if i + 1 == n_frames { SETTLING_STEPS } else { 0 };
+        let picture = stage.picture(&mut painter, &episode.scenes()[n_done], (n_done + settled) as f32);
         let end = match episode.status() {
             Status::Success if i + 1 == n_frames => ", success",
             _ => "",

@@ -96,19 +96,14 @@ fn segments_in_any_order_form_the_episode() {
 }
 
 #[test]
-fn moving_block_moves_evenly_and_others_stay() {
+fn a_held_block_moves_evenly() {
     let episode = episode();
     let mut film = Film::new(&episode, 480);
     let frames = [0.0, 0.1, 0.15, 0.2].map(|time_s| film.frame(time_s));
     let [_, b, c, d] = frames.each_ref().map(|frame| mean_column(frame, GRIPPER_COLORS[0]));
-    // 1 m is about 100 pixels here, and sideways motion appears 0.85 times as long: 0.4 m are about 30 pixels.
-    assert!((15.0..60.0).contains(&(d - b)), "{b} to {d}");
+    // 1 m is about 200 pixels here, and sideways motion appears 0.85 times as long: 0.4 m are about 70 pixels.
+    assert!((50.0..90.0).contains(&(d - b)), "{b} to {d}");
     assert!((c - 0.5 * (b + d)).abs() < 2.0, "{b}, {c}, {d}");
-    // The farthest block has not moved, because the camera is fixed.
-    let corner = |image: &Image| {
-        (0..60).flat_map(|y| (200..340).map(move |x| (x, y))).map(|(x, y)| image.get(x, y)).collect::<Vec<_>>()
-    };
-    assert_eq!(corner(&frames[0]), corner(&frames[3]));
 }
 
 #[test]
@@ -145,8 +140,8 @@ fn mp4_box<'a>(bytes: &'a [u8], path: &[&str]) -> &'a [u8] {
 fn mp4_contains_every_frame_and_decodes() {
     let episode = episode();
     let frames: Vec<Image> = Film::new(&episode, 480).frames(10).collect();
-    // Five scenes, and 1.5 seconds of the last one.
-    assert_eq!(frames.len(), 5 + 15);
+    // Five scenes, and 2 seconds of the last one.
+    assert_eq!(frames.len(), 5 + 20);
     let bytes = mp4(frames.iter().cloned(), 10).unwrap();
     let table = |name| mp4_box(&bytes, &["moov", "trak", "mdia", "minf", "stbl", name]);
     let sizes: Vec<usize> =
