@@ -204,6 +204,21 @@ fn played(folder: &Path, goals: &[&str]) -> Option<(Browser, Process)> {
     Some((browser, playing))
 }
 
+/// How many blocks that stand or are held the camera does not show, in all scenes of the episode; and how much farther than
+/// the goal reaches it shows at last.
+const CAMERA: &str = "
+    const { scenes, goal } = replay.episode;
+    const isBuilt = (scene, block, pose) => apart3(scene.blocks[block], placed(scene.goal_frame, pose)) < 0.02;
+    const lost = scenes.flatMap((scene, i) => goal.filter(([block, pose]) => {
+        const [middle, radius] = replay.view(i);
+        const isNeeded = isBuilt(scene, block, pose) || scene.held.includes(block);
+        return isNeeded && apart3(scene.blocks[block], middle) > radius;
+    }));
+    const [middle, radius] = replay.view(replay.boxes.length);
+    const reach = Math.max(...goal.map(([block]) => apart3(scenes[replay.n].blocks[block], middle)));
+    return [lost.length, radius - reach];
+";
+
 /// What the console of a page complains about.
 fn errors(browser: &Browser) -> Vec<Value> {
     browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE").collect()
@@ -229,6 +244,10 @@ fn play_opens_with_a_structure_being_built() {
     note("The expert builds ");
     browser.until("document.querySelector('#replay-play').textContent === 'Play'");
     assert!(browser.text("#replay-text").ends_with("success"), "{}", browser.text("#replay-text"));
+    // What is built is in the picture all the time, and fills it in the end.
+    let camera = browser.run(CAMERA);
+    assert_eq!(camera[0], 0, "{camera}");
+    assert!(camera[1].as_f64().is_some_and(|more_m| more_m < 0.3), "{camera}");
 
     // The gallery has every blueprint, finds some, and leads to one.
     browser.element("#stage-choose").click();

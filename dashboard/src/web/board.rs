@@ -80,6 +80,17 @@ struct Point {
     entropy: f64,
     approx_kl: f64,
     explained_variance: f64,
+    /// What labels teach; nothing where they do not.
+    #[serde(flatten)]
+    labels: Option<Labels>,
+}
+
+/// What the expert's labels teach.
+#[derive(Clone, Debug, Serialize)]
+struct Labels {
+    block_accuracy: f64,
+    block_loss: f64,
+    move_loss: f64,
 }
 
 /// The answer to `/api/history`.
@@ -216,7 +227,7 @@ impl Points {
             return;
         }
         self.kept.push(Point {
-            elapsed_s: learner.elapsed_s,
+            elapsed_s: learner.elapsed_s.max(learner.run_elapsed_s),
             n_env_steps: learner.n_env_steps,
             weights_version: learner.weights_version.0,
             env_steps_per_s: learner.env_steps_per_s,
@@ -226,6 +237,11 @@ impl Points {
             entropy: learner.ppo.entropy,
             approx_kl: learner.ppo.approx_kl,
             explained_variance: learner.ppo.explained_variance,
+            labels: learner.imitation.filter(|imitation| imitation.weight > 0.0).map(|imitation| Labels {
+                block_accuracy: imitation.block_accuracy,
+                block_loss: imitation.block_loss,
+                move_loss: imitation.move_loss,
+            }),
         });
         if self.kept.len() > MAX_POINTS {
             let mut place = 0;

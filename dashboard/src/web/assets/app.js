@@ -77,7 +77,7 @@ function drawTiles() {
   // Nobody learns where a policy is shown.
   if (kind !== "play") {
     tiles.push(
-      ["environment steps", learner ? count(learner.n_env_steps) : "–", learner ? `${target ? `of ${count(target)}, ` : ""}in ${minutes(learner.elapsed_s)}${soon}` : ""],
+      ["environment steps", learner ? count(learner.n_env_steps) : "–", learner ? `${target ? `of ${count(target)}, ` : ""}in ${minutes(Math.max(learner.elapsed_s, learner.run_elapsed_s || 0))}${soon}` : ""],
       ["weights", learner ? `version ${learner.weights_version}` : "–", last ? `evaluated: version ${last.weights_version}` : ""],
       ["steps per second", learner ? count(learner.env_steps_per_s) : "–", learner ? `lag ${decimal(learner.policy_lag_mean)} versions` : ""],
     );

@@ -1,14 +1,23 @@
 // The learner's numbers over time, who is there, and what was dropped.
 
+/** What the expert's labels teach, where they do. */
+const labels = ({ imitation }) => (imitation && imitation.weight > 0 ? imitation : {});
+
 const HEALTH = [
   ["env_steps_per_s", "steps per second", (learner) => learner.env_steps_per_s],
   ["policy_lag_mean", "lag, versions", (learner) => learner.policy_lag_mean],
+  ["block_accuracy", "block accuracy", (learner) => labels(learner).block_accuracy],
+  ["block_loss", "block loss, nats", (learner) => labels(learner).block_loss],
+  ["move_loss", "move loss", (learner) => labels(learner).move_loss],
   ["policy_loss", "policy loss", (learner) => learner.ppo.policy_loss],
   ["value_loss", "value loss", (learner) => learner.ppo.value_loss],
   ["entropy", "entropy, nats", (learner) => learner.ppo.entropy],
   ["approx_kl", "KL of an update, nats", (learner) => learner.ppo.approx_kl],
   ["explained_variance", "explained variance", (learner) => learner.ppo.explained_variance],
 ];
+
+/** Zero throughout where rewards teach nothing, and then not drawn. */
+const OF_REWARDS = ["policy_loss", "value_loss", "entropy", "approx_kl", "explained_variance"];
 
 /** The point of a learner's metrics, as `/api/history` has it. */
 function toPoint(learner) {
@@ -47,7 +56,8 @@ function drawHealth(place, points) {
     place.replaceChildren(element("p", { class: "empty" }, "No update yet."));
     return;
   }
-  const charts = HEALTH.filter(([name]) => points.some((point) => isNumber(point[name])));
+  const tells = (name, value) => isNumber(value) && (value !== 0 || !OF_REWARDS.includes(name));
+  const charts = HEALTH.filter(([name]) => points.some((point) => tells(name, point[name])));
   place.replaceChildren(...charts.map(([name, title]) => spark(points, name, title)));
 }
 
@@ -82,7 +92,9 @@ function drawDrops(table, actors, learner, summary) {
   for (const [reason, n] of Object.entries((summary && summary.bus) || {})) add("evaluator's bus", words(reason), n);
   if (learner) {
     for (const [reason, n] of Object.entries(learner.ingest || {})) {
-      if (!["received_total", "accepted_total"].includes(reason)) add("learner", words(reason), n);
+      // What came while the mailbox was full waits at the actor and comes again.
+      const said = reason === "full_total" ? "back-pressure, sent again" : words(reason);
+      if (!["received_total", "accepted_total", "duplicates_total"].includes(reason)) add("learner", said, n);
     }
     add("learner", "expired", learner.expired_total);
     add("learner", "goal not made", learner.unmade_total);

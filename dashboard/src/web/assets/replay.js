@@ -5,10 +5,19 @@ let spaceModule = null;
 /** The part that draws three dimensions; asked for once, with the first episode. */
 const loadSpace = () => (spaceModule ||= import("./space.js"));
 
+/** Loose blocks farther than this from the middle of the goal's blocks need not be seen, as in films, meters. */
+const REACH_M = 1.6;
+
+/** What is farther than this from the origin fell off the world, meters. */
+const WORLD_M = 10;
+
+/** Scenes that the camera takes to follow. */
+const FOLLOW_STEPS = 14;
+
 class Replay {
   constructor(parts) {
     Object.assign(this, parts);
-    [this.time, this.playing, this.speed, this.width] = [0, false, 1, 0];
+    [this.time, this.after, this.playing, this.speed, this.width] = [0, 0, false, 1, 0];
     this.canvas.addEventListener("keydown", (event) => this.key(event));
     this.canvas.addEventListener("dblclick", () => this.fit());
     this.playButton.addEventListener("click", () => this.play(!this.playing));
@@ -89,23 +98,53 @@ class Replay {
     this.draw();
   }
 
-  /** How much is to be seen at each scene: the goal's blocks where they begin, and less the more of them are in place. */
+  /** The box that is to be seen after each scene, and while the camera settles: the goal's place and blocks around it. */
   plan() {
-    const { goal, scenes } = this.episode;
-    const whole = goal.map(([, pose]) => placed(scenes[this.n].goal_frame, pose));
-    this.middle = [0, 1, 2].map((i) => whole.reduce((sum, pose) => sum + pose[i], 0) / Math.max(whole.length, 1));
-    const radius = Math.max(...whole.map((pose) => apart3(pose, this.middle)), 0.1) + 0.12;
+    const { goal, scenes, half_extents_m: halves } = this.episode;
+    const corner = (pick, points) => [0, 1, 2].map((i) => pick(...points.map((point) => point[i])));
+    const around = (points, half) => [corner(Math.min, points).map((x) => x - half), corner(Math.max, points).map((x) => x + half)];
+    const union = (boxes) => [corner(Math.min, boxes.map(([low]) => low)), corner(Math.max, boxes.map(([, high]) => high))];
+    const place = around(goal.map(([, pose]) => placed(scenes[this.n].goal_frame, pose)), 0.1);
     const needed = scenes.map((scene) => {
-      // Some blocks may lie far away, and a policy that learns throws some: nine of ten are enough.
-      const away = goal.map(([block]) => apart3(scene.blocks[block], this.middle)).sort((a, b) => a - b);
-      const most = away[Math.floor((away.length - 1) * 0.9)] || radius;
-      return Math.min(Math.max(radius * 1.1, most + 0.05, 0.3), 1.3);
+      const median = [0, 1].map((i) => goal.map(([block]) => scene.blocks[block][i]).sort((a, b) => a - b)[goal.length >> 1]);
+      const wanted = goal.filter(([block, pose]) => {
+        const at = scene.blocks[block];
+        const isNear = [0, 1].every((i) => Math.abs(at[i] - median[i]) < REACH_M);
+        const isBuilt = apart3(at, placed(scene.goal_frame, pose)) < 0.02;
+        // A policy that learns throws some blocks far away; what stands and what is held is never left out.
+        return [0, 1, 2].every((i) => Math.abs(at[i]) < WORLD_M) && (isNear || isBuilt || scene.held.includes(block));
+      });
+      return union([place, ...wanted.map(([block]) => around([scene.blocks[block]], Math.max(...halves[block])))]);
     });
-    // Slowly, over two seconds.
-    this.reach = needed.map((_, i) => {
-      const near = needed.slice(Math.max(i - 10, 0), i + 11);
-      return near.reduce((sum, one) => sum + one, 0) / near.length;
+    // Opens before a block needs room, and closes slowly: each is a mean of boxes that all hold what that scene needs.
+    const ahead = needed.map((_, i) => union(needed.slice(i, i + FOLLOW_STEPS + 1)));
+    const at = (i) => ahead[Math.min(Math.max(i, 0), this.n)];
+    this.boxes = Array.from({ length: this.n + 1 + FOLLOW_STEPS }, (_, i) => {
+      const before = Array.from({ length: FOLLOW_STEPS + 1 }, (__, back) => at(i - back));
+      return [0, 1].map((side) => [0, 1, 2].map((axis) => before.reduce((sum, box) => sum + box[side][axis], 0) / before.length));
     });
+  }
+
+  /** Middle and radius of what is to be seen at a time in scenes. */
+  view(time) {
+    const from = Math.min(Math.floor(time), this.boxes.length - 1);
+    const to = Math.min(from + 1, this.boxes.length - 1);
+    const [low, high] = [0, 1].map((side) => this.boxes[from][side].map((x, i) => x + (this.boxes[to][side][i] - x) * (time - from)));
+    return [low.map((x, i) => (x + high[i]) / 2), Math.max(apart3(low, high) / 2, 0.3)];
+  }
+
+  /** Comes near to what was built, once nothing moves any more. */
+  settle() {
+    const episode = this.episode;
+    let before = null;
+    const frame = (now) => {
+      if (this.episode !== episode || this.playing || this.time < this.n || this.after >= FOLLOW_STEPS) return;
+      this.after = Math.min(this.after + (before === null ? 0 : (now - before) / 1000 / episode.step_s), FOLLOW_STEPS);
+      before = now;
+      this.draw();
+      requestAnimationFrame(frame);
+    };
+    requestAnimationFrame(frame);
   }
 
   /** As large as there is room, with the next picture. */
@@ -139,7 +178,7 @@ class Replay {
   }
 
   seek(time) {
-    this.time = time;
+    [this.time, this.after] = [time, 0];
     const at = Math.floor(time);
     this.slider.value = at;
     const scene = this.episode.scenes[at];
@@ -169,6 +208,7 @@ class Replay {
         return;
       }
       this.play(false);
+      this.settle();
       if (this.ended) this.ended();
     };
     requestAnimationFrame(frame);
@@ -187,7 +227,7 @@ class Replay {
       const there = placed(frame, pose);
       return this.ghost.checked && apart3(poses[block], there) > 0.02 ? there : null;
     });
-    if (this.follows) space.fit(this.middle, this.reach[low] + (this.reach[high] - this.reach[low]) * share);
+    if (this.follows) space.fit(...this.view(this.time + this.after));
     space.show(poses, from.held, attention && attention.map(shade), ghosts);
   }
 }
