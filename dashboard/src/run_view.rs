@@ -1,5 +1,7 @@
 //! What is known of a run: the newest metrics of each part, and who is alive. Page and terminal both show it.
 
+mod trends;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -13,6 +15,8 @@ use proto::{ActorId, WeightsVersion, keys};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+
+pub(crate) use trends::Trends;
 
 /// Actors that are remembered, the lost ones included; whoever invents names must not fill the memory.
 pub(crate) const MAX_ACTORS: usize = 10_000;
@@ -33,6 +37,8 @@ pub(crate) struct RunView {
     roster: Roster,
     unread: Unread,
     bus: BusCounts,
+    trends: Trends,
+    others: BTreeSet<String>,
 }
 
 /// How the watch stands to the bus.
@@ -215,6 +221,28 @@ impl RunView {
         self.bus
     }
 
+    /// How numbers went since the watch began.
+    pub(crate) fn trends(&self) -> &Trends {
+        &self.trends
+    }
+
+    /// Takes the names of the other runs on the router.
+    pub(crate) fn set_others(&mut self, others: BTreeSet<String>) {
+        self.others = others;
+    }
+
+    /// The other runs on the router, as far as somebody has looked.
+    pub(crate) fn others(&self) -> &BTreeSet<String> {
+        &self.others
+    }
+
+    /// Whether nobody is there and nothing was said.
+    pub(crate) fn is_empty(&self) -> bool {
+        let Roster { actors, learners, evaluators } = &self.roster;
+        let is_nobody = learners.is_empty() && evaluators.is_empty() && actors.is_empty();
+        !self.has_summary() && is_nobody && self.actors.is_empty()
+    }
+
     /// All that is known of the run of this name, for programs.
     pub(crate) fn to_json(&self, run: &str) -> Value {
         json!({
@@ -239,14 +267,22 @@ impl RunView {
                 let value: LearnerMetrics = parse(value)?;
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
-                update(&mut self.learner, value, at)
+                let is_news = update(&mut self.learner, value, at);
+                if let Some(heard) = self.learner.as_ref().filter(|_| is_news) {
+                    self.trends.learned(&heard.value);
+                }
+                is_news
             }
             keys::METRICS_EVAL_SUMMARY => {
                 let value: EvalSummary = parse(value)?;
                 for group in value.groups.iter().chain([&value.all]) {
                     believe(rates(&group.sampled).into_iter().chain(rates(&group.mode)))?;
                 }
-                update(&mut self.evaluation, value, at)
+                let is_news = update(&mut self.evaluation, value, at);
+                if let Some(heard) = self.evaluation.as_ref().filter(|_| is_news) {
+                    self.trends.evaluated(&heard.value);
+                }
+                is_news
             }
             _ if suffix.starts_with("actor/") => {
                 let value: ActorMetrics = parse(value)?;

@@ -57,8 +57,8 @@ async fn a_run_is_printed_once() {
         "Learning: weights 812, 3 326 976 environment steps",
         "Actors: 2 alive, 0 lost; 640 steps/s",
         // The latest values may come twice, when the view notices that a service is there.
-        "watch.metrics_unreadable_total ",
-        "watch.schema_unknown_total ",
+        "watch: metrics unreadable ",
+        "watch: schema unknown ",
     ] {
         assert!(stdout.contains(words), "no {words:?} in {stdout}");
     }
@@ -78,10 +78,11 @@ async fn a_run_is_printed_once() {
 async fn a_run_that_says_nothing_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(folder.path()).await.unwrap();
+    let _token = bus.declare_alive(Role::Learner, "learner").await.unwrap();
     let output = watch(folder.path(), &["--run", "elsewhere", "--once", "--timeout", "3"]).await;
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(66), "{stderr}");
-    assert!(stderr.contains("run `elsewhere` said anything in 3 s"), "{stderr}");
+    assert!(stderr.contains("run `elsewhere` said anything in 3 s; on this router are: default"), "{stderr}");
     bus.close().await;
 }
 

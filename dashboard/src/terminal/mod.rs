@@ -5,6 +5,8 @@
 mod screen;
 mod view;
 
+use std::collections::BTreeSet;
+use std::convert::Infallible;
 use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
 
@@ -24,6 +26,9 @@ const QUIET: Duration = Duration::from_millis(300);
 /// With `--once`, the longest time that is given to what comes with the first summary.
 const LONGEST_SETTLING: Duration = Duration::from_secs(3);
 
+/// How often the router is asked for other runs while nobody is in this one.
+const SEEK_PERIOD: Duration = Duration::from_secs(2);
+
 /// What [`once`] gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
@@ -41,12 +46,14 @@ pub enum WatchError {
     #[error("watch needs a terminal on stdout; --once prints what is known as text")]
     NoTerminal,
     /// The bus is there, but nobody on it says anything.
-    #[error("no learner and no evaluator of run `{run}` said anything in {seconds} s; --run names another")]
+    #[error("no learner and no evaluator of run `{run}` said anything in {seconds} s; {}", elsewhere(others))]
     Silent {
         /// Name of the run.
         run: String,
         /// How long was waited.
         seconds: u64,
+        /// Other runs on the router.
+        others: Vec<String>,
     },
     /// No router is there.
     #[error("no router answers at {endpoints} after {seconds} s")]
@@ -91,6 +98,7 @@ pub async fn once(
     shutdown: CancellationToken,
 ) -> Result<String, WatchError> {
     let (source, start) = (source(&config), Instant::now());
+    let its_config = config.clone();
     following(config, start, shutdown, async |mut run, shutdown| {
         let arrived = tokio::select! {
             () = shutdown.cancelled() => return Ok(String::new()),
@@ -100,7 +108,10 @@ pub async fn once(
             Ok(true) => {}
             // The bus has failed; why is told by what follows it.
             Ok(false) => return Ok(String::new()),
-            Err(_) => return Err(silent(&run.borrow(), &source, patience)),
+            Err(_) => {
+                let link = run.borrow().link().0;
+                return Err(silent(link, &its_config, patience).await);
+            }
         }
         let settled = async { while let Ok(Ok(())) = timeout(QUIET, run.changed()).await {} };
         let _: Result<(), _> = timeout(LONGEST_SETTLING, settled).await;
@@ -151,18 +162,49 @@ async fn keep(
             News::Session(session) => run.set_session(&session, now),
         });
     };
-    let ended = follow(&bus, start, &shutdown, tell).await;
+    let ended = tokio::select! {
+        ended = follow(&bus, start, &shutdown, tell) => ended,
+        never = seek_others(&run, &config) => match never {},
+    };
     bus.close().await;
     ended
 }
 
-/// Why there is nothing to print.
-fn silent(run: &RunView, source: &Source, patience: Duration) -> WatchError {
-    let (name, seconds) = (source.run.clone(), patience.as_secs());
-    match run.link().0 {
-        Link::Connected => WatchError::Silent { run: name, seconds },
-        Link::Joining | Link::Lost => WatchError::NoRouter { endpoints: source.endpoints.join(", "), seconds },
+/// While nobody is in the run, looks which others the router has: the name may be wrong.
+async fn seek_others(run: &watch::Sender<RunView>, config: &BusConfig) -> Infallible {
+    let mut period = tokio::time::interval(SEEK_PERIOD);
+    loop {
+        period.tick().await;
+        let is_alone = run.borrow().link().0 == Link::Connected && run.borrow().is_empty();
+        if !is_alone {
+            continue;
+        }
+        match bus::runs(config).await {
+            Ok(others) => run.send_modify(|run| run.set_others(others)),
+            Err(error) => tracing::debug!(%error, "the router's runs cannot be listed"),
+        }
     }
+}
+
+/// What to do when a run says nothing.
+fn elsewhere(others: &[String]) -> String {
+    match others {
+        [] => "--run names another".to_owned(),
+        names => format!("on this router are: {}; --run names one of them", names.join(", ")),
+    }
+}
+
+/// Why there is nothing to print.
+async fn silent(link: Link, config: &BusConfig, patience: Duration) -> WatchError {
+    let seconds = patience.as_secs();
+    if link != Link::Connected {
+        return WatchError::NoRouter { endpoints: config.connect.join(", "), seconds };
+    }
+    let others = bus::runs(config).await.unwrap_or_else(|error| {
+        tracing::debug!(%error, "the router's runs cannot be listed");
+        BTreeSet::new()
+    });
+    WatchError::Silent { run: config.run.clone(), seconds, others: others.into_iter().collect() }
 }
 
 fn source(config: &BusConfig) -> Source {

@@ -8,13 +8,13 @@ use std::time::{Duration, Instant};
 
 use ratatui::Terminal;
 use ratatui::backend::CrosstermBackend;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::crossterm::event::{self, Event};
 use ratatui::crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode};
 use ratatui::crossterm::{cursor, execute};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::view::{self, Source};
+use super::view::{self, Controls, Source};
 use crate::run_view::RunView;
 
 /// Ages are shown in seconds.
@@ -48,8 +48,11 @@ pub(super) async fn show(
     let _end_of_keys = end.clone().drop_guard();
     // A thread of its own, because waiting for keys blocks. It is not waited for: it ends within its period.
     std::thread::Builder::new().name("keys".to_owned()).spawn(move || read_events(&keys, &end))?;
+    let mut controls = Controls::default();
     loop {
-        screen.terminal.draw(|frame| view::draw(frame, &run.borrow_and_update(), source, start.elapsed()))?;
+        screen.terminal.draw(|frame| {
+            view::draw(frame, &run.borrow_and_update(), source, &mut controls, start.elapsed());
+        })?;
         let changed = async {
             tokio::time::sleep(FRAME).await;
             run.changed().await
@@ -57,7 +60,9 @@ pub(super) async fn show(
         tokio::select! {
             () = shutdown.cancelled() => return Ok(()),
             event = events.recv() => match event {
-                Some(Ok(Event::Key(key))) if asks_for_end(key) => return Ok(()),
+                Some(Ok(Event::Key(key))) => if controls.press(key) {
+                    return Ok(());
+                },
                 // A resize needs no more than the next drawing.
                 Some(Ok(_)) => {}
                 Some(Err(error)) => return Err(error),
@@ -116,7 +121,7 @@ fn read_events(events: &mpsc::Sender<io::Result<Event>>, end: &CancellationToken
         };
         let is_last = match &event {
             // The shell's keys are left unread.
-            Ok(Event::Key(key)) => asks_for_end(*key),
+            Ok(Event::Key(key)) => view::ends(*key),
             Ok(_) => false,
             Err(_) => true,
         };
@@ -124,16 +129,4 @@ fn read_events(events: &mpsc::Sender<io::Result<Event>>, end: &CancellationToken
             return;
         }
     }
-}
-
-fn asks_for_end(key: KeyEvent) -> bool {
-    let with_control = key.modifiers.contains(KeyModifiers::CONTROL);
-    key.kind != KeyEventKind::Release
-        && match key.code {
-            KeyCode::Esc => true,
-            KeyCode::Char('q' | 'Q') => !with_control,
-            // Raw mode makes no signal of it.
-            KeyCode::Char('c') => with_control,
-            _ => false,
-        }
 }

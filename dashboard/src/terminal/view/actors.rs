@@ -5,6 +5,7 @@ use std::time::Duration;
 use proto::ActorId;
 use ratatui::text::Line;
 
+use super::controls::Order;
 use super::drops::total;
 use super::format::{age, count, rate};
 use super::{alarm, columns, heading, plain};
@@ -15,29 +16,54 @@ const NAME_WIDTH: usize = 20;
 
 /// Heading, columns and as many actors as fit into `height` lines: those alive before those lost.
 pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'static>> {
-    let (alive, lost): (Vec<_>, Vec<_>) = run.actors().iter().partition(|(_, actor)| actor.is_alive);
+    let (mut lines, rows) = table(run, now, Order::default());
+    if rows.is_empty() {
+        // Columns of nothing.
+        lines.truncate(1);
+        return lines;
+    }
+    let n_fit = height.saturating_sub(lines.len());
+    let (n_rows, is_cut) = (rows.len(), rows.len() > n_fit);
+    let n_shown = if is_cut { n_fit.saturating_sub(1) } else { n_rows };
+    lines.extend(rows.into_iter().take(n_shown));
+    if is_cut {
+        lines.push(plain(format!("  and {} more", n_rows - n_shown)));
+    }
+    lines
+}
+
+/// Every actor: heading and columns, and the rows in this order, those alive before those lost.
+pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
+    let mut rows: Vec<(&ActorId, &Actor)> = run.actors().iter().collect();
+    // Those that say nothing come last, and the largest number first.
+    let number = |actor: &Actor| -> f64 {
+        let Some(heard) = &actor.metrics else { return f64::NEG_INFINITY };
+        match order.by {
+            1 => heard.value.env_steps_per_s,
+            2 => heard.value.policy_lag as f64,
+            _ => total(&heard.value.dropped) as f64,
+        }
+    };
+    if order.by > 0 {
+        rows.sort_by(|a, b| number(b.1).total_cmp(&number(a.1)));
+    }
+    if order.is_reversed {
+        rows.reverse();
+    }
+    let (alive, lost): (Vec<_>, Vec<_>) = rows.into_iter().partition(|(_, actor)| actor.is_alive);
     let steps_per_s: f64 =
         alive.iter().filter_map(|(_, actor)| actor.metrics.as_ref()).map(|heard| heard.value.env_steps_per_s).sum();
     let title = match run.link().0 {
         Link::Lost => "Actors: unknown while the router is gone".to_owned(),
         _ => format!("Actors: {} alive, {} lost; {} steps/s", alive.len(), lost.len(), rate(steps_per_s)),
     };
-    let mut lines = vec![if lost.is_empty() { heading(title) } else { alarm(title) }];
-    if alive.is_empty() && lost.is_empty() {
-        return lines;
-    }
-    lines.push(columns(format!(
+    let title = if lost.is_empty() { heading(title) } else { alarm(title) };
+    let heads = columns(format!(
         "  {:<NAME_WIDTH$} {:<5} {:>8} {:>8} {:>4} {:>9} {:>8}  heard",
         "actor", "", "steps/s", "weights", "lag", "accepted", "dropped"
-    )));
-    let rows: Vec<_> = alive.into_iter().chain(lost).collect();
-    let n_fit = height.saturating_sub(lines.len());
-    let n_shown = if rows.len() > n_fit { n_fit.saturating_sub(1) } else { rows.len() };
-    lines.extend(rows.iter().take(n_shown).map(|(id, actor)| row(id, actor, now)));
-    if n_shown < rows.len() {
-        lines.push(plain(format!("  and {} more", rows.len() - n_shown)));
-    }
-    lines
+    ));
+    let rows = alive.into_iter().chain(lost).map(|(id, actor)| row(id, actor, now)).collect();
+    (vec![title, heads], rows)
 }
 
 fn row(id: &ActorId, actor: &Actor, now: Duration) -> Line<'static> {

@@ -13,28 +13,28 @@ use crate::run_view::{RunView, counters};
 /// Counts of trajectories that the learner received and did not drop.
 const NOT_DROPPED: [&str; 3] = ["received_total", "accepted_total", "duplicates_total"];
 
-/// All counters of drops that are not zero, under their names in the metrics, in lines of `width` characters.
+/// All counters of drops that are not zero, under their names on the page, in lines of `width` characters.
 pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     let mut drops = Drops::default();
     if let Some(learner) = run.learner().map(|heard| &heard.value) {
-        drops.add("learner.expired_total", learner.expired_total);
-        drops.add("learner.unmade_total", learner.unmade_total);
-        drops.add("learner.ppo.n_skipped_steps", learner.ppo.n_skipped_steps);
+        drops.add("learner", "expired", learner.expired_total);
+        drops.add("learner", "goal not made", learner.unmade_total);
+        drops.add("learner", "gradient steps skipped", learner.ppo.n_skipped_steps);
         // These come again and are shown apart.
-        drops.add_all("learner.ingest", &IngestCounts { full_total: 0, ..learner.ingest });
-        drops.add_all("learner.bus", &learner.bus);
+        drops.add_all("learner", &IngestCounts { full_total: 0, ..learner.ingest });
+        drops.add_all("learner's bus", &learner.bus);
     }
     for actor in run.actors().values().filter_map(|actor| actor.metrics.as_ref()) {
-        drops.add_all("actors.dropped", &actor.value.dropped);
-        drops.add_all("actors.bus", &actor.value.bus);
+        drops.add_all("actors", &actor.value.dropped);
+        drops.add_all("actors' bus", &actor.value.bus);
     }
     if let Some(evaluation) = run.evaluation().map(|heard| &heard.value) {
         let all = &evaluation.all;
-        drops.add("evaluator.n_diverged", all.mode.n_diverged.saturating_add(all.sampled.n_diverged));
-        drops.add_all("evaluator.bus", &evaluation.bus);
+        drops.add("evaluator", "diverged", all.mode.n_diverged.saturating_add(all.sampled.n_diverged));
+        drops.add_all("evaluator's bus", &evaluation.bus);
     }
     drops.add_all("watch", &run.unread());
-    drops.add_all("watch.bus", &run.bus());
+    drops.add_all("watch's bus", &run.bus());
     let mut lines = drops.lines(width);
     lines.extend(back_pressure(run));
     lines
@@ -55,17 +55,17 @@ pub(super) fn total(counts: &impl Serialize) -> u64 {
 struct Drops(BTreeMap<String, u64>);
 
 impl Drops {
-    fn add(&mut self, name: &str, n: u64) {
+    fn add(&mut self, who: &str, reason: &str, n: u64) {
         if n > 0 {
-            let sum = self.0.entry(name.to_owned()).or_default();
+            let sum = self.0.entry(format!("{who}: {reason}")).or_default();
             *sum = sum.saturating_add(n);
         }
     }
 
-    fn add_all(&mut self, path: &str, counts: &impl Serialize) {
+    fn add_all(&mut self, who: &str, counts: &impl Serialize) {
         for (name, n) in counters(counts) {
             if !NOT_DROPPED.contains(&name.as_str()) {
-                self.add(&format!("{path}.{name}"), n);
+                self.add(who, &name.trim_end_matches("_total").replace('_', " "), n);
             }
         }
     }

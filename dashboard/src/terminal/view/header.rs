@@ -8,10 +8,15 @@ use super::format::{age, span};
 use super::{Source, alarm, heading, plain};
 use crate::run_view::{Link, RunView};
 
-/// Two lines.
+/// Two lines, and one with the other runs of the router if nobody is in this one.
 pub(super) fn lines(run: &RunView, source: &Source, now: Duration) -> Vec<Line<'static>> {
     let title = heading(format!("Run {} at {}", source.run, source.endpoints.join(", ")));
-    vec![title, state(run, now)]
+    let mut lines = vec![title, state(run, now)];
+    if run.is_empty() && !run.others().is_empty() {
+        let names: Vec<&str> = run.others().iter().map(String::as_str).collect();
+        lines.push(plain(format!("Runs on this router: {}; --run NAME watches one", names.join(", "))));
+    }
+    lines
 }
 
 fn state(run: &RunView, now: Duration) -> Line<'static> {
@@ -20,7 +25,6 @@ fn state(run: &RunView, now: Duration) -> Line<'static> {
     let (learner, evaluation) = (run.learner().map(|heard| heard.at), run.evaluation().map(|heard| heard.at));
     let (n_learners, n_evaluators) = (run.roster().learners.len(), run.roster().evaluators.len());
     let members = [member("learner", n_learners, learner, now), member("evaluator", n_evaluators, evaluation, now)];
-    let is_empty = !run.has_summary() && (n_learners, n_evaluators) == (0, 0) && run.actors().is_empty();
     match link {
         Link::Joining => alarm(format!("No router was reached in {since}; still trying")),
         Link::Lost => {
@@ -29,7 +33,7 @@ fn state(run: &RunView, now: Duration) -> Line<'static> {
                 .map_or("nothing came before".to_owned(), |at| format!("the newest came {}", age(now, at)));
             alarm(format!("The router is gone since {since}; {newest}"))
         }
-        Link::Connected if is_empty => {
+        Link::Connected if run.is_empty() => {
             alarm(format!("Nothing has arrived in {since}: no learner, evaluator or actor has joined this run"))
         }
         Link::Connected if n_learners == 0 => alarm(members.join(", ")),

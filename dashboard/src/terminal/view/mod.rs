@@ -1,11 +1,13 @@
 //! A run as lines: on a screen of any size, or as plain text.
 
 mod actors;
+mod controls;
 mod drops;
 mod format;
 mod header;
 mod success;
 mod training;
+mod trends;
 
 use std::time::Duration;
 
@@ -14,6 +16,10 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Text};
 
 use crate::run_view::RunView;
+
+pub(crate) use controls::{Controls, ends};
+
+use controls::Part;
 
 /// Width of plain text, characters.
 const TEXT_WIDTH: usize = 100;
@@ -33,10 +39,33 @@ pub(crate) struct Source {
     pub(crate) endpoints: Vec<String>,
 }
 
-/// Draws what is known `now`, the time since the watch began. What does not fit is cut off, at the end first.
-pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, source: &Source, now: Duration) {
+/// Least height of a screen on which a line tells what can be chosen.
+const FOOTER_FROM: usize = 8;
+
+/// Draws the part of what is known `now`, the time since the watch began, that is chosen. What does not fit can be scrolled
+/// to.
+pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, source: &Source, controls: &mut Controls, now: Duration) {
     let area = frame.area();
-    let lines = page(run, source, now, area.width.into(), area.height.into());
+    let (width, height) = (usize::from(area.width), usize::from(area.height));
+    let mut lines = header::lines(run, source, now);
+    let has_footer = height >= FOOTER_FROM;
+    let mut room = height.saturating_sub(lines.len() + usize::from(has_footer));
+    let (fixed, rows) = match controls.part() {
+        None => (Vec::new(), controls::help()),
+        Some(Part::Overview) => (Vec::new(), overview(run, now, width, room)),
+        Some(Part::Blueprints) => success::table(run, now, controls.order()),
+        Some(Part::Actors) => actors::table(run, now, controls.order()),
+        Some(Part::Learning) => trends::lines(run, width),
+    };
+    room = room.saturating_sub(fixed.len());
+    let n_rows = rows.len();
+    lines.extend(fixed);
+    let mut shown = controls.visible(rows, room);
+    if has_footer {
+        shown.resize(room, Line::default());
+        shown.push(controls.footer(n_rows));
+    }
+    lines.extend(shown);
     frame.render_widget(Text::from(lines), area);
 }
 
@@ -45,7 +74,7 @@ pub(crate) fn text(run: &RunView, source: &Source, now: Duration) -> String {
     let sections = [
         header::lines(run, source, now),
         success::lines(run, now, TEXT_WIDTH),
-        training::lines(run),
+        training::lines(run, TEXT_WIDTH),
         actors::lines(run, now, usize::MAX),
         drops::lines(run, TEXT_WIDTH),
     ];
@@ -54,10 +83,9 @@ pub(crate) fn text(run: &RunView, source: &Source, now: Duration) -> String {
 }
 
 /// The sections one below the other; the actors' takes what the others leave.
-fn page(run: &RunView, source: &Source, now: Duration, width: usize, height: usize) -> Vec<Line<'static>> {
-    let mut lines = header::lines(run, source, now);
-    lines.extend(success::lines(run, now, width));
-    lines.extend(training::lines(run));
+fn overview(run: &RunView, now: Duration, width: usize, height: usize) -> Vec<Line<'static>> {
+    let mut lines = success::lines(run, now, width);
+    lines.extend(training::lines(run, width));
     let mut drops = drops::lines(run, width);
     let rest = height.saturating_sub(lines.len());
     if drops.len() > rest.saturating_sub(ACTORS_HEIGHT) && drops.len() > DROPS_HEIGHT {
@@ -67,7 +95,6 @@ fn page(run: &RunView, source: &Source, now: Duration, width: usize, height: usi
     }
     lines.extend(actors::lines(run, now, rest.saturating_sub(drops.len())));
     lines.extend(drops);
-    lines.truncate(height);
     lines
 }
 

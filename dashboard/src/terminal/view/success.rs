@@ -6,6 +6,7 @@ use proto::metrics::{EvalBlueprint, EvalGroup, EvalSummary};
 use proto::wilson::SuccessRate;
 use ratatui::text::Line;
 
+use super::controls::Order;
 use super::format::{age, count, name, success};
 use super::{columns, heading, plain};
 use crate::run_view::RunView;
@@ -22,7 +23,7 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
         heading(format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {judged}")),
         columns(format!(
             "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
-            "group", " mode (95 % interval)", "of", " sampled (95 %)", "of"
+            "group", " most probable (95 %)", "of", " sampled (95 %)", "of"
         )),
     ];
     lines.extend(summary.groups.iter().chain([&summary.all]).map(group));
@@ -40,6 +41,48 @@ fn group(group: &EvalGroup) -> Line<'static> {
         success(sampled),
         sampled.n_episodes,
     ))
+}
+
+/// Every blueprint of the newest evaluation: the columns, and the rows in this order.
+pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
+    let mut blueprints = run.judged_blueprints();
+    let judged = run.evaluation().map_or_else(String::new, |heard| {
+        format!(": weights {}, evaluated {}", heard.value.weights_version.0, age(now, heard.at))
+    });
+    // What was not judged in one way has no rate in it.
+    let rate = |blueprint: &EvalBlueprint| {
+        let ways = [&blueprint.mode.success, &blueprint.sampled.success];
+        ways.into_iter().find(|success| success.n_episodes > 0).map_or(f64::INFINITY, |success| success.rate)
+    };
+    blueprints.sort_by(|a, b| {
+        let by = match order.by {
+            0 => rate(a).total_cmp(&rate(b)),
+            1 => std::cmp::Ordering::Equal,
+            _ => a.n_blocks.cmp(&b.n_blocks),
+        };
+        by.then_with(|| a.blueprint.cmp(&b.blueprint))
+    });
+    if order.is_reversed {
+        blueprints.reverse();
+    }
+    let row = |blueprint: &&EvalBlueprint| {
+        let [mode, sampled] = [&blueprint.mode.success, &blueprint.sampled.success];
+        plain(format!(
+            "  {:<16} {:>6} {:<22} {:>3} {:<22} {:>3}",
+            name(blueprint.blueprint.as_str()),
+            blueprint.n_blocks,
+            success(mode),
+            mode.n_episodes,
+            success(sampled),
+            sampled.n_episodes,
+        ))
+    };
+    let heads = columns(format!(
+        "  {:<16} {:>6} {:<22} {:>3} {:<22} {:>3}",
+        "blueprint", "blocks", " most probable (95 %)", "of", " sampled (95 %)", "of"
+    ));
+    let title = heading(format!("Success by blueprint in %{judged}"));
+    (vec![title, heads], blueprints.iter().map(row).collect())
 }
 
 /// The worst and the best blueprints with mode actions, or with sampled ones where only those were judged: as many as fit

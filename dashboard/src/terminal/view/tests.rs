@@ -2,6 +2,7 @@
 
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 use super::*;
 use crate::run_view::SessionState;
@@ -32,12 +33,26 @@ fn busy() -> RunView {
 
 /// What a screen shows, line by line without the spaces at the ends.
 fn screen(run: &RunView, now: Duration, width: u16, height: u16) -> Vec<String> {
+    screen_of(run, &mut Controls::default(), now, width, height)
+}
+
+/// The same with what somebody has chosen.
+fn screen_of(run: &RunView, controls: &mut Controls, now: Duration, width: u16, height: u16) -> Vec<String> {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-    terminal.draw(|frame| draw(frame, run, &source(), now)).unwrap();
+    terminal.draw(|frame| draw(frame, run, &source(), controls, now)).unwrap();
     let buffer = terminal.backend().buffer();
     let symbol = |x, y| buffer.cell((x, y)).unwrap().symbol();
     let line = |y| (0..width).map(|x| symbol(x, y)).collect::<String>().trim_end().to_owned();
     (0..height).map(line).collect()
+}
+
+/// The choices after these keys, none of which ends the watch.
+fn pressed(keys: &[KeyCode]) -> Controls {
+    let mut controls = Controls::default();
+    for key in keys {
+        assert!(!controls.press(KeyEvent::new(*key, KeyModifiers::NONE)), "{key:?}");
+    }
+    controls
 }
 
 #[test]
@@ -46,14 +61,14 @@ fn a_run_fits_on_80_by_24() {
         "Run two-blocks at tcp/127.0.0.1:7447",
         "learner heard 12 s ago, evaluator heard 22 s ago",
         "Success in %: weights 800, 3 276 800 environment steps, evaluated 22 s ago",
-        "  group          mode (95 % interval)       of   sampled (95 %)             of",
+        "  group          most probable (95 %)       of   sampled (95 %)             of",
         "  train 2-6     100.0 ( 91.2 to 100.0)      40   95.0 ( 83.5 to  98.6)      40",
         "  test 12-16     50.0 ( 35.2 to  64.8)      40   80.0 ( 65.2 to  89.5)      40",
         "  all            75.0 ( 64.5 to  83.2)      80   87.5 ( 78.5 to  93.1)      80",
         "  worst  2_002 5.0  2_003 50.0  2_001 97.5",
         "  best   2_004 100.0  2_000 100.0",
         "Learning: weights 812, 3 326 976 environment steps in 42 min",
-        "  throughput  1 234 steps/s, 2 048 waiting; policy lag 1.25, at most 3",
+        "  throughput  1 234 steps/s, 2 048 waiting; lag 1.25 versions, at most 3",
         "  loss        total 0.031, policy -0.004, value 0.250, gradient norm 0.520",
         "  policy      KL 4.5e-4, entropy 5.432, clipped 0.080, explained variance 0.875",
         "  episodes    success 50.0 ( 23.7 to  76.3) of 10, return 3.250, 45.2 steps",
@@ -63,10 +78,10 @@ fn a_run_fits_on_80_by_24() {
         "  quiet                alive has said nothing so far",
         "  actor-2              lost       640      811    1     2 500       12  37 s ago",
         "Dropped",
-        "  actors.dropped.full_total 14  actors.dropped.stale_total 10",
-        "  evaluator.n_diverged 2  learner.expired_total 4  learner.ingest.stale_total 12",
+        "  actors: full 14  actors: stale 10  evaluator: diverged 2  learner: expired 4",
+        "  learner: stale 12",
         "",
-        "",
+        "[overview] blueprints actors learning  ? help",
     ];
     assert_eq!(screen(&busy(), seconds(42), 80, 24), expected);
 }
@@ -122,16 +137,18 @@ fn many_actors_leave_room_for_the_rest() {
     let lines = screen(&run, seconds(42), 80, 24);
     assert!(lines.iter().any(|line| line.starts_with("Actors: 500 alive, 3 lost")), "{lines:#?}");
     assert!(lines.iter().any(|line| line.starts_with("  an-actor-with-a-lon~ alive has said nothing")), "{lines:#?}");
-    assert!(lines.iter().any(|line| line.starts_with("  and 49")), "{lines:#?}");
-    assert!(lines[22].starts_with("  actors.dropped"), "{lines:#?}");
+    assert!(lines.iter().any(|line| line == "  and 500 more"), "{lines:#?}");
+    assert!(lines[21].starts_with("  actors: full"), "{lines:#?}");
 }
 
 #[test]
 fn no_size_is_too_small() {
     for run in [RunView::default(), busy()] {
         for (width, height) in (1..=100).flat_map(|width| (1..=30).map(move |height| (width, height))) {
-            let lines = screen(&run, seconds(42), width, height);
-            assert!(lines[0].starts_with('R'), "{width}x{height}: {lines:#?}");
+            for key in "1234?".chars() {
+                let lines = screen_of(&run, &mut pressed(&[KeyCode::Char(key)]), seconds(42), width, height);
+                assert!(lines[0].starts_with('R'), "{key} {width}x{height}: {lines:#?}");
+            }
         }
     }
 }
@@ -145,4 +162,96 @@ fn names_from_the_bus_cannot_touch_the_terminal() {
     let text = text(&run, &source(), seconds(42));
     assert!(text.contains("\n  ?]0;x??  "), "{text}");
     assert!(text.chars().all(|c| c == '\n' || !c.is_control()), "{text:?}");
+}
+
+#[test]
+fn every_blueprint_can_be_seen_in_any_order() {
+    let shown = |keys: &str| {
+        let keys: Vec<KeyCode> = keys.chars().map(KeyCode::Char).collect();
+        screen_of(&busy(), &mut pressed(&keys), seconds(42), 80, 24)
+    };
+    let firsts = |lines: &[String]| -> Vec<String> {
+        lines[4..9].iter().filter_map(|line| line.split_whitespace().next()).map(str::to_owned).collect()
+    };
+    let worst_first = shown("2");
+    assert_eq!(worst_first[2], "Success by blueprint in %: weights 800, evaluated 22 s ago");
+    assert_eq!(worst_first[4], "  2_002                 2   5.0 ( 91.2 to 100.0)  40  95.0 ( 83.5 to  98.6)  40");
+    assert_eq!(firsts(&worst_first), ["2_002", "2_003", "2_001", "2_000", "2_004"]);
+    assert!(worst_first[23].ends_with("? help  by success"), "{worst_first:#?}");
+    assert_eq!(firsts(&shown("2s")), ["2_000", "2_001", "2_002", "2_003", "2_004"]);
+    let turned = shown("2sr");
+    assert_eq!(firsts(&turned), ["2_004", "2_003", "2_002", "2_001", "2_000"]);
+    assert!(turned[23].ends_with("by blueprint ↑"), "{turned:#?}");
+}
+
+#[test]
+fn many_actors_can_be_scrolled_to_and_sorted() {
+    let mut run = RunView::default();
+    let names: Vec<String> = (0..500).map(|i| format!("actor-{i:03}")).collect();
+    run.set_session(&samples::session(&names.iter().map(String::as_str).collect::<Vec<_>>()), seconds(1));
+    let mut fast = samples::actor("actor-250");
+    fast.value["env_steps_per_s"] = 9000.into();
+    run.take(&fast, seconds(2));
+    run.take(&samples::actor("actor-400"), seconds(2));
+    let mut controls = pressed(&[KeyCode::Char('3'), KeyCode::End]);
+    let lines = screen_of(&run, &mut controls, seconds(3), 80, 24);
+    // 24 lines without 2 of the header, 2 of the table and the last one.
+    assert!(lines[4].starts_with("  actor-481 ") && lines[22].starts_with("  actor-499 "), "{lines:#?}");
+    assert!(lines[23].ends_with("by name  482 to 500 of 500"), "{lines:#?}");
+    // A page keeps a line of the one before.
+    controls.press(KeyEvent::new(KeyCode::PageUp, KeyModifiers::NONE));
+    assert!(screen_of(&run, &mut controls, seconds(3), 80, 24)[22].starts_with("  actor-481 "));
+    let lines = screen_of(&run, &mut pressed(&[KeyCode::Char('3'), KeyCode::Char('s')]), seconds(3), 80, 24);
+    assert!(lines[4].starts_with("  actor-250 ") && lines[5].starts_with("  actor-400 "), "{lines:#?}");
+}
+
+#[test]
+fn a_small_screen_can_be_scrolled() {
+    let lines = screen_of(&busy(), &mut pressed(&[KeyCode::Char('j'), KeyCode::Down]), seconds(42), 80, 10);
+    assert!(lines[2].starts_with("  train 2-6 ") && lines[9].contains("  3 to 9 of "), "{lines:#?}");
+}
+
+#[test]
+fn help_comes_and_goes() {
+    let mut controls = pressed(&[KeyCode::Char('4'), KeyCode::Char('?')]);
+    let lines = screen_of(&busy(), &mut controls, seconds(42), 80, 24);
+    assert_eq!((lines[2].as_str(), controls.part()), ("Keys", None));
+    // Escape leads back step by step, and from the overview out.
+    for (part, ends) in [(Some(Part::Learning), false), (Some(Part::Overview), false), (Some(Part::Overview), true)] {
+        assert_eq!(controls.press(KeyEvent::new(KeyCode::Esc, KeyModifiers::NONE)), ends);
+        assert_eq!(controls.part(), part);
+    }
+    for (key, modifiers) in [(KeyCode::Char('q'), KeyModifiers::NONE), (KeyCode::Char('c'), KeyModifiers::CONTROL)] {
+        assert!(Controls::default().press(KeyEvent::new(key, modifiers)));
+    }
+}
+
+#[test]
+fn numbers_are_drawn_over_time() {
+    let mut run = busy();
+    for n_done in 1..4_u32 {
+        let mut learner = samples::learner();
+        learner.value["weights_version"] = (812 + n_done).into();
+        learner.value["env_steps_per_s"] = (1234.4 + 100.0 * f64::from(n_done)).into();
+        run.take(&learner, seconds(30 + u64::from(n_done)));
+    }
+    let overview = screen(&run, seconds(42), 80, 30);
+    assert!(overview.contains(&"  trend       steps per second ▁▃▆█".to_owned()), "{overview:#?}");
+    let learning = screen_of(&run, &mut pressed(&[KeyCode::Char('4')]), seconds(42), 80, 30);
+    assert!(
+        learning.contains(&"  steps per second       1534.400  1234.400  1534.400  ▁▃▆█".to_owned()),
+        "{learning:#?}"
+    );
+    assert!(learning.contains(&"  success, evaluated        0.750     0.750     0.750  ▁".to_owned()), "{learning:#?}");
+}
+
+#[test]
+fn other_runs_are_listed_where_nobody_is() {
+    let mut run = RunView::default();
+    run.set_session(&SessionState { is_connected: true, ..SessionState::default() }, seconds(1));
+    run.set_others(["paper", "quickstart"].map(str::to_owned).into());
+    assert_eq!(screen(&run, seconds(3), 80, 24)[2], "Runs on this router: paper, quickstart; --run NAME watches one");
+    let mut run = busy();
+    run.set_others(["paper".to_owned()].into());
+    assert!(!screen(&run, seconds(3), 80, 24).iter().any(|line| line.contains("paper")));
 }

@@ -3,11 +3,11 @@
 use ratatui::text::Line;
 
 use super::format::{count, number, rate, seconds, success};
-use super::{heading, plain};
+use super::{heading, plain, trends};
 use crate::run_view::RunView;
 
-/// The learner's newest metrics.
-pub(super) fn lines(run: &RunView) -> Vec<Line<'static>> {
+/// The learner's newest metrics, in lines of `width` characters where that matters.
+pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     let Some(heard) = run.learner() else {
         return vec![heading("Learning: no update so far".to_owned())];
     };
@@ -32,7 +32,7 @@ pub(super) fn lines(run: &RunView) -> Vec<Line<'static>> {
             seconds(learner.elapsed_s.max(learner.run_elapsed_s)),
         )),
         plain(format!(
-            "  throughput  {} steps/s, {} waiting; policy lag {:.2}, at most {}",
+            "  throughput  {} steps/s, {} waiting; lag {:.2} versions, at most {}",
             rate(learner.env_steps_per_s),
             count(learner.n_mailbox),
             learner.policy_lag_mean,
@@ -62,5 +62,6 @@ pub(super) fn lines(run: &RunView) -> Vec<Line<'static>> {
             number(imitation.move_loss),
         )));
     }
+    lines.extend(trends::overview(run, width));
     lines
 }

@@ -42,7 +42,7 @@ pub(in crate::commands) async fn run(
     };
     let bus = opened.map_err(|panic| Failure::Service(panic.into()))??;
     // What came before a failure is shown all the same.
-    let (recorded, ended) = record(&bus, &args.live, patience, &shutdown).await;
+    let (recorded, ended) = record(&bus, &args.live, &config, patience, &shutdown).await;
     bus.close().await;
     let episodes: Vec<Named> =
         recorded.iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
@@ -63,6 +63,7 @@ async fn next_episode(collector: &mut Collector, viewer: &mut TrajectoryViewer) 
 async fn record(
     bus: &Bus,
     args: &LiveArgs,
+    config: &BusConfig,
     patience: Duration,
     shutdown: &CancellationToken,
 ) -> (Vec<Vec<Trajectory>>, Result<(), Failure>) {
@@ -80,20 +81,25 @@ async fn record(
         match next {
             Ok(Some(segments)) => recorded.push(segments),
             Ok(None) => return (recorded, Err(Failure::Bus(anyhow!("the bus was closed")))),
-            Err(_) => return (recorded, Err(silent(args, &collector, bus))),
+            Err(_) => return (recorded, Err(silent(args, &collector, bus, config).await)),
         }
     }
     (recorded, Ok(()))
 }
 
 /// Why no episode came.
-fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus) -> Failure {
+async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &BusConfig) -> Failure {
     let who = args.actor.as_ref().map_or_else(|| "any actor".to_owned(), |actor| format!("the actor {actor}"));
     let (seconds, run, counts) = (args.timeout, &args.run, bus.counts());
     let n_missed = counts.viewed_dropped_total + counts.viewed_invalid_total;
+    let others = bus::runs(config).await.unwrap_or_default();
+    let elsewhere = match others.is_empty() {
+        true => String::new(),
+        false => format!(", of which this router has {}", Vec::from_iter(others).join(", ")),
+    };
     Failure::NothingToShow(format!(
         "no whole episode of {who} of run `{run}` within {seconds} s (segments of others: {}, missed: {n_missed}); --run \
-         and --actor name others, --timeout waits longer",
+         names other runs{elsewhere}, --actor other actors; --timeout waits longer",
         collector.n_left_out()
     ))
 }

@@ -1,0 +1,185 @@
+//! What somebody who watches has chosen: which part, in which order, scrolled how far; and the keys for that.
+
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use ratatui::text::Line;
+
+use super::{columns, heading, plain};
+
+/// Lines that stay when a page is turned.
+const KEPT_LINES: usize = 1;
+
+/// A part of what is known, one on the screen at a time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Part {
+    /// The newest of everything.
+    #[default]
+    Overview,
+    /// Every blueprint that was evaluated.
+    Blueprints,
+    /// Every actor.
+    Actors,
+    /// Numbers over time.
+    Learning,
+}
+
+/// An order of rows: by one of the names that [`Part::orders`] lists, turned around or not.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Order {
+    /// Index of the name.
+    pub(super) by: usize,
+    /// Whether the last comes first.
+    pub(super) is_reversed: bool,
+}
+
+/// What is chosen now.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Controls {
+    part: Part,
+    orders: [Order; Part::ALL.len()],
+    /// Lines scrolled past, kept within what there is by [`Self::visible`].
+    scroll: usize,
+    /// Lines that a page had when it was last drawn.
+    n_page: usize,
+    is_helping: bool,
+}
+
+impl Part {
+    const ALL: [Self; 4] = [Self::Overview, Self::Blueprints, Self::Actors, Self::Learning];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Overview => "overview",
+            Self::Blueprints => "blueprints",
+            Self::Actors => "actors",
+            Self::Learning => "learning",
+        }
+    }
+
+    /// By what its rows can be sorted.
+    fn orders(self) -> &'static [&'static str] {
+        match self {
+            Self::Overview | Self::Learning => &[],
+            Self::Blueprints => &["success", "blueprint", "blocks"],
+            Self::Actors => &["name", "steps/s", "lag", "dropped"],
+        }
+    }
+}
+
+impl Controls {
+    /// Does what a key asks for; returns whether that is to end.
+    pub(crate) fn press(&mut self, key: KeyEvent) -> bool {
+        if key.kind == KeyEventKind::Release {
+            return false;
+        }
+        if ends(key) {
+            return true;
+        }
+        let order = &mut self.orders[self.part as usize];
+        let n_turned = self.n_page.saturating_sub(KEPT_LINES).max(1);
+        match key.code {
+            KeyCode::Esc if self.is_helping => self.is_helping = false,
+            KeyCode::Esc if self.part != Part::Overview => self.choose(Part::Overview),
+            KeyCode::Esc => return true,
+            KeyCode::Char('?' | 'h') => {
+                self.is_helping = !self.is_helping;
+                self.scroll = 0;
+            }
+            KeyCode::Char(digit @ '1'..='4') => self.choose(Part::ALL[digit as usize - '1' as usize]),
+            KeyCode::Tab | KeyCode::Right => self.choose(self.part_after(1)),
+            KeyCode::BackTab | KeyCode::Left => self.choose(self.part_after(Part::ALL.len() - 1)),
+            KeyCode::Char('s') => order.by = (order.by + 1) % self.part.orders().len().max(1),
+            KeyCode::Char('r') => order.is_reversed = !order.is_reversed,
+            KeyCode::Down | KeyCode::Char('j') => self.scroll += 1,
+            KeyCode::Up | KeyCode::Char('k') => self.scroll = self.scroll.saturating_sub(1),
+            KeyCode::PageDown | KeyCode::Char(' ') => self.scroll += n_turned,
+            KeyCode::PageUp => self.scroll = self.scroll.saturating_sub(n_turned),
+            KeyCode::Home | KeyCode::Char('g') => self.scroll = 0,
+            // As far as there is anything, which the next drawing knows.
+            KeyCode::End | KeyCode::Char('G') => self.scroll = usize::MAX / 2,
+            _ => {}
+        }
+        false
+    }
+
+    fn choose(&mut self, part: Part) {
+        (self.part, self.scroll, self.is_helping) = (part, 0, false);
+    }
+
+    fn part_after(&self, n: usize) -> Part {
+        Part::ALL[(self.part as usize + n) % Part::ALL.len()]
+    }
+
+    /// The part on the screen; `None` while that is the help.
+    pub(super) fn part(&self) -> Option<Part> {
+        (!self.is_helping).then_some(self.part)
+    }
+
+    /// The order of the rows of the part on the screen.
+    pub(super) fn order(&self) -> Order {
+        self.orders[self.part as usize]
+    }
+
+    /// Those of `lines` that are on a screen with room for `n_page`.
+    pub(super) fn visible(&mut self, lines: Vec<Line<'static>>, n_page: usize) -> Vec<Line<'static>> {
+        self.n_page = n_page;
+        self.scroll = self.scroll.min(lines.len().saturating_sub(n_page));
+        lines.into_iter().skip(self.scroll).take(n_page).collect()
+    }
+
+    /// The last line of the screen: what can be chosen, and which of `n_lines` are shown.
+    pub(super) fn footer(&self, n_lines: usize) -> Line<'static> {
+        let parts = Part::ALL.map(|part| match self.part() == Some(part) {
+            true => format!("[{}]", part.name()),
+            false => part.name().to_owned(),
+        });
+        let mut text = format!("{}  ? help", parts.join(" "));
+        if let Some(by) = self.part().and_then(|part| part.orders().get(self.order().by)) {
+            text += &format!("  by {by}{}", if self.order().is_reversed { " ↑" } else { "" });
+        }
+        if n_lines > self.n_page {
+            text += &format!("  {} to {} of {n_lines}", self.scroll + 1, (self.scroll + self.n_page).min(n_lines));
+        }
+        columns(text)
+    }
+}
+
+/// Whether a key ends the watch wherever it is pressed.
+pub(crate) fn ends(key: KeyEvent) -> bool {
+    let with_control = key.modifiers.contains(KeyModifiers::CONTROL);
+    key.kind != KeyEventKind::Release
+        && match key.code {
+            KeyCode::Char('q' | 'Q') => !with_control,
+            // Raw mode makes no signal of it.
+            KeyCode::Char('c') => with_control,
+            _ => false,
+        }
+}
+
+/// What the keys do, and what the words mean.
+pub(super) fn help() -> Vec<Line<'static>> {
+    let keys = [
+        ("1 2 3 4, Tab, ← →", "overview, blueprints, actors, learning"),
+        ("↑ ↓, PgUp PgDn, Home End", "scroll; j k g G do so too"),
+        ("s", "sort blueprints or actors by something else"),
+        ("r", "turn their order around"),
+        ("? or h", "this help, and back"),
+        ("Esc", "back, and from the overview to the end"),
+        ("q, Ctrl-C", "end the watch; the run goes on"),
+    ];
+    let words = [
+        ("most probable, sampled", "ways of acting in an evaluation"),
+        ("of", "episodes behind a rate, with its 95 % interval"),
+        ("lag", "versions from the weights that act to the newest"),
+        ("labels", "what the expert's choices teach, with imitation"),
+        ("KL, entropy, clipped", "of an update of PPO, in nats; the share of samples"),
+        ("back-pressure", "segments that waited because the learner had enough"),
+    ];
+    let rows = |rows: &[(&str, &str)]| -> Vec<Line<'static>> {
+        rows.iter().map(|(name, meaning)| plain(format!("  {name:<26}{meaning}"))).collect()
+    };
+    let mut lines = vec![heading("Keys".to_owned())];
+    lines.extend(rows(&keys));
+    lines.push(heading("Words".to_owned()));
+    lines.extend(rows(&words));
+    lines
+}

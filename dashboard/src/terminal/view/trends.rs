@@ -1,0 +1,78 @@
+//! Numbers over time as lines of small bars.
+
+use std::collections::VecDeque;
+
+use ratatui::text::Line;
+
+use super::format::number;
+use super::{columns, heading, plain};
+use crate::run_view::RunView;
+
+/// Bars from the lowest to the highest value.
+const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+
+/// Width of a number's name, characters.
+const NAME_WIDTH: usize = 21;
+
+/// Least bars beside the overview that are worth their room.
+const MIN_BARS: usize = 6;
+
+/// What the overview has bars of.
+const OVERVIEW: [&str; 3] = ["success, evaluated", "steps per second", "block accuracy"];
+
+/// Everything that is followed: its newest value, between which values it was, and how it went.
+pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
+    let before = format!("  {:<NAME_WIDTH$} {:>9} {:>9} {:>9}  ", "", "now", "least", "most");
+    let room = width.saturating_sub(before.len());
+    let rows = run.trends().all().map(|(name, values)| {
+        let (least, most) = range(values);
+        let now = values.back().copied().unwrap_or_default();
+        let [now, least, most] = [now, least, most].map(number);
+        plain(format!("  {name:<NAME_WIDTH$} {now:>9} {least:>9} {most:>9}  {}", bars(values, room)))
+    });
+    let rows: Vec<Line<'static>> = rows.collect();
+    let title = if rows.is_empty() { "Learning: nothing so far" } else { "Learning, since this watch began" };
+    (vec![heading(title.to_owned()), columns(before + "newest on the right")], rows)
+}
+
+/// The most telling ones in one line of `width` characters; none before there are two values of any.
+pub(super) fn overview(run: &RunView, width: usize) -> Option<Line<'static>> {
+    let told: Vec<_> =
+        run.trends().all().filter(|(name, values)| OVERVIEW.contains(name) && values.len() > 1).collect();
+    let title = "  trend      ";
+    let names: usize = told.iter().map(|(name, _)| name.len() + 3).sum();
+    let each = width.saturating_sub(title.len() + names) / told.len().max(1);
+    if told.is_empty() || each < MIN_BARS {
+        return None;
+    }
+    let parts = told.iter().map(|(name, values)| format!(" {name} {}", bars(values, each)));
+    Some(plain(title.to_owned() + &parts.collect::<Vec<_>>().join(" ")))
+}
+
+/// The newest values as at most `width` bars.
+fn bars(values: &VecDeque<f64>, width: usize) -> String {
+    let (least, most) = range(values);
+    let bar = |value: f64| {
+        let share = if most > least { (value - least) / (most - least) } else { 0.0 };
+        BARS[((share * BARS.len() as f64) as usize).min(BARS.len() - 1)]
+    };
+    values.iter().skip(values.len().saturating_sub(width)).map(|value| bar(*value)).collect()
+}
+
+fn range(values: &VecDeque<f64>) -> (f64, f64) {
+    values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), value| (least.min(*value), most.max(*value)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bars_rise_from_the_least_value_to_the_most() {
+        let values: VecDeque<f64> = [0.0, 1.0, 3.9, 8.0, 4.0].into();
+        assert_eq!(bars(&values, 10), "▁▂▄█▅");
+        assert_eq!(bars(&values, 2), "█▅");
+        assert_eq!(bars(&[5.0, 5.0].into(), 10), "▁▁");
+        assert_eq!(bars(&VecDeque::new(), 10), "");
+    }
+}
