@@ -204,19 +204,25 @@ fn played(folder: &Path, goals: &[&str]) -> Option<(Browser, Process)> {
     Some((browser, playing))
 }
 
-/// How many blocks that stand or are held the camera does not show, in all scenes of the episode; and how much farther than
-/// the goal reaches it shows at last.
+/// How many blocks that stand or are held are outside of the box that the camera looks at, in all scenes of the episode; how
+/// much longer that box is than the structure in the end, meters; and the share of half the picture's sides that it takes.
 const CAMERA: &str = "
     const { scenes, goal } = replay.episode;
     const isBuilt = (scene, block, pose) => apart3(scene.blocks[block], placed(scene.goal_frame, pose)) < 0.02;
     const lost = scenes.flatMap((scene, i) => goal.filter(([block, pose]) => {
-        const [middle, radius] = replay.view(i);
-        const isNeeded = isBuilt(scene, block, pose) || scene.held.includes(block);
-        return isNeeded && apart3(scene.blocks[block], middle) > radius;
+        const [low, high] = replay.view(i);
+        const at = scene.blocks[block];
+        const isInside = [0, 1, 2].every((axis) => low[axis] <= at[axis] && at[axis] <= high[axis]);
+        return (isBuilt(scene, block, pose) || scene.held.includes(block)) && !isInside;
     }));
-    const [middle, radius] = replay.view(replay.boxes.length);
-    const reach = Math.max(...goal.map(([block]) => apart3(scenes[replay.n].blocks[block], middle)));
-    return [lost.length, radius - reach];
+    const box = replay.view(replay.boxes.length);
+    const reaches = [0, 1, 2].map((axis) => goal.map(([block]) => scenes[replay.n].blocks[block][axis]));
+    const length = Math.hypot(...reaches.map((values) => Math.max(...values) - Math.min(...values)));
+    replay.space.fit(...box);
+    replay.space.render();
+    const corner = (k) => replay.space.controls.target.clone().set(...[0, 1, 2].map((axis) => box[(k >> axis) & 1][axis]));
+    const seen = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => corner(k).project(replay.space.camera));
+    return [lost.length, apart3(...box) - length, Math.max(...seen.flatMap(({ x, y }) => [Math.abs(x), Math.abs(y)]))];
 ";
 
 /// What the console of a page complains about.
@@ -247,7 +253,8 @@ fn play_opens_with_a_structure_being_built() {
     // What is built is in the picture all the time, and fills it in the end.
     let camera = browser.run(CAMERA);
     assert_eq!(camera[0], 0, "{camera}");
-    assert!(camera[1].as_f64().is_some_and(|more_m| more_m < 0.3), "{camera}");
+    assert!(camera[1].as_f64().is_some_and(|more_m| more_m < 0.5), "{camera}");
+    assert!(camera[2].as_f64().is_some_and(|share| (0.4..=1.0).contains(&share)), "{camera}");
 
     // The gallery has every blueprint, finds some, and leads to one.
     browser.element("#stage-choose").click();

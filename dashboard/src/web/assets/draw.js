@@ -118,7 +118,8 @@ export class Desk extends Space {
     const ends = this.drawn.flatMap(({ at, size }) => [at, at.map((v, k) => v + size[k])]);
     if (ends.length === 0) ends.push([-2, -2, 0], [2, 2, 2]);
     const [low, high] = [Math.min, Math.max].map((pick) => [0, 1, 2].map((k) => pick(...ends.map((end) => end[k])) * this.unit));
-    this.fit(low.map((v, k) => (v + high[k]) / 2), Math.max(Math.hypot(...low.map((v, k) => high[k] - v)) / 2 + 0.12, 0.34));
+    // Room for a block on every side.
+    this.fit(low.map((v) => v - this.unit), high.map((v) => v + this.unit));
     this.render();
   }
 }

@@ -98,13 +98,13 @@ class Replay {
     this.draw();
   }
 
-  /** The box that is to be seen after each scene, and while the camera settles: the goal's place and blocks around it. */
+  /** The box that is to be seen after each scene, and while the camera settles: the goal's blocks, and its place. */
   plan() {
     const { goal, scenes, half_extents_m: halves } = this.episode;
     const corner = (pick, points) => [0, 1, 2].map((i) => pick(...points.map((point) => point[i])));
     const around = (points, half) => [corner(Math.min, points).map((x) => x - half), corner(Math.max, points).map((x) => x + half)];
     const union = (boxes) => [corner(Math.min, boxes.map(([low]) => low)), corner(Math.max, boxes.map(([, high]) => high))];
-    const place = around(goal.map(([, pose]) => placed(scenes[this.n].goal_frame, pose)), 0.1);
+    const place = ({ goal_frame: frame }) => around(goal.map(([, pose]) => placed(frame, pose)), 0.1);
     const needed = scenes.map((scene) => {
       const median = [0, 1].map((i) => goal.map(([block]) => scene.blocks[block][i]).sort((a, b) => a - b)[goal.length >> 1]);
       const wanted = goal.filter(([block, pose]) => {
@@ -114,7 +114,9 @@ class Replay {
         // A policy that learns throws some blocks far away; what stands and what is held is never left out.
         return [0, 1, 2].every((i) => Math.abs(at[i]) < WORLD_M) && (isNear || isBuilt || scene.held.includes(block));
       });
-      return union([place, ...wanted.map(([block]) => around([scene.blocks[block]], Math.max(...halves[block])))]);
+      const boxes = wanted.map(([block]) => around([scene.blocks[block]], Math.max(...halves[block])));
+      // Before anything is connected, nobody knows where the goal will be.
+      return union(scene.n_connected > 0 || boxes.length === 0 ? [place(scene), ...boxes] : boxes);
     });
     // Opens before a block needs room, and closes slowly: each is a mean of boxes that all hold what that scene needs.
     const ahead = needed.map((_, i) => union(needed.slice(i, i + FOLLOW_STEPS + 1)));
@@ -125,12 +127,11 @@ class Replay {
     });
   }
 
-  /** Middle and radius of what is to be seen at a time in scenes. */
+  /** The box that is to be seen at a time in scenes: its lowest and its highest corner. */
   view(time) {
     const from = Math.min(Math.floor(time), this.boxes.length - 1);
     const to = Math.min(from + 1, this.boxes.length - 1);
-    const [low, high] = [0, 1].map((side) => this.boxes[from][side].map((x, i) => x + (this.boxes[to][side][i] - x) * (time - from)));
-    return [low.map((x, i) => (x + high[i]) / 2), Math.max(apart3(low, high) / 2, 0.3)];
+    return [0, 1].map((side) => this.boxes[from][side].map((x, i) => x + (this.boxes[to][side][i] - x) * (time - from)));
   }
 
   /** Comes near to what was built, once nothing moves any more. */

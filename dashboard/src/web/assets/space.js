@@ -14,6 +14,10 @@ const MAGNETS = [[32, 82, 196], [208, 40, 46]];
 export const VIEW = 32;
 const FRAME_M = 0.007;
 
+/** How much larger a picture is than what it shows, and how near a camera comes by itself, meters. */
+const MARGIN = 1.06;
+const MIN_DISTANCE_M = 0.9;
+
 const BACK_SIDE = 1;
 
 export const rgb = ([r, g, b]) => new Color().setRGB(r / 255, g / 255, b / 255, "srgb");
@@ -201,15 +205,25 @@ export class Space {
     this.render();
   }
 
-  /** Looks at a ball with this middle and radius from the side that is looked from already, with the next picture. */
-  fit(middle, radius) {
-    const target = new Vector3(...middle);
-    const from = this.camera.position.clone().sub(this.controls.target);
-    if (from.lengthSq() === 0) from.set(1, -1.4, 1);
-    const narrow = Math.min(1, this.camera.aspect);
-    const distance = (radius / Math.sin((VIEW * Math.PI) / 360) / narrow) * 1.02;
+  /** Looks at a box from the side that is looked from already, as near as all of it is seen, with the next picture. */
+  fit(low, high) {
+    const target = new Vector3(...low).add(new Vector3(...high)).multiplyScalar(0.5);
+    const back = this.camera.position.clone().sub(this.controls.target);
+    if (back.lengthSq() === 0) back.set(1, -1.4, 1);
+    back.normalize();
+    const right = new Vector3(0, 0, 1).cross(back);
+    // From straight above, any side is right.
+    if (right.lengthSq() < 1e-9) right.set(1, 0, 0);
+    right.normalize();
+    const up = back.clone().cross(right);
+    const rise = Math.tan((VIEW * Math.PI) / 360);
+    const distances = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => {
+      const corner = new Vector3(...[0, 1, 2].map((i) => ((k >> i) & 1 ? high : low)[i])).sub(target);
+      const aside = Math.max(Math.abs(corner.dot(right)) / this.camera.aspect, Math.abs(corner.dot(up)));
+      return corner.dot(back) + (aside * MARGIN) / rise;
+    });
     this.controls.target.copy(target);
-    this.camera.position.copy(target).add(from.setLength(distance));
+    this.camera.position.copy(target).addScaledVector(back, Math.max(...distances, MIN_DISTANCE_M));
     this.settle();
   }
 
