@@ -72,10 +72,21 @@ struct Meta<'a> {
     resumed_from: Option<&'a Path>,
 }
 
-/// The folder of a run that names none: `runs/<date>-<name>`.
+/// The folder of a run that names none: `runs/<date>-<name>`, and a number if there is one of this minute already.
 pub fn default_folder(config: &Config) -> PathBuf {
     let stamp = utc(SystemTime::now()).replace(':', "");
-    Path::new("runs").join(format!("{stamp}-{}", config.bus.run))
+    first_free(Path::new("runs"), &format!("{stamp}-{}", config.bus.run))
+}
+
+/// `name` in `folder`, or `name-2`, `name-3`, and so on if that exists.
+fn first_free(folder: &Path, name: &str) -> PathBuf {
+    let mut path = folder.join(name);
+    let mut n = 1;
+    while path.exists() {
+        n += 1;
+        path = folder.join(format!("{name}-{n}"));
+    }
+    path
 }
 
 impl RunDir {
@@ -159,6 +170,16 @@ mod tests {
 
     fn start(path: &Path, origin: &Origin) -> Result<RunDir, Failure> {
         RunDir::create(Some(path), &Config::default(), origin)
+    }
+
+    #[test]
+    fn runs_of_one_minute_have_folders_of_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        for expected in ["run", "run-2", "run-3"] {
+            let path = first_free(folder.path(), "run");
+            assert_eq!(path, folder.path().join(expected));
+            std::fs::create_dir(path).unwrap();
+        }
     }
 
     #[test]
