@@ -1,0 +1,146 @@
+//! What a step of an actor costs and where the time goes, in microseconds of CPU time per environment step.
+//!
+//! `cargo bench -p actor` rolls out 64 worlds on one thread with the default network, untrained, and the expert acting, so
+//! that structures are built. Parts are timed again by themselves on the scenes that came out of it; the world is what remains.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)]
+
+use std::collections::BTreeMap;
+use std::hint::black_box;
+
+use actor::{DaggerConfig, DaggerMixture, Identity, Rollout, RolloutSetup, TaskConfig};
+use blueprints::{Blueprint, Catalog};
+use environment::{EnvironmentConfig, Expert, World};
+use policy::{DeviceKind, Engine, FeatureBatch, Policy, PolicyConfig};
+use proto::codec::encode_trajectory;
+use proto::{ActionMode, ActorId, Agent, Normalization, Observation, Scene, Trajectory, Weights, WeightsVersion};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+const N_WORLDS: usize = 64;
+/// Steps of each world before the clock runs, so that episodes are at all stages.
+const WARM_UP: usize = 50;
+const N_STEPS: usize = 100;
+
+fn main() {
+    let (policy, environment) = (PolicyConfig::default(), EnvironmentConfig::default());
+    let weights = untrained(&policy);
+    let mut rollout = rollout(&policy, &environment, &weights);
+    (0..WARM_UP).for_each(|_| drop(rollout.step().unwrap()));
+    let mut segments: Vec<Trajectory> = Vec::new();
+    let before = cpu_seconds();
+    for _ in 0..N_STEPS {
+        segments.extend(rollout.step().unwrap());
+    }
+    let whole = micros(before, N_WORLDS * N_STEPS);
+
+    let blueprints: Vec<&Blueprint> =
+        segments.iter().map(|segment| Catalog::builtin().get(&segment.task.blueprint).unwrap()).collect();
+    let scenes: Vec<(&Scene, &Blueprint)> = segments
+        .iter()
+        .zip(&blueprints)
+        .flat_map(|(segment, &blueprint)| segment.transitions.iter().map(move |step| (&step.scene, blueprint)))
+        .collect();
+    let batches: Vec<Vec<Observation<'_>>> = scenes
+        .chunks_exact(N_WORLDS)
+        .map(|scenes| scenes.iter().map(|&(scene, blueprint)| Observation { scene, blueprint, n_steps: 0 }).collect())
+        .collect();
+    let n_steps = batches.len() * N_WORLDS;
+
+    let mut batch = FeatureBatch::new(&policy.features);
+    let features = best_of(n_steps, || batches.iter().for_each(|observations| batch.fill(observations)));
+    let (mut engine, rows) = (engine(&policy), (0..N_WORLDS).collect::<Vec<_>>());
+    let forward = best_of(n_steps, || {
+        for _ in &batches {
+            black_box(engine.run(&batch, &rows));
+        }
+    });
+    let mut agent = Policy::with_weights(&policy, &weights).unwrap();
+    let mut rngs: Vec<ChaCha8Rng> = (0..N_WORLDS as u64).map(ChaCha8Rng::seed_from_u64).collect();
+    let act = best_of(n_steps, || {
+        for observations in &batches {
+            black_box(agent.act(observations, &[ActionMode::Sampled; N_WORLDS], &mut rngs).unwrap());
+        }
+    });
+    let mut experts: Vec<Option<Expert>> =
+        blueprints.iter().map(|blueprint| Expert::new(&environment, blueprint).ok()).collect();
+    let n_scenes: usize = segments.iter().map(|segment| segment.transitions.len()).sum();
+    let expert = best_of(n_scenes, || {
+        for (segment, expert) in segments.iter().zip(&mut experts) {
+            let Some(expert) = expert else { continue };
+            segment.transitions.iter().for_each(|step| drop(black_box(expert.act(&step.scene))));
+        }
+    });
+    let sending = best_of(n_scenes, || segments.iter().for_each(|segment| drop(black_box(encode_trajectory(segment)))));
+
+    let world = whole - act - expert;
+    println!("microseconds of CPU time per environment step, {N_WORLDS} worlds on one thread");
+    for (part, cost) in [
+        ("world", world),
+        ("features", features),
+        ("forward pass", forward),
+        ("sampling", act - features - forward),
+        ("expert's label", expert),
+        ("encoding", sending),
+        ("all", whole + sending),
+    ] {
+        println!("{part:16} {cost:8.1}  {:5.1} %", 100.0 * cost / (whole + sending));
+    }
+}
+
+fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Weights) -> Rollout<'static, World> {
+    let dagger = DaggerConfig { expert_share: [1.0, 1.0], ..DaggerConfig::default() };
+    let setup = RolloutSetup {
+        catalog: Catalog::builtin(),
+        policy: policy.clone(),
+        tasks: TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() },
+        segment_len: 32,
+        burn_in: actor::BurnInConfig::default(),
+        dagger: Some(DaggerMixture::new(dagger, environment.clone())),
+        identity: Identity {
+            actor: ActorId::try_from("bench".to_owned()).unwrap(),
+            epoch: 0,
+            first_seq: 0,
+            seq_step: 1,
+        },
+        seed: 0,
+    };
+    let worlds = (0..N_WORLDS).map(|_| World::new(environment).unwrap()).collect();
+    Rollout::new(setup, worlds, weights).unwrap()
+}
+
+fn untrained(policy: &PolicyConfig) -> Weights {
+    Weights {
+        version: WeightsVersion(0),
+        n_env_steps: 0,
+        network_hash: policy.hash(),
+        parameters: engine(policy).parameters(),
+        normalization: Normalization::default(),
+        task_probabilities: BTreeMap::new(),
+        reverse_reach: BTreeMap::new(),
+    }
+}
+
+fn engine(policy: &PolicyConfig) -> Engine {
+    Engine::new(policy, 0, &DeviceKind::Cpu.open().unwrap(), false)
+}
+
+/// Microseconds per step, the best of five times.
+fn best_of(n_steps: usize, mut work: impl FnMut()) -> f64 {
+    let round = |_| {
+        let before = cpu_seconds();
+        work();
+        micros(before, n_steps)
+    };
+    (0..5).map(round).fold(f64::INFINITY, f64::min)
+}
+
+fn micros(before: f64, n_steps: usize) -> f64 {
+    1e6 * (cpu_seconds() - before) / n_steps as f64
+}
+
+/// CPU time of this thread: wall time on a shared machine says little.
+fn cpu_seconds() -> f64 {
+    let stat = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
+    stat.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e9
+}
