@@ -6,7 +6,7 @@
 //! | `actions` | `choices` and `moves`; those of the last row are 0 and mean nothing |
 //! | `rewards` | the sum of the terms; 0 in the last row |
 //! | `terminations`, `truncations` | whether the step ended the episode: the blueprint stands, or the time is over |
-//! | `infos` | `is_success`, `reward_terms` [5], and `blueprint`: of the step that led to the scene, as the environment says them |
+//! | `infos` | `is_success`, the five `reward_terms`, and `blueprint`: of the step that led to the scene, as the environment says them |
 
 use std::sync::Arc;
 

@@ -36,7 +36,7 @@ impl Spaces {
         [N_BLOCKS * self.sizes.node, N_EDGES * self.sizes.edge, self.sizes.global]
     }
 
-    /// A dictionary of `nodes` [16, nd], `edges` [240, ed], and `globals` [gd].
+    /// A dictionary of `nodes`, 16 × nd, `edges`, 240 × ed, and `globals`, gd.
     pub(crate) fn observations(&self) -> Value {
         let FeatureSizes { node, edge, global } = self.sizes;
         dictionary(&[
@@ -46,7 +46,7 @@ impl Spaces {
         ])
     }
 
-    /// A dictionary of `choices` [grippers] and `moves` [16, 6].
+    /// A dictionary of `choices`, one for each gripper, and `moves`, 16 × 6.
     pub(crate) fn actions(&self) -> Value {
         let n = self.n_grippers();
         let choices = json!({
