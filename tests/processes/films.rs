@@ -110,9 +110,9 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     assert_eq!(files(&folder.path().join("played/replays")).len(), 1);
 
     let Some(python) = python() else { return };
-    // 960 × 540 unless told otherwise; a tenth of a second for every step, the first scene, and 1.5 s of the last.
+    // 960 × 540 unless told otherwise; a tenth of a second for every step, the first scene, and 2 s of the last.
     let told = told_by(&python, "frames.py", &[&films[0].display().to_string()]);
-    let expected = n_steps(&shown, &stem) + 1 + 15;
+    let expected = n_steps(&shown, &stem) + 1 + 20;
     assert_eq!(told, serde_json::json!({ "n_frames": expected, "size": [960, 540], "fps": 10.0 }));
     let made = files(&run.join("videos"));
     let told = told_by(&python, "frames.py", &[&made[0].display().to_string()]);
