@@ -68,7 +68,9 @@ fn main() {
     let expert = best_of(n_scenes, || {
         for (segment, expert) in segments.iter().zip(&mut experts) {
             let Some(expert) = expert else { continue };
-            segment.transitions.iter().for_each(|step| drop(black_box(expert.act(&step.scene))));
+            for step in &segment.transitions {
+                black_box(expert.act(&step.scene));
+            }
         }
     });
     let sending = best_of(n_scenes, || segments.iter().for_each(|segment| drop(black_box(encode_trajectory(segment)))));

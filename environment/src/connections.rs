@@ -10,6 +10,9 @@ use crate::magnets::{Frame, MagnetPair, MagnetTable, magnet_position_m};
 
 mod effort;
 
+/// Last part of the time in which a new connection cannot break, in which its load counts already, ms.
+const MEASURED_MS: f32 = 50.0;
+
 /// A connection that exists.
 struct Connection {
     joint: Joint,
@@ -119,27 +122,36 @@ impl Connections {
     /// without this whole chains burst at once.
     pub(crate) fn strain(&mut self, engine: &mut Engine) {
         let break_torque_per_n = blueprints::UNIT_M;
+        // Blocks that come to rest at once may sleep when their connection can break for the first time.
+        let n_measured = self.substeps(MEASURED_MS);
         let mut worst: Option<(usize, f32)> = None;
         for (i, connection) in self.live.iter_mut().enumerate() {
-            if connection.snap_left > 0 {
+            let is_settling = connection.snap_left > 0;
+            if is_settling {
                 connection.snap_left -= 1;
                 if connection.snap_left == 0 {
                     engine.set_joint_frequency(connection.handle, self.config.hold_frequency_hz);
                 }
+                if connection.snap_left >= n_measured {
+                    continue;
+                }
+            }
+            let is_asleep = engine.is_asleep(connection.joint.a) && engine.is_asleep(connection.joint.b);
+            if is_asleep && !is_settling {
                 continue;
             }
-            if engine.is_asleep(connection.joint.a) && engine.is_asleep(connection.joint.b) {
-                continue;
+            if !is_asleep {
+                let load = if connection.is_spared {
+                    0.0
+                } else {
+                    let (force, torque) = engine.joint_load(connection.handle);
+                    let strength = connection.n_strong_pairs * self.config.break_force_n;
+                    (force / strength).max(torque / (strength * break_torque_per_n))
+                };
+                connection.load += (1.0 - self.config.load_smoothing) * (load - connection.load);
             }
-            let load = if connection.is_spared {
-                0.0
-            } else {
-                let (force, torque) = engine.joint_load(connection.handle);
-                let strength = connection.n_strong_pairs * self.config.break_force_n;
-                (force / strength).max(torque / (strength * break_torque_per_n))
-            };
-            connection.load += (1.0 - self.config.load_smoothing) * (load - connection.load);
-            if connection.load > 1.0 && worst.is_none_or(|(_, most)| connection.load > most) {
+            let can_break = connection.snap_left == 0;
+            if can_break && connection.load > 1.0 && worst.is_none_or(|(_, most)| connection.load > most) {
                 worst = Some((i, connection.load));
             }
         }

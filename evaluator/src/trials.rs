@@ -116,10 +116,10 @@ mod tests {
 
     #[test]
     fn what_falls_over_is_not_calm() {
-        // The giraffe's tail hangs on two magnets, which are too weak for a heavy one.
+        // The giraffe's tail hangs on two magnets, which are too weak for twice its weight.
         let mut weak = EnvironmentConfig::default();
         weak.magnets.break_force_n = 1.0;
-        weak.physics.density_kgpm3 *= 3.0;
+        weak.physics.density_kgpm3 *= 2.0;
         let blueprint = Catalog::builtin().get(&"literal_14_000".parse().unwrap()).unwrap();
         assert!(!settle(&weak, blueprint).unwrap().is_calm());
     }
