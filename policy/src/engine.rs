@@ -1,5 +1,5 @@
-//! The network in the form that computes fastest where it runs: [`crate::cpu`] for graph attention on a CPU, burn for the ablations
-//! and on a GPU.
+//! The network in the form that computes fastest where it runs: [`crate::cpu`] for the graph's encoder on a CPU, burn for the
+//! baseline without a graph and on a GPU.
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 
@@ -164,7 +164,7 @@ impl Engine {
             Form::Cpu { network, .. } => {
                 let (rows, mut tape): (Vec<usize>, _) = ((0..batch.n).collect(), Tape::default());
                 let logits = network.forward(batch, &rows, &mut tape).logits.clone();
-                (tape.attention(), logits)
+                (if network.attends() { tape.attention() } else { Vec::new() }, logits)
             }
             Form::Burn { plain, folded, .. } => (Vec::new(), run_on_burn(plain, folded, batch, &self.device).logits),
         }

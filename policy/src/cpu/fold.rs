@@ -61,7 +61,7 @@ impl Fold {
         let is_raw = shape.attends_to_raw(layer);
         let (embed, embed_edge, edge_bias) =
             (net.of(&spans.embed_node), net.of(&spans.embed_edge.w), net.of(&spans.embed_edge.b));
-        let heads: Vec<Head> = (0..shape.gat.n_heads).map(|h| Head::new(net, &spans.layers[layer], h)).collect();
+        let heads: Vec<Head> = (0..shape.n_heads).map(|h| Head::new(net, &spans.layers[layer], h)).collect();
         let mut fold = Self {
             is_raw,
             n_in: if is_raw { shape.sizes.node + 1 } else { w },
@@ -119,8 +119,8 @@ impl Fold {
     /// Adds the gradients of the parameters that these matrices are made of.
     pub(super) fn unfold(&self, net: Context<'_>, layer: usize, folded: &FoldGradient, gradient: &mut [f32]) {
         let Context { arch, shape, spans, .. } = net;
-        let (w, ed, d) = (shape.width, shape.sizes.edge, shape.gat.head_dim);
-        let n_heads = shape.gat.n_heads;
+        let (w, ed, d) = (shape.width, shape.sizes.edge, shape.head_dim);
+        let n_heads = shape.n_heads;
         let inner = n_heads * d;
         let LayerSpans { message, query, key, node_proj, .. } = &spans.layers[layer];
         let (embed, embed_edge, edge_bias) =
@@ -146,13 +146,15 @@ impl Fold {
                 carry = transposed_multiply(arch, embed, w, &carry, w);
             }
             let compare_edge = multiply(arch, &to_edge, embed_edge, ed);
-            let mut of_key = multiply(arch, &compare, &head.query[0], w);
-            add(&mut of_key, &multiply(arch, &compare_edge, &head.query[1], w));
-            of_key.iter_mut().for_each(|g| *g *= scale);
-            add_columns(&mut gradient[key.clone()], inner, h * d, &of_key, d);
-            for (part, compare) in [&compare, &compare_edge].into_iter().enumerate() {
-                let of_query = transposed_multiply(arch, compare, w, &head.key, d);
-                add_columns(&mut gradient[query.clone()][part * w * inner..], inner, h * d, &of_query, d);
+            if let Some((key, query)) = key.as_ref().zip(query.as_ref()) {
+                let mut of_key = multiply(arch, &compare, &head.query[0], w);
+                add(&mut of_key, &multiply(arch, &compare_edge, &head.query[1], w));
+                of_key.iter_mut().for_each(|g| *g *= scale);
+                add_columns(&mut gradient[key.clone()], inner, h * d, &of_key, d);
+                for (part, compare) in [&compare, &compare_edge].into_iter().enumerate() {
+                    let of_query = transposed_multiply(arch, compare, w, &head.key, d);
+                    add_columns(&mut gradient[query.clone()][part * w * inner..], inner, h * d, &of_query, d);
+                }
             }
             // The edge encoder's bias reaches the residual through Me O only.
             let mut carry_edge = transposed_multiply(arch, embed_edge, w, from_edges, w);
@@ -177,14 +179,18 @@ impl Fold {
 impl Head {
     fn new(net: Context<'_>, layer: &LayerSpans, h: usize) -> Self {
         let Context { arch, shape, spans, .. } = net;
-        let (w, d) = (shape.width, shape.gat.head_dim);
-        let inner = shape.gat.n_heads * d;
+        let (w, d) = (shape.width, shape.head_dim);
+        let inner = shape.n_heads * d;
         let by_head = |span: &Span, part: usize| -> Vec<f32> {
             columns(&net.of(span)[part * w * inner..(part + 1) * w * inner], inner, h * d, d)
         };
         let scale = 1.0 / (d as f32).sqrt();
-        let key: Vec<f32> = by_head(&layer.key, 0).into_iter().map(|k| k * scale).collect();
-        let query = [0, 1].map(|part| by_head(&layer.query, part));
+        // Keys and queries of zeros weigh all edges alike, which is what a layer without attention does.
+        let or_zeros = |span: &Option<Span>, part: usize| {
+            span.as_ref().map_or_else(|| vec![0.0; w * d], |span| by_head(span, part))
+        };
+        let key: Vec<f32> = or_zeros(&layer.key, 0).into_iter().map(|k| k * scale).collect();
+        let query = [0, 1].map(|part| or_zeros(&layer.query, part));
         let message = [0, 1].map(|part| by_head(&layer.message, part));
         let project = net.of(&layer.node_proj)[h * d * w..(h + 1) * d * w].to_vec();
         let compare = [0, 1].map(|part: usize| multiply_transposed(arch, &key, &query[part], d));

@@ -48,7 +48,7 @@ pub(super) struct Flow {
 impl Kernels {
     fn new(net: Context<'_>, spans: &LayerSpans, fold: &Fold, pack: impl Fn(&[f32], [usize; 2]) -> Packed) -> Self {
         let shape = net.shape;
-        let (w, ed, heads, hidden) = (shape.width, shape.sizes.edge, shape.gat.n_heads, shape.gat.mlp_hidden);
+        let (w, ed, heads, hidden) = (shape.width, shape.sizes.edge, shape.n_heads, shape.gat.mlp_hidden);
         let (on_node, on_graph) = net.of(&spans.mlp_node[0].w).split_at(w * hidden);
         Self {
             to_node: pack(&fold.to_node, [fold.n_in, heads * fold.n_in]),
@@ -82,7 +82,7 @@ impl Layer {
     /// Computes layer `l` of `x` from what the layers before it left.
     pub(super) fn forward(&self, net: Context<'_>, l: usize, x: &mut Activations) {
         let Context { arch, shape, .. } = net;
-        let (w, heads, hidden) = (shape.width, shape.gat.n_heads, shape.gat.mlp_hidden);
+        let (w, heads, hidden) = (shape.width, shape.n_heads, shape.gat.mlp_hidden);
         let (n, rows) = (x.n, x.n * 16);
         let (before, y) = x.split(l);
         let (forward, spans) = (&self.forward, &self.spans);
@@ -143,7 +143,7 @@ impl Layer {
         gradient: &mut [f32],
     ) {
         let Context { arch, shape, .. } = net;
-        let (w, heads, hidden, ed) = (shape.width, shape.gat.n_heads, shape.gat.mlp_hidden, shape.sizes.edge);
+        let (w, heads, hidden, ed) = (shape.width, shape.n_heads, shape.gat.mlp_hidden, shape.sizes.edge);
         let (n, rows) = (x.n, x.n * 16);
         let (before, y) = x.split(l);
         let spans = &self.spans;

@@ -1,7 +1,7 @@
 //! The graph network on the CPU: forward and backward passes written out.
 //!
-//! The same numbers as [`crate::Network`] on burn, which is the oracle of its tests, and what runs on a GPU and for the
-//! ablations. Here large buffers are kept from pass to pass, a few graphs at a time stay in the cache, and the first layer attends to
+//! The same numbers as [`crate::Network`] on burn, which is the oracle of its tests, and what runs on a GPU and for
+//! the baseline without a graph. Here large buffers are kept from pass to pass, a few graphs at a time stay in the cache, and the first layer attends to
 //! raw features.
 //!
 //! Reading order: `matmul` and `ops` (what everything is made of) → `spans` (where parameters lie) → `fold` → `attend` → `layer` →
@@ -32,7 +32,7 @@ use crate::features::FeatureSizes;
 use crate::parameters::{ParameterError, ParameterSpec};
 use crate::{FeatureBatch, parameters};
 
-/// A network of graph attention with parameters, ready to compute.
+/// A graph network with parameters, ready to compute.
 #[derive(Clone, Debug)]
 pub struct CpuNetwork {
     arch: Arch,
@@ -61,7 +61,8 @@ pub struct Tape {
 }
 
 impl Tape {
-    /// The weights of the attention in each layer of the last forward pass, `[n, 16 receivers, heads, 16 senders]`.
+    /// The weights of the edges in each layer of the last forward pass, `[n, 16 receivers, heads, 16 senders]`; without
+    /// attention they are equal, for one head.
     pub fn attention(&self) -> Vec<Vec<f32>> {
         let parts = &self.parts[..self.n_parts];
         let n_layers = parts.first().map_or(0, |part| part.layers.len());
@@ -94,6 +95,11 @@ impl CpuNetwork {
             shape,
             spans,
         })
+    }
+
+    /// Whether its layers attend, rather than average.
+    pub fn attends(&self) -> bool {
+        self.shape.gat.attention
     }
 
     /// The parameters, flat.
@@ -217,7 +223,7 @@ pub struct NetworkLayout {
 }
 
 impl NetworkLayout {
-    /// Of a configuration whose parameters are listed in `table`; `None` if it is not one of graph attention.
+    /// Of a configuration whose parameters are listed in `table`; `None` if its encoder is not the graph's.
     pub fn new(config: &NetworkConfig, sizes: &FeatureSizes, table: &[ParameterSpec]) -> Option<Self> {
         let shape = Shape::new(config, sizes)?;
         let spans = Spans::new(&shape, table);

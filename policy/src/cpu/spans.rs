@@ -26,6 +26,9 @@ pub(super) type Span = Range<usize>;
 pub(super) struct Shape {
     pub(super) sizes: FeatureSizes,
     pub(super) gat: GatConfig,
+    /// Heads of a layer and the width of each. Heads that all average alike add up to one, so there is one without attention.
+    pub(super) n_heads: usize,
+    pub(super) head_dim: usize,
     pub(super) width: usize,
     pub(super) n_grippers: usize,
     pub(super) scale: ScaleConfig,
@@ -46,8 +49,9 @@ pub(super) type Norm = [Span; 2];
 #[derive(Clone, Debug)]
 pub(super) struct LayerSpans {
     pub(super) message: Span,
-    pub(super) query: Span,
-    pub(super) key: Span,
+    /// Both are absent without attention.
+    pub(super) query: Option<Span>,
+    pub(super) key: Option<Span>,
     pub(super) node_proj: Span,
     pub(super) ln_attn: Norm,
     pub(super) mlp_node: [Linear; 2],
@@ -83,12 +87,16 @@ impl<'a> Context<'a> {
 }
 
 impl Shape {
-    /// None if the network is not one of graph attention.
+    /// None if the encoder is not the graph's.
     pub(super) fn new(config: &NetworkConfig, sizes: &FeatureSizes) -> Option<Self> {
         let EncoderConfig::Gat(gat) = config.encoder else { return None };
-        gat.attention.then(|| Self {
+        let (n_heads, head_dim) =
+            if gat.attention { (gat.n_heads, gat.head_dim) } else { (1, gat.n_heads * gat.head_dim) };
+        Some(Self {
             sizes: *sizes,
             gat,
+            n_heads,
+            head_dim,
             width: config.width,
             n_grippers: usize::from(config.n_grippers),
             scale: config.scale,
@@ -124,8 +132,8 @@ impl Spans {
             let name = |part: &str| format!("layer{l}.{part}");
             LayerSpans {
                 message: span(&name("message.w")),
-                query: span(&name("query.w")),
-                key: span(&name("key.w")),
+                query: shape.gat.attention.then(|| span(&name("query.w"))),
+                key: shape.gat.attention.then(|| span(&name("key.w"))),
                 node_proj: span(&name("node_proj.w")),
                 ln_attn: norm(&name("ln_attn")),
                 mlp_node: mlp(&name("mlp_node")),

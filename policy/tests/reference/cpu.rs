@@ -94,6 +94,7 @@ fn kernels_equal_burn_whatever_the_shape() {
     let paper = FeatureSizes::new(&FeatureConfig::paper());
     check("all features", &default, FeatureSizes::new(&FeatureConfig::default()), 11);
     check("self-edges", &with(GatConfig { self_edges: true, ..gat }), paper, 2);
+    check("equal weights", &with(GatConfig { attention: false, ..gat }), paper, 3);
     // Nodes have more features than the network is wide, so the first layer does not attend to them; nothing is a multiple of a
     // vector's width.
     let odd = NetworkConfig {

@@ -211,15 +211,21 @@ fn check(gat: GatConfig, n_grippers: u8) {
         let error = relative_error(ours, expected);
         assert!(error <= 2e-5, "{name} is off by {error:e} with {gat:?} and {n_grippers} grippers");
     }
-    let Some(layout) = NetworkLayout::new(&config, &sizes, network.table()) else {
-        assert!(!gat.attention);
-        return;
-    };
+    let layout = NetworkLayout::new(&config, &sizes, network.table()).expect("a graph network");
     let mut batch = FeatureBatch::new(&FeatureConfig::paper());
     (batch.n, batch.sizes, batch.nodes, batch.edges, batch.globals) = (1, sizes, nodes, edges, raw);
     let mut tape = Tape::default();
     CpuNetwork::new(&layout, &flat, false).unwrap().forward(&batch, &[0], &mut tape);
     assert_eq!(tape.attention().len(), gat.n_layers);
+    if !gat.attention {
+        let equal = 1.0 / if gat.self_edges { N as f32 } else { (N - 1) as f32 };
+        let is_equal = |i: usize, weight: f32| weight == if gat.self_edges || i / N != i % N { equal } else { 0.0 };
+        for weights in tape.attention() {
+            assert_eq!(weights.len(), N * N);
+            assert!(weights.iter().enumerate().all(|(i, weight)| is_equal(i, *weight)), "{weights:?}");
+        }
+        return;
+    }
     for (l, ours) in tape.attention().into_iter().enumerate() {
         assert_eq!(ours.len(), N * gat.n_heads * N);
         let rows = (0..N).flat_map(|r| (0..gat.n_heads).map(move |h| (format!("layer{l}"), r, h)));
