@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::access;
-use super::security::{Keys, KeysError, SecurityConfig, is_endpoint, is_quic, is_reachable};
+use super::security::{Keys, KeysError, SecurityConfig, has_any_port, is_endpoint, is_quic, is_reachable};
 use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
 use proto::setting::Section;
 use proto::{InvalidSetting, keys, settings};
@@ -71,6 +71,9 @@ pub enum BusConfigError {
         /// The given text.
         endpoint: String,
     },
+    /// The system would choose the port of a listener, and nobody could know where to connect.
+    #[error("bus.listen: nobody could know the port of {0}, which the system would choose; name one from 1 to 65535")]
+    NoPort(String),
     /// Other machines could reach a listener that has no access control.
     #[error(
         "bus.listen: anybody who reaches {0} could replace the weights; run `lodestone keys new DIR --host NAME` once, then \
@@ -117,6 +120,9 @@ impl BusConfig {
             if let Some(endpoint) = endpoints.iter().find(|endpoint| !is_endpoint(endpoint)) {
                 return Err(BusConfigError::Endpoint { field, endpoint: endpoint.clone() });
             }
+        }
+        if let Some(any) = self.listen.iter().find(|endpoint| has_any_port(endpoint)) {
+            return Err(BusConfigError::NoPort(any.clone()));
         }
         if let Some(open) = self.listen.iter().find(|endpoint| !has_keys && is_reachable(endpoint)) {
             return Err(BusConfigError::OpenListener(open.clone()));
@@ -209,6 +215,8 @@ mod tests {
         assert_eq!(router("tcp/127.0.0.1:7447").validate(), Ok(()));
         let message = router("tls/127.0.0.1:7447").validate().unwrap_err().to_string();
         assert!(message.starts_with("bus.listen: `tls/127.0.0.1:7447` is no endpoint"), "{message}");
+        let message = router("tcp/127.0.0.1:0").validate().unwrap_err().to_string();
+        assert!(message.starts_with("bus.listen: nobody could know the port of tcp/127.0.0.1:0"), "{message}");
         let message = router("quic/127.0.0.1:7447").validate().unwrap_err().to_string();
         assert_eq!(message, "bus.listen: quic/127.0.0.1:7447 needs keys; name their folder with `--keys DIR`");
         let mut config = router("quic/0.0.0.0:7447");

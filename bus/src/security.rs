@@ -147,6 +147,12 @@ pub(super) fn is_endpoint(text: &str) -> bool {
     }
 }
 
+/// Whether the system chooses the endpoint's port.
+pub(super) fn has_any_port(endpoint: &str) -> bool {
+    let address = endpoint.split(['?', '#']).next().unwrap_or_default();
+    is_endpoint(address) && address.rsplit_once(':').is_some_and(|(_, port)| port.parse() == Ok(0_u16))
+}
+
 /// Whether the endpoint is encrypted.
 ///
 /// Zenoh's TLS over TCP is excluded: it reads and writes one stream from two tasks at once (zenoh issue 2557), and
@@ -181,10 +187,20 @@ mod tests {
     use super::*;
 
     #[test]
+    fn port_zero_is_any_port() {
+        for endpoint in ["tcp/127.0.0.1:0", "tcp/[::]:0", "quic/127.0.0.1:00?prio=1"] {
+            assert!(has_any_port(endpoint), "{endpoint}");
+        }
+        for endpoint in ["tcp/127.0.0.1:70", "tcp/[::0]:1", "unixsock-stream//tmp/bus.sock", "quic/a:7447#a=:0"] {
+            assert!(!has_any_port(endpoint), "{endpoint}");
+        }
+    }
+
+    #[test]
     fn only_loopback_and_unix_sockets_are_unreachable() {
         for endpoint in [
             "tcp/127.0.0.1:7447",
-            "tcp/127.8.0.1:0",
+            "tcp/127.8.0.1:7447",
             "tcp/localhost:7447",
             "tcp/[::1]:7447",
             "quic/127.0.0.1:7447?prio=1",

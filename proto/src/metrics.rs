@@ -184,7 +184,7 @@ pub struct ActorMetrics {
 pub struct ActorDrops {
     /// Refused by the learner as stale.
     pub stale_total: u64,
-    /// Refused because the learner's mailbox was full.
+    /// Pushed out of a full backlog by newer ones while the learner had all it can hold.
     pub full_total: u64,
     /// Refused by the learner as invalid.
     pub invalid_total: u64,
