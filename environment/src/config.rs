@@ -170,6 +170,13 @@ pub enum ForcePenalty {
     PerStep,
 }
 
+impl EnvironmentConfig {
+    /// The same without randomization: every episode has the settings themselves.
+    pub fn nominal(&self) -> Self {
+        Self { randomization: RandomizationConfig::default(), ..self.clone() }
+    }
+}
+
 impl RandomizationConfig {
     fn order(&self, path: &str) -> Result<(), InvalidSetting> {
         let Self { snap_gap_m, snap_angle_deg, break_force, friction, density, transition_delay_steps } = *self;

@@ -49,6 +49,9 @@ settings! {
         pub n_episodes: u32 = 40, in 1..=10_000;
         /// How they begin.
         pub starts: Starts = Starts::Scattered;
+        /// Whether each world draws its settings within `environment.randomization`, as in training. By default all worlds
+        /// have those of the environment itself, so that runs can be compared.
+        pub randomization: bool = false;
         /// Ways of acting.
         pub acting: Vec<ActionMode> = vec![ActionMode::Greedy, ActionMode::Sampled],
             where |c| !c.acting.is_empty() && are_distinct(&c.acting) => "\"mode\", \"sampled\" or both";

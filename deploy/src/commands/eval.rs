@@ -34,13 +34,14 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     } else {
         named.iter().map(AsRef::as_ref).collect()
     };
+    let environment = config.evaluation_environment();
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
     episodes.n_threads = args.threads.map_or_else(n_cores, usize::from);
     let setup = EvalSetup {
         catalog,
-        environment: config.environment,
+        environment,
         episodes,
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
         seed: config.seed,

@@ -56,7 +56,7 @@ pub(super) fn run(command: &ExpertCommand, terminal: &Terminal, shutdown: &Cance
 
 fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
-    let mut environment = defaults(&overrides)?.environment;
+    let mut environment = defaults(&overrides)?.evaluation_environment();
     // Past the check that the policy has as many: no policy acts here.
     environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
     let goals = Goals::open(&[&args.ids[..], &args.blueprint[..]].concat())?;

@@ -64,7 +64,7 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     };
     let setup = EvalSetup {
         catalog: goals.catalog(),
-        environment: config.environment.clone(),
+        environment: config.evaluation_environment(),
         // One world for a thread: what a policy does in several at once depends on who they are by rounding, and on time.
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
@@ -168,7 +168,7 @@ fn begin(
             StartArg::Prebuilt => [("prebuilt", 1.0)].into(),
             StartArg::Mixed => [("scattered", 0.8), ("prebuilt", 0.2)].into(),
         },
-        settings: &config.environment,
+        settings: &config.evaluation_environment(),
         features: &config.policy.features,
     };
     Ok(Writer::create(&args.out, about, Spaces::new(&config.policy.features), &world)?)

@@ -284,7 +284,7 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
     EvaluatorSetup {
         config: config.evaluator.clone(),
         policy: config.policy.clone(),
-        environment: config.environment.clone(),
+        environment: config.evaluation_environment(),
         id,
         seed: config.seed,
         records: run_dir.map(RunPaths::new),

@@ -86,6 +86,11 @@ impl Config {
         self.check().map_err(|message| ConfigError::Invalid { origin: "configuration".to_owned(), message })
     }
 
+    /// The world in which policies are judged and shown.
+    pub fn evaluation_environment(&self) -> EnvironmentConfig {
+        if self.evaluator.episodes.randomization { self.environment.clone() } else { self.environment.nominal() }
+    }
+
     fn check(&self) -> Result<(), String> {
         self.validate_at("").map_err(|error| error.to_string())?;
         // These know more than ranges.
@@ -125,6 +130,21 @@ fn shorten(value: &mut toml::Value) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn policies_are_judged_in_one_world_unless_asked_otherwise() {
+        let parse = |more: &str| {
+            let text = format!(
+                "[environment.magnets]\nsnap_gap_m = 0.02\n[environment.randomization]\nfriction = [0.5, 2.0]\n{more}"
+            );
+            Config::parse(&text, "file").unwrap()
+        };
+        let config = parse("");
+        let judged = config.evaluation_environment();
+        assert_eq!((judged.randomization.friction, judged.magnets.snap_gap_m), (None, 0.02));
+        let drawn = parse("[evaluator.episodes]\nrandomization = true").evaluation_environment();
+        assert_eq!(drawn, config.environment);
+    }
 
     #[test]
     fn numbers_are_written_as_they_were_given() {
