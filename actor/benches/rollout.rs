@@ -1,7 +1,8 @@
 //! What a step of an actor costs and where the time goes, in microseconds of CPU time per environment step.
 //!
 //! `cargo bench -p actor` rolls out 64 worlds on one thread with the default network, untrained, and the expert acting, so
-//! that structures are built. Parts are timed again by themselves on the scenes that came out of it; the world is what remains.
+//! that structures are built. Parts are timed again by themselves on the scenes that came out of it; the world is what remains of the
+//! whole, and the forward pass what remains of the policy.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -11,6 +12,8 @@ use std::hint::black_box;
 use actor::{DaggerConfig, DaggerMixture, Identity, Rollout, RolloutSetup, TaskConfig};
 use blueprints::{Blueprint, Catalog};
 use environment::{EnvironmentConfig, Expert, World};
+use policy::cpu::Outputs;
+use policy::distribution::ActionDistribution;
 use policy::{DeviceKind, Engine, FeatureBatch, Policy, PolicyConfig};
 use proto::codec::encode_trajectory;
 use proto::{ActionMode, ActorId, Agent, Normalization, Observation, Scene, Trajectory, Weights, WeightsVersion};
@@ -49,17 +52,27 @@ fn main() {
 
     let mut batch = FeatureBatch::new(&policy.features);
     let features = best_of(n_steps, || batches.iter().for_each(|observations| batch.fill(observations)));
-    let (mut engine, rows) = (engine(&policy), (0..N_WORLDS).collect::<Vec<_>>());
-    let forward = best_of(n_steps, || {
-        for _ in &batches {
-            black_box(engine.run(&batch, &rows));
-        }
-    });
     let mut agent = Policy::with_weights(&policy, &weights).unwrap();
     let mut rngs: Vec<ChaCha8Rng> = (0..N_WORLDS as u64).map(ChaCha8Rng::seed_from_u64).collect();
     let act = best_of(n_steps, || {
         for observations in &batches {
             black_box(agent.act(observations, &[ActionMode::Sampled; N_WORLDS], &mut rngs).unwrap());
+        }
+    });
+    let rows: Vec<usize> = (0..N_WORLDS).collect();
+    let Outputs { locs, scales, logits, .. } = engine(&policy).run(&batch, &rows);
+    let (locs, scales, logits) = (locs.chunks_exact(96), scales.chunks_exact(96), logits.chunks_exact(32));
+    let distributions: Vec<ActionDistribution<'_>> = locs
+        .zip(scales)
+        .zip(logits)
+        .map(|((locs, scales), logits)| ActionDistribution::new(logits, locs, scales, policy.joint_form))
+        .collect();
+    let sampling = best_of(n_steps, || {
+        for _ in &batches {
+            for (distribution, rng) in distributions.iter().zip(&mut rngs) {
+                let action = distribution.sample(rng).unwrap();
+                black_box(distribution.log_prob(&action));
+            }
         }
     });
     let mut experts: Vec<Option<Expert>> =
@@ -80,8 +93,8 @@ fn main() {
     for (part, cost) in [
         ("world", world),
         ("features", features),
-        ("forward pass", forward),
-        ("sampling", act - features - forward),
+        ("forward pass", act - features - sampling),
+        ("sampling", sampling),
         ("expert's label", expert),
         ("encoding", sending),
         ("all", whole + sending),
