@@ -4,6 +4,7 @@ mod buildings;
 mod furniture;
 mod letters;
 mod records;
+mod spine;
 
 use std::collections::BTreeSet;
 
@@ -58,6 +59,7 @@ pub(super) fn sketch(style: Style, n_blocks: usize, idea: usize, dice: &mut Dice
         Style::Ring => furniture::ring(volume, dice),
         Style::Cross => furniture::cross(volume, dice),
         Style::Letter => letters::letter(volume, dice),
+        Style::Spine => spine::spine(volume, dice),
         Style::Longest => records::longest(n_blocks, idea, dice),
         Style::Tallest => records::tallest(n_blocks, idea, dice),
     }

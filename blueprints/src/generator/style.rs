@@ -34,6 +34,8 @@ pub enum Style {
     Cross,
     /// A capital letter.
     Letter,
+    /// A long row with arms, shorter than the longest.
+    Spine,
     /// As long as the stock and the checks allow.
     Longest,
     /// As high as the stock and the checks allow.
@@ -47,7 +49,7 @@ pub struct InvalidStyle(pub String);
 
 impl Style {
     /// All styles.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Any,
         Self::Tower,
         Self::Wall,
@@ -59,12 +61,13 @@ impl Style {
         Self::Ring,
         Self::Cross,
         Self::Letter,
+        Self::Spine,
         Self::Longest,
         Self::Tallest,
     ];
 
     /// The styles of training goals by default: all but the longest and the tallest, which are held out.
-    pub const TRAINING: [Self; 11] = [
+    pub const TRAINING: [Self; 12] = [
         Self::Any,
         Self::Tower,
         Self::Wall,
@@ -76,6 +79,7 @@ impl Style {
         Self::Ring,
         Self::Cross,
         Self::Letter,
+        Self::Spine,
     ];
 
     /// The name used in ids and flags.
@@ -92,6 +96,7 @@ impl Style {
             Self::Ring => "ring",
             Self::Cross => "cross",
             Self::Letter => "letter",
+            Self::Spine => "spine",
             Self::Longest => "longest",
             Self::Tallest => "tallest",
         }
@@ -102,7 +107,7 @@ impl Style {
         let least = match self {
             Self::Any | Self::Tower | Self::Wall | Self::Stairs | Self::Pyramid | Self::Table => 2,
             Self::Arch | Self::Cross | Self::Letter => 3,
-            Self::Bridge | Self::Ring | Self::Longest | Self::Tallest => 4,
+            Self::Bridge | Self::Ring | Self::Spine | Self::Longest | Self::Tallest => 4,
         };
         least..=N_BLOCKS
     }

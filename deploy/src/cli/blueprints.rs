@@ -55,7 +55,7 @@ pub struct GenerateArgs {
     /// Another seed gives other structures, the same seed the same.
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
-    /// What they look like: any, tower, wall, arch, bridge, stairs, pyramid, table, ring, cross, letter, longest or
+    /// What they look like: any, tower, wall, arch, bridge, stairs, pyramid, table, ring, cross, letter, spine, longest or
     /// tallest.
     #[arg(long, value_name = "STYLE", default_value_t = Style::Any)]
     pub style: Style,
