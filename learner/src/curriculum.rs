@@ -114,23 +114,26 @@ fn set_probabilities(tasks: &mut BTreeMap<BlueprintId, TaskState>, weight: impl 
 
 /// Distributes the probability over the numbers of blocks in use, and each share over its blueprints.
 fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) {
-    // Sum of the success rates, and number of blueprints, by number of blocks.
+    // Sum of the success rates, and number of blueprints, by number of blocks in use.
     let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
     for task in tasks.values() {
         let (sum, n) = sizes.entry(task.n_blocks).or_default();
         *sum += task.success_rate;
         *n += 1;
     }
-    let mut in_use: BTreeMap<usize, usize> = BTreeMap::new();
-    for (&size, &(sum, n)) in &sizes {
-        in_use.insert(size, n);
-        if size >= config.first_size && sum / (n as f64) < config.gate {
-            break;
-        }
+    let is_gate =
+        |(size, (sum, n)): (&usize, &(f64, usize))| *size >= config.first_size && sum / (*n as f64) < config.gate;
+    if let Some(largest) = sizes.iter().find(|entry| is_gate(*entry)).map(|(&size, _)| size) {
+        sizes.retain(|&size, _| size <= largest);
     }
     for task in tasks.values_mut() {
-        let n = in_use.get(&task.n_blocks).map(|n| n * in_use.len());
-        task.probability = n.map_or(0.0, |n| 1.0 / n as f64);
+        task.probability = sizes.get(&task.n_blocks).map_or(0.0, |&(sum, n)| {
+            let (n_failures, n) = (n as f64 - sum, n as f64);
+            // Where nothing fails, all are alike.
+            let by_failures = if n_failures > 1e-9 { (1.0 - task.success_rate) / n_failures } else { 1.0 / n };
+            let share = (1.0 - config.failures) / n + config.failures * by_failures;
+            share / sizes.len() as f64
+        });
     }
 }
 
@@ -170,7 +173,7 @@ mod tests {
     fn sizes_widen_with_success_and_share_equally() {
         let ids: Vec<BlueprintId> =
             ["2_000", "2_001", "3_000", "5_000"].map(|id| id.to_owned().try_into().unwrap()).into();
-        let config = WideningConfig { tau: 0.5, first_size: 2, gate: 0.6, episodes_per_batch: 2 };
+        let config = WideningConfig { tau: 0.5, first_size: 2, gate: 0.6, failures: 0.0, episodes_per_batch: 2 };
         let sizes = [2, 2, 3, 5];
         let mut curriculum = Curriculum::new(CurriculumConfig::Widening(config), ids.iter().cloned().zip(sizes));
         assert_eq!(probabilities(&curriculum), [0.5, 0.5, 0.0, 0.0]);
@@ -184,6 +187,20 @@ mod tests {
         assert_eq!(both([true, true]), [0.25, 0.25, 0.5, 0.0]);
         // Lower rates narrow it again: 0.4375 and 0.3125.
         assert_eq!(both([false, false]), [0.5, 0.5, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn what_fails_may_be_drawn_more_often() {
+        let ids = ids(3);
+        let config = WideningConfig { tau: 0.5, failures: 0.6, episodes_per_batch: 3, ..WideningConfig::default() };
+        let mut curriculum = Curriculum::new(CurriculumConfig::Widening(config), of_two(&ids));
+        for (id, success) in ids.iter().zip([true, false, false]) {
+            curriculum.record(id, success);
+        }
+        // Rates 0.5, 0, and 0: a fifth and two fifths of the failures, of which 0.6 count; 0.4 are for all alike.
+        for (p, expected) in probabilities(&curriculum).iter().zip([0.2, 0.4, 0.4]) {
+            assert!((p - (0.4 / 3.0 + 0.6 * expected)).abs() < 1e-12);
+        }
     }
 
     #[test]

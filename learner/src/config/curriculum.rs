@@ -61,6 +61,9 @@ settings! {
         /// The next larger blueprints come in when those with `first_size` blocks, and each larger number in use,
         /// succeed as often as this in the mean.
         pub gate: f64 = 0.6, in above_to(0.0, 1.0);
+        /// Share of the draws of a number of blocks in which a blueprint is the likelier the more often it fails; in the
+        /// others all are alike.
+        pub failures: f64 = 0.0, in 0.0..=1.0;
         /// Finished episodes between two changes of the probabilities.
         pub episodes_per_batch: usize = 64, in 1..=65536;
     }
