@@ -233,8 +233,12 @@ impl Passes {
         let (blocks, moves) = (entropy.blocks.sum(), entropy.moves.sum());
         let (old, target) = (column(&targets.old_values), column(&targets.value_targets));
         let value = value_loss(values, old, target, config.value_clip).sum();
-        let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
-        let mut loss = (policy.clone() - entropies) * config.policy + value.clone() * config.value_coefficient;
+        let mut loss = value.clone() * config.value_coefficient;
+        // A ratio far from 1 overflows while labels move the policy, and infinity times a weight of 0 is no number.
+        if config.policy > 0.0 {
+            let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
+            loss = loss + (policy.clone() - entropies) * config.policy;
+        }
         let mut parts = vec![policy, value, blocks, moves];
         if let Some(imitator) = self.imitator.as_mut().filter(|_| config.imitator_kl > 0.0) {
             let reference = imitator.run(&batch.features, samples);

@@ -158,6 +158,24 @@ fn gradient_step_that_is_not_finite_is_skipped() {
     assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
 }
 
+#[test]
+fn rewards_without_weight_cannot_spoil_a_step() {
+    let mut setup = small_setup(1);
+    setup.config.loss.objective = Objective::Standard;
+    let [none, all] = [0.0, 1.0].map(Schedule::Constant);
+    let imitation = ImitationConfig { weight: none.clone(), ppo_weight: none, value_weight: all, ..Default::default() };
+    setup.config.imitation = Some(imitation);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let before = learner.weights();
+    let mut trajectories = bandit(&setup, &before, 256, &mut ChaCha8Rng::seed_from_u64(3));
+    // The ratio overflows.
+    trajectories[0].transitions[0].behavior_log_prob = -2000.0;
+    feed(&learner, trajectories);
+    let metrics = learner.update().unwrap();
+    assert_eq!(metrics.ppo.n_skipped_steps, 0);
+    assert_ne!(learner.weights().parameters, before.parameters, "the critic learns");
+}
+
 /// The label of every scene of [`labeled`].
 fn expert_label() -> Label {
     let block = |index: u8| BlockIdx::try_from(index).ok();
@@ -216,8 +234,8 @@ fn ppo_uses_only_sampled_actions() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let trajectories = bandit(&setup, &learner.weights(), 300, &mut rng);
     let (sampled, others) = trajectories.split_at(100);
-    feed(&learner, labeled(sampled.to_vec(), Driver::Sample));
-    feed(&learner, labeled(others.to_vec(), Driver::Mode));
+    feed(&learner, labeled(sampled.to_vec(), Driver::Sampled));
+    feed(&learner, labeled(others.to_vec(), Driver::Greedy));
     let update = learner.update().unwrap();
     assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));
     // One minibatch of 64 or more in each of 3 epochs; the first two include the imitation gradient.
