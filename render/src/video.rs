@@ -18,7 +18,7 @@ mod strip;
 #[cfg(test)]
 mod tests;
 
-pub use attention::{AttentionError, EpisodeAttention};
+pub use attention::{AttentionError, EpisodeAttention, Shares};
 pub use collect::Collector;
 pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
 pub use film::{Film, MAX_WIDTH, MIN_WIDTH};

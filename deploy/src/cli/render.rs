@@ -40,6 +40,9 @@ pub struct RenderArgs {
     /// of one checkpoint, or of an exported file. Whoever acted in the episode.
     #[arg(long, value_name = "DIR")]
     pub attention: Option<PathBuf>,
+    /// Print what each head attends to, in the mean over all scenes of all files, and write it to attention.csv; no films.
+    #[arg(long, requires = "attention", conflicts_with_all = ["format", "fps", "width", "connect"])]
+    pub table: bool,
     /// Live episodes of a run's actors.
     #[command(flatten)]
     pub live: LiveArgs,

@@ -2,6 +2,7 @@
 
 mod live;
 mod recordings;
+mod shares;
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -40,6 +41,9 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
     let goals = Goals::new(args)?;
     let policy = policy(args)?;
     let episodes = recordings::read_all(&args.files, &goals)?;
+    if let Some(policy) = policy.as_ref().filter(|_| args.table) {
+        return shares::write(&episodes, policy, args, terminal);
+    }
     make_all(&episodes, args, policy.as_ref(), terminal)
 }
 
@@ -87,14 +91,7 @@ fn make_all(
     for (name, episode) in episodes {
         let making = || format!("making a film of {name}");
         let (ending, bytes) = match policy {
-            Some(policy) => {
-                let refused = |error: render::video::AttentionError| Failure::Recording {
-                    files: name.clone(),
-                    reason: error.to_string(),
-                };
-                make_of_attention(&EpisodeAttention::new(policy, episode).map_err(refused)?, args)
-                    .with_context(making)?
-            }
+            Some(policy) => make_of_attention(&attention(policy, name, episode)?, args).with_context(making)?,
             None => make(episode, args).with_context(making)?,
         };
         let n_bytes = bytes.len();
@@ -104,6 +101,11 @@ fn make_all(
         terminal.print(&format!("{}: {} steps, {} kB", path.display(), episode.n_steps(), n_bytes.div_ceil(1000)));
     }
     Ok(())
+}
+
+fn attention<'e>(policy: &Policy, name: &str, episode: &'e Episode) -> Result<EpisodeAttention<'e>, Failure> {
+    EpisodeAttention::new(policy, episode)
+        .map_err(|error| Failure::Recording { files: name.to_owned(), reason: error.to_string() })
 }
 
 /// The ending of the file's name, and its bytes.

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use blueprints::{BlockIdx, N_BLOCKS};
-use policy::{Attention, Policy};
+use policy::{Attention, EncoderConfig, Policy};
 use proto::{Observation, Scene};
 
 use super::episode::Episode;
@@ -45,6 +45,8 @@ pub enum AttentionError {
 pub struct EpisodeAttention<'e> {
     pub(super) episode: &'e Episode,
     scenes: Vec<Attention>,
+    /// Whether a block can attend to itself.
+    self_edges: bool,
 }
 
 /// A source of attention in a policy.
@@ -67,13 +69,30 @@ impl fmt::Display for AttentionSource {
 
 /// Shares of the attention of the goal's blocks, 0 to 1. They overlap and need not sum to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Shares {
+pub struct Shares {
     /// On blocks that the goal connects them to.
-    pub(super) planned: f32,
+    pub planned: f32,
     /// On blocks that they are connected to.
-    pub(super) joined: f32,
+    pub joined: f32,
     /// On blocks held by a gripper.
-    pub(super) held: f32,
+    pub held: f32,
+}
+
+impl Shares {
+    /// The sum, field by field.
+    fn plus(self, other: Self) -> Self {
+        Self { planned: self.planned + other.planned, joined: self.joined + other.joined, held: self.held + other.held }
+    }
+
+    fn times(self, factor: f32) -> Self {
+        Self { planned: self.planned * factor, joined: self.joined * factor, held: self.held * factor }
+    }
+
+    /// Their mean; 0 of none.
+    pub fn mean(all: impl IntoIterator<Item = Self>) -> Self {
+        let (sum, n) = all.into_iter().fold((Self::default(), 0), |(sum, n), shares| (sum.plus(shares), n + 1));
+        sum.times(1.0 / n.max(1) as f32)
+    }
 }
 
 impl<'e> EpisodeAttention<'e> {
@@ -96,14 +115,20 @@ impl<'e> EpisodeAttention<'e> {
         for some in observations.chunks(BATCH) {
             scenes.extend(policy.attention(some));
         }
-        if scenes[0].n_layers() == 0 { Err(AttentionError::NoAttention) } else { Ok(Self { episode, scenes }) }
+        if scenes[0].n_layers() == 0 {
+            return Err(AttentionError::NoAttention);
+        }
+        let self_edges = matches!(&policy.config().network.encoder, EncoderConfig::Gat(gat) if gat.self_edges);
+        Ok(Self { episode, scenes, self_edges })
     }
 
-    pub(super) fn n_layers(&self) -> usize {
+    /// Layers of the network.
+    pub fn n_layers(&self) -> usize {
         self.scenes[0].n_layers()
     }
 
-    pub(super) fn n_heads(&self) -> usize {
+    /// Heads of each layer.
+    pub fn n_heads(&self) -> usize {
         self.scenes[0].n_heads()
     }
 
@@ -142,14 +167,24 @@ impl<'e> EpisodeAttention<'e> {
     }
 
     /// Shares of a head's attention after `n_done` steps.
-    pub(super) fn shares(&self, layer: usize, head: usize, n_done: usize) -> Shares {
+    pub fn shares(&self, layer: usize, head: usize, n_done: usize) -> Shares {
+        self.shares_of(n_done, |receiver, sender| self.scenes[n_done].row(layer, head, receiver)[sender.get()])
+    }
+
+    /// What the shares after `n_done` steps would be if every block got as much.
+    pub fn uniform_shares(&self, n_done: usize) -> Shares {
+        let n_senders = if self.self_edges { N_BLOCKS } else { N_BLOCKS - 1 };
+        let weight = 1.0 / n_senders as f32;
+        self.shares_of(n_done, |receiver, sender| if sender == receiver && !self.self_edges { 0.0 } else { weight })
+    }
+
+    fn shares_of(&self, n_done: usize, weight: impl Fn(BlockIdx, BlockIdx) -> f32) -> Shares {
         let (goal, scene) = (self.episode.goal(), &self.episode.scenes()[n_done]);
         let mut shares = Shares::default();
         let each = 1.0 / goal.placements().len() as f32;
         for receiver in self.receivers() {
-            let row = self.scenes[n_done].row(layer, head, receiver);
             for sender in BlockIdx::all() {
-                let weight = each * row[sender.get()];
+                let weight = each * weight(receiver, sender);
                 let is_joined =
                     |joint: &proto::Joint| [(joint.a, joint.b), (joint.b, joint.a)].contains(&(receiver, sender));
                 shares.planned += if goal.link(receiver, sender).is_some() { weight } else { 0.0 };

@@ -52,7 +52,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
             start: Start::Scattered,
             seed: 1,
         },
-        driver: proto::Driver::Sample,
+        driver: proto::Driver::Sampled,
         first_step: first,
         n_burn_in_steps: 0,
         transitions: (first..last).map(transition).collect(),
@@ -245,6 +245,13 @@ fn attention_covers_every_head_and_refuses_other_worlds() {
     let shares = attention.shares(1, 2, 2);
     assert!((shares.planned - 0.5 * (row(a)[b.get()] + row(b)[a.get()])).abs() < 1e-5, "{shares:?}");
     assert!((shares.held - 0.5 * (row(a)[0] + row(b)[0])).abs() < 1e-5 && shares.joined == 0.0, "{shares:?}");
+    // Of 15 others, one is the neighbor; block 0 is held and belongs to the goal, so one of two receivers sees it.
+    let uniform = attention.uniform_shares(2);
+    assert!((uniform.planned - 1.0 / 15.0).abs() < 1e-6 && uniform.joined == 0.0, "{uniform:?}");
+    assert!((uniform.held - 0.5 / 15.0).abs() < 1e-6, "{uniform:?}");
+    let mean = Shares::mean([shares, uniform]);
+    assert!((mean.held - 0.5 * (shares.held + uniform.held)).abs() < 1e-6);
+    assert_eq!(Shares::mean([]), Shares::default());
     // The episode has one gripper.
     let refused = |policy| EpisodeAttention::new(&policy, &episode).unwrap_err();
     assert_eq!(refused(policy(2, true)), AttentionError::Grippers { episode: 1, network: 2 });

@@ -1,0 +1,65 @@
+//! `render --attention … --table`: what each head attends to, over many episodes.
+
+use std::fmt::Write;
+
+use evaluator::Policy;
+use render::video::Shares;
+
+use super::{Named, attention};
+use crate::cli::RenderArgs;
+use crate::commands::files::write_files;
+use crate::exit::Failure;
+use crate::live::Terminal;
+
+/// Name of the file.
+const FILE: &str = "attention.csv";
+
+/// Writes the mean shares of each head over all scenes, and those of uniform attention, as a file and to the terminal.
+///
+/// # Errors
+/// When the network has no attention or an episode has other grippers, or the file cannot be written.
+pub(super) fn write(
+    episodes: &[Named],
+    policy: &Policy,
+    args: &RenderArgs,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
+    // Shares of each scene, by layer and head; at the end those of uniform attention.
+    let mut heads: Vec<Vec<Shares>> = Vec::new();
+    let mut uniform = Vec::new();
+    let mut n_heads = 1;
+    for (name, episode) in episodes {
+        let attention = attention(policy, name, episode)?;
+        n_heads = attention.n_heads();
+        heads.resize(attention.n_layers() * n_heads, Vec::new());
+        for n_done in 0..attention.n_scenes() {
+            for (idx, shares) in heads.iter_mut().enumerate() {
+                shares.push(attention.shares(idx / n_heads, idx % n_heads, n_done));
+            }
+            uniform.push(attention.uniform_shares(n_done));
+        }
+    }
+    let n_scenes = uniform.len();
+    let named = heads
+        .into_iter()
+        .enumerate()
+        .map(|(idx, shares)| ((idx / n_heads + 1).to_string(), (idx % n_heads + 1).to_string(), Shares::mean(shares)));
+    let rows: Vec<_> = named.chain([("uniform".to_owned(), String::new(), Shares::mean(uniform))]).collect();
+    let mut csv = "layer,head,partner,connected,held\n".to_owned();
+    let mut table = format!("{:<8}{:<6}{:>9}{:>11}{:>8}", "layer", "head", "partner", "connected", "held");
+    for (layer, head, shares) in &rows {
+        let Shares { planned, joined, held } = shares;
+        writeln!(csv, "{layer},{head},{planned:.4},{joined:.4},{held:.4}").expect("a String takes all");
+        let percent = [planned, joined, held].map(|share| 100.0 * share);
+        write!(table, "\n{layer:<8}{head:<6}{:>7.1} %{:>9.1} %{:>6.1} %", percent[0], percent[1], percent[2])
+            .expect("a String takes all");
+    }
+    write_files(&args.out, &[(FILE.to_owned(), csv.into_bytes())])?;
+    terminal.print(&table);
+    terminal.print(&format!(
+        "{}: {} files, {n_scenes} scenes; shares of the attention of the goal's blocks",
+        args.out.join(FILE).display(),
+        episodes.len()
+    ));
+    Ok(())
+}
