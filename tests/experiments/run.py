@@ -1,0 +1,163 @@
+#!/usr/bin/env python3
+"""Runs the experiments of docs/experiments.md and prints their tables.
+
+    python3 tests/experiments/run.py runs/experiments                      # all, seed 1
+    python3 tests/experiments/run.py runs/experiments --seeds 1 2 3 -- compact no-attention
+    python3 tests/experiments/run.py runs/experiments --table              # of what is there, trains nothing
+
+Each experiment is a training of the preset `compact` with one thing changed. A run takes ten to fifteen minutes on two
+cores. What is complete is not run again, and what was cut off goes on from its newest checkpoint. The program must have
+been built: cargo build --release.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+LABELS_TO_THE_END = {"weight": 1.0, "value_weight": 0.0, "ppo_weight": 0.0, "kl_weight": 0.0}
+
+
+def features(*names: str) -> list[str]:
+    """Arguments that switch inputs off."""
+    return [arg for name in names for arg in ("--set", f"policy.features.{name}=false")]
+
+
+def one_task(blueprint: str) -> list[str]:
+    """Arguments that train on one blueprint alone."""
+    ids = f'["{blueprint}"]'
+    pairs = {
+        "actor.tasks.filter": f"{{ blueprints = {ids} }}",
+        "actor.tasks.generated_probability": "0.0",
+        "learner.curriculum": '{ kind = "uniform" }',
+        "evaluator.selection.blueprints": ids,
+        "evaluator.selection.splits": "[]",
+    }
+    return [arg for key, value in pairs.items() for arg in ("--set", f"{key}={value}")]
+
+
+# Name -> what is changed in `compact`.
+EXPERIMENTS: dict[str, list[str]] = {
+    "compact": [],
+    "labels-only": [
+        arg for key, value in LABELS_TO_THE_END.items() for arg in ("--set", f"learner.imitation.{key}={value}")
+    ],
+    **{
+        name: ["--ablation", name]
+        for name in (
+            "no-attention",
+            "resnet",
+            "single-gripper",
+            "no-curriculum",
+            "no-blueprint-resets",
+            "transition-delay",
+        )
+    },
+    "geometry-only": features("plan", "pieces"),
+    "paper-inputs": features("plan", "pieces", "up_axis", "membership", "block_shape", "needed_moves"),
+    **{f"only-{blueprint}": one_task(blueprint) for blueprint in ("6_005", "12_000", "16_001")},
+}
+# What is evaluated without resets as well, as the paper does.
+RESET_FREE = ("compact", "no-blueprint-resets")
+GROUPS = ("train 2-6", "train 7-11", "train 12-16", "validation", "test 12-16", "in a row")
+TASKS = tuple(name.removeprefix("only-") for name in EXPERIMENTS if name.startswith("only-"))
+ACTING = {"greedy": "mode", "sampled": "sampled"}
+
+
+def complete(program: Path, folder: Path, name: str, seed: int, episodes: int) -> None:
+    """Trains and evaluates one run, or what is missing of it."""
+    report = folder / "report.json"
+    if report.exists():
+        return
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    trained = folder.with_suffix(".trained")
+    if not trained.exists():
+        begun = (folder / "config.toml").exists()
+        of_new = ["--preset", "compact", *EXPERIMENTS[name], "--seed", str(seed), "--run-dir", str(folder)]
+        start = ["--resume", str(folder)] if begun else of_new
+        print(f"{name}, seed {seed}: training in {folder}", flush=True)
+        with folder.with_suffix(".log").open("a") as log:
+            subprocess.run([program, "train", *start, "--no-web"], stdout=log, stderr=log, check=True)
+        trained.touch()
+    print(f"{name}, seed {seed}: evaluating", flush=True)
+    reset_free = ["--reset-free"] if name in RESET_FREE else []
+    command = [program, "eval", "--checkpoint", folder, "--episodes", str(episodes), "--json", *reset_free]
+    if name.startswith("only-"):
+        command += ["--blueprint", name.removeprefix("only-")]
+    else:
+        command += [arg for split in ("train", "validation", "test") for arg in ("--split", split)]
+    told = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    part = report.with_suffix(".part")
+    part.write_bytes(told.stdout)
+    part.rename(report)
+
+
+def rates(report: dict[str, Any], mode: str) -> dict[str, float]:
+    """Success by group, without resets, and of the blueprints that have a run of their own."""
+    found = {group["name"]: group[mode]["success"]["rate"] for group in report["summary"]["groups"]}
+    found |= {
+        one["blueprint"]: one[mode]["success"]["rate"]
+        for one in report["blueprints"]
+        if f"only-{one['blueprint']}" in EXPERIMENTS
+    }
+    if reset_free := report["summary"].get("reset_free"):
+        found["in a row"] = reset_free[mode]["outcome"]["success"]["rate"]
+    return found
+
+
+def cell(found: list[float]) -> str:
+    """Mean, and the extremes of several seeds, in percent."""
+    if not found:
+        return "–"
+    mean = f"{100 * statistics.mean(found):.1f}%"
+    return mean if len(found) == 1 else f"{mean} ({100 * min(found):.1f}–{100 * max(found):.1f})"
+
+
+def table(out: Path, names: list[str], columns: tuple[str, ...]) -> str:
+    """Markdown: a row for each experiment and way of acting, of those that have one of the columns."""
+    lines = ["| experiment | seeds | actions | " + " | ".join(columns) + " |", "|---|---|---|" + "---|" * len(columns)]
+    for name in names:
+        reports = [json.loads(path.read_text()) for path in sorted(out.glob(f"{name}/seed-*/report.json"))]
+        for acting, mode in ACTING.items():
+            found = [rates(report, mode) for report in reports]
+            if any(column in one for one in found for column in columns):
+                cells = [cell([one[column] for one in found if column in one]) for column in columns]
+                lines.append(f"| {name} | {len(reports)} | {acting} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Runs what was asked for; the number of runs that failed is the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, help="folder of the runs")
+    parser.add_argument("names", nargs="*", help=f"experiments [default: all]: {', '.join(EXPERIMENTS)}")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1])
+    parser.add_argument("--episodes", type=int, default=10, help="per blueprint, at the end")
+    parser.add_argument("--table", action="store_true", help="train nothing")
+    parser.add_argument("--program", type=Path, default=ROOT / "target/release/lodestone")
+    args = parser.parse_args()
+    names = args.names or list(EXPERIMENTS)
+    if unknown := [name for name in names if name not in EXPERIMENTS]:
+        parser.error(f"no experiment {unknown[0]!r}")
+    n_failed = 0
+    for seed in [] if args.table else args.seeds:
+        for name in names:
+            try:
+                complete(args.program, args.out / name / f"seed-{seed}", name, seed, args.episodes)
+            except subprocess.CalledProcessError as error:
+                print(f"{name}, seed {seed}: failed with {error.returncode}; see its log", file=sys.stderr)
+                n_failed += 1
+    multi_task = [name for name in names if name == "compact" or name.startswith("only-")]
+    print(table(args.out, [name for name in names if not name.startswith("only-")], GROUPS))
+    print("", table(args.out, multi_task, TASKS), sep="\n")
+    return n_failed
+
+
+if __name__ == "__main__":
+    sys.exit(main())
