@@ -16,7 +16,7 @@ use policy::cpu::Outputs;
 use policy::distribution::ActionDistribution;
 use policy::{DeviceKind, Engine, FeatureBatch, Policy, PolicyConfig};
 use proto::codec::encode_trajectory;
-use proto::{ActionMode, ActorId, Agent, Normalization, Observation, Scene, Trajectory, Weights, WeightsVersion};
+use proto::{ActionMode, ActorId, Agent, Normalization, Observation, Scene, Task, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -37,8 +37,10 @@ fn main() {
     }
     let whole = micros(before, N_WORLDS * N_STEPS);
 
-    let blueprints: Vec<&Blueprint> =
-        segments.iter().map(|segment| Catalog::builtin().get(&segment.task.blueprint).unwrap()).collect();
+    // Equal blocks change places from episode to episode.
+    let goal = |task: &Task| Catalog::builtin().get(&task.blueprint).unwrap().permuted(&task.assignment);
+    let goals: Vec<Blueprint> = segments.iter().map(|segment| goal(&segment.task)).collect();
+    let blueprints: Vec<&Blueprint> = goals.iter().collect();
     let scenes: Vec<(&Scene, &Blueprint)> = segments
         .iter()
         .zip(&blueprints)
@@ -56,7 +58,7 @@ fn main() {
     let mut rngs: Vec<ChaCha8Rng> = (0..N_WORLDS as u64).map(ChaCha8Rng::seed_from_u64).collect();
     let act = best_of(n_steps, || {
         for observations in &batches {
-            black_box(agent.act(observations, &[ActionMode::Sampled; N_WORLDS], &mut rngs).unwrap());
+            black_box(agent.act(observations, &[ActionMode::Greedy; N_WORLDS], &mut rngs).unwrap());
         }
     });
     let rows: Vec<usize> = (0..N_WORLDS).collect();

@@ -34,7 +34,7 @@ settings! {
 
     /// Episodes whose first steps are acted by the policy's mode and not learned from (an extension).
     ///
-    /// Noise carries a sampled policy out of states in which its mode would stay for ever, so it hardly meets them;
+    /// Noise carries a sampled policy out of states in which its mode would stay forever, so it hardly meets them;
     /// learning from there on teaches the mode to leave them.
     #[derive(Copy)]
     pub struct BurnInConfig {

@@ -79,9 +79,9 @@ impl DaggerMixture {
         let driver = if by_expert {
             Driver::Expert
         } else if rng.random_bool(config.sampled_share) {
-            Driver::Sample
+            Driver::Sampled
         } else {
-            Driver::Mode
+            Driver::Greedy
         };
         let noise = if by_expert { &config.expert_noise } else { &config.policy_noise };
         let sigma = noise.sigmas[rng.random_range(0..noise.sigmas.len())];
@@ -96,14 +96,15 @@ impl DaggerEpisode {
         self.driver
     }
 
-    /// The action of a step, which is the policy's own unless the dagger has it otherwise, and the expert's label.
+    /// The action that is taken, the policy's own or the expert's, with the episode's noise unless it is a sample; and the
+    /// expert's label.
     pub(crate) fn step(&mut self, scene: &Scene, own: Action, rng: &mut ChaCha8Rng) -> (Action, Option<Label>) {
         let right = self.expert.as_mut().map(|expert| expert.act(scene));
         let label = right.as_ref().and_then(|action| Label::new(action, self.n_grippers));
         let action = match (self.driver, right) {
-            (Driver::Sample, _) => return (own, label),
+            (Driver::Sampled, _) => return (own, label),
             (Driver::Expert, Some(right)) => right,
-            (Driver::Expert | Driver::Mode, _) => own,
+            (Driver::Expert | Driver::Greedy, _) => own,
         };
         (self.blurred(action, rng), label)
     }
@@ -167,8 +168,8 @@ mod tests {
         let label = Label::new(&right, 2);
         for (expert_share, sampled_share, driver, action) in [
             (1.0, 0.0, Driver::Expert, &right),
-            (0.0, 1.0, Driver::Sample, &nothing()),
-            (0.0, 0.0, Driver::Mode, &nothing()),
+            (0.0, 1.0, Driver::Sampled, &nothing()),
+            (0.0, 0.0, Driver::Greedy, &nothing()),
         ] {
             let config = DaggerConfig { expert_share: [expert_share; 2], sampled_share, ..Default::default() };
             let mut rng = ChaCha8Rng::seed_from_u64(1);

@@ -120,7 +120,7 @@ impl EnvSlot {
     /// How the policy acts in the next step.
     fn mode(&self) -> ActionMode {
         match driver(self.dagger.as_ref()) {
-            Driver::Sample if self.n_burn_in == 0 => ActionMode::Sampled,
+            Driver::Sampled if self.n_burn_in == 0 => ActionMode::Sampled,
             _ => ActionMode::Greedy,
         }
     }
@@ -148,7 +148,7 @@ impl Agent for Mixture<'_> {
             let (action, label) = dagger.step(seen.scene, decision.action, rng);
             slot.label = label;
             // Noise and the expert have no probability under the policy that could be of use.
-            let log_prob = if dagger.driver() == Driver::Sample { decision.log_prob } else { 0.0 };
+            let log_prob = if dagger.driver() == Driver::Sampled { decision.log_prob } else { 0.0 };
             Decision { action, log_prob, ..decision }
         };
         Ok(decisions.zip(rows).map(mix).collect())
@@ -326,7 +326,7 @@ fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
 
 /// Who acts in an episode.
 fn driver(dagger: Option<&DaggerEpisode>) -> Driver {
-    dagger.map_or(Driver::Sample, DaggerEpisode::driver)
+    dagger.map_or(Driver::Sampled, DaggerEpisode::driver)
 }
 
 #[cfg(test)]

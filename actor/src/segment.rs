@@ -85,7 +85,7 @@ impl SegmentBuilder {
     /// The episode ends in its burn-in: the last step becomes a segment of the policy's mode, so that its outcome counts
     /// although nothing is learned from it.
     pub fn end_in_burn_in(&mut self) {
-        self.driver = Driver::Mode;
+        self.driver = Driver::Greedy;
     }
 
     /// Adds a step that led to `after` with `status`, acted by `version`.
@@ -157,12 +157,12 @@ mod tests {
 
     /// Pushes steps `(reward, version, status)` into segments of 3 and lists what they complete.
     fn cuts(steps: &[(f32, u64, Status)]) -> Vec<Cut> {
-        let mut builder = SegmentBuilder::new(3, toy::task(), Driver::Sample);
+        let mut builder = SegmentBuilder::new(3, toy::task(), Driver::Sampled);
         let push = |&(reward, version, status): &(f32, u64, Status)| {
             let version = WeightsVersion(version);
             let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
             if status != Status::Running {
-                builder = SegmentBuilder::new(3, toy::task(), Driver::Sample);
+                builder = SegmentBuilder::new(3, toy::task(), Driver::Sampled);
             }
             cut
         };

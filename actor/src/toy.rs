@@ -103,7 +103,7 @@ pub(crate) fn trajectory() -> Trajectory {
         seq: 0,
         weights_version: WeightsVersion(0),
         task: task(),
-        driver: Driver::Sample,
+        driver: Driver::Sampled,
         first_step: 0,
         n_burn_in_steps: 0,
         transitions: vec![transition],

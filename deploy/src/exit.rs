@@ -96,7 +96,7 @@ pub enum Failure {
     /// A history or run without what is to be shown; code 66.
     #[error("{0}")]
     NothingToShow(String),
-    /// A signal ended an evaluation; what it had found was printed; code 130.
+    /// A signal ended an evaluation or a recording; what there was has been printed or kept; code 130.
     #[error("interrupted after {n_ended} of {n_planned} episodes")]
     Interrupted {
         /// Episodes that had ended.

@@ -71,7 +71,8 @@ pub fn exist(folder: &Path) -> bool {
 /// Makes the authority and the folders of all roles, which are valid for `n_days`.
 ///
 /// The router's certificate is for the names and addresses `hosts`; clients refuse a router that they reach under another one.
-/// Folders are for their owner only. The whole appears at once, so that what was cut short is not taken for keys.
+/// Folders are for their owner only. The router's list of users and its password come last, so that what was cut short is
+/// not taken for keys.
 ///
 /// # Errors
 /// When `folder` holds keys, a host makes no sense, or nothing can be written.

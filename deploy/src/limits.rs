@@ -14,6 +14,12 @@ pub fn allow_many_files() {
     }
 }
 
+/// Threads that step worlds: as many as asked for, otherwise as many as the cores that this process may use.
+pub fn n_threads(asked: Option<u16>) -> usize {
+    let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
+    asked.map_or_else(n_cores, usize::from)
+}
+
 /// Open files that this process may have; `None` for any number.
 pub fn max_files() -> Option<u64> {
     getrlimit(Resource::Nofile).maximum

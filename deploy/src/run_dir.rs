@@ -1,6 +1,7 @@
 //! The folder that a run leaves behind.
 
 use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -72,21 +73,30 @@ struct Meta<'a> {
     resumed_from: Option<&'a Path>,
 }
 
-/// The folder of a run that names none: `runs/<date>-<name>`, and a number if there is one of this minute already.
-pub fn default_folder(config: &Config) -> PathBuf {
+/// Makes the folder of a run that names none: `runs/<date>-<name>`, and a number if there is one of this minute already.
+///
+/// # Errors
+/// When the folder cannot be made.
+pub fn default_folder(config: &Config) -> Result<PathBuf, Failure> {
     let stamp = utc(SystemTime::now()).replace(':', "");
-    first_free(Path::new("runs"), &format!("{stamp}-{}", config.bus.run))
+    make_new(Path::new("runs"), &format!("{stamp}-{}", config.bus.run))
+        .map_err(|error| Failure::Checkpoint(anyhow::Error::new(error).context("making a folder in runs")))
 }
 
-/// `name` in `folder`, or `name-2`, `name-3`, and so on if that exists.
-fn first_free(folder: &Path, name: &str) -> PathBuf {
+/// Makes `name` in `folder`, or `name-2`, `name-3`, and so on if that exists.
+fn make_new(folder: &Path, name: &str) -> io::Result<PathBuf> {
+    fs::create_dir_all(folder)?;
     let mut path = folder.join(name);
     let mut n = 1;
-    while path.exists() {
+    // Made at once, so that two processes of one minute never get the same.
+    while let Err(error) = fs::create_dir(&path) {
+        if error.kind() != io::ErrorKind::AlreadyExists {
+            return Err(error);
+        }
         n += 1;
         path = folder.join(format!("{name}-{n}"));
     }
-    path
+    Ok(path)
 }
 
 impl RunDir {
@@ -98,7 +108,8 @@ impl RunDir {
     /// written. Nothing has been changed then.
     pub fn create(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let started = utc(SystemTime::now());
-        let path = path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), Path::to_owned);
+        let path =
+            path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), |path| Ok(path.to_owned()))?;
         let (paths, shown) = (RunPaths::new(&path), path.display());
         let failed = |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {shown}")));
         fs::create_dir_all(&path).map_err(failed)?;
@@ -176,9 +187,7 @@ mod tests {
     fn runs_of_one_minute_have_folders_of_their_own() {
         let folder = tempfile::tempdir().unwrap();
         for expected in ["run", "run-2", "run-3"] {
-            let path = first_free(folder.path(), "run");
-            assert_eq!(path, folder.path().join(expected));
-            std::fs::create_dir(path).unwrap();
+            assert_eq!(make_new(folder.path(), "run").unwrap(), folder.path().join(expected));
         }
     }
 

@@ -191,7 +191,7 @@ impl Connections {
             engine.apply_impulse(b, impulse, pair.point_b);
         });
         let Some(relative) = nearest.and_then(|pair| pair.snap(pose_a, pose_b, &self.config)) else { return };
-        // In one component the lattice already says how the two stand; another snap would tear at it for ever.
+        // In one component the lattice already says how the two stand; another snap would tear at it forever.
         if self.same_component(a, b) && self.relative_in_component(a, b) != Some(relative) {
             return;
         }

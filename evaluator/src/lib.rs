@@ -41,7 +41,7 @@ pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_e
 pub use follower::Follower;
 pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
-pub use record::{Recorded, Scribe, record};
+pub use record::{Callbacks, Recorded, record};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
 pub use table::{Detail, render, render_expert};

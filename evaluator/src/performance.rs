@@ -85,8 +85,8 @@ impl Credits {
     pub(crate) fn of(performer: Performer<'_>, acting: ActionMode) -> Self {
         let (actor, driver, weights_version) = match (performer, acting) {
             (Performer::Expert, _) => ("expert", Driver::Expert, WeightsVersion(0)),
-            (Performer::Policy(_, weights), ActionMode::Greedy) => ("policy", Driver::Mode, weights.version),
-            (Performer::Policy(_, weights), ActionMode::Sampled) => ("policy", Driver::Sample, weights.version),
+            (Performer::Policy(_, weights), ActionMode::Greedy) => ("policy", Driver::Greedy, weights.version),
+            (Performer::Policy(_, weights), ActionMode::Sampled) => ("policy", Driver::Sampled, weights.version),
         };
         let actor = ActorId::try_from(actor.to_owned()).expect("the name is lower case");
         Self { actor, driver, weights_version }

@@ -28,8 +28,8 @@ pub struct Recorded {
     pub seed: u64,
 }
 
-/// Who records episodes. Both are called by the threads that run them, `on_episode` by one at a time.
-pub struct Scribe<'s> {
+/// What the caller hears of episodes. Both are called by the threads that run them, `on_episode` by one at a time.
+pub struct Callbacks<'s> {
     /// Asked at every step.
     pub keep_going: &'s (dyn Fn() -> bool + Sync),
     /// Takes an episode that ended. Episodes come in the order of the plan: the first of every blueprint, then the second
@@ -38,7 +38,7 @@ pub struct Scribe<'s> {
 }
 
 /// Plays `n_episodes` of the setup for each blueprint; the setup's ways of acting and its reset-free runs do not count.
-/// Returns whether all ended: false if the scribe was not to go on.
+/// Returns whether all ended: false if `keep_going` said so.
 ///
 /// # Errors
 /// When the weights do not fit or an episode cannot be started.
@@ -47,17 +47,17 @@ pub fn record(
     performer: Performer<'_>,
     acting: ActionMode,
     blueprints: &[&Blueprint],
-    scribe: &Scribe<'_>,
+    callbacks: &Callbacks<'_>,
 ) -> Result<bool, EvalError> {
     let credits = Credits::of(performer, acting);
     match performer {
         Performer::Expert => {
             let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
-            play(setup, &agent, credits, acting, blueprints, scribe)
+            play(setup, &agent, credits, acting, blueprints, callbacks)
         }
         Performer::Policy(config, weights) => {
             let agent = || Policy::with_weights(config, weights).map_err(EvalError::from);
-            play(setup, &agent, credits, acting, blueprints, scribe)
+            play(setup, &agent, credits, acting, blueprints, callbacks)
         }
     }
 }
@@ -68,7 +68,7 @@ fn play<A: Agent>(
     credits: Credits,
     acting: ActionMode,
     blueprints: &[&Blueprint],
-    scribe: &Scribe<'_>,
+    callbacks: &Callbacks<'_>,
 ) -> Result<bool, EvalError>
 where
     EvalError: From<A::Error>,
@@ -82,12 +82,12 @@ where
             (vec![spec], episode_seed(seed, blueprint.id(), idx))
         })
         .unzip();
-    let shelf = Mutex::new(Shelf::new(scribe.on_episode));
-    let recorder = Recorder { credits, seeds: &seeds, shelf: &shelf };
+    let in_order = Mutex::new(InOrder::new(callbacks.on_episode));
+    let recorder = Recorder { credits, seeds: &seeds, in_order: &in_order };
     let queue = &WorkQueue::default();
-    let pool = EvaluationPool { setup, agent, queue, observer: Some(&recorder), keep_going: scribe.keep_going };
+    let pool = EvaluationPool { setup, agent, queue, observer: Some(&recorder), keep_going: callbacks.keep_going };
     let played = pool.run(&sequences, acting);
-    shelf.into_inner().clear();
+    in_order.into_inner().clear();
     match played {
         Ok(_) => Ok(true),
         Err(EvalError::Interrupted) => Ok(false),
@@ -100,7 +100,7 @@ struct Recorder<'r, 's> {
     credits: Credits,
     /// Of each sequence.
     seeds: &'r [u64],
-    shelf: &'r Mutex<Shelf<'s, Recorded>>,
+    in_order: &'r Mutex<InOrder<'s, Recorded>>,
 }
 
 impl<A> EpisodeObserver<A> for Recorder<'_, '_> {
@@ -119,12 +119,12 @@ impl<A> EpisodeObserver<A> for Recorder<'_, '_> {
         let trajectory = recording.into_trajectory(actor, driver, weights_version, spec.task(), last, result);
         let seed = self.seeds[idx];
         let recorded = trajectory.map(|trajectory| Recorded { trajectory, result: result.clone(), seed });
-        self.shelf.lock().put(idx, recorded);
+        self.in_order.lock().put(idx, recorded);
     }
 }
 
 /// Holds what came too early, and hands all on in order.
-struct Shelf<'s, T> {
+struct InOrder<'s, T> {
     /// The number whose turn it is.
     next: usize,
     /// `None` is a number without anything.
@@ -132,7 +132,7 @@ struct Shelf<'s, T> {
     take: &'s (dyn Fn(T) + Sync),
 }
 
-impl<'s, T> Shelf<'s, T> {
+impl<'s, T> InOrder<'s, T> {
     fn new(take: &'s (dyn Fn(T) + Sync)) -> Self {
         Self { next: 0, early: BTreeMap::new(), take }
     }
@@ -177,14 +177,14 @@ mod tests {
     fn what_comes_too_early_waits_for_its_turn() {
         let taken = Mutex::new(Vec::new());
         let take = |x: char| taken.lock().push(x);
-        let mut shelf = Shelf::new(&take);
+        let mut in_order = InOrder::new(&take);
         for (idx, thing) in [(1, Some('b')), (0, Some('a')), (1, Some('x')), (3, Some('d')), (2, None), (6, Some('g'))]
         {
-            shelf.put(idx, thing);
+            in_order.put(idx, thing);
         }
         assert_eq!(*taken.lock(), ['a', 'b', 'd']);
-        shelf.put(5, Some('f'));
-        shelf.clear();
+        in_order.put(5, Some('f'));
+        in_order.clear();
         assert_eq!(*taken.lock(), ['a', 'b', 'd', 'f', 'g']);
     }
 
@@ -200,8 +200,8 @@ mod tests {
 
     fn recorded(setup: &EvalSetup<'_>, keep_going: &(dyn Fn() -> bool + Sync)) -> (bool, Vec<Recorded>) {
         let episodes = Mutex::new(Vec::new());
-        let scribe = Scribe { keep_going, on_episode: &|episode| episodes.lock().push(episode) };
-        let is_complete = record(setup, Performer::Expert, ActionMode::Greedy, &blueprints(), &scribe).unwrap();
+        let callbacks = Callbacks { keep_going, on_episode: &|episode| episodes.lock().push(episode) };
+        let is_complete = record(setup, Performer::Expert, ActionMode::Greedy, &blueprints(), &callbacks).unwrap();
         (is_complete, episodes.into_inner())
     }
 

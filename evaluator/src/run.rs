@@ -291,7 +291,7 @@ async fn next_due(
     }
 }
 
-/// Waits until the last weights are known; for ever if nobody says.
+/// Waits until the last weights are known; forever if nobody says.
 async fn is_known(last_version: &mut Option<watch::Receiver<Option<WeightsVersion>>>) {
     if let Some(last_version) = last_version
         && last_version.changed().await.is_ok()

@@ -183,6 +183,8 @@ struct EnvSlot<R> {
     sequence: Arc<[EpisodeSpec]>,
     /// Of the episodes before the current one.
     results: Vec<EpisodeResult>,
+    /// The current episode as it began, which a retry of the start may have changed.
+    played: EpisodeSpec,
     forced_reset: bool,
     n_steps: u32,
     episode_return: RewardTerms,
@@ -192,7 +194,8 @@ struct EnvSlot<R> {
 impl<R> EnvSlot<R> {
     fn new((sequence_idx, sequence): (usize, Arc<[EpisodeSpec]>)) -> Self {
         let (results, episode_return, record) = (Vec::new(), RewardTerms::default(), None);
-        Self { sequence_idx, sequence, results, forced_reset: false, n_steps: 0, episode_return, record }
+        let played = sequence[0].clone();
+        Self { sequence_idx, sequence, results, played, forced_reset: false, n_steps: 0, episode_return, record }
     }
 }
 
@@ -215,12 +218,14 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
             }
             _ => false,
         };
-        self.envs.reset(row, spec.task.clone(), self.rules.catalog, retry)?;
+        let task = self.envs.reset(row, spec.task.clone(), self.rules.catalog, retry)?;
         // Stream 0 of the seed belongs to the world.
         self.envs.seed(row, generator(spec.task.seed, 1));
         (slot.n_steps, slot.episode_return) = (0, RewardTerms::default());
+        slot.played = EpisodeSpec { task, ..spec.clone() };
         let start = self.envs.env(row).observation();
-        slot.record = self.rules.observer.and_then(|observer| observer.begin(place, spec, self.rules.acting, start));
+        slot.record =
+            self.rules.observer.and_then(|observer| observer.begin(place, &slot.played, self.rules.acting, start));
         Ok(())
     }
 
@@ -244,10 +249,9 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
             Status::Running | Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };
-        let spec = &slot.sequence[slot.results.len()];
-        let result = spec.result(rules.acting, end, slot.n_steps, slot.episode_return, slot.forced_reset);
+        let result = slot.played.result(rules.acting, end, slot.n_steps, slot.episode_return, slot.forced_reset);
         if let (Some(observer), Some(record)) = (rules.observer, slot.record.take()) {
-            observer.end(record, spec, &last, &result);
+            observer.end(record, &slot.played, &last, &result);
         }
         Some(result)
     }

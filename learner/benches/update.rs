@@ -76,7 +76,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         seq: rng.random(),
         weights_version: proto::WeightsVersion(version),
         task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
-        driver: proto::Driver::Sample,
+        driver: proto::Driver::Sampled,
         first_step: 0,
         n_burn_in_steps: 0,
         transitions,

@@ -25,8 +25,9 @@ settings! {
         /// part of the remainder.
         pub minibatch_size: usize = 1024,
             where |c| (1..=c.steps_per_update).contains(&c.minibatch_size) => "1..=steps_per_update";
-        /// Samples of one pass through the network, so that activations stay in the cache; a minibatch is worked in
-        /// equal pieces of about this size, by several threads, and their gradients are added.
+        /// Samples of one pass through the network, which bounds its memory: on a CPU a pass with gradients keeps about
+        /// 230 kB of each. A minibatch is split into equal pieces of about this size, which several threads share, and
+        /// their gradients are added.
         pub forward_size: usize = 128, in 1..=65536;
         /// Threads that pass pieces through the network; `None` is one for each core, and one with a GPU. Results do
         /// not depend on it.
@@ -57,7 +58,7 @@ settings! {
         pub checkpoints: CheckpointConfig;
     }
 
-    /// Adam with a learning rate that follows the KL divergence.
+    /// Adam, its learning rate, and the limits of a step.
     pub struct OptimizerConfig {
         /// Learning rate at the start.
         pub learning_rate: f32 = 3e-4, in above(0.0);

@@ -221,7 +221,7 @@ impl Learner {
     }
 
     /// Runs one update with the oldest trajectories and, with imitation, labeled scenes; `None` if there are not enough
-    /// trajectories. PPO uses only trajectories with sampled actions.
+    /// trajectories, or none has a goal that can be used. PPO uses only trajectories with sampled actions.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
         let mut trajectories = self.mailbox.take(self.setup.config.steps_per_update);
         self.drop_unusable_goals(&mut trajectories);
@@ -247,7 +247,7 @@ impl Learner {
             Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy, &factors)
         };
         let (sampled, others): (Vec<_>, Vec<_>) =
-            trajectories.into_iter().partition(|trajectory| trajectory.driver == Driver::Sample);
+            trajectories.into_iter().partition(|trajectory| trajectory.driver == Driver::Sampled);
         let own = batch(sampled);
         // The statistics come from raw features and take effect with the next weights.
         let moving = self.features_move();
@@ -343,9 +343,9 @@ impl Learner {
             if let Some(&is_usable) = usable.get(goal) {
                 return is_usable;
             }
-            // Cached goals count too, so that a resumed run drops the same trajectories.
-            // A goal of the generator, whose id says its size, or none at all.
+            // The id of a generated goal says its size; any other is dropped.
             let n_blocks = goal.size().unwrap_or(usize::MAX);
+            // Goals in the cache count too, so that a resumed run drops the same trajectories.
             if n_blocks_left < n_blocks || usable.len() >= MADE_CAPACITY.get() {
                 return false;
             }

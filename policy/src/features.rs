@@ -236,7 +236,7 @@ fn write_edges(
     }
     for ((sender, receiver), edge) in pairs().zip(edges.chunks_exact_mut(ed)) {
         let (to, from) = (&frames[receiver.get()], &frames[sender.get()]);
-        let offset = to.localise(&(from.position - to.position));
+        let offset = to.localize(&(from.position - to.position));
         if let Some(wanted) = blueprint.relative(receiver, sender) {
             let current = to.axes.tr_mul(&from.axes);
             let wanted_rotation = matrix(wanted.rotation.matrix());

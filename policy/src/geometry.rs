@@ -18,7 +18,7 @@ impl Frame {
     }
 
     /// A world vector in this frame.
-    pub(crate) fn localise(&self, v: &Vector3<f32>) -> Vector3<f32> {
+    pub(crate) fn localize(&self, v: &Vector3<f32>) -> Vector3<f32> {
         self.axes.tr_mul(v)
     }
 }

@@ -53,7 +53,7 @@ pub enum ActionMode {
 
 /// A text that is not an action mode.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a way of acting: mode or sampled")]
+#[error("{0:?} is not a way of acting: expected mode (or greedy) or sampled")]
 pub struct InvalidActionMode(pub String);
 
 impl ActionMode {
@@ -70,8 +70,11 @@ impl std::str::FromStr for ActionMode {
     type Err = InvalidActionMode;
 
     fn from_str(text: &str) -> Result<Self, InvalidActionMode> {
-        let all = [Self::Greedy, Self::Sampled];
-        all.into_iter().find(|acting| acting.name() == text).ok_or_else(|| InvalidActionMode(text.to_owned()))
+        match text {
+            "mode" | "greedy" => Ok(Self::Greedy),
+            "sampled" => Ok(Self::Sampled),
+            _ => Err(InvalidActionMode(text.to_owned())),
+        }
     }
 }
 

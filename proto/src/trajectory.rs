@@ -84,9 +84,9 @@ pub struct Label {
 pub enum Driver {
     /// A sample of the policy's distribution, the only source suited to policy gradients.
     #[default]
-    Sample,
+    Sampled,
     /// The policy's most probable action, with noise.
-    Mode,
+    Greedy,
     /// The expert, with noise.
     Expert,
 }

@@ -8,6 +8,7 @@ use environment::{Env, EnvironmentConfig, World};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use policy::{FeatureConfig, FeatureSizes};
+use proto::setting::Section;
 use proto::{Action, Scene, Status};
 use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::sync::MutexExt;
@@ -68,6 +69,7 @@ impl Worlds {
         let config: EnvironmentConfig = parsed("settings", settings)?;
         let features: FeatureConfig = parsed("features", features)?;
         let features = FeatureConfig { n_grippers: config.n_grippers, ..features };
+        features.validate_at("features").map_err(|error| refused(&error))?;
         let goals = Goals::new(&blueprints).map_err(|error| refused(&error))?;
         let tasks = Tasks::new(goals, &starts, shuffle_blocks).map_err(|error| refused(&error))?;
         let row = |row: usize| Ok(Row::new(World::new(&config)?, generator(0, row as u64)));
@@ -189,6 +191,7 @@ impl Worlds {
     fn observe(&self, py: Python<'_>, settings: &str, features: Vec<Bound<'_, PyArrayDyn<f32>>>) -> PyResult<()> {
         let mut all = self.lock(py);
         let config: FeatureConfig = parsed("features", settings)?;
+        config.validate_at("features").map_err(|error| refused(&error))?;
         let sizes = FeatureSizes::new(&config);
         let mut held = hold(&features, &sizes, all.len())?;
         let jobs: Vec<(&mut Row, Features<'_>)> = all.iter_mut().zip(rows(&mut held, &sizes)?).collect();

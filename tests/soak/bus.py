@@ -78,7 +78,7 @@ class Listener:
 
     async def open(self, seconds: float) -> None:
         """Connects and follows; waits so long for the router."""
-        # zenoh waits for ever, and in a thread that nothing can end.
+        # zenoh waits forever, and in a thread that nothing can end.
         await until("the router listens", seconds, lambda: _listens(self._port), 0.1)
         await asyncio.to_thread(self._open)
 

@@ -12,7 +12,7 @@ use crate::toy;
 
 /// A segment of so many steps.
 fn segment(n_steps: usize) -> Trajectory {
-    let mut builder = SegmentBuilder::new(n_steps, toy::task(), Driver::Sample);
+    let mut builder = SegmentBuilder::new(n_steps, toy::task(), Driver::Sampled);
     for _ in 0..n_steps {
         let transition = Transition {
             scene: toy::scene(),

@@ -189,8 +189,8 @@ async fn seek_others(run: &watch::Sender<RunView>, config: &BusConfig) -> Infall
 /// What to do when a run says nothing.
 fn elsewhere(others: &[String]) -> String {
     match others {
-        [] => "--run names another".to_owned(),
-        names => format!("on this router are: {}; --run names one of them", names.join(", ")),
+        [] => "--run NAME chooses another run".to_owned(),
+        names => format!("this router has {}; --run NAME chooses one", names.join(", ")),
     }
 }
 

@@ -20,11 +20,11 @@ use super::query::id_of;
 /// Most bytes of a drawing, as JSON or as a file. Sixteen blocks take two thousand.
 pub(super) const MAX_BYTES: usize = 64 << 10;
 
-/// Where drawings are checked, one at a time: a search for an order of assembly can take a second.
+/// Lets drawings be checked one at a time: a search for an order of assembly can take a second.
 #[derive(Clone, Debug)]
-pub(super) struct Desk(Arc<Semaphore>);
+pub(super) struct OneCheck(Arc<Semaphore>);
 
-impl Default for Desk {
+impl Default for OneCheck {
     fn default() -> Self {
         Self(Arc::new(Semaphore::new(1)))
     }
@@ -122,8 +122,8 @@ fn look(body: &[u8]) -> Result<Findings, String> {
 }
 
 /// Checks the drawing of the body, which is JSON or the text of a blueprint file.
-pub(super) async fn check(Extension(desk): Extension<Desk>, body: Bytes) -> Response {
-    let Ok(turn) = desk.0.acquire_owned().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
+pub(super) async fn check(Extension(one_check): Extension<OneCheck>, body: Bytes) -> Response {
+    let Ok(turn) = one_check.0.acquire_owned().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
     let looked = tokio::task::spawn_blocking(move || {
         // A check goes on when its browser leaves, and the next one waits for it.
         let _turn = turn;

@@ -117,9 +117,9 @@ fn success(page: &mut Scrape, state: &State) {
     let help = "Success rate of the newest pass by blueprint, 0 to 1";
     page.gauges("eval_blueprint_success_ratio", help, state.passes.newest().map(blueprint));
     let version = last.map(|pass| pass.weights_version as f64);
-    page.gauge("eval_weights_version", "Version of the weights judged last", version);
+    page.gauge("eval_weights_version", "Version of the weights evaluated last", version);
     let steps = last.map(|pass| pass.n_env_steps as f64);
-    page.gauge("eval_env_steps", "Environment steps that the weights judged last had learned from", steps);
+    page.gauge("eval_env_steps", "Environment steps that the weights evaluated last had learned from", steps);
 }
 
 fn learner(page: &mut Scrape, state: &State) {
@@ -177,7 +177,7 @@ fn roster(page: &mut Scrape, state: &State) {
     });
     page.counters("actor_trajectories_dropped", "Trajectories that an actor dropped, by reason", drops);
     let of_bus = actors().flat_map(|(labels, actor)| {
-        // Thousands of actors with a dozen reasons each are too many for a scrape; most are 0 for ever.
+        // Thousands of actors with a dozen reasons each are too many for a scrape; most are 0 forever.
         let some = by_reason(&actor.bus).into_iter().filter(|(_, n)| *n > 0);
         some.map(move |(reason, n)| ([&labels[..], &reason[..]].concat(), n))
     });

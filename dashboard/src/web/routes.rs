@@ -17,7 +17,7 @@ use serde::Serialize;
 
 use super::about::{About, Kind, about};
 use super::board::Board;
-use super::drawing::{self, Desk};
+use super::drawing::{self, OneCheck};
 use super::films::{FilmView, Films};
 use super::gallery::{self, Gallery};
 use super::prometheus;
@@ -116,7 +116,7 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Rou
         .fallback(StatusCode::NOT_FOUND)
         .layer(Extension(Arc::new(Gallery::default())))
         .layer(Extension(catalog))
-        .layer(Extension(Desk::default()))
+        .layer(Extension(OneCheck::default()))
         .layer(DefaultBodyLimit::max(drawing::MAX_BYTES))
         .layer(from_fn_with_state(guard, authorize))
         .merge(
@@ -157,7 +157,7 @@ async fn ready(State(board): State<Arc<Board>>) -> (StatusCode, &'static str) {
     if board.is_ready() {
         (StatusCode::OK, "ready\n")
     } else {
-        (StatusCode::SERVICE_UNAVAILABLE, "nothing was judged or measured yet\n")
+        (StatusCode::SERVICE_UNAVAILABLE, "nothing was evaluated or measured yet\n")
     }
 }
 

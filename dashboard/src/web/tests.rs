@@ -272,7 +272,7 @@ async fn connections_that_say_nothing_are_few_and_short() {
     }
     // Accepted in order, so this one is too many: it is closed without a word.
     assert_eq!(served.get("/healthz").await, "");
-    // Nobody waits for the rest of a head for ever.
+    // Nobody waits for the rest of a head forever.
     for mut stream in silent {
         within(stream.read_to_end(&mut Vec::new())).await.unwrap();
     }

@@ -33,7 +33,7 @@ pub struct BenchActorsArgs {
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub actors: u32,
     /// Steps per second of each actor, as in the paper by default; 0 sends as fast as answers come.
-    #[arg(long, value_name = "R", default_value_t = 1.9, value_parser = rate)]
+    #[arg(long, value_name = "R", default_value_t = 1.9, value_parser = steps_rate)]
     pub rate: f64,
     /// Seconds to send.
     #[arg(long = "for", value_name = "S", default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
@@ -68,6 +68,12 @@ pub enum Transport {
     Tcp,
     /// Unix sockets.
     Unix,
+}
+
+/// Slower than once in a quarter of an hour is a mistake, and times that no clock can express.
+fn steps_rate(text: &str) -> Result<f64, String> {
+    let rate = rate(text)?;
+    if rate == 0.0 || rate >= 1e-3 { Ok(rate) } else { Err("expected 0, or 0.001 to 1000000".to_owned()) }
 }
 
 fn rate(text: &str) -> Result<f64, String> {

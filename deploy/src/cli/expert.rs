@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use blueprints::Split;
 use clap::{Args, Subcommand, ValueEnum};
+use evaluator::Starts;
 
 /// What the scripted expert is to do.
 #[derive(Debug, Subcommand)]
@@ -42,7 +43,7 @@ pub struct ExpertEvalArgs {
     pub seed: u64,
     /// Threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
-    pub threads: Option<u8>,
+    pub threads: Option<u16>,
     /// Write the cause of each failure (failures.json) and a replay of it into this new folder.
     #[arg(long, value_name = "DIR")]
     pub explain: Option<PathBuf>,
@@ -70,4 +71,14 @@ pub enum StartArg {
     Prebuilt,
     /// Every fifth prebuilt, the others scattered.
     Mixed,
+}
+
+impl From<StartArg> for Starts {
+    fn from(start: StartArg) -> Self {
+        match start {
+            StartArg::Scattered => Self::Scattered,
+            StartArg::Prebuilt => Self::Prebuilt,
+            StartArg::Mixed => Self::Mixed,
+        }
+    }
 }

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use blueprints::BlueprintId;
 use clap::Args;
 
+use super::values;
+
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
 pub struct ServeArgs {
@@ -12,7 +14,7 @@ pub struct ServeArgs {
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
     /// Where the page is [default: 127.0.0.1 with a free port].
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
     /// What a browser must know, for an address that others can reach.
     #[arg(long, value_name = "TOKEN")]

@@ -45,7 +45,7 @@ pub struct Settings {
     pub config: Config,
     /// The file and its base in words, for example "my.toml over the preset `quickstart`".
     pub source: String,
-    /// The preset, if no file is put over it.
+    /// The preset, if neither a file nor an ablation is put over it.
     pub preset: Option<&'static Preset>,
 }
 

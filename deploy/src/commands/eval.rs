@@ -11,6 +11,7 @@ use super::models::Source;
 use crate::cli::EvalArgs;
 use crate::config::Override;
 use crate::exit::Failure;
+use crate::limits;
 use crate::live::{self, EpisodeCounter, Terminal};
 
 /// Runs the episodes and prints the report: after `shutdown` that of the episodes so far.
@@ -37,8 +38,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     let environment = config.evaluation_environment();
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
-    let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
-    episodes.n_threads = args.threads.map_or_else(n_cores, usize::from);
+    episodes.n_threads = limits::n_threads(args.threads);
     let setup = EvalSetup {
         catalog,
         environment,
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn validation_is_judged_alone_or_by_name() {
+    fn validation_is_evaluated_alone_or_by_name() {
         let splits = |splits: &[Split], last_splits: &[Split]| {
             let selection = Selection { splits: splits.to_vec(), ..Default::default() };
             let last_splits = last_splits.to_vec();
@@ -95,10 +95,10 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_policy_is_judged_on_the_papers_blueprints() {
+    fn the_shipped_policy_is_evaluated_on_the_papers_blueprints() {
         let preset = crate::config::Preset::find("laptop").unwrap();
         let config = crate::config::Config::parse(preset.text, preset.name).unwrap();
-        let judged = final_selection(&config.evaluator).select(Catalog::builtin()).unwrap();
-        assert_eq!(judged.len(), 142 + 24);
+        let evaluated = final_selection(&config.evaluator).select(Catalog::builtin()).unwrap();
+        assert_eq!(evaluated.len(), 142 + 24);
     }
 }

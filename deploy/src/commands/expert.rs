@@ -10,7 +10,7 @@ use anyhow::Context;
 use blueprints::Group;
 use blueprints::{Blueprint, Catalog, Split};
 use evaluator::{
-    EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, ResetFreeConfig, Starts, evaluate_expert_followed,
+    EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, ResetFreeConfig, evaluate_expert_followed,
     render_expert,
 };
 use proto::Trajectory;
@@ -19,9 +19,10 @@ use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::Goals;
-use crate::cli::{ExpertCommand, ExpertEvalArgs, StartArg};
+use crate::cli::{ExpertCommand, ExpertEvalArgs};
 use crate::config::{Base, Config, Override, merge};
 use crate::exit::Failure;
+use crate::limits;
 use crate::live::{self, EpisodeCounter, Terminal};
 
 /// Entry of `failures.json`.
@@ -66,18 +67,18 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken
     for folder in args.explain.iter().chain(&args.record) {
         fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     }
-    let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
-    let n_threads = args.threads.map_or_else(n_cores, usize::from);
-    let starts = match args.start {
-        StartArg::Scattered => Starts::Scattered,
-        StartArg::Prebuilt => Starts::Prebuilt,
-        StartArg::Mixed => Starts::Mixed,
-    };
+    let n_threads = limits::n_threads(args.threads);
     let setup = EvalSetup {
         catalog,
         environment,
         // The expert decides for each world by itself, so a second one for a thread gains nothing.
-        episodes: EpisodeConfig { n_episodes: args.episodes, starts, n_threads, n_worlds: 1, ..Default::default() },
+        episodes: EpisodeConfig {
+            n_episodes: args.episodes,
+            starts: args.start.into(),
+            n_threads,
+            n_worlds: 1,
+            ..Default::default()
+        },
         reset_free: args.reset_free.then(ResetFreeConfig::default),
         seed: args.seed,
     };

@@ -30,7 +30,7 @@ pub(super) struct Program {
     /// Those that were named; none for the whole catalog.
     named: Vec<BlueprintId>,
     /// Of these, those of the built-in catalog. An evaluator knows no others.
-    judged: Vec<BlueprintId>,
+    evaluated: Vec<BlueprintId>,
 }
 
 impl Program {
@@ -44,18 +44,18 @@ impl Program {
         let named: Vec<BlueprintId> = found.iter().map(|blueprint| blueprint.id().clone()).collect();
         let is_known = |blueprint: &Blueprint| Catalog::builtin().get(blueprint.id()) == Some(blueprint);
         let known = found.iter().filter(|blueprint| is_known(blueprint));
-        let judged = known.map(|blueprint| blueprint.id().clone()).collect();
+        let evaluated = known.map(|blueprint| blueprint.id().clone()).collect();
         // Generated ones are in no catalog; the gallery shows them too.
         let mut catalog = goals.catalog().clone();
         for blueprint in found.iter().filter(|blueprint| catalog.get(blueprint.id()).is_none()).collect::<Vec<_>>() {
             catalog = catalog.with(&Catalog::of_one(blueprint.as_ref().clone()));
         }
-        Ok(Self { catalog, named, judged })
+        Ok(Self { catalog, named, evaluated })
     }
 
     /// Whether nothing of it is in the built-in catalog.
     fn is_strange(&self) -> bool {
-        self.judged.is_empty() && !self.named.is_empty()
+        self.evaluated.is_empty() && !self.named.is_empty()
     }
 }
 
@@ -70,8 +70,8 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
         Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes)),
         Override::flag("--web", "dashboard.web.listen", page.to_string()),
     ];
-    if !program.judged.is_empty() {
-        let ids: Vec<String> = program.judged.iter().map(ToString::to_string).collect();
+    if !program.evaluated.is_empty() {
+        let ids: Vec<String> = program.evaluated.iter().map(ToString::to_string).collect();
         overrides.push(Override::flag("ID", "evaluator.films.blueprints", ids.clone()));
         overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
     }
@@ -81,7 +81,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
     source.config(&overrides)
 }
 
-/// Judges the policy once, on the goals that an evaluator knows, and keeps the page up until `shutdown`.
+/// Evaluates the policy once, on the goals that an evaluator knows, and keeps the page up until `shutdown`.
 ///
 /// # Errors
 /// When the page's address is taken, the folder cannot be written, or the evaluation fails.
@@ -94,7 +94,7 @@ pub(super) async fn run(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let weights = published(source, config)?;
-    // The page would wait for them for ever.
+    // The page would wait for them forever.
     let mut policy = Policy::new(&config.policy).map_err(anyhow::Error::from)?;
     policy.load(&weights).map_err(anyhow::Error::from)?;
     let weights = Arc::new(weights);
@@ -110,8 +110,8 @@ pub(super) async fn run(
     let bus = Bus::open(&config.bus).await?;
     let publisher = bus.weights_publisher().await?;
     publisher.publish(weights).await?;
-    let (reports, judged) = watch::channel(None);
-    let shown = tokio::spawn(live::show_reports(judged, terminal.clone(), live::detail(false)));
+    let (reports, evaluated) = watch::channel(None);
+    let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(false)));
     let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
     let ended = match page {
         Some(page) if is_strange => {
@@ -138,7 +138,7 @@ fn about(args: &PlayArgs, program: Program) -> About {
     About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog }
 }
 
-/// The weights as a learner would send them, which says what to train on: here all that is judged alike.
+/// The weights as a learner would send them, which says what to train on: here all that is evaluated alike.
 fn published(source: Source, config: &Config) -> Result<Weights, Failure> {
     let selected = config.evaluator.selection.select(Catalog::builtin());
     let goals = selected.map_err(|error| Failure::Usage(error.to_string()))?;

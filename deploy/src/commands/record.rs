@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use blueprints::{Blueprint, Catalog};
 use dataset::{About, DatasetError, DatasetId, Origin, Spaces, World, Writer};
-use evaluator::{EpisodeConfig, EvalSetup, Performer, Recorded, Scribe, Starts, record};
+use evaluator::{Callbacks, EpisodeConfig, EvalSetup, Performer, Recorded, record};
 use parking_lot::Mutex;
 use proto::ActionMode;
 use proto::codec::encode_trajectory;
@@ -18,6 +18,7 @@ use super::models::Source;
 use crate::cli::{PerformerArgs, RecordArgs, RecordFormat, StartArg};
 use crate::config::{Config, Override};
 use crate::exit::Failure;
+use crate::limits;
 use crate::live::{EpisodeCounter, Terminal};
 
 /// Where episodes go.
@@ -28,7 +29,7 @@ enum Sink {
 }
 
 /// What has been kept.
-struct Keeper<'k> {
+struct Recording<'k> {
     sink: Sink,
     catalog: &'k Catalog,
     n_diverged: u64,
@@ -56,20 +57,14 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
         RecordFormat::Minari => Sink::Minari(Box::new(begin(args, name, &config, &source, acting, &blueprints)?)),
         RecordFormat::Trajectory => Sink::Trajectories(new_folder(&args.out)?, 0),
     };
-    let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
-    let starts = match args.start {
-        StartArg::Scattered => Starts::Scattered,
-        StartArg::Prebuilt => Starts::Prebuilt,
-        StartArg::Mixed => Starts::Mixed,
-    };
     let setup = EvalSetup {
         catalog: goals.catalog(),
         environment: config.evaluation_environment(),
         // One world for a thread: what a policy does in several at once depends on who they are by rounding, and on time.
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
-            starts,
-            n_threads: args.threads.map_or_else(n_cores, usize::from),
+            starts: args.start.into(),
+            n_threads: limits::n_threads(args.threads),
             n_worlds: 1,
             ..EpisodeConfig::default()
         },
@@ -79,21 +74,21 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;
     let counter = EpisodeCounter::new(terminal.on_stderr(), n_planned);
     let stop = shutdown.child_token();
-    let keeper = Mutex::new(Keeper { sink, catalog: goals.catalog(), n_diverged: 0, failure: None });
-    let scribe = Scribe {
+    let recording = Mutex::new(Recording { sink, catalog: goals.catalog(), n_diverged: 0, failure: None });
+    let callbacks = Callbacks {
         keep_going: &|| !stop.is_cancelled(),
         on_episode: &|episode| {
             counter.count(&episode.result);
-            if !keeper.lock().keep(&episode) {
+            if !recording.lock().keep(&episode) {
                 stop.cancel();
             }
         },
     };
-    let played = record(&setup, performer, acting, &blueprints, &scribe);
+    let played = record(&setup, performer, acting, &blueprints, &callbacks);
     let n_ended = counter.finish();
-    let keeper = keeper.into_inner();
-    let said = keeper.said(args);
-    if let Some(failure) = keeper.failure {
+    let recording = recording.into_inner();
+    let said = recording.said(args);
+    if let Some(failure) = recording.failure {
         return Err(failure);
     }
     let is_complete = played.map_err(anyhow::Error::from)?;
@@ -192,7 +187,7 @@ fn new_folder(folder: &Path) -> Result<PathBuf, Failure> {
     Ok(folder.to_owned())
 }
 
-impl Keeper<'_> {
+impl Recording<'_> {
     /// Writes an episode, unless it diverged or an earlier one could not be written. Returns whether all could be.
     fn keep(&mut self, episode: &Recorded) -> bool {
         if episode.is_diverged() {

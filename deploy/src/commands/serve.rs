@@ -75,7 +75,7 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     let policy = model.as_ref().map_or_else(|| config.policy.clone(), |source| source.model.policy.clone());
     let weights = model.map(|source| Arc::new(source.model.weights));
     let (_, newest) = watch::channel(weights.clone());
-    // Without weights a browser would wait for them for ever.
+    // Without weights a browser would wait for them forever.
     let stage = weights.is_some().then(|| stage(config.evaluation_environment(), policy.clone(), newest));
     let run = paths.folder().canonicalize().unwrap_or_else(|_| folder.to_owned());
     let run = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();

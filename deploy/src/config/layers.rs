@@ -52,9 +52,11 @@ impl Override {
                 let counts = key.contains("__") || ["seed", "run", "device"].contains(&key.as_str());
                 // The name of a run is the bus's, and everybody's who starts one.
                 let key = if key == "run" { "bus__run".to_owned() } else { key };
+                // A name is a text, whatever TOML would make of it: 7 and 2026-11-23 are names, too.
+                let is_text = key == "bus__run";
                 counts.then(|| Self {
                     path: key.split("__").map(str::to_owned).collect(),
-                    value: parse_value(&value),
+                    value: if is_text { toml::Value::String(value.trim().to_owned()) } else { parse_value(&value) },
                     origin: name,
                 })
             })

@@ -1,6 +1,7 @@
 //! The configuration: one tree, shaped like the crates, each of which owns, documents and checks its section.
 //!
-//! Layers, each over the one before: defaults, a preset, a file, `LODESTONE_*` variables, flags. Unknown keys are refused.
+//! Layers, each over the one before: defaults, a preset, a file, an ablation, `LODESTONE_*` variables, `--set`, other flags.
+//! Unknown keys are refused.
 
 mod error;
 mod layers;
@@ -20,7 +21,7 @@ pub use layers::{Base, NO_BASE, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 
 /// Largest seed: TOML's integers are signed.
-const MAX_SEED: u64 = i64::MAX as u64;
+pub(crate) const MAX_SEED: u64 = i64::MAX as u64;
 
 settings! {
     /// Everything that determines a run, but for the endpoints and folders of the machine it runs on.
@@ -86,7 +87,7 @@ impl Config {
         self.check().map_err(|message| ConfigError::Invalid { origin: "configuration".to_owned(), message })
     }
 
-    /// The world in which policies are judged and shown.
+    /// The world in which policies are evaluated and shown.
     pub fn evaluation_environment(&self) -> EnvironmentConfig {
         if self.evaluator.episodes.randomization { self.environment.clone() } else { self.environment.nominal() }
     }
@@ -132,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn policies_are_judged_in_one_world_unless_asked_otherwise() {
+    fn policies_are_evaluated_in_one_world_unless_asked_otherwise() {
         let parse = |more: &str| {
             let text = format!(
                 "[environment.magnets]\nsnap_gap_m = 0.02\n[environment.randomization]\nfriction = [0.5, 2.0]\n{more}"
@@ -140,8 +141,8 @@ mod tests {
             Config::parse(&text, "file").unwrap()
         };
         let config = parse("");
-        let judged = config.evaluation_environment();
-        assert_eq!((judged.randomization.friction, judged.magnets.snap_gap_m), (None, 0.02));
+        let evaluated = config.evaluation_environment();
+        assert_eq!((evaluated.randomization.friction, evaluated.magnets.snap_gap_m), (None, 0.02));
         let drawn = parse("[evaluator.episodes]\nrandomization = true").evaluation_environment();
         assert_eq!(drawn, config.environment);
     }

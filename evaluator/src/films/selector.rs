@@ -107,8 +107,8 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
         }
         let (actor, version, task) = (self.actor.clone(), self.weights.version, spec.task());
         let driver = match result.acting {
-            ActionMode::Greedy => Driver::Mode,
-            ActionMode::Sampled => Driver::Sample,
+            ActionMode::Greedy => Driver::Greedy,
+            ActionMode::Sampled => Driver::Sampled,
         };
         let Some(trajectory) = recording.into_trajectory(actor, driver, version, task, last, result) else { return };
         let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();

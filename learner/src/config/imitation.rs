@@ -27,7 +27,8 @@ settings! {
         pub move_delta: f32 = 0.1, in above(0.0);
         /// Scenes of one gradient step.
         pub minibatch_size: usize = 256, in 1..=65536;
-        /// Gradient steps of an update, at least; PPO's own come on top if they are more.
+        /// Gradient steps with labels in an update. PPO's steps carry them while any are left; if PPO has fewer, the rest
+        /// follow by themselves.
         pub steps_per_update: usize = 32, in 1..=65536;
         /// Where labeled scenes are kept.
         pub replay: ReplayConfig;

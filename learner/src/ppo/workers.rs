@@ -104,7 +104,7 @@ impl Workers {
         self.map(&pieces(&rows, size), |passes, rows, _| passes.values(batch, rows)).concat()
     }
 
-    /// Gradients of `share` × the summed loss of `samples`, one for each piece of about `size` samples.
+    /// Gradients of the mean loss of `samples`, one for each piece of about `size` samples; they add up to that of all.
     pub(super) fn gradients(
         &mut self,
         batch: &Batch,

@@ -66,7 +66,7 @@ fn resumed_learner_keeps_its_labels() {
     let train = |learner: &mut Learner, n: u64| {
         for _ in 0..n {
             let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
-            feed(learner, labeled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Sample));
+            feed(learner, labeled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Sampled));
             feed(learner, labeled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Expert));
             learner.update().unwrap();
         }

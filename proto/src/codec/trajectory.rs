@@ -37,8 +37,8 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
             episode_return: Some(reward_to_wire(&outcome.episode_return)),
         }),
         driver: match trajectory.driver {
-            Driver::Sample => wire::Driver::Sample,
-            Driver::Mode => wire::Driver::Mode,
+            Driver::Sampled => wire::Driver::Sample,
+            Driver::Greedy => wire::Driver::Mode,
             Driver::Expert => wire::Driver::Expert,
         }
         .into(),
@@ -72,8 +72,8 @@ pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
         bootstrap_value: number("bootstrap_value", message.bootstrap_value)?,
         outcome: message.outcome.map(outcome_from_wire).transpose()?,
         driver: match wire::Driver::try_from(message.driver) {
-            Ok(wire::Driver::Sample) => Driver::Sample,
-            Ok(wire::Driver::Mode) => Driver::Mode,
+            Ok(wire::Driver::Sample) => Driver::Sampled,
+            Ok(wire::Driver::Mode) => Driver::Greedy,
             Ok(wire::Driver::Expert) => Driver::Expert,
             Err(_) => return Err(invalid("driver", message.driver, "sample, mode or expert")),
         },

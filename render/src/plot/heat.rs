@@ -236,6 +236,6 @@ fn color_bar(drawing: &mut Drawing, grid: &Grid, layout: &Layout, scale: Scale, 
     if grid.values.iter().flatten().any(Option::is_none) {
         let top = HEAD + height + GAP;
         drawing.rect([left, top], [BAR_WIDTH, BAR_WIDTH], NOTHING);
-        drawing.text("not judged", [right + 8.0, top as f64 + 11.0], Anchor::Start, Type::Small, FAINT);
+        drawing.text("not evaluated", [right + 8.0, top as f64 + 11.0], Anchor::Start, Type::Small, FAINT);
     }
 }

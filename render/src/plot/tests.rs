@@ -71,7 +71,7 @@ fn heat_map_labels_rows_and_axes() {
     ] {
         assert!(texts.contains(&label), "no {label:?} in {texts:?}");
     }
-    assert!(!texts.contains(&"not judged"));
+    assert!(!texts.contains(&"not evaluated"));
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn missing_evaluations_are_gray_and_labeled() {
     passes[0].blueprints.truncate(1);
     let svg = map_of(&passes);
     assert_eq!(cells(&svg, "36")[2].2, "#cccccc");
-    assert!(texts(&svg).contains(&"not judged"));
+    assert!(texts(&svg).contains(&"not evaluated"));
 }
 
 #[test]

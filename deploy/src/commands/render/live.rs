@@ -95,11 +95,11 @@ async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &BusC
     let others = bus::runs(config).await.unwrap_or_default();
     let elsewhere = match others.is_empty() {
         true => String::new(),
-        false => format!(", of which this router has {}", Vec::from_iter(others).join(", ")),
+        false => format!(" (this router has {})", Vec::from_iter(others).join(", ")),
     };
     Failure::NothingToShow(format!(
         "no whole episode of {who} of run `{run}` within {seconds} s (segments of others: {}, missed: {n_missed}); --run \
-         names other runs{elsewhere}, --actor other actors; --timeout waits longer",
+         chooses another run{elsewhere}, --actor another actor, --timeout a longer wait",
         collector.n_left_out()
     ))
 }

@@ -119,7 +119,7 @@ prop_compose! {
         status in prop::sample::select(vec![Status::Running, Status::Success, Status::TimeLimit]),
         bootstrap in -9.0..9.0f32,
         lucky in any::<bool>(),
-        driver in prop::sample::select(vec![Driver::Sample, Driver::Mode, Driver::Expert]),
+        driver in prop::sample::select(vec![Driver::Sampled, Driver::Greedy, Driver::Expert]),
         episode_return in reward(),
     ) -> Trajectory {
         let n_steps = first_step + transitions.len() as u16;

@@ -62,7 +62,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
             start: Start::Prebuilt("2_004".parse().unwrap()),
             seed: 99,
         },
-        driver: proto::Driver::Sample,
+        driver: proto::Driver::Sampled,
         first_step: 40,
         n_burn_in_steps: 0,
         transitions: vec![transition(0.5), transition(0.75)],
