@@ -4,9 +4,8 @@ use blueprints::{Blueprint, Catalog};
 use environment::{EnvironmentConfig, ExpertAgent, Step, World};
 use parking_lot::Mutex;
 use policy::{Policy, PolicyConfig};
-use proto::{ActionMode, ActorId, Agent, Driver, Observation, Scene, Trajectory, Weights, WeightsVersion};
+use proto::{ActionMode, ActorId, Agent, Driver, Observation, Scene, Start, Trajectory, Weights, WeightsVersion};
 
-use crate::config::Starts;
 use crate::recording::Recording;
 use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, Rules, run_sequences};
@@ -28,14 +27,16 @@ pub struct Performance<'p> {
     pub environment: &'p EnvironmentConfig,
     /// The goal; it need not be in the catalog.
     pub blueprint: &'p Blueprint,
+    /// Goals built before it in the same world, without a reset; for none the blocks lie scattered.
+    pub before: &'p [Blueprint],
     /// How a policy acts. The expert has one way only.
     pub acting: ActionMode,
     /// Seed of the scattered start and of sampled actions.
     pub seed: u64,
 }
 
-/// Plays the episode to its end; equal arguments give an equal episode. Its actor is `expert` or `policy`. `None` if it has
-/// no step. `keep_going` is asked at every step.
+/// Plays the episode, and those before it, to its end; equal arguments give an equal episode. Its actor is `expert` or
+/// `policy`. `None` if it has no step. `keep_going` is asked at every step.
 ///
 /// # Errors
 /// When the weights do not fit, the episode cannot be started, or `keep_going` says no.
@@ -62,12 +63,21 @@ fn run<A: Agent>(
 where
     EvalError: From<A::Error>,
 {
-    let Performance { environment, blueprint, acting, seed } = performance;
-    let catalog = Catalog::of_one(blueprint.clone());
+    let Performance { environment, blueprint, before, acting, seed } = performance;
+    let mut catalog = Catalog::of_one(blueprint.clone());
+    for other in before.iter().filter(|other| other.id() != blueprint.id()) {
+        catalog = catalog.with(&Catalog::of_one(other.clone()));
+    }
     let rules =
         Rules { catalog: &catalog, acting, success: &environment.success, keep_going, observer: Some(&witness) };
-    let spec = EpisodeSpec::one_of(&catalog, blueprint, Starts::Scattered, seed, 0);
-    let mut sequences = std::iter::once((0, vec![spec].into()));
+    let goals = before.iter().chain([blueprint]).zip(0..);
+    let specs: Vec<_> = goals
+        .map(|(goal, idx)| {
+            let start = if idx == 0 { Start::Scattered } else { Start::AsItIs };
+            EpisodeSpec::new(goal, start, seed, idx)
+        })
+        .collect();
+    let mut sequences = std::iter::once((0, specs.into()));
     run_sequences(&rules, &mut agent, vec![World::new(environment)?], || sequences.next(), |_, _| {})?;
     Ok(witness.seen.into_inner())
 }
@@ -93,7 +103,7 @@ impl Credits {
     }
 }
 
-/// Writes down the only episode.
+/// Writes down the last episode.
 struct Witness {
     credits: Credits,
     seen: Mutex<Option<Trajectory>>,
@@ -127,7 +137,8 @@ mod tests {
         let environment = EnvironmentConfig::default();
         let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
         let play = |seed| {
-            let performance = Performance { environment: &environment, blueprint, acting: ActionMode::Greedy, seed };
+            let performance =
+                Performance { environment: &environment, blueprint, before: &[], acting: ActionMode::Greedy, seed };
             perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
         };
         let first = play(1);
@@ -137,10 +148,27 @@ mod tests {
     }
 
     #[test]
+    fn a_goal_can_begin_with_what_is_left_of_those_before() {
+        let environment = EnvironmentConfig::default();
+        let goals = ["2_000", "2_001"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone());
+        let play = |blueprint, before| {
+            let performance =
+                Performance { environment: &environment, blueprint, before, acting: ActionMode::Greedy, seed: 1 };
+            perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
+        };
+        let (alone, second) = (play(&goals[0], &[]), play(&goals[1], &goals[..1]));
+        assert_eq!((second.status, &second.task.blueprint), (Status::Success, goals[1].id()));
+        assert_eq!((&second.task.start, second.transitions[0].scene.joints.len()), (&Start::AsItIs, 1));
+        assert!(alone.transitions[0].scene.joints.is_empty());
+        assert_eq!(second, play(&goals[1], &goals[..1]));
+    }
+
+    #[test]
     fn nobody_waits_for_an_episode_that_is_no_longer_wanted() {
         let environment = EnvironmentConfig::default();
         let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
-        let performance = Performance { environment: &environment, blueprint, acting: ActionMode::Greedy, seed: 1 };
+        let performance =
+            Performance { environment: &environment, blueprint, before: &[], acting: ActionMode::Greedy, seed: 1 };
         let ended = perform(performance, Performer::Expert, &|| false);
         assert!(matches!(ended, Err(EvalError::Interrupted)), "{ended:?}");
     }

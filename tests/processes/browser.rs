@@ -265,6 +265,12 @@ fn play_opens_with_a_structure_being_built() {
     browser.until("document.querySelector('#gallery img').naturalWidth === 200");
     browser.element("#gallery .gallery button").click();
     browser.until("document.querySelector('#replay-note').textContent.includes('(16_002), start 1')");
+    // What stands there may stay.
+    browser.element("#stage-keep").click();
+    browser.element("#stage-next").click();
+    browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 1, goal 2 of 10')");
+    browser.element("#stage-again").click();
+    browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 2 ')");
     assert_eq!(errors(&browser), Vec::<Value>::new());
 }
 

@@ -17,6 +17,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::replay::Replays;
 
+/// Most goals of one world in a row, as in the evaluation without resets.
+const MAX_IN_A_ROW: usize = 10;
+
 /// Who builds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Builder {
@@ -32,6 +35,8 @@ pub enum Builder {
 pub struct Order {
     /// The goal.
     pub blueprint: Blueprint,
+    /// Goals built before it without a reset.
+    pub before: Vec<Blueprint>,
     /// Who builds it.
     pub builder: Builder,
     /// How a policy acts.
@@ -82,7 +87,7 @@ impl Stage {
 
     /// Plays the episode that a page opens with, so that it is there when a browser asks.
     pub(super) async fn open_with(&self, blueprint: Blueprint, replays: Arc<Replays>) {
-        let order = Order { blueprint, builder: Builder::default(), acting: ActionMode::default(), seed: 0 };
+        let order = Wishes::default().of(blueprint, Vec::new());
         let answer = perform(self.clone(), replays, order, true).await;
         tracing::debug!(status = %answer.status(), "played the first episode");
     }
@@ -92,18 +97,20 @@ impl Stage {
 #[derive(Debug, Default)]
 struct Wishes<'q> {
     id: Option<&'q str>,
+    before: Vec<&'q str>,
     builder: Builder,
     acting: ActionMode,
     seed: u64,
 }
 
 impl<'q> Wishes<'q> {
-    /// Reads `blueprint=…&agent=policy|expert&mode=greedy|sampled&seed=…`, of which none is needed.
+    /// Reads `blueprint=…&after=…,…&agent=policy|expert&mode=greedy|sampled&seed=…`, of which none is needed.
     fn parse(query: &'q str) -> Result<Self, String> {
         let mut wishes = Self::default();
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
             match pair.split_once('=') {
                 Some(("blueprint", value)) => wishes.id = Some(value),
+                Some(("after", value)) => wishes.before = value.split(',').collect(),
                 Some(("agent", "policy")) => wishes.builder = Builder::Policy,
                 Some(("agent", "expert")) => wishes.builder = Builder::Expert,
                 Some(("mode", "greedy")) => wishes.acting = ActionMode::Greedy,
@@ -111,15 +118,30 @@ impl<'q> Wishes<'q> {
                 Some(("seed", value)) => {
                     wishes.seed = value.parse().map_err(|_| format!("seed={value} is no number"))?;
                 }
-                _ => return Err(format!("`{pair}` is not known: use blueprint, agent, mode and seed")),
+                _ => return Err(format!("`{pair}` is not known: use blueprint, after, agent, mode and seed")),
             }
         }
         Ok(wishes)
     }
 
-    fn of(self, blueprint: Blueprint) -> Order {
-        Order { blueprint, builder: self.builder, acting: self.acting, seed: self.seed }
+    /// The goals before this one, of the catalog.
+    fn before(&self, catalog: &Catalog) -> Result<Vec<Blueprint>, String> {
+        if self.before.len() >= MAX_IN_A_ROW {
+            return Err(format!("after={} names more than {} goals", self.before.join(","), MAX_IN_A_ROW - 1));
+        }
+        self.before.iter().map(|id| known(id, catalog)).collect()
     }
+
+    fn of(self, blueprint: Blueprint, before: Vec<Blueprint>) -> Order {
+        Order { blueprint, before, builder: self.builder, acting: self.acting, seed: self.seed }
+    }
+}
+
+/// The blueprint, or what is wrong with its name.
+fn known(id: &str, catalog: &Catalog) -> Result<Blueprint, String> {
+    let unknown = || format!("there is no blueprint `{id}`: /api/blueprints lists them");
+    let id: BlueprintId = id.parse().map_err(|_| unknown())?;
+    Ok(catalog.find(&id).ok_or_else(unknown)?.into_owned())
 }
 
 impl Order {
@@ -127,10 +149,8 @@ impl Order {
     fn named(query: &str, catalog: &Catalog) -> Result<Self, String> {
         let wishes = Wishes::parse(query)?;
         let id = wishes.id.ok_or_else(|| "blueprint=… is missing".to_owned())?;
-        let unknown = || format!("there is no blueprint `{id}`: /api/blueprints lists them");
-        let id: BlueprintId = id.parse().map_err(|_| unknown())?;
-        let blueprint = catalog.find(&id).ok_or_else(unknown)?.into_owned();
-        Ok(wishes.of(blueprint))
+        let (blueprint, before) = (known(id, catalog)?, wishes.before(catalog)?);
+        Ok(wishes.of(blueprint, before))
     }
 
     /// What a query asks for, with the goal of a blueprint file. It takes up to a second.
@@ -139,9 +159,14 @@ impl Order {
         if wishes.id.is_some() {
             return Err("the blueprint is in the body, so that the query must not name one".to_owned());
         }
+        if !wishes.before.is_empty() {
+            return Err(
+                "a drawing begins with scattered blocks, so that the query must not name goals before".to_owned()
+            );
+        }
         let text = std::str::from_utf8(file).map_err(|_| "the blueprint is not text".to_owned())?;
         let blueprint = check_text("drawing", text).blueprint.map_err(|error| error.error.to_string())?;
-        Ok(wishes.of(blueprint))
+        Ok(wishes.of(blueprint, Vec::new()))
     }
 }
 
@@ -236,11 +261,16 @@ mod tests {
         assert_eq!((order.acting, order.seed), (ActionMode::Sampled, 7));
         let plain = Order::named("blueprint=2_000", catalog).unwrap();
         assert_eq!((plain.builder, plain.acting, plain.seed), (Builder::Policy, ActionMode::Greedy, 0));
+        let third = Order::named("blueprint=2_000&after=2_001,2_000", catalog).unwrap();
+        assert_eq!(third.before.iter().map(|goal| goal.id().as_str()).collect::<Vec<_>>(), ["2_001", "2_000"]);
+        let many = format!("blueprint=2_000&after={}", ["2_000"; MAX_IN_A_ROW].join(","));
         for (query, words) in [
             ("", "blueprint=… is missing"),
             ("blueprint=../etc", "no blueprint `../etc`"),
             ("blueprint=99_999", "no blueprint `99_999`"),
             ("blueprint=2_000&seed=-1", "seed=-1"),
+            ("blueprint=2_000&after=2_001,", "no blueprint ``"),
+            (&many, "more than 9 goals"),
             ("blueprint=2_000&agent=me", "`agent=me`"),
             ("blueprint=2_000&speed=2", "`speed=2`"),
         ] {
@@ -256,6 +286,7 @@ mod tests {
         assert_eq!((order.blueprint.n_blocks(), order.builder, order.seed), (2, Builder::Expert, 7));
         for (query, file, words) in [
             ("blueprint=2_000", file.as_bytes(), "must not name one"),
+            ("after=2_000", file.as_bytes(), "must not name goals before"),
             ("agent=me", file.as_bytes(), "`agent=me`"),
             ("", b"\xff", "not text"),
             ("", b"{}", "line 1"),

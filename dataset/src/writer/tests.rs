@@ -22,7 +22,7 @@ fn goal() -> &'static Blueprint {
 
 /// An episode of the expert.
 fn played(environment: &EnvironmentConfig, seed: u64) -> Trajectory {
-    let performance = Performance { environment, blueprint: goal(), acting: ActionMode::Greedy, seed };
+    let performance = Performance { environment, blueprint: goal(), before: &[], acting: ActionMode::Greedy, seed };
     perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
 }
 

@@ -14,8 +14,8 @@ pub(super) fn stage(
     weights: watch::Receiver<Option<Arc<Weights>>>,
 ) -> Stage {
     Stage::new(move |order: &Order, keep_going| {
-        let Order { blueprint, builder, acting, seed } = order;
-        let performance = Performance { environment: &environment, blueprint, acting: *acting, seed: *seed };
+        let Order { blueprint, before, builder, acting, seed } = order;
+        let performance = Performance { environment: &environment, blueprint, before, acting: *acting, seed: *seed };
         let newest = weights.borrow().clone();
         let performer = match (builder, &newest) {
             (Builder::Expert, _) => Performer::Expert,

@@ -26,7 +26,7 @@ const replay = new Replay({
 });
 const stage = new Stage(replay, {
   choose: $("stage-choose"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), mode: $("stage-mode"),
-  onward: $("stage-onward"), note: $("replay-note"), dialog: $("gallery"), only: [],
+  onward: $("stage-onward"), keep: $("stage-keep"), note: $("replay-note"), dialog: $("gallery"), only: [],
 });
 const editor = new Editor(stage, {
   open: $("draw-open"), board: $("draw-board"), palette: $("draw-palette"), canvas: $("draw-canvas"), layer: $("draw-layer"),
@@ -38,7 +38,7 @@ const openFilm = (film) => openRecording(replay, $("replay-note"), film);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
 heat.opened = ({ id }) => {
   if (!model.about || !model.about.can_play || (isCopy && !stage.only.includes(id))) return;
-  stage.seed = 0;
+  if (!stage.keep.checked) stage.seed = 0;
   stage.start(id);
   $("replay-title").scrollIntoView();
 };
@@ -96,7 +96,7 @@ function introduce(about) {
   about.gripper_colors.forEach((color, i) => document.documentElement.style.setProperty(`--gripper${i}`, `rgb(${color.join(",")})`));
   if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
   if (!about.can_play) ["stage-bar", "draw"].forEach((id) => $(id).remove());
-  else if (isCopy) ["stage-again", "stage-mode", "draw"].forEach((id) => $(id).remove());
+  else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
   if (about.kind === "play") {
     $("learner").remove();

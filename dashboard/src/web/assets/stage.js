@@ -3,13 +3,18 @@
 /** Rest between two episodes that follow each other by themselves, milliseconds. */
 const REST_MS = 2500;
 
+/** Goals in a row without a reset, as in the evaluation; the next one begins with scattered blocks again. */
+const IN_A_ROW = 10;
+
 class Stage {
   constructor(replay, parts) {
     Object.assign(this, parts, { replay });
     [this.blueprints, this.chosen, this.drawn, this.seed, this.asked] = [[], null, null, 0, 0];
+    this.before = [];
     this.next.addEventListener("click", () => this.go(1));
     this.again.addEventListener("click", () => {
       this.seed += 1;
+      this.before = [];
       if (this.chosen || this.drawn) this.build();
       else this.go(1);
     });
@@ -36,13 +41,15 @@ class Stage {
   }
 
   start(id) {
+    const stays = this.keep.checked && this.chosen && this.before.length + 1 < IN_A_ROW;
+    this.before = stays ? [...this.before, this.chosen] : [];
     [this.chosen, this.drawn] = [id, null];
     this.build();
   }
 
   /** Builds what somebody has drawn, as a blueprint file. */
   startDrawn(file, title, agent) {
-    [this.drawn, this.seed] = [{ file, title }, 0];
+    [this.drawn, this.before, this.seed] = [{ file, title }, [], 0];
     this.agent.querySelector(`input[value="${agent}"]`).checked = true;
     this.build();
   }
@@ -54,7 +61,8 @@ class Stage {
     if (isCopy) return fetch(answerAt(model.base, "play", `${this.chosen}-${picked(this.agent)}`), { signal });
     const wishes = `agent=${picked(this.agent)}&mode=${picked(this.mode)}&seed=${this.seed}`;
     if (this.drawn) return fetch(`${model.base}/api/play?${wishes}`, { method: "POST", body: this.drawn.file, signal });
-    return fetch(`${model.base}/api/play?blueprint=${encodeURIComponent(this.chosen)}&${wishes}`, { signal });
+    const after = this.before.length > 0 ? `&after=${this.before.map(encodeURIComponent).join(",")}` : "";
+    return fetch(`${model.base}/api/play?blueprint=${encodeURIComponent(this.chosen)}&${wishes}${after}`, { signal });
   }
 
   /** Asks for the episode and plays it, unless another is asked for meanwhile. */
@@ -92,7 +100,8 @@ class Stage {
       const weights = episode.actor === "expert" ? "" : ` with weights ${episode.weights_version}`;
       // The name may be newer than the file that was checked last.
       const title = this.drawn ? this.drawn.title : episode.title;
-      this.note.textContent = `${who} builds ${title} (${episode.blueprint}), start ${this.seed + 1}${weights}`;
+      const nth = this.before.length > 0 ? `, goal ${this.before.length + 1} of ${IN_A_ROW} without a reset` : "";
+      this.note.textContent = `${who} builds ${title} (${episode.blueprint}), start ${this.seed + 1}${nth}${weights}`;
       await present(this.replay, episode, () => {
         if (this.onward.checked && !this.drawn) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1); }, REST_MS);
       });
@@ -122,7 +131,7 @@ class Stage {
           element("b", {}, one.title), element("span", { class: "quiet" }, `${one.id}, ${one.n_blocks} blocks`));
         tile.addEventListener("click", () => {
           this.dialog.close();
-          this.seed = 0;
+          if (!this.keep.checked) this.seed = 0;
           this.start(one.id);
           $("replay-title").scrollIntoView();
         });
