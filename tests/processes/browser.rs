@@ -270,7 +270,7 @@ fn play_opens_with_a_structure_being_built() {
     browser.element("#stage-next").click();
     browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 1, goal 2 of 10')");
     browser.element("#stage-again").click();
-    browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 2 ')");
+    browser.until("document.querySelector('#replay-note').textContent.endsWith('(2_000), start 2')");
     assert_eq!(errors(&browser), Vec::<Value>::new());
 }
 
