@@ -351,6 +351,19 @@ mod tests {
     }
 
     #[test]
+    fn threads_are_numbers_wherever_episodes_are_played() {
+        for command in [
+            &["eval", "--pretrained"][..],
+            &["expert", "eval"],
+            &["record", "--pretrained", "--blueprint", "2_000", "--out", "played"],
+        ] {
+            // The type behind a flag is checked when it is read.
+            let words = ["lodestone"].iter().chain(command).chain(&["--threads", "2"]);
+            assert!(Cli::try_parse_from(words).is_ok(), "{command:?}");
+        }
+    }
+
+    #[test]
     fn flags_win_over_the_preset() {
         let flags = ["lodestone", "train", "--preset", "paper", "--seed", "7", "--steps", "1e3"];
         let Command::Train(args) = Cli::try_parse_from(flags).unwrap().command else { panic!("not train") };

@@ -114,7 +114,7 @@ fn set_probabilities(tasks: &mut BTreeMap<BlueprintId, TaskState>, weight: impl 
 
 /// Distributes the probability over the numbers of blocks in use, and each share over its blueprints.
 fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) {
-    // Sum of the success rates, and number of blueprints, by number of blocks in use.
+    // Sum of the success rates, and number of blueprints, by number of blocks.
     let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
     for task in tasks.values() {
         let (sum, n) = sizes.entry(task.n_blocks).or_default();

@@ -2,7 +2,7 @@
 """Runs the experiments of docs/experiments.md and prints their tables.
 
     python3 tests/experiments/run.py runs/experiments                      # all, seed 1
-    python3 tests/experiments/run.py runs/experiments --seeds 1 2 3 -- compact no-attention
+    python3 tests/experiments/run.py runs/experiments compact no-attention --seeds 1 2 3
     python3 tests/experiments/run.py runs/experiments --table              # of what is there, trains nothing
 
 Each experiment is a training of the preset `compact` with one thing changed. A run takes ten to fifteen minutes on two

@@ -42,7 +42,7 @@ pub struct ExpertEvalArgs {
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
     /// Threads [default: one per core].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=64))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     pub threads: Option<u16>,
     /// Write the cause of each failure (failures.json) and a replay of it into this new folder.
     #[arg(long, value_name = "DIR")]

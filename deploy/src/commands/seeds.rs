@@ -56,11 +56,11 @@ pub(super) async fn train(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<SeedsSummary, Failure> {
-    let folder = args.run.run_dir.clone().map_or_else(|| default_folder(&settings.config), Ok)?;
     let first = settings.config.seed;
     if first.checked_add(n_seeds.saturating_sub(1)).is_none_or(|last| last > MAX_SEED) {
         return Err(Failure::Usage(format!("--seeds {n_seeds} from seed {first} on goes beyond {MAX_SEED}")));
     }
+    let folder = args.run.run_dir.clone().map_or_else(|| default_folder(&settings.config), Ok)?;
     let mut runs = Vec::new();
     for seed in (first..).take(usize::try_from(n_seeds).unwrap_or(usize::MAX)) {
         if shutdown.is_cancelled() {
