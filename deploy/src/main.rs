@@ -14,7 +14,7 @@ fn main() -> ExitCode {
     match commands::execute(cli.command, &terminal) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("error: {failure}");
+            terminal.on_stderr().print(&format!("error: {failure}"));
             failure.exit_code()
         }
     }

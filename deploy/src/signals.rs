@@ -20,8 +20,8 @@ pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
     let (mut interrupt, mut terminate) = (handler(SignalKind::interrupt())?, handler(SignalKind::terminate())?);
     tokio::spawn(async move {
         any(&mut interrupt, &mut terminate).await;
-        tracing::info!("stopping: saving what there is, a second signal ends at once");
         shutdown.cancel();
+        tracing::info!("stopping: saving what there is, a second signal ends at once");
         let echoes = async {
             loop {
                 any(&mut interrupt, &mut terminate).await;

@@ -117,6 +117,27 @@ fn a_signal_drains_and_saves() {
 }
 
 #[test]
+fn a_signal_drains_and_saves_though_nobody_reads_what_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = lodestone(folder.path())
+        .args(["train", "--run-dir", "run", "--steps", "40960"])
+        .args(SMALL)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stderr.take());
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    lines.find(|line| line.as_ref().unwrap().contains("steps/s")).unwrap().unwrap();
+    drop(lines);
+    let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    assert!(child.wait().unwrap().success());
+    let n_steps = n_saved_steps(&folder.path().join("run"));
+    assert!((256..40960).contains(&n_steps), "{n_steps}: it went on to its end");
+}
+
+#[test]
 fn a_start_that_fails_leaves_no_run_behind() {
     let folder = tempfile::tempdir().unwrap();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();

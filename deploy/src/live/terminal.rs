@@ -35,7 +35,8 @@ pub(super) struct Progress {
     bar: ProgressBar,
 }
 
-/// Writes log lines to stderr, above the bar.
+/// Writes log lines to stderr, above the bar. It never fails: where nobody reads stderr, lines are lost and nothing else. The
+/// logger would print its error to stderr, and panic in whichever thread had something to say.
 #[derive(Debug)]
 pub struct LogWriter(Terminal);
 
@@ -133,10 +134,11 @@ impl Write for LogWriter {
             }
             return Ok(bytes.len());
         }
-        self.0.bars.suspend(|| io::stderr().write(bytes))
+        Ok(self.0.bars.suspend(|| io::stderr().write(bytes)).unwrap_or(bytes.len()))
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        io::stderr().flush()
+        io::stderr().flush().unwrap_or_default();
+        Ok(())
     }
 }
