@@ -35,9 +35,9 @@ impl Origin {
     /// The run to continue, if it is named, or is there already and may be continued.
     pub fn find(args: &RunArgs) -> Self {
         if let Some(resume) = &args.resume {
-            // A run that never learned begins again; whatever else is wrong is for the learner to say.
+            // A run that has saved nothing begins again; whatever else is wrong is for the learner to say.
             let paths = RunPaths::new(resume);
-            let continues = has_learned(&paths) || !paths.config().exists();
+            let continues = learner::checkpoint::exists(&paths.checkpoints()) || !paths.config().exists();
             return Self { config: Some(resume.clone()), checkpoint: continues.then(|| resume.clone()) };
         }
         let Some(folder) =
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_has_learned_is_kept() {
+    fn a_run_that_has_learned_is_kept_and_begins_again_only_when_told_to_and_without_a_checkpoint() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run");
         drop(start(&path, &Origin::default()).unwrap());
@@ -225,8 +225,12 @@ mod tests {
         let message = start(&path, &Origin::default()).unwrap_err().to_string();
         assert!(message.contains("holds a run already: continue it with `--resume"), "{message}");
         let resumed = Origin::find(&RunArgs { resume: Some(path.clone()), ..RunArgs::default() });
-        assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: Some(path.clone()) });
+        assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: None }, "it was killed before it saved");
         drop(start(&path, &resumed).unwrap());
+        // A folder without the run's configuration is for the learner to refuse.
+        let elsewhere = folder.path().join("elsewhere");
+        let wrong = Origin::find(&RunArgs { resume: Some(elsewhere.clone()), ..RunArgs::default() });
+        assert_eq!(wrong.checkpoint, Some(elsewhere));
     }
 
     #[test]
