@@ -193,7 +193,7 @@ pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Bluepri
 }
 
 /// Whether a name is that of a file or folder. An id is an id even where a folder is called so.
-fn is_path(name: &str) -> bool {
+pub(super) fn is_path(name: &str) -> bool {
     let is_id = || name.parse::<BlueprintId>().is_ok_and(|id| Catalog::builtin().find(&id).is_some());
     name.contains('/') || name.ends_with(".toml") || (!is_id() && Path::new(name).exists())
 }

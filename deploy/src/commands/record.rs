@@ -13,7 +13,7 @@ use proto::ActionMode;
 use proto::codec::encode_trajectory;
 use tokio_util::sync::CancellationToken;
 
-use super::goals::{Goals, find};
+use super::goals::{Goals, find, is_path};
 use super::models::Source;
 use crate::cli::{PerformerArgs, RecordArgs, RecordFormat, StartArg};
 use crate::config::{Config, Override};
@@ -232,7 +232,13 @@ impl Recording<'_> {
                 writer.id(),
             ),
             Sink::Trajectories(folder, n_files) => {
-                format!("{n_files} episodes{left_out}\nlodestone render {}/*.trajectory --out films", folder.display())
+                // `render` finds goals of one's own where this command found them.
+                let own = args.goals.blueprint.iter().filter(|name| is_path(name));
+                let own: String = own.map(|path| format!(" --blueprint {path}")).collect();
+                format!(
+                    "{n_files} episodes{left_out}\nlodestone render {}/*.trajectory{own} --out films",
+                    folder.display()
+                )
             }
         }
     }
