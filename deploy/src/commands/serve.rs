@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Catalog, Group};
+use blueprints::{Blueprint, BlueprintId, Group};
 use dashboard::config::WebConfig;
 use dashboard::{About, FinishedRun, Kind, Page};
 use proto::keys::METRICS_LEARNER;
@@ -14,7 +14,7 @@ use runlog::{History, RunPaths};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::goals::find;
+use super::goals::{Goals, find};
 use super::models::Source;
 use super::stage::stage;
 use crate::cli::ServeArgs;
@@ -31,7 +31,7 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     let first = runs.next().context("no run was named")??;
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
-        let goals = recorded(&args.blueprint)?;
+        let goals = recorded(&args.blueprint, &first.about)?;
         let n_files = tokio::select! {
             () = shutdown.cancelled() => return Ok(()),
             n_files = dashboard::export(first, others, &goals, folder) => n_files?,
@@ -48,11 +48,15 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     Ok(())
 }
 
-/// The blueprints whose episodes a copy of the page has: those that were named, or the first of every group.
-fn recorded(named: &[BlueprintId]) -> Result<Vec<BlueprintId>, Failure> {
-    let catalog = Catalog::builtin();
+/// The blueprints whose episodes a copy of the page has: those that were named, those that the run was given, or the first of
+/// every group.
+fn recorded(named: &[BlueprintId], about: &About) -> Result<Vec<BlueprintId>, Failure> {
+    let catalog = &about.catalog;
     if !named.is_empty() {
         return named.iter().map(|id| Ok(find(catalog, id.as_str())?.id().clone())).collect();
+    }
+    if !about.blueprints.is_empty() {
+        return Ok(about.blueprints.clone());
     }
     let mut groups = Vec::new();
     let is_first = |blueprint: &&Blueprint| {
@@ -80,8 +84,9 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     let run = paths.folder().canonicalize().unwrap_or_else(|_| folder.to_owned());
     let run = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();
     let n_env_steps = Some(config.n_env_steps);
-    let catalog = Catalog::builtin().clone();
-    let about = About { kind: Kind::Finished, run, preset: None, n_env_steps, blueprints: Vec::new(), catalog };
+    let catalog = Goals::open_beside(&[], Some(folder))?.into_catalog();
+    let blueprints = config.evaluator.selection.blueprints.clone();
+    let about = About { kind: Kind::Finished, run, preset: None, n_env_steps, blueprints, catalog };
     Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
 }
 
@@ -121,6 +126,8 @@ fn learner_lines(text: &str) -> (Vec<LearnerMetrics>, usize) {
 
 #[cfg(test)]
 mod tests {
+    use blueprints::Catalog;
+
     use super::*;
 
     #[test]
@@ -131,16 +138,25 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_has_one_blueprint_of_every_group_unless_some_are_named() {
+    fn a_copy_has_one_blueprint_of_every_group_unless_some_are_named_or_were_given() {
         let groups = |ids: Vec<BlueprintId>| -> Vec<_> {
             let blueprints = ids.iter().map(|id| Catalog::builtin().get(id).unwrap());
             blueprints.map(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks())).collect()
         };
-        let found = groups(recorded(&[]).unwrap());
+        let about = |blueprints: Vec<BlueprintId>| About {
+            kind: Kind::Finished,
+            run: "a".to_owned(),
+            preset: None,
+            n_env_steps: None,
+            blueprints,
+            catalog: Catalog::builtin().clone(),
+        };
+        let found = groups(recorded(&[], &about(Vec::new())).unwrap());
         assert!(found.len() >= 6 && found.iter().all(Option::is_some), "{found:?}");
         let named = ["16_002".parse().unwrap()];
-        assert_eq!(recorded(&named).unwrap(), named);
-        assert!(recorded(&["9_999".parse().unwrap()]).is_err());
+        assert_eq!(recorded(&named, &about(Vec::new())).unwrap(), named);
+        assert_eq!(recorded(&[], &about(named.to_vec())).unwrap(), named, "those that the run was given");
+        assert!(recorded(&["9_999".parse().unwrap()], &about(Vec::new())).is_err());
     }
 
     #[test]

@@ -130,7 +130,7 @@ pub(super) async fn run_evaluator(
         .await;
     }
     let opened = page(config.dashboard.web.as_ref(), terminal).await?;
-    let page = opened.map(|page| Opened { page, about: about(settings), first: None });
+    let page = opened.map(|page| Opened { page, about: about(settings, setup.catalog), first: None });
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
@@ -190,8 +190,8 @@ pub(super) struct Opened {
     pub(super) first: Option<Arc<Weights>>,
 }
 
-/// A training in a few words, for its page.
-pub(super) fn about(settings: &Settings) -> About {
+/// A training in a few words, for its page; `catalog` has all of its goals.
+pub(super) fn about(settings: &Settings, catalog: &Catalog) -> About {
     let config = &settings.config;
     About {
         kind: Kind::Training,
@@ -199,7 +199,7 @@ pub(super) fn about(settings: &Settings) -> About {
         preset: settings.preset.map(|preset| preset.name.to_owned()),
         n_env_steps: Some(config.n_env_steps),
         blueprints: config.evaluator.selection.blueprints.clone(),
-        catalog: Catalog::builtin().clone(),
+        catalog: catalog.clone(),
     }
 }
 

@@ -60,7 +60,7 @@ pub(super) async fn run(
     let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
     // Before anything is written, because the address may be taken.
     let page = page(config, args, terminal).await?;
-    let page = page.map(|page| services::Opened { page, about: services::about(settings), first: None });
+    let page = page.map(|page| services::Opened { page, about: services::about(settings, catalog), first: None });
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = RunDir::create(run_dir, config, &origin)?;
     terminal.print(&introduction(settings, &origin, &run_dir));
