@@ -150,7 +150,7 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
     let program = program();
     let run = &config.bus.run;
     let listening = match &config.bus.listen[..] {
-        [] => String::new(),
+        [] => format!("\nfor actors elsewhere, or `{program} watch`: --listen tcp/127.0.0.1:7447"),
         endpoints => format!(
             "\nothers can join at {}, run `{run}`\nin a terminal: {program} watch --connect {} --run {run}",
             endpoints.join(" and "),
