@@ -97,7 +97,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     let before_s = options.resume.as_deref().map_or(0.0, |resume| elapsed_before(resume, learner.n_env_steps()));
     let mut records = MetricsWriter::open(&options.run_dir, Role::Learner)?;
     if let Ok(settings) = fs::read_to_string(options.run_dir.config()) {
-        records.text("settings", &format!("```toml\n{settings}```"))?;
+        records.settings(&settings)?;
     }
     let worker = Worker {
         newest: Arc::new(learner.weights()),

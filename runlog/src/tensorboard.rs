@@ -2,8 +2,9 @@
 //!
 //! A file is a sequence of records (length, checksum, data, checksum), each an `Event` message in protobuf; see
 //! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Only the parts of the
-//! message for scalars, images, and texts are defined here.
+//! message for scalars, images, texts, and hyperparameters are defined here.
 
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -67,6 +68,41 @@ struct Metadata {
 struct Plugin {
     #[prost(string, tag = "1")]
     name: String,
+    #[prost(bytes = "vec", tag = "2")]
+    content: Vec<u8>,
+}
+
+/// The content of the plugin `hparams`; see `tensorboard/plugins/hparams/plugin_data.proto` upstream.
+#[derive(Clone, PartialEq, Message)]
+struct Hyperparameters {
+    #[prost(message, optional, tag = "3")]
+    session: Option<SessionStart>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct SessionStart {
+    #[prost(btree_map = "string, message", tag = "1")]
+    by_name: BTreeMap<String, Setting>,
+    /// Seconds since 1970.
+    #[prost(double, tag = "5")]
+    start_time: f64,
+}
+
+/// The parts of `google.protobuf.Value` that a setting takes.
+#[derive(Clone, PartialEq, Message)]
+struct Setting {
+    #[prost(oneof = "SettingKind", tags = "2, 3, 4")]
+    kind: Option<SettingKind>,
+}
+
+#[derive(Clone, PartialEq, prost::Oneof)]
+enum SettingKind {
+    #[prost(double, tag = "2")]
+    Number(f64),
+    #[prost(string, tag = "3")]
+    Text(String),
+    #[prost(bool, tag = "4")]
+    Switch(bool),
 }
 
 /// `DT_STRING` of `tensorflow/core/framework/types.proto`.
@@ -136,9 +172,25 @@ impl EventWriter {
     /// # Errors
     /// If writing fails.
     pub fn text(&mut self, step: u64, tag: &str, text: &str) -> io::Result<()> {
-        let metadata = Some(Metadata { plugin: Some(Plugin { name: "text".to_owned() }) });
+        let metadata = Some(Metadata { plugin: Some(Plugin { name: "text".to_owned(), content: Vec::new() }) });
         let tensor = Some(Tensor { dtype: STRINGS, strings: vec![text.as_bytes().to_vec()] });
         self.summary(step, vec![Tagged { tag: tag.to_owned(), tensor, metadata, ..Tagged::default() }])
+    }
+
+    /// Sets the run's row in TensorBoard's table of hyperparameters: every setting under its path, `learner.gamma`. A list
+    /// is shown as JSON.
+    ///
+    /// # Errors
+    /// If writing fails.
+    pub fn hyperparameters(&mut self, settings: &Value) -> io::Result<()> {
+        let mut by_name = BTreeMap::new();
+        collect("", settings, &mut by_name);
+        let session = Some(SessionStart { by_name, start_time: since_1970() });
+        let content = Hyperparameters { session }.encode_to_vec();
+        let metadata = Some(Metadata { plugin: Some(Plugin { name: "hparams".to_owned(), content }) });
+        // The tag by which TensorBoard finds them.
+        let tag = "_hparams_/session_start_info".to_owned();
+        self.summary(0, vec![Tagged { tag, metadata, ..Tagged::default() }])
     }
 
     /// The path of the file.
@@ -180,6 +232,25 @@ fn fields<'v>(value: &'v Value, skipped: &[&str]) -> impl Iterator<Item = (&'v S
     value.as_object().into_iter().flatten().filter(|(name, _)| !skipped.contains(&name.as_str()))
 }
 
+/// Adds the settings below `path` by their own paths.
+fn collect(path: &str, value: &Value, settings: &mut BTreeMap<String, Setting>) {
+    let kind = match value {
+        Value::Null => return,
+        Value::Bool(switch) => SettingKind::Switch(*switch),
+        Value::Number(number) => SettingKind::Number(number.as_f64().unwrap_or(f64::NAN)),
+        Value::String(text) => SettingKind::Text(text.clone()),
+        Value::Array(_) => SettingKind::Text(value.to_string()),
+        Value::Object(fields) => {
+            for (name, value) in fields {
+                let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+                collect(&path, value, settings);
+            }
+            return;
+        }
+    };
+    settings.insert(path.to_owned(), Setting { kind: Some(kind) });
+}
+
 fn record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     [&length[..], &masked_checksum(&length), data, &masked_checksum(data)].concat()
@@ -219,6 +290,9 @@ mod tests {
         let picture = Picture { height: 2, width: 3, colorspace: 3, encoded: b"GIF89a".to_vec() };
         writer.picture(8192, &["train-2-6/success".to_owned()], &picture).unwrap();
         writer.text(0, "settings", "seed = 1").unwrap();
+        let settings =
+            json!({ "seed": 1, "learner": { "gamma": 0.99, "adapt": true, "points": [[0, 0.5]] }, "device": "cpu" });
+        writer.hyperparameters(&settings).unwrap();
         let path = fs::read_dir(dir.path().join("learner")).unwrap().next().unwrap().unwrap().path();
         assert_eq!(path, writer.path());
         assert!(path.file_name().unwrap().to_str().unwrap().starts_with("events.out.tfevents."));
@@ -229,7 +303,7 @@ mod tests {
             events.push(Event::decode(&rest[12..12 + length]).unwrap());
             rest.drain(..12 + length + 4);
         }
-        assert_eq!(events.len(), 4);
+        assert_eq!(events.len(), 5);
         assert_eq!(events[0].file_version.as_deref(), Some("brain.Event:2"));
         assert_eq!(events[1].step, 4096);
         let scalar = |tag: &str, value| Tagged { tag: tag.to_owned(), simple_value: Some(value), ..Tagged::default() };
@@ -247,6 +321,19 @@ mod tests {
             ("settings", 7, &[b"seed = 1".to_vec()][..])
         );
         assert_eq!(metadata.plugin.as_ref().unwrap().name, "text");
+        let row = &events[4].summary.as_ref().unwrap().values[0];
+        let plugin = row.metadata.as_ref().unwrap().plugin.as_ref().unwrap();
+        assert_eq!((row.tag.as_str(), plugin.name.as_str()), ("_hparams_/session_start_info", "hparams"));
+        let session = Hyperparameters::decode(&plugin.content[..]).unwrap().session.unwrap();
+        let wanted = [
+            ("device", SettingKind::Text("cpu".to_owned())),
+            ("learner.adapt", SettingKind::Switch(true)),
+            ("learner.gamma", SettingKind::Number(0.99)),
+            ("learner.points", SettingKind::Text("[[0,0.5]]".to_owned())),
+            ("seed", SettingKind::Number(1.0)),
+        ];
+        let wanted = wanted.map(|(name, kind)| (name.to_owned(), Setting { kind: Some(kind) }));
+        assert_eq!(session.by_name, BTreeMap::from(wanted));
     }
 
     #[test]

@@ -87,17 +87,21 @@ impl MetricsWriter {
         write().map_err(|source| WriteError::Io { path: self.path.clone(), source })
     }
 
-    /// Adds a text in Markdown, shown under its name.
+    /// Shows the settings of the run, the text of its `config.toml`: as they are, and in the table of hyperparameters.
     ///
     /// # Errors
     /// If writing fails.
-    pub fn text(&mut self, name: &str, text: &str) -> Result<(), WriteError> {
-        let written = self.tensorboard.text(0, name, text);
-        written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
+    pub fn settings(&mut self, config: &str) -> Result<(), WriteError> {
+        let mut write = || {
+            self.tensorboard.text(0, "settings", &format!("```toml\n{config}```"))?;
+            // What is no TOML is still shown as it is.
+            toml::from_str::<Value>(config).map_or(Ok(()), |settings| self.tensorboard.hyperparameters(&settings))
+        };
+        write().map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
     }
 
-    /// Adds a point to each named curve at a number of environment steps. Counts of what a session dropped have a curve
-    /// once there are any, so that TensorBoard does not open on a page of zeros.
+    /// Adds a point to each named curve at a number of environment steps. Counts, and what PPO reports, have no points where
+    /// they are 0, so that TensorBoard does not open on a page of zeros while labels teach and nothing is dropped.
     ///
     /// # Errors
     /// If writing fails.
