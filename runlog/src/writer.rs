@@ -110,7 +110,10 @@ impl MetricsWriter {
         n_env_steps: u64,
         scalars: impl IntoIterator<Item = (String, f64)>,
     ) -> Result<(), WriteError> {
-        let is_shown = |(tag, value): &(String, f64)| *value != 0.0 || !tag.starts_with("bus/");
+        let is_quiet = |tag: &str| {
+            ["bus/", "ingest/", "ppo/"].iter().any(|start| tag.starts_with(start)) || tag.ends_with("_total")
+        };
+        let is_shown = |(tag, value): &(String, f64)| *value != 0.0 || !is_quiet(tag);
         let written = self.tensorboard.scalars(n_env_steps, scalars.into_iter().filter(is_shown));
         written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
     }
@@ -141,6 +144,24 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+
+    #[test]
+    fn counts_and_ppo_have_no_points_at_zero() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        let mut writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
+        let scalars = [
+            ("ppo/entropy", 0.0),
+            ("ingest/stale_total", 0.0),
+            ("learner/expired_total", 0.0),
+            ("ppo/grad_norm", 0.5),
+            ("learner/policy_lag_mean", 0.0),
+        ];
+        writer.scalars(1, scalars.map(|(tag, value)| (tag.to_owned(), value))).unwrap();
+        let events = String::from_utf8_lossy(&fs::read(writer.tensorboard.path()).unwrap()).into_owned();
+        let written = scalars.map(|(tag, _)| events.contains(tag));
+        assert_eq!(written, [false, false, false, true, true]);
+    }
 
     #[test]
     fn the_last_line_of_a_key_is_found() {

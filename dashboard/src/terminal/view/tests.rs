@@ -87,6 +87,28 @@ fn a_run_fits_on_80_by_24() {
 }
 
 #[test]
+fn while_only_labels_teach_there_are_no_zeros_of_ppo() {
+    let mut sample = samples::learner();
+    for name in
+        ["total_loss", "policy_loss", "value_loss", "approx_kl", "entropy", "clip_fraction", "explained_variance"]
+    {
+        sample.value["ppo"][name] = 0.0.into();
+    }
+    sample.value["imitation"] = serde_json::json!({
+        "weight": 1.0, "block_loss": 0.25, "move_loss": 0.125, "block_accuracy": 0.9, "n_gradient_steps": 8, "n_replay": 64,
+    });
+    let mut run = RunView::default();
+    run.take(&sample, seconds(30));
+    let shown = screen(&run, seconds(42), 80, 24);
+    let start = shown.iter().position(|line| line.starts_with("Learning")).unwrap();
+    let expected = [
+        "  episodes    success 50.0 ( 23.7 to  76.3) of 10, return 3.250, 45.2 steps",
+        "  labels      block accuracy 90.0 %, block loss 0.250, move loss 0.125",
+    ];
+    assert_eq!(shown[start + 2..start + 4], expected);
+}
+
+#[test]
 fn an_empty_run_says_what_it_waits_for() {
     let mut run = RunView::default();
     let waiting = [

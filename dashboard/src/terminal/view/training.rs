@@ -38,22 +38,25 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
             learner.policy_lag_mean,
             learner.policy_lag_max,
         )),
-        plain(format!(
+    ];
+    // Zero throughout while only labels teach.
+    if [ppo.policy_loss, ppo.value_loss, ppo.entropy, ppo.approx_kl].iter().any(|number| *number != 0.0) {
+        lines.push(plain(format!(
             "  loss        total {}, policy {}, value {}, gradient norm {}",
             number(ppo.total_loss),
             number(ppo.policy_loss),
             number(ppo.value_loss),
             number(ppo.grad_norm),
-        )),
-        plain(format!(
+        )));
+        lines.push(plain(format!(
             "  policy      KL {}, entropy {}, clipped {}, explained variance {}",
             number(ppo.approx_kl),
             number(ppo.entropy),
             number(ppo.clip_fraction),
             number(ppo.explained_variance),
-        )),
-        plain(format!("  episodes    {ended}")),
-    ];
+        )));
+    }
+    lines.push(plain(format!("  episodes    {ended}")));
     if let Some(imitation) = learner.imitation.filter(|imitation| imitation.weight > 0.0) {
         lines.push(plain(format!(
             "  labels      block accuracy {:.1} %, block loss {}, move loss {}",
