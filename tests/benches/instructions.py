@@ -5,7 +5,8 @@ Usage: python tests/benches/instructions.py BINARY [--update]
 
 BINARY is what `cargo bench -p tests --bench hot_paths --no-run` names. Needs valgrind. Each path runs for one round and for three;
 half the difference is one round, without start and set-up. valgrind has no AVX-512, so AVX2 is what is counted. The counts
-stand in instructions.json beside this script; --update writes them anew. The exit code is 1 if one is beyond its limit.
+stand in instructions.json beside this script, with the compiler that they belong to; --update writes them anew. The exit code
+is 1 if one is beyond its limit.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 KEPT = Path(__file__).with_name("instructions.json")
 PATHS = ("world", "features", "forward", "gradient")
@@ -41,7 +43,11 @@ def main() -> int:
     parser.add_argument("binary", type=Path, help="the bench hot_paths, built")
     parser.add_argument("--update", action="store_true", help="keep the new counts")
     args = parser.parse_args()
-    kept: dict[str, int] = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    found: dict[str, Any] = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    kept: dict[str, int] = found.get("instructions", {})
+    rustc = subprocess.run(["rustc", "--version"], capture_output=True, text=True, check=True).stdout.strip()
+    if kept and found.get("rustc") != rustc:
+        print(f"counted with {rustc}, compared with {found.get('rustc')}: a change may be the compiler's", flush=True)
     counted: dict[str, int] = {}
     n_beyond = 0
     for path in PATHS:
@@ -53,7 +59,7 @@ def main() -> int:
         note = "  <- changed" if is_beyond else ""
         print(f"{path:10} {counted[path]:>14,} instructions a round, {change:+.1%}{note}", flush=True)
     if args.update:
-        KEPT.write_text(json.dumps(counted, indent=2) + "\n")
+        KEPT.write_text(json.dumps({"rustc": rustc, "instructions": counted}, indent=2) + "\n")
         return 0
     return 1 if n_beyond else 0
 
