@@ -27,7 +27,7 @@ const PAPER: &str = "months on two cores: meant for hundreds of actors and a GPU
 
 /// All presets, the default first.
 pub const PRESETS: &[Preset] = presets![
-    "quickstart": "about 10 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk",
+    "quickstart": "about 6 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk",
     "laptop": "about an hour and a half on two cores, 1 GB of memory and 1 GB of disk; it may be ended and resumed at any time",
     "fine-tune": "about 20 minutes on two cores, 1 GB of memory and 1 GB of disk",
     "compact": "about 15 minutes on two cores, 1 GB of memory and 1 GB of disk",
