@@ -91,5 +91,19 @@ stop() {
     done
     # shellcheck disable=SC2086 # one word an id
     [[ -z $actors ]] || act scancel $actors
-    [[ -n $dry_run ]] || echo "stopped; the newest checkpoint holds $(newest_step "$folder/run" | grep . || echo 0) steps"
+    [[ -z $dry_run ]] || return 0
+    await_actors "$began"
+    echo "stopped; the newest checkpoint holds $(newest_step "$folder/run" | grep . || echo 0) steps"
+}
+
+# Waits until Slurm has ended the cancelled actors, because `launch` refuses while any is left. BEGAN is when `stop` began.
+await_actors() {
+    local id
+    for id in $(ids_of actors); do
+        while [[ -n $(states_of "$id") ]]; do
+            ((SECONDS - $1 < wait_s)) ||
+                die 1 "the run is saved and its actors are cancelled, but job $id has not ended in $wait_s s: see \`squeue -j $id\`"
+            sleep 1
+        done
+    done
 }
