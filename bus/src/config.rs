@@ -37,8 +37,9 @@ settings! {
         pub weights_mb_per_s: u64 = 1000, in 1..=1_000_000;
         /// Trajectories that may wait to be decoded at the learner; more are refused as `Full`.
         pub ingest_queue: usize = 256, in 1..=65_536;
-        /// Largest message that this process receives, in bytes; at least what the codec allows.
-        pub max_message_bytes: usize = 72 << 20, in MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES)..=1 << 30;
+        /// Largest message that this process receives, in bytes; by default, more than the codec allows. Runs of earlier
+        /// versions have 72 MiB, which is enough for networks of 18 million parameters.
+        pub max_message_bytes: usize = MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES) + (7 << 20), in 65 << 20..=1 << 30;
         /// Credentials of this process. Listening where other machines can connect needs keys.
         pub security: SecurityConfig;
     }

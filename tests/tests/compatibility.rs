@@ -2,8 +2,11 @@
 
 use std::path::Path;
 
-use deploy::config::{Config, PRESETS};
+use burn::tensor::Device;
+use deploy::config::{Base, Config, PRESETS, Preset, merge};
 use learner::Model;
+use policy::Engine;
+use proto::codec::MAX_PARAMETERS;
 
 /// The hash of the network of each preset, which weights on the bus carry.
 const NETWORK_HASHES: [(&str, u64); 18] = [
@@ -44,4 +47,14 @@ fn the_shipped_policy_is_read_and_is_one_of_the_laptop_preset() {
     let model = Model::from_bytes(&std::fs::read(&path).unwrap(), &path).unwrap();
     assert_eq!((model.weights.version.0, model.weights.n_env_steps), (439, 3_602_734));
     assert_eq!(model.weights.network_hash, network_hash("laptop"));
+}
+
+#[test]
+fn the_networks_of_all_ablations_fit_onto_the_bus() {
+    for preset in Preset::ablations() {
+        let over = preset.overrides().unwrap();
+        let config = merge("base = \"laptop\"", preset.name, Base::Defaults, &over).unwrap();
+        let n_parameters = Engine::new(&config.policy, 0, &Device::flex(), false).parameters().len();
+        assert!(n_parameters <= MAX_PARAMETERS, "{}: {n_parameters}", preset.name);
+    }
 }
