@@ -214,6 +214,10 @@ mod tests {
         let message = router("tcp/0.0.0.0:7447").validate().unwrap_err().to_string();
         assert!(message.contains("tcp/0.0.0.0:7447") && message.contains("lodestone keys new"), "{message}");
         assert_eq!(router("tcp/127.0.0.1:7447").validate(), Ok(()));
+        for wrong in ["tcp/127.0.0.1", "tcp/127.0.0.1:99999", "tcp/:7447", "tcp/127.0.0.1:port"] {
+            let message = router(wrong).validate().unwrap_err().to_string();
+            assert!(message.starts_with(&format!("bus.listen: `{wrong}` is no endpoint")), "{message}");
+        }
         let message = router("tls/127.0.0.1:7447").validate().unwrap_err().to_string();
         assert!(message.starts_with("bus.listen: `tls/127.0.0.1:7447` is no endpoint"), "{message}");
         let message = router("tcp/127.0.0.1:0").validate().unwrap_err().to_string();

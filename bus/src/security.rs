@@ -141,7 +141,10 @@ pub(super) fn is_reachable(endpoint: &str) -> bool {
 /// Whether the text is an endpoint with a supported protocol.
 pub(super) fn is_endpoint(text: &str) -> bool {
     match text.split_once('/') {
-        Some(("tcp" | "quic", address)) => address.contains(':'),
+        Some(("tcp" | "quic", address)) => {
+            let address = address.split(['?', '#']).next().unwrap_or_default();
+            address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
+        }
         Some(("unixsock-stream", path)) => !path.is_empty(),
         _ => false,
     }
@@ -150,7 +153,7 @@ pub(super) fn is_endpoint(text: &str) -> bool {
 /// Whether the system chooses the endpoint's port.
 pub(super) fn has_any_port(endpoint: &str) -> bool {
     let address = endpoint.split(['?', '#']).next().unwrap_or_default();
-    is_endpoint(address) && address.rsplit_once(':').is_some_and(|(_, port)| port.parse() == Ok(0_u16))
+    is_endpoint(endpoint) && address.rsplit_once(':').is_some_and(|(_, port)| port.parse() == Ok(0_u16))
 }
 
 /// Whether the endpoint is encrypted.
