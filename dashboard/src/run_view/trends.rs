@@ -19,12 +19,12 @@ const FOLLOWED: [(&str, Look); 12] = [
     ("block loss, nats", |learner| labels(learner).map(|imitation| imitation.block_loss)),
     ("move loss", |learner| labels(learner).map(|imitation| imitation.move_loss)),
     ("lag, versions", |learner| Some(learner.policy_lag_mean)),
-    ("policy loss", |learner| Some(learner.ppo.policy_loss)),
-    ("value loss", |learner| Some(learner.ppo.value_loss)),
-    ("entropy, nats", |learner| Some(learner.ppo.entropy)),
-    ("KL of an update, nats", |learner| Some(learner.ppo.approx_kl)),
-    ("explained variance", |learner| Some(learner.ppo.explained_variance)),
-    ("gradient norm", |learner| Some(learner.ppo.grad_norm)),
+    ("policy loss", |learner| of_rewards(learner.ppo.policy_loss)),
+    ("value loss", |learner| of_rewards(learner.ppo.value_loss)),
+    ("entropy, nats", |learner| of_rewards(learner.ppo.entropy)),
+    ("KL of an update, nats", |learner| of_rewards(learner.ppo.approx_kl)),
+    ("explained variance", |learner| of_rewards(learner.ppo.explained_variance)),
+    ("gradient norm", |learner| of_rewards(learner.ppo.grad_norm)),
 ];
 
 /// The newest values of everything that is followed.
@@ -61,6 +61,11 @@ impl Trends {
 /// Imitation, where labels teach.
 fn labels(learner: &LearnerMetrics) -> Option<&proto::metrics::ImitationMetrics> {
     learner.imitation.as_ref().filter(|imitation| imitation.weight > 0.0)
+}
+
+/// A number of PPO's, which is exactly zero only where rewards teach nothing.
+fn of_rewards(value: f64) -> Option<f64> {
+    (value != 0.0).then_some(value)
 }
 
 fn push(values: &mut VecDeque<f64>, value: Option<f64>) {
