@@ -51,8 +51,8 @@ def panels_have_values(ring: Ring) -> str:
     asked = expressions()
     with _prometheus(ring.page_port) as port:
         for title, expression in asked:
-            # Grafana replaces the variable by a few scrape intervals.
-            query = expression.replace("$__rate_interval", "15s")
+            # Grafana replaces the variables, by a few scrape intervals and by the run that is chosen.
+            query = expression.replace("$__rate_interval", "15s").replace("$run", ring.name())
             until(f"values for `{title}` ({query})", 40, partial(_query, port, query))
     return f"{len(asked)} expressions"
 

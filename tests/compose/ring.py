@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -96,17 +97,21 @@ class Ring:
         with urllib.request.urlopen(request, timeout=5) as answer:
             return str(answer.read().decode())
 
-    def metric(self, name: str) -> float:
-        """One value of the page's metrics, by name and labels as they stand there."""
+    def metric(self, name: str, labels: str = "") -> float:
+        """One value of the page's metrics, by its name and its labels beside the run's."""
+        pattern = re.compile(rf'{name}{{run="[^"]*"{"," if labels else ""}{re.escape(labels)}}} (\S+)')
         for line in self.page("/metrics").splitlines():
-            sample, _, value = line.rpartition(" ")
-            if sample == name:
-                return float(value)
-        raise Failed(f"the page has no {name} yet")
+            if found := pattern.fullmatch(line):
+                return float(found[1])
+        raise Failed(f"the page has no {name} of {labels or 'its run'} yet")
+
+    def name(self) -> str:
+        """Name of the run, as the page tells it."""
+        return str(json.loads(self.page("/api/about"))["run"])
 
     def n_alive(self, role: str) -> int:
         """Members of the run, as the page knows them."""
-        return int(self.metric(f'lodestone_alive_processes{{role="{role}"}}'))
+        return int(self.metric("lodestone_alive_processes", f'role="{role}"'))
 
     def n_steps(self) -> int:
         """Environment steps that the learner has consumed, as the page knows them."""

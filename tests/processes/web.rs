@@ -33,7 +33,7 @@ fn a_page_shows_a_run_while_it_lasts() {
     let history: Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
     assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"2_000".into()));
     assert_eq!(history["passes"][0]["all"]["mode"]["n_episodes"], 2);
-    assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{role=\"actor\"} 1.0\n"));
+    assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{run=\"near-goal\",role=\"actor\"} 1.0\n"));
 
     interrupt(&run);
     // The stream of events ends with the run, and does not hold it up.
@@ -66,7 +66,8 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
         let family = &told[format!("lodestone_{name}")];
         assert_eq!(family["type"], kind, "{name}");
         let of = |sample: &Value| {
-            let labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
+            let mut labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
+            assert_eq!(labels.remove("run").as_deref(), Some("near-goal"));
             (labels.into_values().collect::<Vec<_>>().join(" "), sample[2].as_f64().unwrap())
         };
         family["samples"].as_array().unwrap().iter().map(of).collect::<BTreeMap<String, f64>>()
@@ -90,9 +91,10 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     assert_eq!(samples("learner_env_steps", "counter")[""], recorded(&learner["n_env_steps"]));
     assert_eq!(samples("learner_entropy_nats", "gauge")[""], recorded(&learner["ppo"]["entropy"]));
     let drops = samples("learner_trajectories_dropped", "counter");
-    for reason in ["stale", "full", "invalid", "name_taken"] {
+    for reason in ["stale", "invalid", "name_taken"] {
         assert_eq!(drops[reason], recorded(&learner["ingest"][format!("{reason}_total")]), "{reason}");
     }
+    assert_eq!(samples("learner_back_pressure", "counter")[""], recorded(&learner["ingest"]["full_total"]));
     assert_eq!(samples("actor_trajectories_dropped", "counter").len(), 9);
     assert_eq!(drops["unmade"], recorded(&learner["unmade_total"]));
     assert_eq!(samples("learner_bus_dropped", "counter")["weights_refused"], 0.0);

@@ -2,6 +2,7 @@
 //!
 //! A registry is filled anew for each scrape, so that blueprints and actors that have gone are gone here too.
 
+use std::borrow::Cow;
 use std::sync::atomic::AtomicU64;
 
 use prometheus_client::encoding::text::encode;
@@ -27,8 +28,9 @@ type Labels = Vec<(&'static str, String)>;
 /// # Errors
 /// Never for the names and labels used here; the encoder's own type.
 pub(super) fn text(state: &State) -> Result<String, std::fmt::Error> {
-    let mut page = Scrape(Registry::with_prefix("lodestone"));
-    build(&mut page, state);
+    let run = (Cow::Borrowed("run"), Cow::Owned(state.run.name().to_owned()));
+    let mut page = Scrape(Registry::with_prefix_and_labels("lodestone", std::iter::once(run)));
+    build(&mut page);
     success(&mut page, state);
     learner(&mut page, state);
     roster(&mut page, state);
@@ -85,10 +87,10 @@ fn by_reason(counts: &impl Serialize) -> Vec<(Labels, u64)> {
     counters(counts).into_iter().map(|(name, n)| (reason(name), n)).collect()
 }
 
-/// A constant whose labels say what is scraped.
-fn build(page: &mut Scrape, state: &State) {
-    let labels = vec![label("version", env!("CARGO_PKG_VERSION")), label("run", state.run.name())];
-    page.gauges("build_info", "Always 1; the labels have the version of the program and the run", [(labels, 1.0)]);
+/// A constant whose label says which program answers.
+fn build(page: &mut Scrape) {
+    let labels = vec![label("version", env!("CARGO_PKG_VERSION"))];
+    page.gauges("build_info", "Always 1; the label has the version of the program", [(labels, 1.0)]);
 }
 
 fn success(page: &mut Scrape, state: &State) {
@@ -196,7 +198,6 @@ fn dropped(page: &mut Scrape, state: &State) {
         let ingest = &learner.ingest;
         [
             ("stale", ingest.stale_total),
-            ("full", ingest.full_total),
             ("invalid", ingest.invalid_total),
             ("name_taken", ingest.name_taken_total),
             ("duplicate", ingest.duplicates_total),
@@ -209,6 +210,11 @@ fn dropped(page: &mut Scrape, state: &State) {
         "learner_trajectories_dropped",
         "Trajectories that the learner did not learn from, by reason",
         reasons,
+    );
+    page.counter(
+        "learner_back_pressure",
+        "Trajectories that came while the mailbox was full, which actors send again",
+        learner.map(|learner| learner.ingest.full_total),
     );
     let counts = &state.counts;
     let reasons = [
@@ -242,7 +248,7 @@ mod tests {
     use crate::web::board::Board;
     use crate::web::tests::samples::pass;
 
-    /// Samples by name and labels; every one must have a type and a help text before it.
+    /// Samples by name and labels but that of the run; every one must have a type and a help text before it.
     fn parse(text: &str) -> BTreeMap<String, f64> {
         let (mut helped, mut typed, mut samples) = (BTreeSet::new(), BTreeSet::new(), BTreeMap::new());
         assert!(text.ends_with("# EOF\n"));
@@ -258,7 +264,11 @@ mod tests {
                 let name = sample.split('{').next().unwrap();
                 let family = name.strip_suffix("_total").unwrap_or(name);
                 assert!(helped.contains(family) && typed.contains(family), "{line}");
-                assert!(samples.insert(sample.to_owned(), value.parse().unwrap()).is_none(), "{line} twice");
+                let labels = sample.strip_prefix(name).unwrap();
+                let others = labels.strip_prefix(r#"{run="""#).unwrap_or_else(|| panic!("{line} is of no run"));
+                let others = others.trim_start_matches(',').trim_end_matches('}');
+                let sample = if others.is_empty() { name.to_owned() } else { format!("{name}{{{others}}}") };
+                assert!(samples.insert(sample, value.parse().unwrap()).is_none(), "{line} twice");
             }
         }
         samples
@@ -311,7 +321,7 @@ mod tests {
             ("lodestone_page_metrics_unread_total{reason=\"schema_unknown\"}", 1.0),
             ("lodestone_page_metrics_unread_total{reason=\"over_limit\"}", 0.0),
             ("lodestone_page_bus_dropped_total{reason=\"metrics_dropped\"}", 0.0),
-            (concat!("lodestone_build_info{version=\"", env!("CARGO_PKG_VERSION"), "\",run=\"\"}"), 1.0),
+            (concat!("lodestone_build_info{version=\"", env!("CARGO_PKG_VERSION"), "\"}"), 1.0),
         ] {
             assert_eq!(samples.get(sample), Some(&value), "{sample} in {samples:#?}");
         }
