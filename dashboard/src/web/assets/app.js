@@ -19,7 +19,11 @@ const replay = new Replay({
   back: $("replay-back"), forth: $("replay-forth"), text: $("replay-text"),
   player: $("replay-player"), note: $("replay-note"), fitButton: $("replay-fit"), fullButton: $("replay-full"),
   speedChoice: $("replay-speed"),
-  terms: new Terms($("replay-terms"), $("replay-values")), ghost: $("replay-ghost"),
+  terms: new Terms($("replay-terms"), $("replay-values"), (step) => {
+    replay.play(false);
+    replay.seek(step);
+  }),
+  ghost: $("replay-ghost"),
   attention: new Attention({
     part: $("replay-attention"), choice: $("replay-eye"), strip: $("replay-strip"), note: $("replay-attention-note"),
   }, () => replay.draw()),
@@ -36,7 +40,13 @@ const editor = new Editor(stage, {
 });
 const openFilm = (film) => openRecording(replay, $("replay-note"), film);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
-heat.opened = ({ id }) => {
+heat.opened = async ({ id }, pass) => {
+  // What that evaluation recorded, if this is among it; or else what the newest weights make of the same blueprint.
+  const recorded = await filmOf(id, pass.weights_version);
+  if (recorded) {
+    openFilm(recorded);
+    return;
+  }
   if (!model.about || !model.about.can_play || (isCopy && !stage.only.includes(id))) return;
   if (!stage.keep.checked) stage.seed = 0;
   stage.start(id);
@@ -59,7 +69,10 @@ function draw() {
     drawCurves($("curves"), model.history, model.acting);
     drawGroups($("groups"), model.history);
   }
-  if (parts.has("learner") && $("health")) drawHealth($("health"), model.points);
+  if (parts.has("learner") && $("learner")) {
+    $("learner").hidden = model.points.length === 0 && model.about !== null && model.about.kind === "finished";
+    drawHealth($("health"), model.points);
+  }
   if ($("roster")) drawRoster($("roster"), model.roster, model.actors, model.learner);
   if ($("drops")) drawDrops($("drops"), model.actors, model.learner, model.summary);
   drawTiles();
@@ -74,8 +87,8 @@ function drawTiles() {
   const left = learner && target ? (target - learner.n_env_steps) / learner.env_steps_per_s : NaN;
   const soon = kind !== "finished" && left > 0 ? `, ${minutes(left)} to go` : "";
   const tiles = [["success", success ? percent(success.rate) : "–", episodes]];
-  // Nobody learns where a policy is shown.
-  if (kind !== "play") {
+  // Nobody learns where a policy is shown, or was.
+  if (kind !== "play" && (kind !== "finished" || learner)) {
     tiles.push(
       ["environment steps", learner ? count(learner.n_env_steps) : "–", learner ? `${target ? `of ${count(target)}, ` : ""}in ${minutes(Math.max(learner.elapsed_s, learner.run_elapsed_s || 0))}${soon}` : ""],
       ["weights", learner ? `version ${learner.weights_version}` : "–", last ? `evaluated: version ${last.weights_version}` : ""],
@@ -95,7 +108,10 @@ function introduce(about) {
   document.title = `${about.run} · Lodestone`;
   about.gripper_colors.forEach((color, i) => document.documentElement.style.setProperty(`--gripper${i}`, `rgb(${color.join(",")})`));
   if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
-  if (!about.can_play) ["stage-bar", "draw"].forEach((id) => $(id).remove());
+  if (!about.can_play) {
+    ["stage-bar", "draw"].forEach((id) => $(id).remove());
+    $("replay-note").textContent = "No policy of this run is there to play; its films can be turned and stepped.";
+  }
   else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
   if (about.kind === "play") {

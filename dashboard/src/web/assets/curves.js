@@ -1,6 +1,9 @@
 // Success by group against environment steps, with 95 % intervals, and the table of the newest evaluation.
 
 const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation", "all"];
+/** Fewer points than this have dots. */
+const MAX_DOTS = 40;
+
 const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "7 2 1 2", "1 2"];
 
 /** An empty picture of rates, 0 to 1, against at most `most` environment steps, and where a point of it is. */
@@ -57,10 +60,10 @@ function drawCurves(place, history, acting) {
     drawing.append(svg("polygon", { class: `band g${i}`, points: [...upper, ...lower].join(" ") }));
     const line = points.map((point) => `${x(point.steps)},${y(point.rate.rate)}`).join(" ");
     drawing.append(svg("polyline", { class: `curve g${i}`, "stroke-dasharray": DASHES[i], points: line }));
-    if (points.length < 40) {
-      points.forEach((point) => drawing.append(svg("circle", { class: `g${i}`, cx: x(point.steps), cy: y(point.rate.rate), r: 2.5 },
-        svg("title", {}, `${name}, ${count(point.steps)} steps: ${percent(point.rate.rate)} (${interval(point.rate)})`))));
-    }
+    // Dots that touch would hide the line; they are still there to be pointed at.
+    const look = points.length < MAX_DOTS ? { class: `g${i}`, r: 2.5 } : { class: "unseen", r: 5 };
+    points.forEach((point) => drawing.append(svg("circle", { ...look, cx: x(point.steps), cy: y(point.rate.rate) },
+      svg("title", {}, `${name}, ${count(point.steps)} steps: ${percent(point.rate.rate)} (${interval(point.rate)})`))));
   });
   place.replaceChildren(drawing);
 }

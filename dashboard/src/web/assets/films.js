@@ -2,6 +2,17 @@
 
 let shownFilms = "";
 
+/** The film of a blueprint in the evaluation of some weights, if there is one. */
+async function filmOf(blueprint, version) {
+  try {
+    const answer = await fetch(answerAt(model.base, "films"));
+    const films = answer.ok ? (await answer.json()).films : [];
+    return films.find((film) => film.blueprint === blueprint && film.weights_version === version);
+  } catch {
+    return undefined;
+  }
+}
+
 /** Asks which films there are and shows those that were not there before. */
 async function askFilms(list, note, open) {
   let films;

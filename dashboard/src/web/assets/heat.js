@@ -15,7 +15,7 @@ class Heat {
     this.cellText = cellText;
     this.cursor = null;
     this.words = "";
-    // Called with a row that somebody opens.
+    // Called with the row and the evaluation of a cell that somebody opens.
     this.opened = () => {};
     this.rows = [];
     canvas.addEventListener("pointermove", (event) => this.point(event));
@@ -52,7 +52,7 @@ class Heat {
   }
 
   open() {
-    if (this.cursor) this.opened(this.rows[this.cursor.row]);
+    if (this.cursor) this.opened(this.rows[this.cursor.row], this.passes[this.cursor.column]);
   }
 
   layout(width) {
@@ -73,9 +73,10 @@ class Heat {
       y += height;
       groups[groups.length - 1].end = y;
     }
-    // One evaluation does not fill the width: its cells would say nothing more.
-    const column = Math.min((width - left) / Math.max(this.passes.length, 1), 180);
-    return { height, names, left, groups, column, total: y };
+    // Few evaluations do not fill the width: wider cells would say nothing more. One alone is drawn as bars, which do.
+    const isOne = this.passes.length === 1;
+    const column = isOne ? width - left : Math.min((width - left) / Math.max(this.passes.length, 1), 180);
+    return { height, names, left, groups, column, isOne, total: y };
   }
 
   draw() {
@@ -102,10 +103,15 @@ class Heat {
     for (const row of this.rows) {
       this.passes.forEach((pass, i) => {
         const cell = pass[this.acting][row.place];
-        pen.fillStyle = cell ? heatColor(cell[0] / cell[1]) : color("--none");
         const x = Math.round((at.left + i * at.column) * ratio) / ratio;
         const end = Math.round((at.left + (i + 1) * at.column) * ratio) / ratio;
-        pen.fillRect(x, row.y, end - x - gap, at.height - (at.height > 8 ? 1 : 0));
+        const height = at.height - (at.height > 8 ? 1 : 0);
+        pen.fillStyle = cell && !at.isOne ? heatColor(cell[0] / cell[1]) : color("--none");
+        pen.fillRect(x, row.y, end - x - gap, height);
+        if (!cell || !at.isOne) return;
+        pen.fillStyle = heatColor(cell[0] / cell[1]);
+        // Failures alone are still to be seen.
+        pen.fillRect(x, row.y, Math.max((end - x - gap) * (cell[0] / cell[1]), 2), height);
       });
     }
     pen.textBaseline = "middle";

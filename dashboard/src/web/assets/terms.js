@@ -10,8 +10,9 @@ const TERMS = [
 ];
 
 class Terms {
-  constructor(place, legend) {
-    this.place = place;
+  /** `go` is called with the step that somebody clicks. */
+  constructor(place, legend, go) {
+    [this.place, this.go, this.time] = [place, go, 0];
     this.values = TERMS.map(([title], i) => {
       const value = element("dd", {}, "–");
       const line = svg("line", { class: `curve g${i}`, x1: 0, x2: 22, y1: 6, y2: 6, "stroke-dasharray": DASHES[i] });
@@ -37,10 +38,21 @@ class Terms {
     });
     this.now = svg("line", { class: "now", y1: 0, y2: 100 });
     drawing.append(this.now);
-    this.place.replaceChildren(drawing);
+    const stepAt = (event) => Math.min(Math.max(Math.round((event.offsetX / (drawing.clientWidth || 1)) * last), 0), last);
+    drawing.addEventListener("pointermove", (event) => this.tell(stepAt(event)));
+    drawing.addEventListener("pointerleave", () => this.tell(this.time));
+    drawing.addEventListener("click", (event) => this.go(stepAt(event)));
+    const range = `reward ${decimal(low)} to ${decimal(high)}, steps 0 to ${last}; a click goes to a step`;
+    this.place.replaceChildren(drawing, element("small", { class: "quiet" }, range));
   }
 
   seek(time) {
+    this.time = time;
+    this.tell(time);
+  }
+
+  /** Marks a time and writes the values there. */
+  tell(time) {
     this.now.setAttribute("x1", time);
     this.now.setAttribute("x2", time);
     const scene = this.scenes[Math.floor(time)];
