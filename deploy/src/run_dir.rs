@@ -7,10 +7,11 @@ use std::time::SystemTime;
 
 use runlog::RunPaths;
 use serde::Serialize;
+use serde_json::Value;
 use time::OffsetDateTime;
 
 use crate::cli::RunArgs;
-use crate::config::Config;
+use crate::config::{Config, Preset};
 use crate::exit::Failure;
 
 /// A run's folder, which exists and in which no other process learns until this is dropped.
@@ -18,6 +19,7 @@ use crate::exit::Failure;
 pub struct RunDir {
     paths: RunPaths,
     is_new: bool,
+    preset: Option<String>,
     /// The system gives the lock back when the process ends, however it ends.
     _lock: File,
 }
@@ -69,8 +71,15 @@ struct Meta<'a> {
     lodestone_version: &'static str,
     command: Vec<String>,
     started_utc: String,
+    preset: Option<&'a str>,
     seed: u64,
     resumed_from: Option<&'a Path>,
+}
+
+/// The preset that a run was started with, if it says so. Runs of earlier versions do not.
+pub fn preset_of(paths: &RunPaths) -> Option<String> {
+    let meta: Value = serde_json::from_slice(&fs::read(paths.meta()).ok()?).ok()?;
+    Some(meta["preset"].as_str()?.to_owned())
 }
 
 /// Makes the folder of a run that names none: `runs/<date>-<name>`, and a number if there is one of this minute already.
@@ -101,12 +110,17 @@ fn make_new(folder: &Path, name: &str) -> io::Result<PathBuf> {
 
 impl RunDir {
     /// Makes the folder, `runs/<date>-<name>` unless a path is given, takes its lock and writes `config.toml` and `meta.json` into
-    /// it.
+    /// it. The `preset` of a run that goes on is the one that it was started with.
     ///
     /// # Errors
     /// When the folder holds another run than `origin` that has begun to learn, a process learns in it, or it cannot be
     /// written. Nothing has been changed then.
-    pub fn create(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
+    pub fn create(
+        path: Option<&Path>,
+        config: &Config,
+        preset: Option<&Preset>,
+        origin: &Origin,
+    ) -> Result<Self, Failure> {
         let started = utc(SystemTime::now());
         let path =
             path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), |path| Ok(path.to_owned()))?;
@@ -130,17 +144,20 @@ impl RunDir {
                 "{shown} holds a run already: continue it with `--resume {shown}` or choose another `--run-dir`"
             )));
         }
+        let before = origin.config.as_ref().and_then(|folder| preset_of(&RunPaths::new(folder)));
+        let preset = preset.map(|preset| preset.name.to_owned()).or(before);
         let meta = Meta {
             lodestone_version: env!("CARGO_PKG_VERSION"),
             command: std::env::args().collect(),
             started_utc: started,
+            preset: preset.as_deref(),
             seed: config.seed,
             resumed_from: origin.checkpoint.as_deref(),
         };
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
         fs::write(paths.config(), config.to_toml()).map_err(failed)?;
         fs::write(paths.meta(), meta + "\n").map_err(failed)?;
-        Ok(Self { paths, is_new, _lock: lock })
+        Ok(Self { paths, is_new, preset, _lock: lock })
     }
 
     /// Takes back what was written of a new run that could not be started.
@@ -158,6 +175,11 @@ impl RunDir {
     /// Where it is.
     pub fn path(&self) -> &Path {
         self.paths.folder()
+    }
+
+    /// The preset that the run was started with, if it was one alone.
+    pub fn preset(&self) -> Option<&str> {
+        self.preset.as_deref()
     }
 
     /// Where the files in it are.
@@ -180,7 +202,7 @@ mod tests {
     use super::*;
 
     fn start(path: &Path, origin: &Origin) -> Result<RunDir, Failure> {
-        RunDir::create(Some(path), &Config::default(), origin)
+        RunDir::create(Some(path), &Config::default(), None, origin)
     }
 
     #[test]
@@ -231,6 +253,19 @@ mod tests {
         let elsewhere = folder.path().join("elsewhere");
         let wrong = Origin::find(&RunArgs { resume: Some(elsewhere.clone()), ..RunArgs::default() });
         assert_eq!(wrong.checkpoint, Some(elsewhere));
+    }
+
+    #[test]
+    fn a_run_that_goes_on_keeps_the_name_of_its_preset() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        let preset = Preset::find("near-goal").unwrap();
+        drop(RunDir::create(Some(&path), &Config::default(), Some(preset), &Origin::default()).unwrap());
+        let resumed = Origin { config: Some(path.clone()), checkpoint: None };
+        assert_eq!(start(&path, &resumed).unwrap().preset(), Some("near-goal"));
+        assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("near-goal"));
+        fs::write(RunPaths::new(&path).meta(), "{}").unwrap();
+        assert_eq!(preset_of(&RunPaths::new(&path)), None);
     }
 
     #[test]

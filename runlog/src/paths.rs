@@ -24,7 +24,7 @@ impl RunPaths {
         self.0.join("config.toml")
     }
 
-    /// Version, seed, command and start, as JSON.
+    /// Version, preset, seed, command and start, as JSON.
     pub fn meta(&self) -> PathBuf {
         self.0.join("meta.json")
     }

@@ -105,7 +105,7 @@ pub(super) async fn run(
         // So that the first episode waits for no bus.
         first: Some(weights.clone()),
     });
-    let run_dir = RunDir::create(args.run_dir.as_deref(), config, &Origin::default())?;
+    let run_dir = RunDir::create(args.run_dir.as_deref(), config, None, &Origin::default())?;
     terminal.print(&format!("episodes and films go to {}; Ctrl-C ends", run_dir.path().display()));
     let bus = Bus::open(&config.bus).await?;
     let publisher = bus.weights_publisher().await?;

@@ -21,6 +21,7 @@ use crate::cli::ServeArgs;
 use crate::config::{Base, Config, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
+use crate::run_dir::preset_of;
 
 /// Serves until `shutdown`, or writes the copy.
 ///
@@ -86,7 +87,7 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.into_catalog();
     let blueprints = config.evaluator.selection.blueprints.clone();
-    let about = About { kind: Kind::Finished, run, preset: None, n_env_steps, blueprints, catalog };
+    let about = About { kind: Kind::Finished, run, preset: preset_of(&paths), n_env_steps, blueprints, catalog };
     Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
 }
 

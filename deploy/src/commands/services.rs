@@ -86,7 +86,7 @@ pub(super) async fn run_learner(
     let config = &settings.config;
     let setup = learner_setup(config, args.run.init_from.as_deref(), Catalog::builtin())?;
     let health = Reporter::start(Role::Learner.as_str(), args.member.health.health_file.as_deref())?;
-    let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, &origin)?;
+    let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, settings.preset, &origin)?;
     let what = format!("learning up to {} environment steps, seed {},", config.n_env_steps, config.seed);
     terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));

@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use actor::ActorSetup;
 use bus::Bus;
-use dashboard::Page;
 use dashboard::config::WebConfig;
+use dashboard::{About, Page};
 use evaluator::{EvaluatorSetup, Stop};
 use proto::ActorId;
 use proto::keys::{METRICS_LEARNER, Role};
@@ -60,9 +60,11 @@ pub(super) async fn run(
     let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
     // Before anything is written, because the address may be taken.
     let page = page(config, args, terminal).await?;
-    let page = page.map(|page| services::Opened { page, about: services::about(settings, catalog), first: None });
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
-    let run_dir = RunDir::create(run_dir, config, &origin)?;
+    let run_dir = RunDir::create(run_dir, config, settings.preset, &origin)?;
+    let preset = run_dir.preset().map(str::to_owned);
+    let about = About { preset, ..services::about(settings, catalog) };
+    let page = page.map(|page| services::Opened { page, about, first: None });
     terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
     let bus = Bus::open(&config.bus).await.inspect_err(|_| run_dir.abandon())?;
