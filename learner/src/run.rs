@@ -56,6 +56,8 @@ pub struct Summary {
     pub n_updates: u64,
     /// Environment steps, including those before a resume.
     pub n_env_steps: u64,
+    /// Seconds, including those before a resume.
+    pub run_elapsed_s: f64,
     /// Trajectories by result.
     pub mailbox: MailboxCounts,
     /// The last checkpoint.
@@ -235,9 +237,14 @@ impl Worker {
             weights_version,
             n_updates: self.learner.n_updates(),
             n_env_steps: self.learner.n_env_steps(),
+            run_elapsed_s: self.run_elapsed_s(),
             mailbox: mailbox.counts(),
             checkpoint,
         })
+    }
+
+    fn run_elapsed_s(&self) -> f64 {
+        self.before_s + self.start.elapsed().as_secs_f64()
     }
 
     fn is_over(&self) -> bool {
@@ -287,7 +294,7 @@ impl Worker {
             n_update_steps: update.n_steps,
             n_episodes: update.n_episodes,
             elapsed_s: self.start.elapsed().as_secs_f64(),
-            run_elapsed_s: self.before_s + self.start.elapsed().as_secs_f64(),
+            run_elapsed_s: self.run_elapsed_s(),
             env_steps_per_s: update.n_steps as f64 / pace.since_last.as_secs_f64().max(1e-9),
             update_s: pace.update.as_secs_f64(),
             policy_lag_mean: update.policy_lag_mean,
