@@ -47,22 +47,34 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
     make_all(&episodes, args, policy.as_ref(), terminal)
 }
 
-/// Where goals are looked up.
-struct Goals(Catalog);
+/// Where goals are looked up, and which are shown.
+struct Goals {
+    catalog: Catalog,
+    /// Named by id; with none, all are shown.
+    chosen: Vec<BlueprintId>,
+}
 
 impl Goals {
     fn new(args: &RenderArgs) -> Result<Self, Failure> {
-        Ok(Self(match &args.path {
-            Some(path) => Catalog::load(path)?,
-            None => {
-                goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?.into_catalog()
-            }
-        }))
+        if let Some(path) = &args.path {
+            return Ok(Self { catalog: Catalog::load(path)?, chosen: Vec::new() });
+        }
+        let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
+        // Files alone only say what a goal looks like.
+        let chooses = args.blueprint.iter().any(|name| !goals::is_path(name));
+        let named = if chooses { goals.blueprints()? } else { Vec::new() };
+        let chosen = named.iter().map(|blueprint| blueprint.id().clone()).collect();
+        Ok(Self { catalog: goals.into_catalog(), chosen })
+    }
+
+    /// Whether episodes with this goal are shown.
+    fn are_shown(&self, id: &BlueprintId) -> bool {
+        self.chosen.is_empty() || self.chosen.contains(id)
     }
 
     /// The blueprint, or why it is not there.
     fn find(&self, id: &BlueprintId) -> Result<Cow<'_, Blueprint>, String> {
-        let catalog = &self.0;
+        let catalog = &self.catalog;
         catalog.find(id).ok_or_else(|| {
             let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
             let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));

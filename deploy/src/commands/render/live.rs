@@ -42,7 +42,7 @@ pub(in crate::commands) async fn run(
     };
     let bus = opened.map_err(|panic| Failure::Service(panic.into()))??;
     // What came before a failure is shown all the same.
-    let (recorded, ended) = record(&bus, &args.live, &config, patience, &shutdown).await;
+    let (recorded, ended) = record(&bus, &args.live, &goals, &config, patience, &shutdown).await;
     bus.close().await;
     let episodes: Vec<Named> =
         recorded.iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
@@ -50,10 +50,18 @@ pub(in crate::commands) async fn run(
     ended
 }
 
-/// The next episode that is seen from its first step to its end; `None` after the bus is closed.
-async fn next_episode(collector: &mut Collector, viewer: &mut TrajectoryViewer) -> Option<Vec<Trajectory>> {
+/// The next episode with a goal that is shown, seen from its first step to its end; `None` after the bus is closed.
+async fn next_episode(
+    collector: &mut Collector,
+    viewer: &mut TrajectoryViewer,
+    goals: &Goals,
+) -> Option<Vec<Trajectory>> {
     loop {
-        if let Some(episode) = collector.add(viewer.recv().await?) {
+        let segment = viewer.recv().await?;
+        if !goals.are_shown(&segment.task.blueprint) {
+            continue;
+        }
+        if let Some(episode) = collector.add(segment) {
             return Some(episode);
         }
     }
@@ -63,6 +71,7 @@ async fn next_episode(collector: &mut Collector, viewer: &mut TrajectoryViewer) 
 async fn record(
     bus: &Bus,
     args: &LiveArgs,
+    goals: &Goals,
     config: &BusConfig,
     patience: Duration,
     shutdown: &CancellationToken,
@@ -76,7 +85,7 @@ async fn record(
         tracing::info!(run = args.run, "waiting for an episode");
         let next = tokio::select! {
             () = shutdown.cancelled() => return (recorded, Ok(())),
-            next = timeout(patience, next_episode(&mut collector, &mut viewer)) => next,
+            next = timeout(patience, next_episode(&mut collector, &mut viewer, goals)) => next,
         };
         match next {
             Ok(Some(segments)) => recorded.push(segments),

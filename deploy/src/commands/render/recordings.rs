@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use blueprints::BlueprintId;
 use proto::codec::{MAX_TRAJECTORY_BYTES, decode_trajectory};
 use proto::{DecodeError, Trajectory};
 use render::video::{Episode, is_same_episode};
@@ -49,6 +50,11 @@ pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, F
                 recordings.push(Recording { name: stem, files: vec![path.clone()], segments: vec![segment] });
             }
         }
+    }
+    recordings.retain(|recording| goals.are_shown(&recording.segments[0].task.blueprint));
+    if recordings.is_empty() {
+        let chosen: Vec<&str> = goals.chosen.iter().map(BlueprintId::as_str).collect();
+        return Err(Failure::NothingToShow(format!("no recorded episode has the goal {}", chosen.join(" or "))));
     }
     let episodes: Vec<Named> =
         recordings.into_iter().map(|recording| recording.episode(goals)).collect::<Result<_, _>>()?;
