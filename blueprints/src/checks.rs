@@ -117,6 +117,13 @@ pub enum Inferred {
     },
 }
 
+impl Inferred {
+    /// Whether there were several ways, of which one was taken.
+    pub fn is_a_choice(&self) -> bool {
+        matches!(self, Self::Turn { found, .. } if found.n_ways > 1 || found.may_be_more)
+    }
+}
+
 impl fmt::Display for Inferred {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -6,7 +6,7 @@ use blueprints::{Blueprint, Split};
 use evaluator::{EvalSetup, EvaluatorConfig, Follower, Selection, evaluate_followed, render};
 use tokio_util::sync::CancellationToken;
 
-use super::goals::Goals;
+use super::goals::{Goals, tell_choices};
 use super::models::Source;
 use crate::cli::EvalArgs;
 use crate::config::Override;
@@ -28,6 +28,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     let config = source.config(&overrides)?;
     let of_split = |split| Selection { splits: vec![split], ..Selection::default() };
     let selection = args.split.map_or_else(|| final_selection(&config.evaluator), of_split);
+    tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open_beside(&args.blueprint, args.model.checkpoint.as_deref())?;
     let (catalog, named) = (goals.catalog(), goals.blueprints()?);
     let blueprints: Vec<&Blueprint> = if named.is_empty() {

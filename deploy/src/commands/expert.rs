@@ -18,7 +18,7 @@ use proto::codec::encode_trajectory;
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
-use super::goals::Goals;
+use super::goals::{Goals, tell_choices};
 use crate::cli::{ExpertCommand, ExpertEvalArgs};
 use crate::config::{Base, Config, Override, merge};
 use crate::exit::Failure;
@@ -60,6 +60,7 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken
     let mut environment = defaults(&overrides)?.evaluation_environment();
     // Past the check that the policy has as many: no policy acts here.
     environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
+    tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open(&[&args.ids[..], &args.blueprint[..]].concat())?;
     let catalog = goals.catalog();
     let selected = select(&goals, &args.split)?;

@@ -11,6 +11,7 @@ use runlog::RunPaths;
 use super::files::write_files;
 use crate::config::{Override, nearest};
 use crate::exit::Failure;
+use crate::live::Terminal;
 
 /// Named blueprints, and the catalog that has them beside those of the program.
 pub(super) struct Goals {
@@ -178,6 +179,21 @@ pub(super) fn inferred(named: &[String]) -> Result<Vec<String>, Failure> {
         }
     }
     Ok(lines)
+}
+
+/// Says of the blocks in the files among `named` that could lie in several ways, which way was taken.
+///
+/// # Errors
+/// When a file cannot be read.
+pub(super) fn tell_choices(named: &[String], terminal: &Terminal) -> Result<(), Failure> {
+    for path in named.iter().filter(|name| is_path(name)) {
+        for (file, text) in read_files(Path::new(path))? {
+            let report = check_text(&file, &text);
+            let chosen = report.inferred.iter().filter(|found| found.is_a_choice());
+            chosen.for_each(|found| terminal.print(&format!("{file}: {found}; `axes` in the file chooses another")));
+        }
+    }
+    Ok(())
 }
 
 /// The blueprint of the catalog or of the generator with that id.

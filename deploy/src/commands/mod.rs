@@ -61,6 +61,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
             let source = models::Source::of(args.checkpoint.as_deref())?;
+            goals::tell_choices(&args.blueprint, terminal)?;
             let program = play::Program::of(&args)?;
             let config = play::configure(&source, &program, &args)?;
             on_runtime(async |shutdown| play::run(source, program, &config, &args, terminal, shutdown).await)
@@ -80,6 +81,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
             let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
             let origin = origin(&args.run, &args.config, &said);
+            goals::tell_choices(&args.blueprint, &said)?;
             let goals = goals::TrainingGoals::open(&args.blueprint, origin.config.as_deref())?;
             let flags = args.run.overrides().into_iter().chain(goals.settings());
             let flags = flags.chain(given.into_iter().flatten()).collect();

@@ -13,7 +13,7 @@ use proto::ActionMode;
 use proto::codec::encode_trajectory;
 use tokio_util::sync::CancellationToken;
 
-use super::goals::{Goals, find, is_path};
+use super::goals::{Goals, find, is_path, tell_choices};
 use super::models::Source;
 use crate::cli::{PerformerArgs, RecordArgs, RecordFormat, StartArg};
 use crate::config::{Config, Override};
@@ -47,6 +47,7 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     // The expert plays in the world of the program's own policy and is seen through its eyes.
     let source = Source::of(checkpoint.as_deref())?;
     let config = source.config(&overrides)?;
+    tell_choices(&args.goals.blueprint, terminal)?;
     let goals = Goals::open_beside(&args.goals.blueprint, checkpoint.as_deref())?;
     let selected = select(&goals, args)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
