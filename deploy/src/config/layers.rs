@@ -251,10 +251,18 @@ fn to_config(table: &toml::Table, origin: &str) -> Result<Config, ConfigError> {
 
 fn parse_value(text: &str) -> toml::Value {
     let parsed: Result<toml::Table, _> = toml::from_str(&format!("value = {text}"));
-    parsed
-        .ok()
-        .and_then(|mut table| table.remove("value"))
-        .unwrap_or_else(|| toml::Value::String(text.trim().to_owned()))
+    match parsed.ok().and_then(|mut table| table.remove("value")) {
+        // `1e6` is how people write a count, and a whole number is good for a setting that may have fractions, too.
+        Some(toml::Value::Float(number)) if text.contains(['e', 'E']) && is_whole(number) => (number as i64).into(),
+        Some(value) => value,
+        None => toml::Value::String(text.trim().to_owned()),
+    }
+}
+
+/// Whether a float is a whole number, and one of those that floats tell apart.
+fn is_whole(number: f64) -> bool {
+    const MAX_EXACT: f64 = 9e15;
+    number.fract() == 0.0 && number.abs() <= MAX_EXACT
 }
 
 #[cfg(test)]
@@ -325,6 +333,15 @@ mod tests {
     }
 
     #[test]
+    fn a_count_may_have_an_exponent() {
+        for (text, value) in
+            [("1e6", 1_000_000.into()), ("2.5e3", 2500.into()), ("1e-3", 0.001.into()), ("1.0", 1.0.into())]
+        {
+            assert_eq!(Override::parse(&format!("key={text}")).unwrap().value, value, "{text}");
+        }
+    }
+
+    #[test]
     fn keys_of_earlier_versions_are_read() {
         let listen = |config: Config| config.dashboard.web.map(|web| web.listen.to_string());
         let old = "[evaluator]\nnice = 3\n[evaluator.web]\nlisten = \"127.0.0.1:80\"";
@@ -377,6 +394,7 @@ mod tests {
             ),
             ("", "actor.n_wrlds=3", "--set actor.n_wrlds=3: unknown key `n_wrlds`; did you mean `n_worlds`?"),
             ("seed = 1", "seed.x=3", "--set seed.x=3: `seed` is a value, not a section"),
+            ("", "seed=1.5e0", "--set seed=1.5e0: invalid type: floating point `1.5`, expected u64"),
             ("", "seed", "--set seed: expected KEY=VALUE, for example seed=7"),
         ] {
             assert_eq!(message(text, set), expected);
