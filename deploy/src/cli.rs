@@ -90,7 +90,6 @@ pub enum Command {
     /// Print completions for a shell; `source <(lodestone completions bash)` loads them.
     Completions(CompletionsArgs),
     /// Write man pages, one for each command.
-    #[command(hide = true)]
     Man(ManArgs),
 }
 
