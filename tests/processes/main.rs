@@ -12,6 +12,7 @@ mod cli;
 mod cluster;
 mod compatibility;
 mod films;
+mod finished;
 mod record;
 mod report;
 mod resume;

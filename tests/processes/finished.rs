@@ -1,0 +1,93 @@
+//! The page over runs that have ended: several side by side, and a copy of it that any web server serves.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+
+use crate::support::program::lodestone;
+use crate::support::served::{Process, train};
+use crate::support::webdriver::Browser;
+
+/// Two short runs, `first` and `second`, in the folder.
+fn train_two(folder: &Path) {
+    for (name, seed) in [("first", "1"), ("second", "2")] {
+        let mut command = lodestone(folder);
+        let run = train(&mut command).args(["--steps", "512", "--seed", seed, "--no-web"]);
+        let trained = run.output().unwrap();
+        assert!(trained.status.success(), "{}", String::from_utf8_lossy(&trained.stderr));
+        std::fs::rename(folder.join("run"), folder.join(name)).unwrap();
+    }
+}
+
+/// Starts what serves pages, and finds their address in what it prints.
+fn serve(command: &mut Command, before: &str, after: &str) -> (Process, String) {
+    let mut server = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(server.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let address = lines.find_map(|line| {
+        let (_, rest) = line.split_once(before)?;
+        Some(rest.split_once(after).map_or(rest, |(address, _)| address).to_owned())
+    });
+    (server, address.unwrap())
+}
+
+fn complaints(browser: &Browser) -> Vec<Value> {
+    browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE").collect()
+}
+
+#[test]
+fn finished_runs_stand_side_by_side_and_their_policies_play() {
+    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    train_two(folder.path());
+    let (_server, address) = serve(lodestone(folder.path()).args(["serve", "first", "second"]), "page at ", "\n");
+    let browser = Browser::start(&driver, folder.path());
+    browser.open(&address);
+    browser.until("document.querySelector('#state').textContent === 'finished'");
+    let options =
+        browser.run("return [...document.querySelectorAll('#run-name option')].map((one) => one.textContent)");
+    assert_eq!(options, serde_json::json!(["first", "second"]));
+    // A curve for each run, in one picture.
+    browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
+    // The heat map opens what the evaluation recorded.
+    browser.until("heat.rows.length === 1 && heat.passes.length > 0");
+    browser.run("heat.move({ row: 0, column: heat.passes.length - 1 }); heat.open()");
+    browser.until("!document.querySelector('#replay-player').hidden");
+    assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));
+    // Another episode is played on demand, by the policy of the run that is chosen.
+    browser.open(&format!("{address}/?run=1"));
+    browser.until("document.querySelector('#run-name select')?.value === '1'");
+    browser.element("#stage-next").click();
+    browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
+    assert!(browser.text("#replay-note").starts_with("The policy builds "), "{}", browser.text("#replay-note"));
+    assert_eq!(complaints(&browser), Vec::<Value>::new());
+}
+
+#[test]
+fn a_copy_of_the_page_works_from_any_web_server() {
+    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    train_two(folder.path());
+    let exported = lodestone(folder.path()).args(["serve", "first", "second", "--export", "copy"]).output().unwrap();
+    assert!(exported.status.success(), "{}", String::from_utf8_lossy(&exported.stderr));
+    // One that knows nothing of us, and nothing but files.
+    let mut python = Command::new("python3");
+    let files = python.args(["-u", "-m", "http.server", "--bind", "127.0.0.1", "0"]).current_dir(folder.path());
+    let (_server, address) = serve(files, "(", "/)");
+    let browser = Browser::start(&driver, folder.path());
+    browser.open(&format!("{address}/copy/"));
+    browser.until("document.querySelector('#state').textContent === 'a copy'");
+    // It opens with an episode, has the numbers, and has nothing that would need a program.
+    browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
+    assert_eq!(browser.run("return replay.episode.blueprint"), "2_000");
+    browser.until("document.querySelector('#groups caption')?.textContent.includes('weights')");
+    assert_eq!(browser.run("return document.querySelector('#draw, #stage-again, #replay-ask, footer')"), Value::Null);
+    browser.element("#stage-agent input[value=expert]").click();
+    browser.until("document.querySelector('#replay-note').textContent.startsWith('The expert builds ')");
+    browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
+    let seen = complaints(&browser);
+    // A browser asks every server for this picture.
+    let others: Vec<&Value> = seen.iter().filter(|entry| !entry["message"].to_string().contains("favicon")).collect();
+    assert_eq!(others, Vec::<&Value>::new());
+}
