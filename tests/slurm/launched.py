@@ -16,6 +16,9 @@ from wait import wait_for
 REPOSITORY = Path(__file__).resolve().parents[2]
 COMMAND = REPOSITORY / "deploy" / "slurm" / "lodestone-slurm"
 
+FEW_EPISODES = 30
+"""Fewer than this say little about success."""
+
 SETTINGS = {
     # How often actors look for the endpoint; 10 s unless told otherwise.
     "LODESTONE_SLURM_POLL_S": "1",
@@ -105,6 +108,12 @@ class Launched:
         """The lowest success rate in the last passes of the evaluator; 0 before there are as many."""
         rates = [float(found["all"]["mode"]["success"]["rate"]) for found in self.metrics("eval/summary")]
         return min(rates[-n_passes:]) if len(rates) >= n_passes else 0.0
+
+    def sampled_success(self) -> float:
+        """Success rate of the training episodes that ended in the newest update, whose actions are sampled; 0 of few."""
+        updates = self.metrics("learner")
+        success = updates[-1]["episodes"]["success"] if updates else {"n_episodes": 0}
+        return float(success["rate"]) if success["n_episodes"] >= FEW_EPISODES else 0.0
 
     def actors_that_work(self) -> set[str]:
         """Actors whose processes work on some node, by id."""
