@@ -65,7 +65,7 @@ pub(crate) async fn follow(
             // Whoever has come back may have nothing new to say for long.
             metrics.ask_latest().await?;
         }
-        let (run, counts) = (bus.run().to_owned(), bus.counts());
-        tell(News::Session(SessionState { run, is_connected, roster, counts }), start.elapsed());
+        let counts = bus.counts();
+        tell(News::Session(SessionState { is_connected, roster, counts }), start.elapsed());
     }
 }

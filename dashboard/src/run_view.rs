@@ -27,7 +27,6 @@ pub(crate) const MAX_BLUEPRINTS: usize = 10_000;
 /// A run as its messages tell it. It reads no clock: times are given by the caller, as the time since the watch began.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct RunView {
-    name: String,
     link: Link,
     link_since: Duration,
     learner: Option<Newest<LearnerMetrics>>,
@@ -98,8 +97,6 @@ pub(crate) struct Roster {
 /// What the watch's own session knows at some time.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SessionState {
-    /// Name of the run.
-    pub(crate) run: String,
     /// Whether it reaches the others.
     pub(crate) is_connected: bool,
     /// Who is alive, if it does.
@@ -147,7 +144,6 @@ impl RunView {
             (self.link, self.link_since) = (link, now);
         }
         self.bus = session.counts;
-        self.name.clone_from(&session.run);
         // All tokens vanish with the router; that says nothing about who is alive.
         if session.is_connected {
             has_changed |= self.set_roster(&session.roster);
@@ -170,11 +166,6 @@ impl RunView {
             }
         }
         has_changed
-    }
-
-    /// Name of the run; empty before the session has said it.
-    pub(crate) fn name(&self) -> &str {
-        &self.name
     }
 
     /// How the watch stands to the bus, and since when.

@@ -23,12 +23,12 @@ pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0
 
 type Labels = Vec<(&'static str, String)>;
 
-/// All numbers of the board.
+/// All numbers of the board, each with the name of its `run`.
 ///
 /// # Errors
 /// Never for the names and labels used here; the encoder's own type.
-pub(super) fn text(state: &State) -> Result<String, std::fmt::Error> {
-    let run = (Cow::Borrowed("run"), Cow::Owned(state.run.name().to_owned()));
+pub(super) fn text(state: &State, run: &str) -> Result<String, std::fmt::Error> {
+    let run = (Cow::Borrowed("run"), Cow::Owned(run.to_owned()));
     let mut page = Scrape(Registry::with_prefix_and_labels("lodestone", std::iter::once(run)));
     build(&mut page);
     success(&mut page, state);
@@ -265,7 +265,7 @@ mod tests {
                 let family = name.strip_suffix("_total").unwrap_or(name);
                 assert!(helped.contains(family) && typed.contains(family), "{line}");
                 let labels = sample.strip_prefix(name).unwrap();
-                let others = labels.strip_prefix(r#"{run="""#).unwrap_or_else(|| panic!("{line} is of no run"));
+                let others = labels.strip_prefix(r#"{run="a run""#).unwrap_or_else(|| panic!("{line} is of no run"));
                 let others = others.trim_start_matches(',').trim_end_matches('}');
                 let sample = if others.is_empty() { name.to_owned() } else { format!("{name}{{{others}}}") };
                 assert!(samples.insert(sample, value.parse().unwrap()).is_none(), "{line} twice");
@@ -291,7 +291,7 @@ mod tests {
             "n_replay": 100,
         });
         board.told(News::Metrics(vec![learner]), Duration::ZERO);
-        let samples = parse(&text(&board.state()).unwrap());
+        let samples = parse(&text(&board.state(), "a run").unwrap());
         for (name, value) in [("block_loss_nats", 0.25), ("block_accuracy_ratio", 0.75), ("replay_scenes", 100.0)] {
             assert_eq!(samples.get(&format!("lodestone_learner_imitation_{name}")), Some(&value), "{samples:#?}");
         }
@@ -308,7 +308,7 @@ mod tests {
         other.value["schema_version"] = 2.into();
         board.told(News::Metrics(vec![samples::actor("a"), samples::actor("gone"), other]), now);
         board.told(News::Session(samples::session(&["a", "b"])), now);
-        let samples = parse(&text(&board.state()).unwrap());
+        let samples = parse(&text(&board.state(), "a run").unwrap());
         for (sample, value) in [
             ("lodestone_eval_group_success_ratio{group=\"train 2-6\",acting=\"mode\"}", 0.45),
             ("lodestone_eval_group_episodes{group=\"all\",acting=\"mode\"}", 20.0),
@@ -330,7 +330,7 @@ mod tests {
         assert!(!samples.keys().any(|sample| sample.contains("gone")), "{samples:#?}");
         // Who is alive cannot be seen without a router.
         board.told(News::Session(samples::cut_off()), now);
-        let samples = parse(&text(&board.state()).unwrap());
+        let samples = parse(&text(&board.state(), "a run").unwrap());
         assert_eq!(samples.get("lodestone_alive_processes{role=\"learner\"}"), Some(&0.0), "{samples:#?}");
         assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_actor_")), "{samples:#?}");
     }

@@ -133,8 +133,13 @@ pub(super) fn base(place: usize) -> String {
     if place == 0 { String::new() } else { format!("/runs/{place}") }
 }
 
+/// Name of a run.
+#[derive(Clone)]
+struct Name(String);
+
 /// What can be asked about one run.
 fn of_run(run: Shown, names: &[String]) -> Router {
+    let name = Name(run.about.run.clone());
     let answer = Bytes::from(about(&run.about, run.stage.is_some(), names).to_string());
     let told = move || std::future::ready(([(CONTENT_TYPE, "application/json")], answer.clone()));
     Router::new()
@@ -147,6 +152,7 @@ fn of_run(run: Shown, names: &[String]) -> Router {
         .route("/api/films", get(list_films))
         .route("/api/film", get(film))
         .route("/metrics", get(metrics))
+        .layer(Extension(name))
         .layer(Extension(run.films))
         .layer(Extension(run.replays))
         .layer(Extension(run.stage))
@@ -211,8 +217,8 @@ async fn recording(
     }
 }
 
-async fn metrics(State(board): State<Arc<Board>>) -> Response {
-    let text = prometheus::text(&board.state());
+async fn metrics(State(board): State<Arc<Board>>, Extension(run): Extension<Name>) -> Response {
+    let text = prometheus::text(&board.state(), &run.0);
     match text {
         Ok(text) => ([(CONTENT_TYPE, prometheus::CONTENT_TYPE)], text).into_response(),
         Err(error) => failed(&error),

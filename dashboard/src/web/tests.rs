@@ -235,10 +235,7 @@ async fn a_token_keeps_others_out_but_not_probes() {
     // Two slashes would lead to a machine of that name.
     assert!(served.get(&format!("//evil.example?token={TOKEN}")).await.contains("location: /evil.example\r\n"));
     let metrics = served.get_with("/metrics", &format!("Authorization: Bearer {TOKEN}\r\n")).await;
-    assert!(
-        metrics.contains("lodestone_page_dropped_total{run=\"default\",reason=\"request_refused\"} 9\n"),
-        "{metrics}"
-    );
+    assert!(metrics.contains("lodestone_page_dropped_total{run=\"r\",reason=\"request_refused\"} 9\n"), "{metrics}");
     served.end().await;
 }
 
@@ -259,7 +256,7 @@ async fn too_many_browsers_leave_room_for_probes() {
     assert_eq!(served.status("/api/events", "").await, 503);
     assert_eq!(served.status("/healthz", "").await, 200);
     let metrics = served.get("/metrics").await;
-    assert!(metrics.contains(&format!("lodestone_page_viewers{{run=\"default\"}} {MAX_VIEWERS}.0\n")), "{metrics}");
+    assert!(metrics.contains(&format!("lodestone_page_viewers{{run=\"r\"}} {MAX_VIEWERS}.0\n")), "{metrics}");
     served.end().await;
 }
 
@@ -289,9 +286,7 @@ async fn connections_that_say_nothing_are_few_and_short() {
         }
     });
     let refused = answer.await.lines().find_map(|line| {
-        line.strip_prefix("lodestone_page_dropped_total{run=\"default\",reason=\"connection_refused\"} ")?
-            .parse::<u64>()
-            .ok()
+        line.strip_prefix("lodestone_page_dropped_total{run=\"r\",reason=\"connection_refused\"} ")?.parse::<u64>().ok()
     });
     assert!(refused >= Some(1), "{refused:?}");
     served.end().await;
@@ -318,7 +313,7 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     assert_eq!(news["n_env_steps"], 1000);
     assert_eq!(served.status("/readyz", "").await, 200);
     let metrics = served.get("/metrics").await;
-    assert!(metrics.contains("lodestone_page_viewers{run=\"default\"} 1.0\n"), "{metrics}");
+    assert!(metrics.contains("lodestone_page_viewers{run=\"r\"} 1.0\n"), "{metrics}");
     // The end of the evaluator is the end of the stream.
     drop(served.passes);
     within(served.task).await.unwrap().unwrap();
