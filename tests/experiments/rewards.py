@@ -3,15 +3,16 @@
 
     python3 tests/experiments/rewards.py runs/rewards --seeds 1 2 3
 
-Three ways to spend one budget, goals of two to four blocks: the imitator after 300 thousand steps of labels, the same run
-after 100 thousand more of rewards, and a run with labels for all 400 thousand. A seed takes about fifteen minutes on two
-cores. What is complete is not run again. The program must have been built: cargo build --release.
+Goals of two to four blocks. An imitator learns from labels for 300 thousand steps. From its checkpoint, one run goes on
+with rewards for 100 thousand steps, and one with labels for as many. A seed takes about fifteen minutes on two cores. What
+is complete is not run again, and what was cut off begins anew. The program must have been built: cargo build --release.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -19,51 +20,46 @@ from typing import Any
 from run import ACTING, ROOT, cell
 
 LABELED_STEPS, ALL_STEPS = 300_000, 400_000
+# What makes labels of the rewards that the preset would go on with.
+LABELS = {"weight": 1.0, "ppo_weight": 0.0, "kl_weight": 0.0}
 STAGES = ("imitator", "further labels", "rewards")
 
 
-def train(program: Path, folder: Path, *args: str) -> None:
-    """Trains to its end; what it prints goes into a file beside the folder."""
-    with folder.with_suffix(".log").open("a") as log:
-        subprocess.run([program, "train", *args, "--no-web"], stdout=log, stderr=log, check=True)
-
-
-def evaluate(program: Path, folder: Path, stage: str, episodes: int) -> None:
-    """Writes the report of the newest weights, which are those of the stage."""
-    report = folder.parent / f"{stage.replace(' ', '-')}.json"
-    print(f"{folder.parent.name}: evaluating {stage}", flush=True)
-    command = [program, "eval", "--checkpoint", folder, "--episodes", str(episodes), "--json"]
-    told = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True).stdout
+def complete(program: Path, folder: Path, episodes: int, args: list[str]) -> None:
+    """Trains into the folder and evaluates what was learned, unless there is a report; prints go to a file beside it."""
+    report = folder / "report.json"
+    if report.exists():
+        return
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    print(f"{folder}: training", flush=True)
+    with folder.with_suffix(".log").open("w") as log:
+        train = [program, "train", *args, "--run-dir", folder, "--no-web"]
+        subprocess.run(train, stdout=log, stderr=log, check=True)
+    print(f"{folder}: evaluating", flush=True)
+    evaluate = [program, "eval", "--checkpoint", folder, "--episodes", str(episodes), "--json"]
+    told = subprocess.run(evaluate, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True).stdout
     part = report.with_suffix(".part")
     part.write_bytes(told)
     part.rename(report)
 
 
-def complete(program: Path, out: Path, seed: int, episodes: int) -> None:
-    """Makes the three reports of a seed, or those that are missing."""
-    of_seed = out / f"seed-{seed}"
-    of_seed.mkdir(parents=True, exist_ok=True)
-    for stage, preset, n_steps in (
-        ("imitator", "imitation-and-ppo", LABELED_STEPS),
-        ("rewards", "imitation-and-ppo", ALL_STEPS),
-        ("further labels", "imitation-only", ALL_STEPS),
-    ):
-        if (of_seed / f"{stage.replace(' ', '-')}.json").exists():
-            continue
-        folder = of_seed / preset
-        print(f"{of_seed.name}: training for {stage}", flush=True)
-        begun = (folder / "config.toml").exists()
-        of_new = ["--preset", preset, "--seed", str(seed), "--run-dir", str(folder)]
-        start = ["--resume", str(folder)] if begun else of_new
-        train(program, folder, *start, "--steps", str(n_steps))
-        evaluate(program, folder, stage, episodes)
+def complete_seed(program: Path, out: Path, seed: int, episodes: int) -> None:
+    """Makes the three runs of a seed, or those that are missing."""
+    imitator, labels, rewards = (out / f"seed-{seed}" / stage.replace(" ", "-") for stage in STAGES)
+    begin = ["--preset", "imitation-and-ppo", "--seed", str(seed), "--steps", str(LABELED_STEPS)]
+    complete(program, imitator, episodes, begin)
+    go_on = ["--resume", str(imitator), "--steps", str(ALL_STEPS)]
+    complete(program, rewards, episodes, go_on)
+    with_labels = [f"--set=learner.imitation.{key}={value}" for key, value in LABELS.items()]
+    complete(program, labels, episodes, [*go_on, *with_labels])
 
 
 def table(out: Path) -> str:
     """Markdown: a row for each stage and way of acting, with the mean of all seeds and their extremes."""
     lines = ["| | seeds | actions | success | steps |", "|---|---|---|---|---|"]
     for stage in STAGES:
-        reports = [json.loads(path.read_text()) for path in sorted(out.glob(f"seed-*/{stage.replace(' ', '-')}.json"))]
+        reports = [json.loads(path.read_text()) for path in sorted(out.glob(f"seed-*/{stage.replace(' ', '-')}/report.json"))]
         for acting, mode in ACTING.items():
             found: list[dict[str, Any]] = [report["summary"]["all"][mode] for report in reports]
             steps = [one["mean_steps"] for one in found]
@@ -83,7 +79,7 @@ def main() -> None:
     args = parser.parse_args()
     for seed in args.seeds:
         if not args.table:
-            complete(args.program.resolve(), args.out, seed, args.episodes)
+            complete_seed(args.program.resolve(), args.out, seed, args.episodes)
     print(table(args.out))
 
 
