@@ -248,7 +248,9 @@ fn play_opens_with_a_structure_being_built() {
     browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 2')");
     browser.element("#stage-agent input[value=expert]").click();
     note("The expert builds ");
-    browser.until("document.querySelector('#replay-play').textContent === 'Play'");
+    // The note comes before the episode.
+    browser.until("replay.episode.actor === 'expert' && !replay.playing && replay.time >= replay.n");
+    assert_eq!(browser.text("#replay-play"), "Play");
     assert!(browser.text("#replay-text").ends_with("success"), "{}", browser.text("#replay-text"));
     // What is built is in the picture all the time, and fills it in the end.
     let camera = browser.run(CAMERA);
