@@ -4,7 +4,7 @@ Usage: pip install eclipse-zenoh wandb; python track.py tcp/127.0.0.1:7447 --to 
        pip install eclipse-zenoh mlflow; python track.py quic/127.0.0.1:7447 --keys KEYS --to mlflow
        python track.py runs/RUN --to mlflow
 
-With an endpoint it logs what comes over the bus until Ctrl-C; with the folder of a run, what is in its metrics.jsonl, and ends. The
+With an endpoint it logs what comes over the bus until Ctrl-C or SIGTERM; with the folder of a run, what is in its metrics.jsonl, and ends. The
 step of everything is the number of environment steps. Where it goes is for the other program's own variables to say:
 WANDB_MODE=offline keeps it in ./wandb, MLFLOW_TRACKING_URI names a server or a database. The fields are described in
 docs/metrics.md.
@@ -14,6 +14,7 @@ import argparse
 import json
 import pathlib
 import queue
+import signal
 import tomllib
 
 SCHEMA_VERSION = 1
@@ -78,7 +79,7 @@ def recorded(folder):
 
 
 def live(endpoint, run, keys):
-    """The messages on the bus, the latest ones at once and then every new one, until Ctrl-C."""
+    """The messages on the bus, the latest ones at once and then every new one, without end."""
     import zenoh
     from success import show_keys
 
@@ -154,6 +155,8 @@ def main():
     else:
         name, messages, file = args.run, live(args.source, args.run or "*", args.keys), args.config
     config = tomllib.loads(file.read_text()) if file else {}
+    # What stops a job or a container ends it as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     tracker = (Wandb if args.to == "wandb" else MLflow)(args.project, name, config)
     try:
         for key, step, values in points(messages):

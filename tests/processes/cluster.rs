@@ -209,7 +209,7 @@ fn trackers_are_told_what_was_recorded() {
         let line = lines.next().expect("it listens until it is told to end");
         missing.retain(|key| !line.contains(key));
     }
-    assert!(Command::new("kill").args(["-INT", &listener.0.id().to_string()]).status().unwrap().success());
+    assert!(Command::new("kill").args(["-TERM", &listener.0.id().to_string()]).status().unwrap().success());
     assert!(listener.0.wait().unwrap().success());
     let kept = told("mlflow", &store);
     assert_eq!(kept["config"]["bus.run"], "near-goal");
