@@ -1,17 +1,24 @@
 //! `watch` beside a run on a real bus: what it prints, what it says when nothing comes, and what it refuses.
 
+use std::io::{BufRead, BufReader, Lines};
 use std::path::Path;
-use std::process::Output;
+use std::process::{ChildStdout, Command, Output, Stdio};
 
 use crate::support::program::lodestone;
+use crate::support::served::Process;
 use bus::{Bus, MetricsPublisher};
 use proto::Role;
 use serde_json::{Value, json};
 
-/// The program's answer, while this process goes on serving the bus.
-async fn watch(folder: &Path, args: &[&str]) -> Output {
+fn watch_command(folder: &Path, args: &[&str]) -> Command {
     let mut command = lodestone(folder);
     command.args(["watch", "--connect", &format!("unixsock-stream/{}", folder.join("bus.sock").display())]).args(args);
+    command
+}
+
+/// The program's answer, while this process goes on serving the bus.
+async fn watch(folder: &Path, args: &[&str]) -> Output {
+    let mut command = watch_command(folder, args);
     tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
 }
 
@@ -74,6 +81,38 @@ async fn a_run_is_printed_once() {
     bus.close().await;
 }
 
+/// Reads lines until the learner has taken so many steps.
+async fn told(mut lines: Lines<BufReader<ChildStdout>>, n_env_steps: u64) -> Lines<BufReader<ChildStdout>> {
+    let read = move || loop {
+        let known: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
+        if known["learner"]["n_env_steps"] == n_env_steps {
+            return lines;
+        }
+    };
+    tokio::task::spawn_blocking(read).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_is_new_is_told_to_a_program_line_by_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(folder.path()).await.unwrap();
+    let mut learner = sample(include_str!("../../dashboard/tests/metrics/learner.json"));
+    let publisher = put(&bus, "learner", &learner).await;
+    let mut command = watch_command(folder.path(), &["--run", "default", "--json"]);
+    let mut watching = Process(command.stdout(Stdio::piped()).spawn().unwrap());
+    let lines = BufReader::new(watching.0.stdout.take().unwrap()).lines();
+    let lines = told(lines, 3_326_976).await;
+    learner["n_env_steps"] = json!(3_330_000);
+    publisher.put(&learner).await.unwrap();
+    // From here on nobody reads.
+    drop(told(lines, 3_330_000).await);
+    learner["n_env_steps"] = json!(3_340_000);
+    publisher.put(&learner).await.unwrap();
+    let status = tokio::task::spawn_blocking(move || watching.0.wait().unwrap()).await.unwrap();
+    assert!(status.success(), "{status}");
+    bus.close().await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_run_that_says_nothing_is_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -91,10 +130,9 @@ async fn a_missing_router_and_wrong_use_are_named() {
     let folder = tempfile::tempdir().unwrap();
     for (args, code, words) in [
         (&["--once", "--timeout", "1"][..], 65, &["no router answers at unixsock-stream/", "after 1 s"][..]),
-        (&[], 2, &["needs a terminal", "--once"]),
+        (&[], 2, &["needs a terminal", "--once", "--json"]),
         (&["--run", "My Run", "--once"], 2, &["--run", "My Run", "a-z"]),
         (&["--timeout", "3"], 2, &["--once"]),
-        (&["--json"], 2, &["--once"]),
         (&["--once", "--timeout", "0"], 2, &["--timeout", "1..=86400"]),
     ] {
         let output = watch(folder.path(), args).await;

@@ -11,9 +11,10 @@ use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
 
 use bus::{Bus, BusConfig, BusError};
+use serde_json::Value;
 use tokio::sync::watch;
 use tokio::task::JoinError;
-use tokio::time::timeout;
+use tokio::time::{MissedTickBehavior, timeout};
 use tokio_util::sync::CancellationToken;
 
 use self::view::Source;
@@ -26,6 +27,9 @@ const QUIET: Duration = Duration::from_millis(300);
 /// With `--once`, the longest time that is given to what comes with the first summary.
 const LONGEST_SETTLING: Duration = Duration::from_secs(3);
 
+/// Shortest time between two lines of a stream.
+const STREAM_PERIOD: Duration = Duration::from_secs(1);
+
 /// How often the router is asked for other runs while nobody is in this one.
 const SEEK_PERIOD: Duration = Duration::from_secs(2);
 
@@ -34,7 +38,7 @@ const SEEK_PERIOD: Duration = Duration::from_secs(2);
 pub enum Format {
     /// The lines of the live view.
     Text,
-    /// One object: `run`, `is_connected`, `learner`, `evaluation`, `blueprints`, `actors` and `alive`, with the metrics as
+    /// One object, as in a [`stream`]: `run`, `is_connected`, `learner`, `evaluation`, `blueprints`, `actors` and `alive`, with the metrics as
     /// they are on the bus and `null` for what was not said.
     Json,
 }
@@ -43,7 +47,7 @@ pub enum Format {
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
     /// There is no screen to draw on.
-    #[error("watch needs a terminal on stdout; --once prints what is known as text")]
+    #[error("watch needs a terminal on stdout; --once prints what is known as text, --json prints lines for programs")]
     NoTerminal,
     /// The bus is there, but nobody on it says anything.
     #[error("no learner and no evaluator of run `{run}` said anything in {seconds} s; {}", elsewhere(others))]
@@ -120,6 +124,44 @@ pub async fn once(
             Format::Text => view::text(&run, &source, start.elapsed()),
             Format::Json => format!("{:#}", run.to_json(&source.run)),
         })
+    })
+    .await
+}
+
+/// Hands out what is known, as in [`Format::Json`], whenever something of it is new and [`STREAM_PERIOD`] has passed, until
+/// `shutdown` or until `print` finds that nobody reads any more.
+///
+/// # Errors
+/// If the bus cannot be opened, or `print` fails for another reason.
+pub async fn stream(
+    config: BusConfig,
+    shutdown: CancellationToken,
+    mut print: impl FnMut(&Value) -> io::Result<()>,
+) -> Result<(), WatchError> {
+    let name = config.run.clone();
+    following(config, Instant::now(), shutdown, async |mut run, shutdown| {
+        let mut period = tokio::time::interval(STREAM_PERIOD);
+        period.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut last = Value::Null;
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => return Ok(()),
+                _ = period.tick() => {}
+            }
+            let known = run.borrow_and_update().to_json(&name);
+            if known != last {
+                match print(&known) {
+                    Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
+                    printed => printed?,
+                }
+                last = known;
+            }
+            tokio::select! {
+                () = shutdown.cancelled() => return Ok(()),
+                // The bus has failed; why is told by what follows it.
+                changed = run.changed() => if changed.is_err() { return Ok(()) },
+            }
+        }
     })
     .await
 }

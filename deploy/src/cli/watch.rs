@@ -21,8 +21,8 @@ pub struct WatchArgs {
     /// Print what is known as text and end, as soon as the learner or the evaluator has said something.
     #[arg(long)]
     pub once: bool,
-    /// Print it as JSON.
-    #[arg(long, requires = "once")]
+    /// Print it as JSON; without --once a line whenever something is new, at most one a second.
+    #[arg(long)]
     pub json: bool,
     /// Longest time to wait for that, seconds.
     #[arg(long, value_name = "S", default_value_t = 30, requires = "once", value_parser = clap::value_parser!(u64).range(1..=86_400))]

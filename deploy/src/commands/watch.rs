@@ -1,5 +1,6 @@
 //! `watch`: joins a run to look at it.
 
+use std::io::{self, Write};
 use std::time::Duration;
 
 use bus::{BusConfig, BusMode, SecurityConfig};
@@ -10,7 +11,7 @@ use crate::cli::WatchArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Shows the run until it is ended, or once.
+/// Shows the run until it is ended, or once; as JSON, also until nobody reads any more.
 ///
 /// # Errors
 /// When the run's name breaks the rule, stdout is no terminal where one is needed, or the bus fails.
@@ -22,6 +23,8 @@ pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: Cancell
     if args.once {
         let format = if args.json { Format::Json } else { Format::Text };
         terminal.print(&view::once(config, format, Duration::from_secs(args.timeout), shutdown).await?);
+    } else if args.json {
+        view::stream(config, shutdown, |known| writeln!(io::stdout(), "{known}")).await?;
     } else {
         let _held = terminal.hold_log();
         view::live(config, shutdown).await?;
