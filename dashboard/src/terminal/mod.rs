@@ -128,7 +128,7 @@ pub async fn once(
     .await
 }
 
-/// Hands out what is known, as in [`Format::Json`], whenever something of it is new and [`STREAM_PERIOD`] has passed, until
+/// Hands out what is known, as in [`Format::Json`], whenever something of it is new and a second has passed, until
 /// `shutdown` or until `print` finds that nobody reads any more.
 ///
 /// # Errors
