@@ -18,12 +18,15 @@ pub enum LogFormat {
     Json,
 }
 
+/// zenoh logs each lost connection at several levels; its own errors are enough. That an answer came when nobody waited for it
+/// any more, as when a process ends, is an error to its handlers and none to us.
+const DEFAULT_FILTER: &str = "info,zenoh=error,zenoh::api::handlers=off";
+
 /// Installs the logger; `RUST_LOG` overrides what is logged.
 ///
 /// A second call in one process changes nothing.
 pub fn init(format: LogFormat, terminal: &Terminal) {
-    // zenoh logs each lost connection at several levels; its own warnings are enough.
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,zenoh=error"));
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(terminal.clone()).with_target(false);
     let installed = match format {
         LogFormat::Auto => lines.with_ansi(std::io::stderr().is_terminal()).compact().try_init(),
