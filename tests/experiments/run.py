@@ -29,19 +29,6 @@ def features(*names: str) -> list[str]:
     return [arg for name in names for arg in ("--set", f"policy.features.{name}=false")]
 
 
-def one_task(blueprint: str) -> list[str]:
-    """Arguments that train on one blueprint alone."""
-    ids = f'["{blueprint}"]'
-    pairs = {
-        "actor.tasks.filter": f"{{ blueprints = {ids} }}",
-        "actor.tasks.generated_probability": "0.0",
-        "learner.curriculum": '{ kind = "uniform" }',
-        "evaluator.selection.blueprints": ids,
-        "evaluator.selection.splits": "[]",
-    }
-    return [arg for key, value in pairs.items() for arg in ("--set", f"{key}={value}")]
-
-
 # Name -> what is changed in `compact`.
 EXPERIMENTS: dict[str, list[str]] = {
     "compact": [],
@@ -61,7 +48,7 @@ EXPERIMENTS: dict[str, list[str]] = {
     },
     "geometry-only": features("plan", "pieces"),
     "paper-inputs": features("plan", "pieces", "up_axis", "membership", "block_shape", "needed_moves"),
-    **{f"only-{blueprint}": one_task(blueprint) for blueprint in ("6_005", "12_000", "16_001")},
+    **{f"only-{blueprint}": ["--blueprint", blueprint] for blueprint in ("6_005", "12_000", "16_001")},
 }
 # What is evaluated without resets as well, as the paper does.
 RESET_FREE = ("compact", "no-blueprint-resets")
@@ -143,7 +130,7 @@ def main() -> int:
     parser.add_argument("--episodes", type=int, default=10, help="per blueprint, at the end")
     parser.add_argument("--table", action="store_true", help="train nothing")
     parser.add_argument("--program", type=Path, default=ROOT / "target/release/lodestone")
-    args = parser.parse_args()
+    args = parser.parse_intermixed_args()
     names = args.names or list(EXPERIMENTS)
     if unknown := [name for name in names if name not in EXPERIMENTS]:
         parser.error(f"no experiment {unknown[0]!r}")
