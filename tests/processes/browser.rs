@@ -129,8 +129,9 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     assert_eq!(watched.complaints(), Vec::<Value>::new());
     let requests = watched.requests();
     let origin = format!("http://{}/", watched.line.address());
-    // The browser draws the controls of films from pictures of its own, which go nowhere.
-    let is_elsewhere = |url: &&String| !url.starts_with(&origin) && !url.starts_with("data:");
+    // Pages and pictures of the browser's own, as the tab that it opens with and the controls of films, go nowhere.
+    let is_own = |url: &str| ["data:", "chrome:", "chrome-untrusted:"].iter().any(|scheme| url.starts_with(scheme));
+    let is_elsewhere = |url: &&String| !url.starts_with(&origin) && !is_own(url);
     let elsewhere: Vec<_> = requests.iter().filter(is_elsewhere).collect();
     assert!(requests.len() >= 5 && elsewhere.is_empty(), "{requests:?}");
 }

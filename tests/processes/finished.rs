@@ -7,14 +7,16 @@ use std::process::{Command, Stdio};
 use serde_json::Value;
 
 use crate::support::program::lodestone;
-use crate::support::served::{Process, train};
+use crate::support::served::{Process, get, train};
 use crate::support::webdriver::Browser;
 
-/// Two short runs, `first` and `second`, in the folder.
+/// Two short runs, `first` and `second`, in the folder. So short a run may end before any evaluation but that of its last
+/// weights, which is not left out.
 fn train_two(folder: &Path) {
     for (name, seed) in [("first", "1"), ("second", "2")] {
         let mut command = lodestone(folder);
-        let run = train(&mut command).args(["--steps", "512", "--seed", seed, "--no-web"]);
+        let run = train(&mut command).args(["--set", "evaluator.evaluate_last=true"]);
+        let run = run.args(["--steps", "512", "--seed", seed, "--no-web"]);
         let trained = run.output().unwrap();
         assert!(trained.status.success(), "{}", String::from_utf8_lossy(&trained.stderr));
         std::fs::rename(folder.join("run"), folder.join(name)).unwrap();
@@ -50,9 +52,12 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     assert_eq!(options, serde_json::json!(["first", "second"]));
     // A curve for each run, in one picture.
     browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
-    // The heat map opens what the evaluation recorded.
-    browser.until("heat.rows.length === 1 && heat.passes.length > 0");
-    browser.run("heat.move({ row: 0, column: heat.passes.length - 1 }); heat.open()");
+    // The heat map opens what the evaluation recorded. Of evaluations that follow each other closely, the first is filmed.
+    let films: Value = serde_json::from_str(&get(address.strip_prefix("http://").unwrap(), "/api/films").1).unwrap();
+    let filmed = &films["films"][0]["weights_version"];
+    browser.until(&format!("heat.rows.length === 1 && heat.passes.some((pass) => pass.weights_version === {filmed})"));
+    let column = format!("heat.passes.findIndex((pass) => pass.weights_version === {filmed})");
+    browser.run(&format!("heat.move({{ row: 0, column: {column} }}); heat.open()"));
     browser.until("!document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));
     // Another episode is played on demand, by the policy of the run that is chosen.

@@ -85,7 +85,10 @@ impl Browser {
              const look = () => {{ const found = ({expression}); if (found) done(found); else setTimeout(look, 20); }};
              look();"
         );
-        self.post("/execute/async", &json!({ "script": script, "args": [] }))
+        self.ask("/execute/async", &json!({ "script": script, "args": [] })).unwrap_or_else(|error| {
+            let page = self.run("return document.body.innerText");
+            panic!("{expression}: {error}\n{}\n{:?}", page.as_str().unwrap_or_default(), self.log("browser"))
+        })
     }
 
     /// The words of the first element that `selector` finds.
@@ -117,18 +120,21 @@ impl Browser {
     }
 
     fn post(&self, path: &str, body: &Value) -> Value {
+        self.ask(path, body).unwrap()
+    }
+
+    fn ask(&self, path: &str, body: &Value) -> Result<Value, String> {
         let request = self.client.post(format!("{}{path}", self.session)).content_type("application/json");
         value(request.send(body.to_string()))
     }
 }
 
-/// The `value` of an answer; panics with the browser's words if it is an error.
-fn value(answer: Result<Response<Body>, ureq::Error>) -> Value {
+/// The `value` of an answer, or the browser's words if it is an error.
+fn value(answer: Result<Response<Body>, ureq::Error>) -> Result<Value, String> {
     let answer = answer.unwrap();
     let status = answer.status();
     let mut json: Value = serde_json::from_reader(BufReader::new(answer.into_body().into_reader())).unwrap();
-    assert!(status.is_success(), "{status}: {}", json["value"]["message"]);
-    json["value"].take()
+    if status.is_success() { Ok(json["value"].take()) } else { Err(format!("{status}: {}", json["value"]["message"])) }
 }
 
 impl Drop for Browser {
@@ -137,7 +143,7 @@ impl Drop for Browser {
         let ended = self.client.delete(&self.session).call();
         // When a failed test is being unwound, another panic would end the process before its folders are removed.
         if !std::thread::panicking() {
-            value(ended);
+            value(ended).unwrap();
         }
         let _ = self.driver.kill();
         let _ = self.driver.wait();
@@ -166,6 +172,6 @@ impl Element<'_> {
     /// What a screen reader calls it.
     pub(crate) fn label(&self) -> String {
         let url = format!("{}/element/{}/computedlabel", self.browser.session, self.id);
-        value(self.browser.client.get(url).call()).as_str().unwrap().to_owned()
+        value(self.browser.client.get(url).call()).unwrap().as_str().unwrap().to_owned()
     }
 }
