@@ -40,6 +40,9 @@ settings! {
         pub n_substeps: u8 = 10, in 1..=100;
         /// Length of a substep in ms; by default a control step takes 0.1 s.
         pub substep_ms: f32 = 10.0, in 1.0..=50.0;
+        /// Computes as many substeps as fit into 20 ms as one while no four blocks hang together that are awake and that
+        /// the solver works on. Larger structures need short substeps, or they sag.
+        pub merge_substeps: bool = true;
         /// Gravity in m/s², toward −z.
         pub gravity_mps2: f32 = 9.81, in 0.0..=30.0;
         /// Density of the blocks in kg/m³; by default a unit cube weighs 0.2 kg.

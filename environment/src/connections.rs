@@ -33,6 +33,7 @@ struct Connection {
 pub(crate) struct Connections {
     table: MagnetTable,
     config: MagnetConfig,
+    /// Length of a substep of the configuration, s.
     substep_s: f32,
     live: Vec<Connection>,
     /// Substeps for which a pair of blocks stays inert after a break, `[lower][higher]`.
@@ -95,8 +96,9 @@ impl Connections {
 
     /// Attracts and snaps; to be called before a substep.
     pub(crate) fn attract(&mut self, engine: &mut Engine) {
+        let n_merged = u16::from(engine.n_merged());
         for row in &mut self.cooldown {
-            row.iter_mut().for_each(|left| *left = left.saturating_sub(1));
+            row.iter_mut().for_each(|left| *left = left.saturating_sub(n_merged));
         }
         let poses: [Isometry3<f32>; N_BLOCKS] = block_array(|block| engine.pose(block));
         let frames = poses.each_ref().map(Frame::new);
@@ -124,11 +126,13 @@ impl Connections {
         let break_torque_per_n = blueprints::UNIT_M;
         // Blocks that come to rest at once may sleep when their connection can break for the first time.
         let n_measured = self.substeps(MEASURED_MS);
+        let n_merged = engine.n_merged();
+        let news = 1.0 - self.config.load_smoothing.powi(i32::from(n_merged));
         let mut worst: Option<(usize, f32)> = None;
         for (i, connection) in self.live.iter_mut().enumerate() {
             let is_settling = connection.snap_left > 0;
             if is_settling {
-                connection.snap_left -= 1;
+                connection.snap_left = connection.snap_left.saturating_sub(n_merged.into());
                 if connection.snap_left == 0 {
                     engine.set_joint_frequency(connection.handle, self.config.hold_frequency_hz);
                 }
@@ -148,7 +152,7 @@ impl Connections {
                     let strength = connection.n_strong_pairs * self.config.break_force_n;
                     (force / strength).max(torque / (strength * break_torque_per_n))
                 };
-                connection.load += (1.0 - self.config.load_smoothing) * (load - connection.load);
+                connection.load += news * (load - connection.load);
             }
             let can_break = connection.snap_left == 0;
             if can_break && connection.load > 1.0 && worst.is_none_or(|(_, most)| connection.load > most) {
@@ -181,7 +185,7 @@ impl Connections {
         reach: f32,
     ) {
         let mut nearest: Option<MagnetPair> = None;
-        let (config, substep_s) = (&self.config, self.substep_s);
+        let (config, substep_s) = (&self.config, engine.substep_s());
         self.table.for_each_pair((a, frame_a), (b, frame_b), reach, |pair| {
             if nearest.is_none_or(|best| pair.distance < best.distance) {
                 nearest = Some(pair);

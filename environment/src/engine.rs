@@ -55,6 +55,8 @@ pub(crate) struct Engine {
     handles: [RigidBodyHandle; N_BLOCKS],
     ground: RigidBodyHandle,
     physics: PhysicsConfig,
+    /// Substeps that are computed as one.
+    n_merged: u8,
 }
 
 /// Velocity of a rigid body: linear (of its center) and angular, world frame.
@@ -124,6 +126,7 @@ impl Engine {
             handles: std::array::from_fn(|i| blocks[i]),
             ground,
             physics: physics.clone(),
+            n_merged: 1,
         }
     }
 
@@ -138,6 +141,22 @@ impl Engine {
         for (block, pose) in BlockIdx::all().zip(poses) {
             self.body_mut(block).set_position(pose_to_rapier(pose), true);
         }
+    }
+
+    /// Computes so many substeps of the configuration as one from now on.
+    pub(crate) fn merge(&mut self, n_substeps: u8) {
+        self.n_merged = n_substeps;
+        self.parameters.dt = f32::from(n_substeps) * self.physics.substep_s();
+    }
+
+    /// Substeps of the configuration that the next substep stands for.
+    pub(crate) fn n_merged(&self) -> u8 {
+        self.n_merged
+    }
+
+    /// Length of the next substep, s.
+    pub(crate) fn substep_s(&self) -> f32 {
+        self.parameters.dt
     }
 
     /// Advances by one substep.

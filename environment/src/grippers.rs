@@ -27,7 +27,6 @@ pub(crate) struct Grippers {
     max_speed_mps: f32,
     max_turn_radps: f32,
     delay_steps: u8,
-    substep_s: f32,
 }
 
 const STILL: Velocity = Velocity { linear: Vector3::new(0.0, 0.0, 0.0), angular: Vector3::new(0.0, 0.0, 0.0) };
@@ -47,7 +46,6 @@ impl Grippers {
             max_speed_mps: config.max_speed_mps,
             max_turn_radps: config.max_turn_radps,
             delay_steps: config.transition_delay_steps,
-            substep_s: config.physics.substep_s(),
         }
     }
 
@@ -121,7 +119,7 @@ impl Grippers {
                 let second = second.filter(|_| first != second);
                 for (block, state) in [first, second].into_iter().zip(&self.states) {
                     if let Some(block) = block {
-                        carry(engine, connections, block, state.command, self.substep_s);
+                        carry(engine, connections, block, state.command);
                     }
                 }
                 [first, second]
@@ -160,7 +158,8 @@ impl Grippers {
 ///
 /// Every block gets its own velocity: driving the held one alone drags the rest behind on its joints, which bent a
 /// 16-block chain by 1.5 cm and 0.3 rad.
-fn carry(engine: &mut Engine, connections: &Connections, held: BlockIdx, command: Velocity, substep_s: f32) {
+fn carry(engine: &mut Engine, connections: &Connections, held: BlockIdx, command: Velocity) {
+    let substep_s = engine.substep_s();
     weightless(engine, connections, held);
     let pivot = engine.pose(held).translation.vector;
     // As the engine turns a body in a substep, which is not quite by ω·dt.

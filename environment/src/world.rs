@@ -5,7 +5,7 @@ use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::EnvironmentConfig;
+use crate::config::{EnvironmentConfig, PhysicsConfig};
 use crate::connections::{Connections, block_array};
 use crate::convert::to_pose;
 use crate::engine::Engine;
@@ -16,6 +16,9 @@ use crate::reset::{self, Layout};
 use crate::reward::{potential, reward};
 use crate::success::is_success;
 use proto::InvalidSetting;
+
+/// Longest substep while nothing needs a shorter one, ms.
+const MERGED_MS: f32 = 20.0;
 
 /// One world; cheap to step, so a thread drives many.
 ///
@@ -47,6 +50,8 @@ pub struct World {
     n_steps: u16,
     /// Whether there is a sound state to go on from.
     alive: bool,
+    /// Substeps that may be computed as one, at least 1.
+    n_mergeable: u8,
     /// Force of a heavy contact in N.
     heavy_contact_n: f32,
     half_diagonals_m: [f32; N_BLOCKS],
@@ -70,6 +75,7 @@ impl World {
             potential: RewardTerms::default(),
             n_steps: 0,
             alive: false,
+            n_mergeable: n_mergeable(&config.physics),
             heavy_contact_n: config.reward.heavy_contact_cube_weights * cube_weight_n,
             half_diagonals_m: block_array(|block| nalgebra::Vector3::from(inventory.half_extents_m(block)).norm()),
             config: config.clone(),
@@ -103,7 +109,11 @@ impl World {
     /// Runs the substeps of a control step; returns the number of heavy contacts in it.
     fn run_substeps(&mut self) -> u8 {
         let mut heavy = [0_u32; N_BLOCKS + 1];
-        for _ in 0..self.config.physics.n_substeps {
+        let mut n_left = self.config.physics.n_substeps;
+        while n_left > 0 {
+            let n_merged = if self.connections.has_structures(&self.engine) { 1 } else { self.n_mergeable.min(n_left) };
+            n_left -= n_merged;
+            self.engine.merge(n_merged);
             self.connections.attract(&mut self.engine);
             let carried = self.grippers.drive(&mut self.engine, &self.connections);
             self.connections.spare(&mut self.engine, carried);
@@ -212,6 +222,11 @@ impl Env for World {
     fn n_steps(&self) -> u16 {
         self.n_steps
     }
+}
+
+/// As many substeps as fit into the longest one.
+fn n_mergeable(physics: &PhysicsConfig) -> u8 {
+    if physics.merge_substeps { (MERGED_MS / physics.substep_ms).max(1.0) as u8 } else { 1 }
 }
 
 fn check_assignment(assignment: &[BlockIdx; N_BLOCKS]) -> Result<(), ResetError> {

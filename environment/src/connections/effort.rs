@@ -41,7 +41,7 @@ impl Connections {
     }
 
     /// Whether blocks enough to sag hang together, awake and by joints that the solver works on.
-    fn has_structures(&self, engine: &Engine) -> bool {
+    pub(crate) fn has_structures(&self, engine: &Engine) -> bool {
         let mut n_blocks = [0; N_BLOCKS];
         self.components.iter().for_each(|&component| n_blocks[component] += 1);
         self.live.iter().any(|c| {
@@ -65,7 +65,7 @@ impl Connections {
     fn has_room(&self, engine: &Engine, component: usize, room: f32) -> bool {
         let reach = block_array(|block| {
             let velocity = engine.velocity(block);
-            (velocity.linear.norm() + velocity.angular.norm() * self.table.radius(block)) * self.substep_s
+            (velocity.linear.norm() + velocity.angular.norm() * self.table.radius(block)) * engine.substep_s()
         });
         let is_member = |block: &BlockIdx| self.components[block.get()] == component;
         BlockIdx::all().filter(is_member).all(|a| {
