@@ -9,6 +9,7 @@ use std::{fs, io};
 
 use crate::checks::check_text;
 use crate::error::BlueprintFileError;
+use crate::format::line_at;
 use crate::{Blueprint, BlueprintId, Split, generator};
 
 /// The `(file name, text)` of every compiled-in blueprint file.
@@ -49,6 +50,19 @@ pub enum CatalogError {
         #[source]
         error: io::Error,
     },
+    /// There is nothing at the path.
+    #[error("cannot read {0}: there is no such file or folder; check the path")]
+    Missing(PathBuf),
+    /// A file is not text.
+    #[error("{path} is not UTF-8 text: line {line} has the byte {byte:#04x}; save it as UTF-8")]
+    NotText {
+        /// The file.
+        path: PathBuf,
+        /// The line of the first byte that is not text, counted from 1.
+        line: usize,
+        /// That byte.
+        byte: u8,
+    },
     /// A file is far larger than any blueprint's.
     #[error("{0} has more than {MAX_FILE_BYTES} bytes: that is no blueprint")]
     TooLarge(PathBuf),
@@ -56,7 +70,7 @@ pub enum CatalogError {
     #[error(transparent)]
     Blueprint(#[from] BlueprintFileError),
     /// No blueprint was found.
-    #[error("{0} holds no blueprint (*.toml)")]
+    #[error("the folder {0} holds no blueprint; name one with files called *.toml")]
     Empty(PathBuf),
     /// A file is not named after its blueprint.
     #[error("{file}: the file of blueprint {id} must be called {id}.toml")]
@@ -118,9 +132,6 @@ impl Catalog {
     /// The first error, in file name order; see [`CatalogError`].
     pub fn load(path: &Path) -> Result<Self, CatalogError> {
         let files = read_files(path)?;
-        if files.is_empty() {
-            return Err(CatalogError::Empty(path.to_owned()));
-        }
         let files = files.iter().map(|(file, text)| (file.as_str(), text.as_str()));
         Self::from_checked(checked(files)?)
     }
@@ -235,11 +246,15 @@ fn checked<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Ve
 /// The `(path, text)` of every `*.toml` of a folder, sorted by name, or of one file with any name.
 ///
 /// # Errors
-/// [`CatalogError::Io`] with the path that cannot be read, or [`CatalogError::TooLarge`].
+/// [`CatalogError::Empty`] for a folder without any, [`CatalogError::Missing`] or [`CatalogError::Io`] with the path that
+/// cannot be read, [`CatalogError::TooLarge`], or [`CatalogError::NotText`].
 pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
-        |error| CatalogError::Io { path, error }
+        |error: io::Error| match error.kind() {
+            io::ErrorKind::NotFound => CatalogError::Missing(path),
+            _ => CatalogError::Io { path, error },
+        }
     };
     let mut paths = Vec::new();
     if path.is_dir() {
@@ -248,6 +263,10 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
             if entry.extension().is_some_and(|extension| extension == "toml") {
                 paths.push(entry);
             }
+        }
+        // Not an empty list: a check of nothing would pass.
+        if paths.is_empty() {
+            return Err(CatalogError::Empty(path.to_owned()));
         }
         paths.sort();
     } else {
@@ -260,8 +279,19 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
         if bytes.len() as u64 > MAX_FILE_BYTES {
             return Err(CatalogError::TooLarge(path));
         }
-        let text = String::from_utf8(bytes).map_err(|error| failed(&path)(io::Error::other(error)))?;
+        let text = text_of(&path, bytes)?;
         Ok((path.display().to_string(), text))
     };
     paths.into_iter().map(read).collect()
 }
+
+/// The text that a file's bytes are.
+fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String, CatalogError> {
+    String::from_utf8(bytes).map_err(|error| {
+        let (bytes, at) = (error.as_bytes(), error.utf8_error().valid_up_to());
+        CatalogError::NotText { path: path.to_owned(), line: line_at(bytes, at), byte: bytes[at] }
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -9,10 +9,10 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::assembly::Shared;
-use crate::error::{BlueprintError, BlueprintFileError};
+use crate::error::{BlueprintError, BlueprintFileError, PolesAdvice};
 use crate::format::{Draft, MagnetName, NamedPair};
-pub use crate::infer::FoundTurn;
 use crate::infer::{self, Completed};
+pub use crate::infer::{FoundTurn, WayReason};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
 use crate::strength::{Joint, overloaded};
 use crate::{
@@ -127,19 +127,7 @@ impl Inferred {
 impl fmt::Display for Inferred {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Turn { block, axes, found: FoundTurn { size, n_ways, may_be_more, is_only } } => {
-                write!(f, "block {block:?} is turned \"{axes}\"")?;
-                match (n_ways, may_be_more) {
-                    // A cube lies in one way only, whatever stands around it.
-                    _ if *size == [1, 1, 1] => {}
-                    (1, false) => write!(f, ": it can fill {size:?} cells only")?,
-                    (n, cut) => {
-                        let least = if *cut { "at least " } else { "" };
-                        write!(f, ": of {least}{n} ways it fills {size:?} cells, where the most magnets meet")?;
-                    }
-                }
-                f.write_str(if *is_only { ", and its neighbors' poles leave no other turn" } else { "" })
-            }
+            Self::Turn { block, axes, found } => write!(f, "block {block:?} is turned \"{axes}\"{found}"),
             Self::Pairs { a, b, n_pairs } => {
                 let s = if *n_pairs == 1 { "" } else { "s" };
                 write!(f, "blocks {a:?} and {b:?} are connected by {n_pairs} magnet pair{s}")
@@ -218,12 +206,15 @@ pub fn check_text(file: &str, text: &str) -> Report {
     let (mut blueprint, mut inferred, mut completed) = (None, Vec::new(), None);
     if let (Some(draft), Some((completion, placements))) = (&draft, &found) {
         let structure = Structure::new(draft, placements, inventory);
-        run.record(Check::Overlap, structure.overlap());
-        run.record(Check::Polarity, structure.polarity());
+        let apart = run.record(Check::Overlap, structure.overlap());
+        let attract = run.record(Check::Polarity, structure.polarity());
+        // Blocks that overlap or repel have no magnets that hold. What hangs on them would look loose or too heavy, which is
+        // no failure of its own.
+        let is_held = apart.and(attract).is_some();
         run.record(Check::Connections, structure.connections());
-        run.record(Check::Connected, structure.connected());
+        run.record_if(is_held, Check::Connected, || structure.connected());
         run.record(Check::Stands, structure.stands());
-        run.record(Check::Strength, structure.strength());
+        run.record_if(is_held, Check::Strength, || structure.strength());
         // Search for an assembly order only if every earlier check passed.
         if run.first_error.is_none() {
             run.record(Check::Assembly, structure.assembly());
@@ -257,18 +248,13 @@ fn first_good(
     completions: Vec<Completed>,
     inventory: &Inventory,
 ) -> Option<(Completed, Vec<Placement>)> {
-    let n_ways = completions.len();
-    let mut placed = completions.into_iter().map(|way| {
-        let placements = draft.place(assigned, &way.turns, inventory);
-        (way, placements)
-    });
-    let first = placed.next()?;
-    let is_good = |placements: &[Placement]| Structure::new(draft, placements, inventory).check().is_ok();
+    let place = |way: &Completed| draft.place(assigned, &way.turns, inventory);
+    let is_good = |way: &Completed| Structure::new(draft, &place(way), inventory).check().is_ok();
     // With one way only, the checks that follow judge it.
-    if n_ways == 1 || is_good(&first.1) {
-        return Some(first);
-    }
-    Some(placed.find(|(_, placements)| is_good(placements)).unwrap_or(first))
+    let at = if completions.len() == 1 { 0 } else { completions.iter().position(is_good).unwrap_or(0) };
+    let chosen = completions.get(at)?.after(&completions[..at]);
+    let placements = place(&chosen);
+    Some((chosen, placements))
 }
 
 /// Runs the file checks on placements whose lowest corner is at the origin; all magnet pairs that meet are connections.
@@ -328,6 +314,15 @@ impl Run {
         self.results.push(CheckResult { check, outcome });
         value
     }
+
+    /// The same where the check makes sense; else it is reported as not checked.
+    fn record_if(&mut self, makes_sense: bool, check: Check, run: impl FnOnce() -> Result<(), BlueprintError>) {
+        if makes_sense {
+            self.record(check, run());
+        } else {
+            self.results.push(CheckResult { check, outcome: Outcome::Skipped });
+        }
+    }
 }
 
 /// A placed drawing with all magnet pairs that meet; blocks are numbered in file order.
@@ -386,7 +381,7 @@ impl<'a> Structure<'a> {
     /// What the file leaves open.
     fn inferred(&self, completed: &Completed) -> Vec<Inferred> {
         let turn = |(i, found): (usize, &Option<FoundTurn>)| {
-            let found = (*found)?;
+            let found = found.clone()?;
             Some(Inferred::Turn { block: self.name(i), axes: completed.turns[i].axes(), found })
         };
         let mut inferred: Vec<_> = completed.found.iter().enumerate().filter_map(turn).collect();
@@ -420,6 +415,8 @@ impl<'a> Structure<'a> {
         for (i, placement) in self.placements.iter().enumerate() {
             for cell in placement.filled_cells(self.inventory) {
                 if let Some(other) = filled.insert(cell, i) {
+                    let center = self.drawn(cell.map(|x| 2 * x + 1));
+                    let cell = center.map(|x| (x - 1) / 2);
                     return Err(BlueprintError::Overlap { a: self.name(other), b: self.name(i), cell });
                 }
             }
@@ -430,8 +427,21 @@ impl<'a> Structure<'a> {
     fn polarity(&self) -> Result<(), BlueprintError> {
         self.repelling.first().map_or(Ok(()), |&((i, j, p, q), place)| {
             let (a, b, pair) = (self.name(i), self.name(j), format!("{p} {q}"));
-            Err(BlueprintError::LikePoles { a, b, pair, place_u: place.map(|x| x as f32 / 2.0) })
+            let place_u = self.drawn(place).map(|x| x as f32 / 2.0);
+            let advice = if [i, j].iter().any(|&k| self.draft.blocks[k].turn.is_some()) {
+                PolesAdvice::Turn
+            } else if self.draft.blocks.iter().any(|block| block.turn.is_some()) {
+                PolesAdvice::FreeOthers
+            } else {
+                PolesAdvice::Move
+            };
+            Err(BlueprintError::LikePoles { a, b, pair, place_u, advice })
         })
+    }
+
+    /// Where the file has a point of the structure, both in half units.
+    fn drawn(&self, point: [i32; 3]) -> [i32; 3] {
+        self.draft.drawn(point, self.placements, self.inventory)
     }
 
     fn connections(&self) -> Result<(), BlueprintError> {

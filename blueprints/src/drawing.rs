@@ -91,7 +91,7 @@ impl DrawnBlock {
             return Err(BlueprintError::UnknownType { block: block(), type_name: block(), known });
         }
         if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
-            return Err(BlueprintError::OutOfRange { block: block(), at });
+            return Err(BlueprintError::OutOfRange { block: block(), at: at.map(i64::from) });
         }
         let rotation = CubeRotation::all().find(|rotation| rotation.axes() == axes);
         let rotation = rotation.ok_or_else(|| BlueprintError::BadAxes { block: block(), axes: axes.to_owned() })?;

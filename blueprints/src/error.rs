@@ -16,7 +16,11 @@ pub enum BlueprintError {
     #[error("the file has no `id`, and no letter of its name can make one; add id = \"my-blueprint\"")]
     NoId,
     /// Too few or too many blocks.
-    #[error("the file has {0} blocks; a blueprint has 2 to 16")]
+    #[error(
+        "the file has {}; a blueprint needs 2 to 16, so {}",
+        counted(*.0),
+        if *.0 < 2 { "add some" } else { "leave some out" }
+    )]
     BadCount(usize),
     /// A required text is empty.
     #[error("field `{0}` is empty")]
@@ -24,15 +28,24 @@ pub enum BlueprintError {
     /// `up` is not an axis.
     #[error("up {0:?} is not one of +x, -x, +y, -y, +z, -z")]
     BadUp(String),
-    /// An empty or repeated block name.
-    #[error("block name {0:?} is empty or used twice")]
-    BadBlockName(String),
+    /// A block has an empty name; blocks are counted from 1.
+    #[error("block {0} of the list has an empty name; give it one, or leave its `name` out")]
+    EmptyBlockName(usize),
+    /// Two blocks have the same name; blocks are counted from 1.
+    #[error("blocks {first} and {second} of the list are both called {name:?}; give one of them another name")]
+    RepeatedBlockName { name: String, first: usize, second: usize },
+    /// A block lacks its type or its place.
+    #[error("line {line}: block {block:?} has no `{key}`; add {what}")]
+    MissingKey { line: usize, block: String, key: &'static str, what: &'static str },
+    /// `at` or `size` is not made of three whole numbers.
+    #[error("line {line}: block {block:?}: `{key}` needs three whole numbers of cells, like [2, 1, 1], and is {value}")]
+    BadCells { line: usize, block: String, key: &'static str, value: String },
     /// `axes` is not a pair of distinct axes.
     #[error("block {block:?}: axes {axes:?} are not two different axes like \"+x +y\"")]
     BadAxes { block: String, axes: String },
     /// A cell is far outside the drawing.
     #[error("block {block:?}: cell {at:?} is outside -64..=64")]
-    OutOfRange { block: String, at: [i32; 3] },
+    OutOfRange { block: String, at: [i64; 3] },
     /// `size` is not the block's.
     #[error(
         "block {block:?}: a block of type {type_name} cannot fill {size:?} cells; its sides are {cells:?} in some order"
@@ -76,12 +89,12 @@ pub enum BlueprintError {
     /// The file uses more blocks of a type than the inventory has.
     #[error("block {block:?} is one too many of type {type_name}: the inventory has {count}")]
     TooMany { block: String, type_name: String, count: usize },
-    /// Two blocks fill one cell, given relative to the structure's lowest corner.
-    #[error("blocks {a:?} and {b:?} overlap in cell {cell:?}")]
+    /// Two blocks fill one cell, given in the file's own coordinates.
+    #[error("blocks {a:?} and {b:?} overlap in cell {cell:?}; move one of them")]
     Overlap { a: String, b: String, cell: [i32; 3] },
-    /// Like poles face each other at a point given in units relative to the structure's lowest corner.
-    #[error("blocks {a:?} and {b:?} repel: like poles meet at {place_u:?} u, pair \"{pair}\"")]
-    LikePoles { a: String, b: String, pair: String, place_u: [f32; 3] },
+    /// Like poles face each other at a point given in the file's own coordinates.
+    #[error("blocks {a:?} and {b:?} repel: like poles meet at {place_u:?}, pair \"{pair}\"; {advice}")]
+    LikePoles { a: String, b: String, pair: String, place_u: [f32; 3], advice: PolesAdvice },
     /// Opposite magnets meet but the file does not list the pair.
     #[error("blocks {a:?} and {b:?} also meet with the magnets \"{pair}\"; list the pair")]
     MissingPair { a: String, b: String, pair: String },
@@ -116,6 +129,29 @@ pub enum BlueprintError {
          straight way in: blocks {blocks:?} are never reached"
     )]
     NoAssembly { blocks: Vec<String> },
+}
+
+/// What to do about two blocks that repel. An enum, because a text would make every error larger.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PolesAdvice {
+    /// The file says how one of the two is turned.
+    #[error("turn one, or leave out its `axes`")]
+    Turn,
+    /// The file says it of other blocks only, and the two have the turns that fit best.
+    #[error("move one, or leave out the `axes` of the blocks around them")]
+    FreeOthers,
+    /// The file says it of no block.
+    #[error("no turns let all blocks attract, so move one, or let it lie another way with `size`")]
+    Move,
+}
+
+/// A number of blocks in words.
+fn counted(n_blocks: usize) -> String {
+    match n_blocks {
+        0 => "no blocks".to_owned(),
+        1 => "1 block".to_owned(),
+        n => format!("{n} blocks"),
+    }
 }
 
 /// A [`BlueprintError`] and the file that has it.

@@ -25,6 +25,7 @@
 use std::collections::BTreeSet;
 
 use serde::Deserialize;
+use toml::{Spanned, Value};
 
 use crate::error::BlueprintError;
 use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, Magnet, N_BLOCKS, Placement, Split};
@@ -78,23 +79,24 @@ struct RawFile {
     provenance: Option<String>,
     #[serde(default = "up_is_z")]
     up: String,
-    blocks: Vec<RawBlock>,
+    blocks: Vec<Spanned<RawBlock>>,
     connections: Option<Vec<RawConnection>>,
 }
 
+/// Nothing is required and numbers are of any kind, so that errors can name the block.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a block like { type = \"1x1x1\", at = [0, 0, 0] }")]
 struct RawBlock {
     name: Option<String>,
     #[serde(rename = "type")]
-    type_name: String,
-    at: [i32; 3],
+    type_name: Option<String>,
+    at: Option<Spanned<Value>>,
     axes: Option<String>,
-    size: Option<[i32; 3]>,
+    size: Option<Spanned<Value>>,
 }
 
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a connection like { a = \"foot\", b = \"post\", magnets = [] }")]
 struct RawConnection {
     a: String,
     b: String,
@@ -130,9 +132,13 @@ impl Draft {
         let up = parse_axis(&raw.up).ok_or(BlueprintError::BadUp(raw.up))?;
         let mut blocks: Vec<DraftBlock> = Vec::new();
         for (i, block) in raw.blocks.into_iter().enumerate() {
-            let block = parse_block(block, i)?;
-            if block.name.is_empty() || blocks.iter().any(|other| other.name == block.name) {
-                return Err(BlueprintError::BadBlockName(block.name));
+            let block = parse_block(text, block, i)?;
+            if block.name.is_empty() {
+                return Err(BlueprintError::EmptyBlockName(i + 1));
+            }
+            if let Some(other) = blocks.iter().position(|other| other.name == block.name) {
+                let (first, second) = (other + 1, i + 1);
+                return Err(BlueprintError::RepeatedBlockName { name: block.name, first, second });
             }
             blocks.push(block);
         }
@@ -183,7 +189,7 @@ impl Draft {
     /// Places assigned blocks, each with its turn, and turns the drawing so that `up` is +z and its lowest corner lies at the
     /// origin. Placements are in file order.
     pub(crate) fn place(&self, assigned: &[BlockIdx], turns: &[CubeRotation], inventory: &Inventory) -> Vec<Placement> {
-        let upright = CubeRotation::all().find(|r| r.apply(self.up) == [0, 0, 1]).unwrap_or(CubeRotation::IDENTITY);
+        let upright = self.upright();
         let place = |((block, &idx), &turn): ((&DraftBlock, &BlockIdx), &CubeRotation)| {
             let size = turn.apply(inventory.cells(idx).map(i32::from)).map(i32::abs);
             let center = std::array::from_fn(|k| 2 * block.at[k] + size[k]);
@@ -192,6 +198,22 @@ impl Draft {
         let mut placements: Vec<_> = self.blocks.iter().zip(assigned).zip(turns).map(place).collect();
         move_to_origin(&mut placements, inventory);
         placements
+    }
+
+    /// Where the file has a point of its placed blocks, for messages; both in half units.
+    pub(crate) fn drawn(&self, point: [i32; 3], placements: &[Placement], inventory: &Inventory) -> [i32; 3] {
+        let back = self.upright().inverse();
+        let turned = back.apply(point);
+        // The first block's center, once turned back and once as drawn, tells how far the drawing was moved.
+        self.blocks.iter().zip(placements).next().map_or(turned, |(block, placement)| {
+            let (center, size) = (back.apply(placement.center_half_units), back.apply(placement.size_cells(inventory)));
+            std::array::from_fn(|k| turned[k] - center[k] + 2 * block.at[k] + size[k].abs())
+        })
+    }
+
+    /// The turn that brings `up` to +z.
+    fn upright(&self) -> CubeRotation {
+        CubeRotation::all().find(|r| r.apply(self.up) == [0, 0, 1]).unwrap_or(CubeRotation::IDENTITY)
     }
 }
 
@@ -220,15 +242,30 @@ impl std::fmt::Display for MagnetName {
     }
 }
 
-/// The `i`-th block of a file, which gets its name from that if it has none.
-fn parse_block(raw: RawBlock, i: usize) -> Result<DraftBlock, BlueprintError> {
-    let RawBlock { name, type_name, at, axes, size } = raw;
+/// The `i`-th block of a file, which gets its name from that if it has none; `text` is the file's.
+fn parse_block(text: &str, raw: Spanned<RawBlock>, i: usize) -> Result<DraftBlock, BlueprintError> {
+    let line = line_at(text.as_bytes(), raw.span().start);
+    let RawBlock { name, type_name, at, axes, size } = raw.into_inner();
     let name = name.unwrap_or_else(|| format!("block-{}", i + 1));
-    if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
-        return Err(BlueprintError::OutOfRange { block: name, at });
-    }
-    let parse = |text: &str| {
-        let (x, y) = text.split_once(' ')?;
+    let missing = |key, what| BlueprintError::MissingKey { line, block: name.clone(), key, what };
+    let type_name = type_name.ok_or_else(|| missing("type", "its size in cells, like type = \"2x1x1\""))?;
+    let what = "the lowest-numbered corner cell that it fills, like at = [0, 0, 0]";
+    let drawn_at = at.ok_or_else(|| missing("at", what))?;
+    let bad_cells = |key, value: &Spanned<Value>| BlueprintError::BadCells {
+        line: line_at(text.as_bytes(), value.span().start),
+        block: name.clone(),
+        key,
+        value: brief(value.get_ref()),
+    };
+    let at = whole_numbers(drawn_at.get_ref()).ok_or_else(|| bad_cells("at", &drawn_at))?;
+    let is_near = |at: &[i32; 3]| at.iter().all(|x| (-MAX_COORDINATE..=MAX_COORDINATE).contains(x));
+    let near = narrow(at).filter(is_near);
+    let at = near.ok_or_else(|| BlueprintError::OutOfRange { block: name.clone(), at })?;
+    let parse_size =
+        |size: &Spanned<Value>| whole_numbers(size.get_ref()).and_then(narrow).ok_or_else(|| bad_cells("size", size));
+    let size = size.as_ref().map(parse_size).transpose()?;
+    let parse = |axes: &str| {
+        let (x, y) = axes.split_once(' ')?;
         CubeRotation::from_images(parse_axis(x)?, parse_axis(y)?)
     };
     let turn = match axes {
@@ -274,6 +311,26 @@ fn move_to_origin(placements: &mut [Placement], inventory: &Inventory) {
     }
 }
 
+/// Three whole numbers, if the value is that.
+fn whole_numbers(value: &Value) -> Option<[i64; 3]> {
+    let [x, y, z] = &value.as_array()?[..] else { return None };
+    Some([x.as_integer()?, y.as_integer()?, z.as_integer()?])
+}
+
+/// The same numbers, if they are small enough.
+fn narrow(numbers: [i64; 3]) -> Option<[i32; 3]> {
+    let [x, y, z] = numbers.map(i32::try_from);
+    Some([x.ok()?, y.ok()?, z.ok()?])
+}
+
+/// A value for a message: on one line, and cut off where it is long.
+fn brief(value: &Value) -> String {
+    const MOST: usize = 60;
+    let text = value.to_string();
+    let short: String = text.chars().take(MOST).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    if text.chars().count() > MOST { short + "…" } else { short }
+}
+
 /// Reads `+x`, `-y` and the like.
 fn parse_axis(text: &str) -> Option<[i32; 3]> {
     let (sign, axis) = match text.as_bytes() {
@@ -291,7 +348,14 @@ fn parse_axis(text: &str) -> Option<[i32; 3]> {
 
 /// The parser's message on one line, with the line number of the error.
 fn syntax_error(text: &str, error: &toml::de::Error) -> BlueprintError {
-    let start = error.span().map_or(0, |span| span.start.min(text.len()));
-    let line = 1 + text.as_bytes()[..start].iter().filter(|&&b| b == b'\n').count();
+    let line = line_at(text.as_bytes(), error.span().map_or(0, |span| span.start));
     BlueprintError::Syntax { line, message: error.message().replace('\n', ", ") }
 }
+
+/// The line that the byte at `at` lies on, counted from 1.
+pub(crate) fn line_at(text: &[u8], at: usize) -> usize {
+    1 + text.iter().take(at).filter(|&&byte| byte == b'\n').count()
+}
+
+#[cfg(test)]
+mod tests;

@@ -11,6 +11,7 @@
 mod poles;
 
 use std::collections::BTreeSet;
+use std::fmt;
 
 use crate::error::BlueprintError;
 use crate::format::Draft;
@@ -27,6 +28,9 @@ const MAX_TRIED: usize = 16;
 
 type Cell = [i32; 3];
 
+/// Names of the drawing's axes.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
 /// A way to complete a drawing: a turn for each block.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Completed {
@@ -36,16 +40,97 @@ pub(crate) struct Completed {
 }
 
 /// How a block's turn was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoundTurn {
     /// Cells that the block fills along the drawing's axes.
     pub size: [i32; 3],
-    /// In how many ways it lies in the drawings that hold together and stand, 1 if there is only this one.
+    /// Which of the drawing's axes is vertical: 0 for x, 1 for y, 2 for z.
+    pub vertical: usize,
+    /// In how many ways it lies in the drawings that hold together, whether they stand or not; 1 if there is only this one.
+    /// If no drawing holds together, all without an overlap count.
     pub n_ways: usize,
+    /// Why this one was taken of several.
+    pub reason: WayReason,
     /// Whether the search was cut off, so that there may be more ways.
     pub may_be_more: bool,
     /// Whether its neighbors' poles leave only this turn.
     pub is_only: bool,
+}
+
+/// Why a block lies as it does and not in another way.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum WayReason {
+    /// No other way has more magnets that meet.
+    MostMagnets,
+    /// No other way in which the structure stands has more.
+    MostThatStand,
+    /// No other way that passes the checks has more.
+    MostThatPass,
+    /// Whichever of these cells it filled instead, the structure would tip over.
+    OthersTip(Vec<[i32; 3]>),
+}
+
+impl Completed {
+    /// This completion, taken because the ones before it fail a check.
+    pub(crate) fn after(&self, failed: &[Self]) -> Self {
+        let mut taken = self.clone();
+        for (i, found) in taken.found.iter_mut().enumerate() {
+            let lay_otherwise =
+                |found: &FoundTurn, other: &Self| other.found[i].as_ref().is_some_and(|other| other.size != found.size);
+            if let Some(found) = found.as_mut().filter(|found| failed.iter().any(|other| lay_otherwise(found, other))) {
+                found.reason = WayReason::MostThatPass;
+            }
+        }
+        taken
+    }
+}
+
+impl fmt::Display for FoundTurn {
+    /// What follows the words "block … is turned …".
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { size, n_ways, .. } = self;
+        let least = if self.may_be_more { "at least " } else { "" };
+        let of_several = format!(": of {least}{n_ways} ways it fills {size:?} cells");
+        match &self.reason {
+            // A cube lies in one way only, whatever stands around it.
+            _ if *size == [1, 1, 1] => {}
+            _ if *n_ways == 1 && !self.may_be_more => write!(f, ": it can fill {size:?} cells only")?,
+            WayReason::MostMagnets => write!(f, "{of_several}, where the most magnets meet")?,
+            WayReason::MostThatStand => {
+                write!(f, "{of_several}, where the structure stands and the most magnets meet")?
+            }
+            WayReason::MostThatPass => {
+                write!(f, "{of_several}, where the structure passes the checks and the most magnets meet")?
+            }
+            WayReason::OthersTip(others) => self.tell_others(others, f)?,
+        }
+        f.write_str(if self.is_only { ", and its neighbors' poles leave no other turn" } else { "" })
+    }
+}
+
+impl FoundTurn {
+    /// Says that the structure would tip over with the other ways: in words for a bar, in cells for a plate.
+    fn tell_others(&self, others: &[Cell], f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ways = if let Some(axis) = long_axis(self.size) {
+            match axis == self.vertical {
+                true => f.write_str(" and stands on end: ")?,
+                false => write!(f, " and lies along {}: ", AXES[axis])?,
+            }
+            let axes = || others.iter().filter_map(|&other| long_axis(other));
+            let lying: Vec<&str> = axes().filter(|axis| *axis != self.vertical).map(|axis| AXES[axis]).collect();
+            let lying = (!lying.is_empty()).then(|| format!("lying along {}", lying.join(" or ")));
+            let standing = axes().any(|axis| axis == self.vertical).then(|| "standing on end".to_owned());
+            lying.into_iter().chain(standing).collect::<Vec<_>>().join(" or ")
+        } else {
+            write!(f, " and fills {:?} cells: ", self.size)?;
+            match others {
+                [one] => format!("filling {one:?}"),
+                [one, other] => format!("filling {one:?} or {other:?}"),
+                more => format!("in each of the {} other ways", more.len()),
+            }
+        };
+        write!(f, "{ways}, the structure would tip over")
+    }
 }
 
 /// Completions of a draft whose blocks are assigned, best first: those that hang together and stand, or else one that does
@@ -61,36 +146,79 @@ pub(crate) fn completions(
         return Ok(vec![Completed { found: vec![None; turns.len()], turns }]);
     }
     let (drawings, is_cut) = search.drawings()?;
-    let mut good = Vec::new();
-    let mut first = None;
-    for sizes in drawings {
-        let drawing = search.turned(sizes);
-        let stands = drawing.fits && {
-            let placements = draft.place(assigned, &drawing.turns, inventory);
-            stance(&placements, inventory).margin_u >= MIN_SUPPORT_MARGIN_U
+    let mut drawings: Vec<Drawing> = drawings.into_iter().map(|sizes| search.turned(sizes)).collect();
+    let holds_together = drawings.iter().any(|drawing| drawing.fits);
+    drawings.retain(|drawing| drawing.fits == holds_together);
+    let stands = |drawing: &Drawing| {
+        let placements = draft.place(assigned, &drawing.turns, inventory);
+        stance(&placements, inventory).margin_u >= MIN_SUPPORT_MARGIN_U
+    };
+    let stands: Vec<bool> = drawings.iter().map(|drawing| holds_together && stands(drawing)).collect();
+    let ways = Ways::new(&search, &drawings, &stands, is_cut);
+    let mut taken: Vec<usize> = (0..drawings.len()).filter(|&at| stands[at]).take(MAX_TRIED).collect();
+    if taken.is_empty() {
+        // The one with the most magnets.
+        taken.extend((!drawings.is_empty()).then_some(0));
+    }
+    let complete = |at: usize| {
+        let open = |i: usize| draft.blocks[i].turn.is_none().then(|| ways.found(at, i));
+        Completed { turns: drawings[at].turns.clone(), found: (0..assigned.len()).map(open).collect() }
+    };
+    Ok(taken.into_iter().map(complete).collect())
+}
+
+/// The ways in which each block lies in the drawings among which one is taken.
+struct Ways<'a> {
+    search: &'a Search<'a>,
+    drawings: &'a [Drawing],
+    /// Whether each drawing stands.
+    stands: &'a [bool],
+    /// Whether drawings were dropped.
+    is_cut: bool,
+    /// Cells that each block fills in any of the drawings, and in those that stand.
+    all: Vec<BTreeSet<Cell>>,
+    standing: Vec<BTreeSet<Cell>>,
+}
+
+impl<'a> Ways<'a> {
+    fn new(search: &'a Search<'a>, drawings: &'a [Drawing], stands: &'a [bool], is_cut: bool) -> Self {
+        let sizes = |i: usize, all: bool| {
+            let counted = drawings.iter().zip(stands).filter(|(_, stands)| all || **stands);
+            counted.map(|(drawing, _)| drawing.sizes[i]).collect::<BTreeSet<Cell>>()
         };
-        if stands {
-            good.push(drawing);
-        } else if first.is_none() {
-            first = Some(drawing);
+        let of_each = |all: bool| (0..search.own.len()).map(|i| sizes(i, all)).collect();
+        Self { search, drawings, stands, is_cut, all: of_each(true), standing: of_each(false) }
+    }
+
+    /// How block `i` was found in the drawing `at`.
+    fn found(&self, at: usize, i: usize) -> FoundTurn {
+        let n_ways = self.all[i].len();
+        FoundTurn {
+            size: self.drawings[at].sizes[i],
+            vertical: self.search.draft.up.iter().position(|&x| x != 0).unwrap_or(2),
+            n_ways,
+            reason: self.reason(at, i),
+            may_be_more: self.is_cut,
+            is_only: self.drawings[at].is_only[i] && n_ways == 1,
         }
     }
-    if good.is_empty() {
-        good.extend(first);
+
+    fn reason(&self, at: usize, i: usize) -> WayReason {
+        let size = self.drawings[at].sizes[i];
+        if !self.stands[at] {
+            return WayReason::MostMagnets;
+        }
+        // In the order in which they are tried.
+        let others = self.search.options[i].iter().filter(|other| **other != size && self.all[i].contains(*other));
+        let others: Vec<Cell> = others.copied().collect();
+        let all_tip = others.iter().all(|other| !self.standing[i].contains(other));
+        if all_tip && !others.is_empty() && !self.is_cut {
+            return WayReason::OthersTip(others);
+        }
+        // It would have been taken if it stood.
+        let is_passed_over = |before: usize| !self.stands[before] && self.drawings[before].sizes[i] != size;
+        if (0..at).any(is_passed_over) { WayReason::MostThatStand } else { WayReason::MostMagnets }
     }
-    let ways = |i: usize| good.iter().map(|drawing| drawing.sizes[i]).collect::<BTreeSet<Cell>>().len();
-    let n_ways: Vec<usize> = (0..assigned.len()).map(ways).collect();
-    let complete = |Drawing { sizes, turns, is_only, .. }: Drawing| {
-        let found = |i: usize| FoundTurn {
-            size: sizes[i],
-            n_ways: n_ways[i],
-            may_be_more: is_cut,
-            is_only: is_only[i] && n_ways[i] == 1,
-        };
-        let found = (0..sizes.len()).map(|i| draft.blocks[i].turn.is_none().then(|| found(i))).collect();
-        Completed { turns, found }
-    };
-    Ok(good.into_iter().take(MAX_TRIED).map(complete).collect())
 }
 
 /// A way for every block to lie and to be turned.
@@ -274,6 +402,12 @@ enum Contact {
     Overlap,
     Apart,
     Along { axis: usize, n_pairs: usize },
+}
+
+/// The axis that a bar lies along; `None` for a cube or a plate.
+fn long_axis(size: Cell) -> Option<usize> {
+    let mut long = (0..3).filter(|&k| size[k] > 1);
+    long.next().filter(|_| long.next().is_none())
 }
 
 /// Sign of the magnets on the face that points along `axis` in the drawing.

@@ -14,3 +14,81 @@ fn assembly_error_names_the_unplaced_blocks() {
     let BlueprintError::NoAssembly { blocks } = &error else { panic!("{error}") };
     assert!(!blocks.is_empty() && blocks.iter().all(|name| draft.blocks.iter().any(|b| b.name == *name)), "{error}");
 }
+
+/// How a check of the file went.
+fn outcome(report: &Report, check: Check) -> &Outcome {
+    &report.results.iter().find(|result| result.check == check).unwrap().outcome
+}
+
+/// The checks that failed, with their errors.
+fn failures(report: &Report) -> Vec<(Check, &str)> {
+    let failed = report.results.iter().filter_map(|result| match &result.outcome {
+        Outcome::Failed { error } => Some((result.check, error.as_str())),
+        Outcome::Passed | Outcome::Skipped => None,
+    });
+    failed.collect()
+}
+
+#[test]
+fn overlaps_are_told_where_the_file_has_them_and_alone() {
+    for up in ["+x", "-x", "+y", "-y", "+z", "-z"] {
+        let text = format!(
+            "up = \"{up}\"\nblocks = [\n\
+             {{ name = \"a\", type = \"2x1x1\", at = [10, 10, -3], size = [2, 1, 1] }},\n\
+             {{ name = \"b\", type = \"1x1x1\", at = [11, 10, -3] }},\n]"
+        );
+        let report = check_text("pair.toml", &text);
+        let expected = (Check::Overlap, "blocks \"a\" and \"b\" overlap in cell [11, 10, -3]; move one of them");
+        assert_eq!(failures(&report)[..1], [expected], "{up}");
+        for check in [Check::Connected, Check::Strength] {
+            assert_eq!(*outcome(&report, check), Outcome::Skipped, "{up}");
+        }
+    }
+}
+
+#[test]
+fn like_poles_are_told_where_the_file_has_them_and_alone() {
+    let text = "blocks = [\n\
+                { name = \"a\", type = \"1x1x1\", at = [10, 10, 0], axes = \"+x +y\" },\n\
+                { name = \"b\", type = \"1x1x1\", at = [11, 10, 0], axes = \"-x +y\" },\n]";
+    let report = check_text("pair.toml", text);
+    let repel = "blocks \"a\" and \"b\" repel: like poles meet at [11.0, 10.5, 0.5], pair \"+x(0,0,0) +x(0,0,0)\"; turn one, \
+                 or leave out its `axes`";
+    assert_eq!(failures(&report), [(Check::Polarity, repel)]);
+    assert_eq!(*outcome(&report, Check::Connected), Outcome::Skipped);
+    assert_eq!(*outcome(&report, Check::Stands), Outcome::Passed);
+    // The same with the height along +x.
+    let report = check_text("pair.toml", &format!("up = \"+x\"\n{text}"));
+    assert_eq!(failures(&report), [(Check::Polarity, repel)]);
+    assert!(check_text("pair.toml", &text.replace("-x", "+x")).passed());
+}
+
+#[test]
+fn what_hangs_on_a_repelling_block_is_not_too_heavy() {
+    // The post on the right repels the beam, which then would hang on the left one alone.
+    let text = "blocks = [\n\
+                { name = \"left\", type = \"1x1x1\", at = [0, 0, 0], axes = \"+x +y\" },\n\
+                { name = \"right\", type = \"1x1x1\", at = [3, 0, 0], axes = \"+x -y\" },\n\
+                { name = \"beam\", type = \"4x1x1\", at = [0, 0, 1], axes = \"+x +y\" },\n]";
+    let report = check_text("bridge.toml", text);
+    let failed: Vec<Check> = failures(&report).into_iter().map(|(check, _)| check).collect();
+    assert_eq!(failed, [Check::Polarity], "{report:?}");
+    assert!(check_text("bridge.toml", &text.replace("-y", "+y")).passed());
+}
+
+#[test]
+fn blocks_without_axes_are_not_told_to_leave_them_out() {
+    // Slabs across each other, held by a beam and a tile: no turns fit.
+    let blocks = "{ name = \"a\", type = \"3x2x1\", at = [0, 0, 0], size = [3, 2, 1] },\n\
+                  { name = \"b\", type = \"3x2x1\", at = [0, 2, 0], size = [2, 3, 1] },\n\
+                  { name = \"c\", type = \"4x1x1\", at = [-1, 0, 0], size = [1, 4, 1] },\n\
+                  { name = \"d\", type = \"2x2x1\", at = [0, 1, 1], size = [2, 2, 1] }";
+    let advice = |more: &str| {
+        let report = check_text("slabs.toml", &format!("blocks = [\n{blocks}{more}\n]"));
+        let error = report.blueprint.unwrap_err().to_string();
+        error.rsplit_once("; ").map(|(_, advice)| advice.to_owned()).unwrap()
+    };
+    assert_eq!(advice(""), "no turns let all blocks attract, so move one, or let it lie another way with `size`");
+    let turned = ",\n{ name = \"e\", type = \"1x1x1\", at = [0, 1, 2], axes = \"+x +y\" }";
+    assert_eq!(advice(turned), "move one, or leave out the `axes` of the blocks around them");
+}

@@ -1,0 +1,34 @@
+//! What is said of files and folders that hold no text or no blueprint.
+
+use super::*;
+
+#[test]
+fn bytes_that_are_no_text_are_named_with_their_line() {
+    let message = |bytes: &[u8]| text_of(Path::new("mine.toml"), bytes.to_vec()).unwrap_err().to_string();
+    // Latin-1 has ü as one byte.
+    let latin = message(b"id = \"mine\"\ntitle = \"T\xfcr\"");
+    assert_eq!(latin, "mine.toml is not UTF-8 text: line 2 has the byte 0xfc; save it as UTF-8");
+    let utf16 = message(b"\xff\xfei\0d\0");
+    assert_eq!(utf16, "mine.toml is not UTF-8 text: line 1 has the byte 0xff; save it as UTF-8");
+    // The first byte of a letter of two, at the end.
+    assert!(message(b"title = \"T\xc3").contains("line 1 has the byte 0xc3"));
+    assert_eq!(text_of(Path::new("mine.toml"), "Tür".into()).unwrap(), "Tür");
+}
+
+#[test]
+fn a_folder_without_blueprints_is_not_an_empty_list() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let message = read_files(&folder).unwrap_err().to_string();
+    assert_eq!(
+        message,
+        format!("the folder {} holds no blueprint; name one with files called *.toml", folder.display())
+    );
+    assert_eq!(Catalog::load(&folder).unwrap_err().to_string(), message);
+}
+
+#[test]
+fn a_path_with_nothing_is_told_so() {
+    let nowhere = Path::new(env!("CARGO_MANIFEST_DIR")).join("nowhere");
+    let message = read_files(&nowhere).unwrap_err().to_string();
+    assert_eq!(message, format!("cannot read {}: there is no such file or folder; check the path", nowhere.display()));
+}
