@@ -55,7 +55,9 @@ const BEAT: Duration = Duration::from_secs(15);
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
     /// The address is taken, or not one of this machine.
-    #[error("the page cannot be served at {address}: {source}")]
+    #[error(
+        "the page cannot be served at {address}: {source}; choose another address with --web, or port 0 for a free one"
+    )]
     Bind {
         /// The address of the configuration.
         address: SocketAddr,

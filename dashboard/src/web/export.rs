@@ -36,7 +36,8 @@ pub(super) async fn export(
     goals: &[BlueprintId],
     folder: &Path,
 ) -> anyhow::Result<usize> {
-    fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let unmade = || format!("cannot make the folder {}, which must be new", folder.display());
+    fs::create_dir(folder).with_context(unmade)?;
     let bases: Vec<String> = (0..=others.len()).map(routes::base).collect();
     let routes = TowerToHyperService::new(routes::routes(first, others, WebConfig::default()));
     let mut copy = Copy { routes, folder, n_files: 0 };

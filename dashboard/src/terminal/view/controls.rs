@@ -167,7 +167,7 @@ pub(super) fn help() -> Vec<Line<'static>> {
         ("q, Ctrl-C", "end the watch; the run goes on"),
     ];
     let words = [
-        ("most probable, sampled", "ways of acting in an evaluation"),
+        ("greedy, sampled", "ways of acting in an evaluation"),
         ("of", "episodes behind a rate, with its 95 % interval"),
         ("lag", "versions from the weights that act to the newest"),
         ("labels", "what the expert's choices teach, with imitation"),

@@ -23,7 +23,7 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
         heading(format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {judged}")),
         columns(format!(
             "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
-            "group", " most probable (95 %)", "of", " sampled (95 %)", "of"
+            "group", "        greedy (95 %)", "of", " sampled (95 %)", "of"
         )),
     ];
     lines.extend(summary.groups.iter().chain([&summary.all]).map(group));
@@ -79,7 +79,7 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
     };
     let heads = columns(format!(
         "  {:<16} {:>6} {:<22} {:>3} {:<22} {:>3}",
-        "blueprint", "blocks", " most probable (95 %)", "of", " sampled (95 %)", "of"
+        "blueprint", "blocks", "        greedy (95 %)", "of", " sampled (95 %)", "of"
     ));
     let title = heading(format!("Success by blueprint in %{judged}"));
     (vec![title, heads], blueprints.iter().map(row).collect())

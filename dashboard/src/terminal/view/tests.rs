@@ -61,7 +61,7 @@ fn a_run_fits_on_80_by_24() {
         "Run two-blocks at tcp/127.0.0.1:7447",
         "learner heard 12 s ago, evaluator heard 22 s ago",
         "Success in %: weights 800, 3 276 800 environment steps, evaluated 22 s ago",
-        "  group          most probable (95 %)       of   sampled (95 %)             of",
+        "  group                 greedy (95 %)       of   sampled (95 %)             of",
         "  train 2-6     100.0 ( 91.2 to 100.0)      40   95.0 ( 83.5 to  98.6)      40",
         "  test 12-16     50.0 ( 35.2 to  64.8)      40   80.0 ( 65.2 to  89.5)      40",
         "  all            75.0 ( 64.5 to  83.2)      80   87.5 ( 78.5 to  93.1)      80",

@@ -83,7 +83,7 @@ function drawGroups(table, history) {
     return [first, String(group.n_blueprints), ...cells(group.mode), ...cells(group.sampled)];
   });
   const caption = `Newest evaluation: weights ${last.weights_version}, ${count(last.n_env_steps)} steps, took ${minutes(last.elapsed_s)}`;
-  const heads = ["group", "blueprints", "most probable", "95 % interval", "episodes", "sampled", "95 % interval", "episodes"];
+  const heads = ["group", "blueprints", "greedy", "95 % interval", "episodes", "sampled", "95 % interval", "episodes"];
   fill(table, caption, heads, rows);
 }
 

@@ -84,8 +84,9 @@ class Editor {
     }
     this.restore();
     this.resize();
-    this.desk.all();
+    // Hands over the blocks that the view is to fit.
     this.change(() => {});
+    this.desk.all();
     this.past = [];
   }
 

@@ -29,7 +29,7 @@ function decimal(value) {
 
 function minutes(seconds) {
   if (!isNumber(seconds)) return "–";
-  const whole = Math.floor(seconds / 60);
+  const whole = seconds < 60 ? 0 : Math.round(seconds / 60);
   return whole >= 60 ? `${Math.floor(whole / 60)} h ${whole % 60} min` : whole ? `${whole} min` : `${Math.round(seconds)} s`;
 }
 

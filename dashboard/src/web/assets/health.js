@@ -66,7 +66,7 @@ const sum = (counts) => Object.values(counts || {}).reduce((total, n) => total +
 function drawRoster(table, roster, actors, learner) {
   const rows = [];
   for (const name of roster.learners) {
-    rows.push([`learner ${name}`, learner ? count(learner.env_steps_per_s) : "–", learner ? String(learner.weights_version) : "–", "–", "–"]);
+    rows.push([name === "learner" ? name : `learner ${name}`, learner ? count(learner.env_steps_per_s) : "–", learner ? String(learner.weights_version) : "–", "–", "–"]);
   }
   for (const name of roster.actors) {
     const actor = actors.get(name);
@@ -92,9 +92,8 @@ function drawDrops(table, actors, learner, summary) {
   for (const [reason, n] of Object.entries((summary && summary.bus) || {})) add("evaluator's bus", words(reason), n);
   if (learner) {
     for (const [reason, n] of Object.entries(learner.ingest || {})) {
-      // What came while the mailbox was full waits at the actor and comes again.
-      const said = reason === "full_total" ? "back-pressure, sent again" : words(reason);
-      if (!["received_total", "accepted_total", "duplicates_total"].includes(reason)) add("learner", said, n);
+      // What came while the mailbox was full waits at the actor and comes again: that is no loss.
+      if (!["received_total", "accepted_total", "duplicates_total", "full_total"].includes(reason)) add("learner", words(reason), n);
     }
     add("learner", "expired", learner.expired_total);
     add("learner", "goal not made", learner.unmade_total);
