@@ -26,7 +26,7 @@ settings! {
             where |c| c.mode == BusMode::Router || c.listen.is_empty() => "none for a client";
         /// Endpoints to connect to: of the router for a client, of other routers for a router.
         pub connect: Vec<String> = Vec::new(),
-            where |c| c.mode == BusMode::Router || !c.connect.is_empty() => "a router's endpoint for a client";
+            where |c| c.mode == BusMode::Router || !c.connect.is_empty() => "a router's endpoint for a client, such as tcp/HOST:7447 with --connect";
         /// Timeout of the learner's answer to a trajectory, in milliseconds.
         pub ack_timeout_ms: u64 = 10_000, in 100..=600_000;
         /// Timeout of a pull of the weights, in milliseconds.
@@ -243,7 +243,7 @@ mod tests {
             assert_eq!(config.validate().unwrap_err().to_string(), message);
         };
         check(|c| c.run = "My Run".into(), r#"bus.run = "My Run": expected 1 to 64 characters of a-z, 0-9 and -"#);
-        check(|c| c.mode = BusMode::Client, "bus.connect = []: expected a router's endpoint for a client");
+        check(|c| c.mode = BusMode::Client, "bus.connect = []: expected a router's endpoint for a client, such as tcp/HOST:7447 with --connect");
         check(|c| c.ack_timeout_ms = 5, "bus.ack_timeout_ms = 5: expected 100..=600000");
         check(|c| c.ingest_queue = 0, "bus.ingest_queue = 0: expected 1..=65536");
         check(|c| c.max_message_bytes = 1, "bus.max_message_bytes = 1: expected 68157440..=1073741824");

@@ -270,11 +270,10 @@ pub struct PlayArgs {
     /// The policy that comes with the program, as without --checkpoint.
     #[arg(long, conflicts_with = "checkpoint")]
     pub pretrained: bool,
-    /// Only these blueprints [default: the whole catalog].
-    #[arg(value_name = "ID")]
+    /// Only these blueprints: ids, also of generated ones, files, or folders of files [default: the whole catalog].
+    #[arg(value_name = "FILE|ID")]
     pub ids: Vec<String>,
-    /// Only this blueprint: an id, also of a generated one, a file, or a folder of files; may be repeated. What is not in the
-    /// catalog is played and not evaluated.
+    /// The same; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<String>,
     /// Episodes per blueprint.

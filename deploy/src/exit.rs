@@ -12,7 +12,7 @@ use dataset::DatasetError;
 use learner::{CheckpointError, LearnerError};
 use runlog::HistoryError;
 
-use crate::config::{ConfigError, suggestion};
+use crate::config::{ConfigError, suggestion_or};
 use crate::keys::MakeKeysError;
 
 /// Exit code of what a signal ended before it was done, as shells report it.
@@ -66,7 +66,7 @@ pub enum Failure {
         error: io::Error,
     },
     /// An id that the catalog does not have; code 64.
-    #[error("there is no blueprint `{id}`{}", suggestion(nearest))]
+    #[error("there is no blueprint `{id}`{}", suggestion_or(nearest, "; `lodestone blueprints list` lists them"))]
     UnknownBlueprint {
         /// The id given.
         id: String,
@@ -139,7 +139,7 @@ impl From<anyhow::Error> for Failure {
             let of_learner = cause.downcast_ref::<LearnerError>();
             cause.is::<CheckpointError>()
                 || cause.is::<HistoryError>()
-                || matches!(of_learner, Some(LearnerError::Checkpoint(_)))
+                || matches!(of_learner, Some(LearnerError::Checkpoint(_) | LearnerError::Init(_)))
         };
         if error.chain().any(is_checkpoint) {
             Self::Checkpoint(error)

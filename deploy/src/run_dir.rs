@@ -109,25 +109,33 @@ fn make_new(folder: &Path, name: &str) -> io::Result<PathBuf> {
 }
 
 impl RunDir {
-    /// Makes the folder, `runs/<date>-<name>` unless a path is given, takes its lock and writes `config.toml` and `meta.json` into
-    /// it. The `preset` of a run that goes on is the one that it was started with.
+    /// Makes the folder and describes the run in it: [`Self::claim`] and [`Self::describe`].
     ///
     /// # Errors
-    /// When the folder holds another run than `origin` that has begun to learn, a process learns in it, or it cannot be
-    /// written. Nothing has been changed then.
+    /// Those of both.
     pub fn create(
         path: Option<&Path>,
         config: &Config,
         preset: Option<&Preset>,
         origin: &Origin,
     ) -> Result<Self, Failure> {
-        let started = utc(SystemTime::now());
+        let mut claimed = Self::claim(path, config, origin)?;
+        claimed.describe(config, preset, origin)?;
+        Ok(claimed)
+    }
+
+    /// Makes the folder, `runs/<date>-<name>` unless a path is given, and takes its lock.
+    ///
+    /// # Errors
+    /// When the folder holds another run than `origin` that has begun to learn, a process learns in it, or it cannot be
+    /// written. Nothing has been changed then.
+    pub fn claim(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let path =
             path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), |path| Ok(path.to_owned()))?;
         let (paths, shown) = (RunPaths::new(&path), path.display());
-        let failed = |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {shown}")));
-        fs::create_dir_all(&path).map_err(failed)?;
-        let lock = File::create(paths.lock()).map_err(failed)?;
+        let failed = unwritable(&path);
+        fs::create_dir_all(&path).map_err(&failed)?;
+        let lock = File::create(paths.lock()).map_err(&failed)?;
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
@@ -144,27 +152,42 @@ impl RunDir {
                 "{shown} holds a run already: continue it with `--resume {shown}` or choose another `--run-dir`"
             )));
         }
+        Ok(Self { paths, is_new, preset: None, _lock: lock })
+    }
+
+    /// Writes `config.toml` and `meta.json`. The `preset` of a run that goes on is the one that it was started with.
+    ///
+    /// # Errors
+    /// When they cannot be written.
+    pub fn describe(&mut self, config: &Config, preset: Option<&Preset>, origin: &Origin) -> Result<(), Failure> {
         let before = origin.config.as_ref().and_then(|folder| preset_of(&RunPaths::new(folder)));
         let preset = preset.map(|preset| preset.name.to_owned()).or(before);
         let meta = Meta {
             lodestone_version: env!("CARGO_PKG_VERSION"),
             command: std::env::args().collect(),
-            started_utc: started,
+            started_utc: utc(SystemTime::now()),
             preset: preset.as_deref(),
             seed: config.seed,
             resumed_from: origin.checkpoint.as_deref(),
         };
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
-        fs::write(paths.config(), config.to_toml()).map_err(failed)?;
-        fs::write(paths.meta(), meta + "\n").map_err(failed)?;
-        Ok(Self { paths, is_new, preset, _lock: lock })
+        fs::write(self.paths.config(), config.to_toml())
+            .and_then(|()| fs::write(self.paths.meta(), meta + "\n"))
+            .map_err(unwritable(self.path()))?;
+        self.preset = preset;
+        Ok(())
     }
 
     /// Takes back what was written of a new run that could not be started.
     pub fn abandon(&self) {
         if self.is_new {
             let files = [self.paths.config(), self.paths.meta(), self.paths.lock()];
-            let removed = files.iter().try_for_each(fs::remove_file);
+            let remove = |file| match fs::remove_file(file) {
+                // It was claimed and not described yet.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+                removed => removed,
+            };
+            let removed = files.iter().try_for_each(remove);
             // A folder that holds something else stays.
             if let Err(error) = removed.and_then(|()| fs::remove_dir(self.path())) {
                 tracing::debug!(%error, "the folder of the run stays");
@@ -186,6 +209,11 @@ impl RunDir {
     pub fn paths(&self) -> &RunPaths {
         &self.paths
     }
+}
+
+/// For `map_err`: names the folder.
+fn unwritable(folder: &Path) -> impl Fn(io::Error) -> Failure {
+    move |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {}", folder.display())))
 }
 
 /// `2026-01-31T08:05` of a time after 1970, in UTC.

@@ -21,7 +21,7 @@ pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
     tokio::spawn(async move {
         any(&mut interrupt, &mut terminate).await;
         shutdown.cancel();
-        tracing::info!("stopping: saving what there is, a second signal ends at once");
+        tracing::info!("stopping; press Ctrl-C again to end at once");
         let echoes = async {
             loop {
                 any(&mut interrupt, &mut terminate).await;

@@ -130,9 +130,6 @@ pub enum Starts {
 /// A setting that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EvaluatorConfigError {
-    /// Outside its range.
-    #[error(transparent)]
-    Setting(#[from] InvalidSetting),
     /// A blueprint that the catalog does not have.
     #[error("the catalog has no blueprint {0}")]
     UnknownBlueprint(BlueprintId),
@@ -161,11 +158,9 @@ impl EvaluatorConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// Names the first setting that is out of range, or a blueprint that there is not.
-    pub fn validate(&self) -> Result<(), EvaluatorConfigError> {
-        self.validate_at("evaluator")?;
-        let unknown = self.films.blueprints.iter().find(|id| Catalog::builtin().get(id).is_none());
-        unknown.map_or(Ok(()), |id| Err(EvaluatorConfigError::UnknownBlueprint(id.clone())))
+    /// Names the first setting that is out of range.
+    pub fn validate(&self) -> Result<(), InvalidSetting> {
+        self.validate_at("evaluator")
     }
 
     /// The blueprints of the evaluation of the last weights: the selection with [`Self::last_splits`].
@@ -196,6 +191,15 @@ impl Selection {
 }
 
 impl FilmsConfig {
+    /// Checks that the catalog of the run has all blueprints of films.
+    ///
+    /// # Errors
+    /// Names the first that it lacks.
+    pub(crate) fn check_in(&self, catalog: &Catalog) -> Result<(), EvaluatorConfigError> {
+        let unknown = self.blueprints.iter().find(|id| catalog.get(id).is_none());
+        unknown.map_or(Ok(()), |id| Err(EvaluatorConfigError::UnknownBlueprint(id.clone())))
+    }
+
     /// Whether any film is asked for.
     pub fn any(&self) -> bool {
         self.n_of_each > 0 && !(self.groups.is_empty() && self.blueprints.is_empty())
@@ -214,6 +218,14 @@ mod tests {
     fn the_defaults_are_valid() {
         assert_eq!(EvaluatorConfig::default().validate(), Ok(()));
         assert_eq!(ResetFreeConfig::default().validate_at("reset_free"), Ok(()));
+    }
+
+    #[test]
+    fn a_film_of_an_unknown_blueprint_is_refused() {
+        let films = |id: &str| FilmsConfig { blueprints: vec![id.parse().unwrap()], ..FilmsConfig::default() };
+        assert_eq!(films("2_000").check_in(Catalog::builtin()), Ok(()));
+        let error = films("2_999").check_in(Catalog::builtin()).unwrap_err().to_string();
+        assert_eq!(error, "the catalog has no blueprint 2_999");
     }
 
     #[test]

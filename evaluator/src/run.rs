@@ -71,6 +71,7 @@ pub struct Stop {
 /// started, or the records cannot be written; also when another evaluator writes the same history.
 pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.validate().context("invalid evaluator configuration")?;
+    setup.config.films.check_in(setup.catalog)?;
     let selection = [&setup.config.selection, &setup.config.last_selection()];
     let [selected, last_selected] = selection.map(|selection| selection.select(setup.catalog));
     let selected = Selected { usual: selected?, last: last_selected? };

@@ -134,7 +134,7 @@ impl Table {
 
     /// A line for each way of acting that was evaluated.
     fn lines(&mut self, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
-        for (acting, outcome) in [("mode", mode), ("sampled", sampled)] {
+        for (acting, outcome) in [("greedy", mode), ("sampled", sampled)] {
             if outcome.success.n_episodes > 0 {
                 self.line(name, acting, outcome);
             }

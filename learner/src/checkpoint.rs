@@ -69,14 +69,14 @@ pub struct Checkpoint {
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The file system returned an error.
-    #[error("{action} {path}: {source}")]
+    #[error("{action} {path}: {error}")]
     Io {
         /// The failed operation.
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
         /// The system's error.
-        source: std::io::Error,
+        error: std::io::Error,
     },
     /// A file differs from what was written.
     #[error("checkpoint file {path} is damaged: {reason}")]
@@ -257,7 +257,7 @@ pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
 
 /// For `map_err`: names the operation that failed in the file system.
 fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
-    move |source| CheckpointError::Io { action, path: path.into(), source }
+    move |error| CheckpointError::Io { action, path: path.into(), error }
 }
 
 fn damaged(folder: &Path, name: &str, reason: impl Into<String>) -> CheckpointError {

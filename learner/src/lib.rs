@@ -39,4 +39,4 @@ pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;
 pub use model::Model;
 pub use policy::device::{DeviceError, DeviceKind};
-pub use run::{Feed, RunOptions, Summary, run};
+pub use run::{Feed, RunOptions, Summary, check, run};

@@ -16,7 +16,7 @@ use serde_json::Value;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::checkpoint::{self, Checkpoint};
+use crate::checkpoint::{self, Checkpoint, Found};
 use crate::{Learner, LearnerSetup, MailboxCounts, UpdateMetrics};
 
 /// Metrics without TensorBoard curves: constants, and those with one curve per blueprint.
@@ -143,14 +143,33 @@ async fn publish(
     Ok(())
 }
 
+/// Checks that a learner of this `setup` can begin, or go on from `resume`: a run's folder, its `checkpoints`, or one
+/// checkpoint.
+///
+/// # Errors
+/// As [`run`] has them before it learns: no valid checkpoint, or one of another network or of other goals, or a policy to
+/// start from that does not fit.
+pub fn check(setup: &LearnerSetup, resume: Option<&Path>) -> anyhow::Result<()> {
+    match resume {
+        Some(resume) => Learner::resume(setup.clone(), found(resume)?.checkpoint)?,
+        None => Learner::new(setup.clone())?,
+    };
+    Ok(())
+}
+
+/// The newest valid checkpoint of a run's folder, its `checkpoints`, or one checkpoint.
+fn found(path: &Path) -> anyhow::Result<Found> {
+    let inside = RunPaths::new(path).checkpoints();
+    Checkpoint::read_latest(if inside.is_dir() { &inside } else { path })
+        .with_context(|| format!("resuming from {}", path.display()))
+}
+
 /// Creates a learner, or resumes from the newest valid checkpoint of `resume`. Removes incomplete checkpoints of killed
 /// processes from `checkpoints`.
 fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyhow::Result<Learner> {
     checkpoint::clean(checkpoints)?;
     let Some(path) = resume else { return Ok(Learner::new(setup)?) };
-    let inside = RunPaths::new(path).checkpoints();
-    let found = Checkpoint::read_latest(if inside.is_dir() { &inside } else { path })
-        .with_context(|| format!("resuming from {}", path.display()))?;
+    let found = found(path)?;
     tracing::info!(path = %found.path.display(), n_passed_over = found.passed_over.len(), "resuming");
     Ok(Learner::resume(setup, found.checkpoint)?)
 }

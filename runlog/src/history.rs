@@ -92,12 +92,12 @@ pub enum HistoryError {
         source: std::io::Error,
     },
     /// SQLite returned an error, or the file is damaged.
-    #[error("the history {} cannot be used: {source}", path.display())]
+    #[error("the history {} cannot be used: {error}; move it away to begin a new one", path.display())]
     Database {
         /// The file.
         path: PathBuf,
         /// SQLite's error.
-        source: rusqlite::Error,
+        error: rusqlite::Error,
     },
 }
 
@@ -118,7 +118,7 @@ impl History {
     /// If another writer has it open, it has a newer version or is not a history, or it cannot be written.
     pub fn open(path: &Path) -> Result<Self, HistoryError> {
         let lock = lock(path)?;
-        let failed = |source| HistoryError::Database { path: path.to_owned(), source };
+        let failed = |error| HistoryError::Database { path: path.to_owned(), error };
         let mut db = Connection::open(path).map_err(failed)?;
         configure(&db).map_err(failed)?;
         schema::prepare(&mut db, path)?;
@@ -131,7 +131,7 @@ impl History {
     /// If it cannot be written; the history then stays unchanged.
     pub fn append(&mut self, pass: &Pass) -> Result<(), HistoryError> {
         let path = &self.path;
-        rows::append(&mut self.db, pass).map_err(|source| HistoryError::Database { path: path.clone(), source })
+        rows::append(&mut self.db, pass).map_err(|error| HistoryError::Database { path: path.clone(), error })
     }
 
     /// Reads all evaluations of the history at `path` in writing order, also while a writer has it open.
@@ -142,7 +142,7 @@ impl History {
         if !path.is_file() {
             return Err(HistoryError::Missing(path.to_owned()));
         }
-        let failed = |source| HistoryError::Database { path: path.to_owned(), source };
+        let failed = |error| HistoryError::Database { path: path.to_owned(), error };
         // Not read-only: a reader may have to roll back a transaction of a killed writer.
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let db = Connection::open_with_flags(path, flags).map_err(failed)?;

@@ -67,10 +67,10 @@ pub struct GenerateArgs {
 /// Arguments of `blueprints show`.
 #[derive(Debug, Args)]
 pub struct ShowArgs {
-    /// Which blueprints, for example 6_005 [default: all].
-    #[arg(value_name = "ID", conflicts_with = "split")]
+    /// Which blueprints: ids, for example 6_005, files, or folders of files [default: all].
+    #[arg(value_name = "FILE|ID", conflicts_with = "split")]
     pub ids: Vec<String>,
-    /// This one: an id, a file, or a folder of files; may be repeated.
+    /// The same; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with_all = ["split", "path"])]
     pub blueprint: Vec<String>,
     /// All of this part of the catalog: train, test, test-literal, test-longest, test-tallest or

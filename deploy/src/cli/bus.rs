@@ -145,9 +145,8 @@ impl EndpointArgs {
         if !self.connect.is_empty() {
             overrides.push(Override::flag("--connect", "bus.connect", self.connect.clone()));
         }
-        if !self.listen.is_empty() {
-            overrides.push(Override::flag("--listen", "bus.listen", self.listen.clone()));
-        }
+        // Also where there are none: the run that goes on may have listened itself.
+        overrides.push(Override::flag("--listen", "bus.listen", self.listen.clone()));
         overrides.extend(self.keys.overrides(role));
         overrides
     }

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use blueprints::BlueprintId;
 use clap::Args;
 
 use super::values;
@@ -22,7 +21,7 @@ pub struct ServeArgs {
     /// Serve nothing, and write a copy of the page into this new folder, with recorded episodes, for any web server.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["web", "token"])]
     pub export: Option<PathBuf>,
-    /// In the copy, record this blueprint; may be repeated [default: one of every group].
-    #[arg(long, value_name = "ID", requires = "export")]
-    pub blueprint: Vec<BlueprintId>,
+    /// In the copy, record this blueprint: an id, a file, or a folder of files; may be repeated [default: one of every group].
+    #[arg(long, value_name = "FILE|ID", requires = "export")]
+    pub blueprint: Vec<String>,
 }

@@ -74,7 +74,12 @@ impl ConfigArgs {
         };
         if let Some(folder) = resume {
             // Runs of earlier versions name no base, and stand on the defaults as the others.
-            let (text, origin) = read(&RunPaths::new(folder).config())?;
+            let path = RunPaths::new(folder).config();
+            if !path.exists() {
+                let message = "no folder of a run: it has no config.toml".to_owned();
+                return Err(ConfigError::Value { origin: folder.display().to_string(), message });
+            }
+            let (text, origin) = read(&path)?;
             return settings(&text, &origin, Base::Defaults, origin.clone(), None);
         }
         if let Some(file) = &self.config {

@@ -16,10 +16,18 @@ use crate::live::Terminal;
 /// Named blueprints, and the catalog that has them beside those of the program.
 pub(super) struct Goals {
     catalog: Cow<'static, Catalog>,
-    /// Those from files.
+    /// Those that the program's own catalog lacks: from files, and generated ones.
     own: Vec<BlueprintId>,
     /// The named ones.
     ids: Vec<BlueprintId>,
+}
+
+/// A blueprint that was named, and by what.
+struct Named {
+    id: BlueprintId,
+    structure: u64,
+    /// The id, file or folder as it was given.
+    name: String,
 }
 
 impl Goals {
@@ -36,32 +44,38 @@ impl Goals {
     /// # Errors
     /// As [`Self::open`]; also when a blueprint of the run cannot be read.
     pub(super) fn open_beside(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
-        let mut catalog = Cow::Borrowed(Catalog::builtin());
-        let mut own: Vec<BlueprintId> = Vec::new();
-        let mut add = |path: &Path, catalog: &mut Cow<'static, Catalog>| -> Result<Vec<BlueprintId>, Failure> {
-            let loaded = Catalog::load(path)?;
-            *catalog = Cow::Owned(catalog.with(&loaded));
-            let ids: Vec<_> = loaded.iter().map(|blueprint| blueprint.id().clone()).collect();
-            own.extend(ids.iter().filter(|id| !own.contains(id)).cloned().collect::<Vec<_>>());
-            Ok(ids)
-        };
+        let mut goals = Self { catalog: Cow::Borrowed(Catalog::builtin()), own: Vec::new(), ids: Vec::new() };
         if let Some(folder) = run.and_then(blueprints_of_run) {
-            add(&folder, &mut catalog)?;
+            goals.add(&Catalog::load(&folder)?);
         }
-        let mut ids: Vec<BlueprintId> = Vec::new();
+        let mut before: Vec<Named> = Vec::new();
         for name in named {
             let found = if is_path(name) {
-                add(Path::new(name), &mut catalog)?
+                Catalog::load(Path::new(name))?
             } else {
-                vec![find(&catalog, name)?.id().clone()]
+                Catalog::of_one(find(&goals.catalog, name)?.into_owned())
             };
-            for id in found {
-                if !ids.contains(&id) {
-                    ids.push(id);
+            for blueprint in found.iter() {
+                let (id, structure) = (blueprint.id().clone(), blueprint.canonical_hash());
+                if !is_repeated(&before, &id, structure, name)? {
+                    before.push(Named { id, structure, name: name.clone() });
                 }
             }
+            goals.add(&found);
         }
-        Ok(Self { catalog, own, ids })
+        goals.ids = before.into_iter().map(|named| named.id).collect();
+        Ok(goals)
+    }
+
+    /// Adds what the catalog lacks.
+    fn add(&mut self, others: &Catalog) {
+        let is_new = |blueprint: &&Blueprint| self.catalog.get(blueprint.id()) != Some(*blueprint);
+        let new: Vec<BlueprintId> = others.iter().filter(is_new).map(|blueprint| blueprint.id().clone()).collect();
+        if !new.is_empty() {
+            self.catalog = Cow::Owned(self.catalog.with(others));
+            self.own.retain(|id| !new.contains(id));
+            self.own.extend(new);
+        }
     }
 
     /// Where all of them, and all of the program's own, are found.
@@ -74,10 +88,23 @@ impl Goals {
         self.catalog.into_owned()
     }
 
+    /// The same catalog for all threads of the process, until it ends.
+    pub(super) fn into_static(self) -> &'static Catalog {
+        match self.catalog {
+            Cow::Borrowed(catalog) => catalog,
+            Cow::Owned(catalog) => Box::leak(Box::new(catalog)),
+        }
+    }
+
+    /// The ids of the named ones.
+    pub(super) fn ids(&self) -> &[BlueprintId] {
+        &self.ids
+    }
+
     /// The named ones in the order of their names; none if nothing was named.
     ///
     /// # Errors
-    /// When a file that was named later has the structure of an earlier one.
+    /// Never for goals that could be opened.
     pub(super) fn blueprints(&self) -> Result<Vec<Cow<'_, Blueprint>>, Failure> {
         self.ids.iter().map(|id| find(&self.catalog, id.as_str())).collect()
     }
@@ -86,7 +113,7 @@ impl Goals {
 /// What a training learns and evaluates.
 pub(super) struct TrainingGoals {
     catalog: &'static Catalog,
-    /// Those from files, which the run keeps.
+    /// Those that the program's own catalog lacks, which the run keeps.
     own: Vec<&'static Blueprint>,
     /// The named ones; with none, the configuration chooses.
     ids: Vec<String>,
@@ -116,12 +143,8 @@ impl TrainingGoals {
             }
         }
         let ids = goals.ids.iter().map(ToString::to_string).collect();
-        let Goals { catalog, own, .. } = goals;
-        let catalog = match catalog {
-            Cow::Borrowed(catalog) => catalog,
-            // All threads of the run look goals up in it, until the process ends.
-            Cow::Owned(catalog) => Box::leak(Box::new(catalog)),
-        };
+        let own = goals.own.clone();
+        let catalog = goals.into_static();
         Ok(Self { catalog, own: own.iter().filter_map(|id| catalog.get(id)).collect(), ids })
     }
 
@@ -145,7 +168,7 @@ impl TrainingGoals {
         ]
     }
 
-    /// Writes those from files into the run's folder, so that it can go on without the files.
+    /// Writes those that the program's own catalog lacks into the run's folder, so that it can go on without the files.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -158,6 +181,26 @@ impl TrainingGoals {
         };
         write_files(&run.blueprints(), &self.own.iter().map(text).collect::<Vec<_>>())?;
         Ok(())
+    }
+}
+
+/// Whether the very same has been named before.
+///
+/// # Errors
+/// When two that differ share an id, or one structure has two ids: only one of them could be played.
+fn is_repeated(before: &[Named], id: &BlueprintId, structure: u64, name: &str) -> Result<bool, Failure> {
+    let same = before.iter().find(|other| other.id == *id || other.structure == structure);
+    match same {
+        None => Ok(false),
+        Some(other) if other.id == *id && other.structure == structure => Ok(true),
+        Some(other) if other.id == *id => Err(Failure::Usage(format!(
+            "{name}: the id {id} is taken by {}; give one of the two another `id`",
+            other.name
+        ))),
+        Some(other) => Err(Failure::Usage(format!(
+            "{name}: {id} is the same structure as {} of {}; name only one of them",
+            other.id, other.name
+        ))),
     }
 }
 
@@ -269,6 +312,47 @@ mod tests {
         assert_eq!((resumed.catalog(), resumed.settings().len()), (goals.catalog(), 0));
         let evaluated = Goals::open_beside(&["my-tower".to_owned()], Some(&run.checkpoints().join("step-1"))).unwrap();
         assert_eq!(evaluated.blueprints().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn two_that_share_an_id_or_a_structure_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = |id: &str| Catalog::builtin().get(&id.parse().unwrap()).unwrap().to_toml("a test");
+        let write = |name: &str, text: String| {
+            let path = folder.path().join(name);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(&path, text).unwrap();
+            path.display().to_string()
+        };
+        let copy = write("copy.toml", text("6_005").replace("\"6_005\"", "\"copy\""));
+        let (a, b) = (write("a/x.toml", text("2_003")), write("b/x.toml", text("3_001")));
+        let b = {
+            std::fs::write(&b, text("3_001").replace("\"3_001\"", "\"2_003\"")).unwrap();
+            b
+        };
+        assert_eq!(ids(&[&copy, &copy]), ["copy"]);
+        for (named, words) in [
+            ([copy.as_str(), "6_005"], "6_005: 6_005 is the same structure as copy of"),
+            (["6_005", copy.as_str()], "copy is the same structure as 6_005 of 6_005; name only one"),
+            ([a.as_str(), b.as_str()], "the id 2_003 is taken by"),
+        ] {
+            let named = named.map(str::to_owned);
+            let message = Goals::open(&named).err().unwrap().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_generated_goal_is_trained_on_and_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let goals = TrainingGoals::open(&["gen1-arch-7_6_000".to_owned()], None).unwrap();
+        let run = RunPaths::new(folder.path().join("run"));
+        goals.keep(&run).unwrap();
+        std::fs::write(run.config(), "").unwrap();
+        let resumed = TrainingGoals::open(&[], Some(run.folder())).unwrap();
+        let id = "gen1-arch-7_6_000".parse().unwrap();
+        assert_eq!(resumed.catalog().get(&id), goals.catalog().get(&id));
+        assert!(goals.catalog().get(&id).is_some());
     }
 
     #[test]

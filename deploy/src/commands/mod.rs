@@ -81,6 +81,13 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
             let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
             let origin = origin(&args.run, &args.config, &said);
+            if let (Some(run), false) = (&origin.checkpoint, args.blueprint.is_empty()) {
+                let run = run.display();
+                return Err(Failure::Usage(format!(
+                    "--blueprint: the run in {run} goes on with the goals that it began with; for others, start a run with \
+                     `--init-from {run} --blueprint …`"
+                )));
+            }
             goals::tell_choices(&args.blueprint, &said)?;
             let goals = goals::TrainingGoals::open(&args.blueprint, origin.config.as_deref())?;
             let flags = args.run.overrides().into_iter().chain(goals.settings());

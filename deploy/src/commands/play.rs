@@ -3,10 +3,10 @@
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
-use blueprints::{Blueprint, BlueprintId, Catalog};
+use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
 use bus::Bus;
 use dashboard::{About, Kind};
-use evaluator::{Policy, Stop};
+use evaluator::{EvaluatorSetup, Policy, Stop};
 use proto::Weights;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -26,36 +26,21 @@ const NAME: &str = "play";
 /// What is shown.
 pub(super) struct Program {
     /// All goals that can be chosen.
-    catalog: Catalog,
+    catalog: &'static Catalog,
     /// Those that were named; none for the whole catalog.
     named: Vec<BlueprintId>,
-    /// Of these, those of the built-in catalog. An evaluator knows no others.
-    evaluated: Vec<BlueprintId>,
 }
 
 impl Program {
-    /// Finds the goals that were named.
+    /// Finds the goals that were named, beside those that the run of the policy was given.
     ///
     /// # Errors
     /// Names the file that is no blueprint, or the id that is unknown with the nearest one.
     pub(super) fn of(args: &PlayArgs) -> Result<Self, Failure> {
-        let goals = Goals::open(&[&args.ids[..], &args.blueprint[..]].concat())?;
-        let found = goals.blueprints()?;
-        let named: Vec<BlueprintId> = found.iter().map(|blueprint| blueprint.id().clone()).collect();
-        let is_known = |blueprint: &Blueprint| Catalog::builtin().get(blueprint.id()) == Some(blueprint);
-        let known = found.iter().filter(|blueprint| is_known(blueprint));
-        let evaluated = known.map(|blueprint| blueprint.id().clone()).collect();
-        // Generated ones are in no catalog; the gallery shows them too.
-        let mut catalog = goals.catalog().clone();
-        for blueprint in found.iter().filter(|blueprint| catalog.get(blueprint.id()).is_none()).collect::<Vec<_>>() {
-            catalog = catalog.with(&Catalog::of_one(blueprint.as_ref().clone()));
-        }
-        Ok(Self { catalog, named, evaluated })
-    }
-
-    /// Whether nothing of it is in the built-in catalog.
-    fn is_strange(&self) -> bool {
-        self.evaluated.is_empty() && !self.named.is_empty()
+        let named = [&args.ids[..], &args.blueprint[..]].concat();
+        let goals = Goals::open_beside(&named, args.checkpoint.as_deref())?;
+        let named = goals.ids().to_vec();
+        Ok(Self { catalog: goals.into_static(), named })
     }
 }
 
@@ -70,10 +55,14 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
         Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes)),
         Override::flag("--web", "dashboard.web.listen", page.to_string()),
     ];
-    if !program.evaluated.is_empty() {
-        let ids: Vec<String> = program.evaluated.iter().map(ToString::to_string).collect();
+    if !program.named.is_empty() {
+        let ids: Vec<String> = program.named.iter().map(ToString::to_string).collect();
+        let splits: Vec<String> = Split::ALL.iter().map(ToString::to_string).collect();
         overrides.push(Override::flag("ID", "evaluator.films.blueprints", ids.clone()));
         overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
+        // Whatever the policy was evaluated on while it learned.
+        overrides.push(Override::flag("ID", "evaluator.selection.splits", splits));
+        overrides.push(Override::flag("ID", "evaluator.selection.sizes", vec![2, N_BLOCKS as i64]));
     }
     for text in &args.set {
         overrides.push(Override::parse(text)?);
@@ -81,7 +70,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
     source.config(&overrides)
 }
 
-/// Evaluates the policy once, on the goals that an evaluator knows, and keeps the page up until `shutdown`.
+/// Evaluates the policy once and keeps the page up until `shutdown`.
 ///
 /// # Errors
 /// When the page's address is taken, the folder cannot be written, or the evaluation fails.
@@ -93,12 +82,12 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let weights = published(source, config)?;
+    let catalog = program.catalog;
+    let weights = published(source, config, catalog)?;
     // The page would wait for them forever.
     let mut policy = Policy::new(&config.policy).map_err(anyhow::Error::from)?;
     policy.load(&weights).map_err(anyhow::Error::from)?;
     let weights = Arc::new(weights);
-    let is_strange = program.is_strange();
     let page = services::page(config.dashboard.web.as_ref(), terminal).await?.map(|page| services::Opened {
         page,
         about: about(args, program),
@@ -112,17 +101,9 @@ pub(super) async fn run(
     publisher.publish(weights).await?;
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(false)));
-    let setup = services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path()));
-    let ended = match page {
-        Some(page) if is_strange => {
-            drop(reports);
-            services::only_page(&setup, page, bus.clone(), shutdown).await
-        }
-        page => {
-            let stop = Stop { now: shutdown, ..Stop::default() };
-            services::evaluator(setup, reports, page, bus.clone(), stop).await
-        }
-    };
+    let setup = EvaluatorSetup { catalog, ..services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path())) };
+    let stop = Stop { now: shutdown, ..Stop::default() };
+    let ended = services::evaluator(setup, reports, page, bus.clone(), stop).await;
     bus.close().await;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
@@ -134,13 +115,14 @@ fn about(args: &PlayArgs, program: Program) -> About {
         None => "the policy that comes with the program".to_owned(),
         Some(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
     };
-    let Program { named: blueprints, catalog, .. } = program;
+    let Program { named: blueprints, catalog } = program;
+    let catalog = catalog.clone();
     About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog }
 }
 
 /// The weights as a learner would send them, which says what to train on: here all that is evaluated alike.
-fn published(source: Source, config: &Config) -> Result<Weights, Failure> {
-    let selected = config.evaluator.selection.select(Catalog::builtin());
+fn published(source: Source, config: &Config, catalog: &Catalog) -> Result<Weights, Failure> {
+    let selected = config.evaluator.selection.select(catalog);
     let goals = selected.map_err(|error| Failure::Usage(error.to_string()))?;
     let share = 1.0 / goals.len().max(1) as f32;
     let task_probabilities = goals.iter().map(|goal| (goal.id().clone(), share)).collect();

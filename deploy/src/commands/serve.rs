@@ -1,7 +1,7 @@
 //! `serve`: the page over runs that have ended, or a copy of it in files.
 
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -14,7 +14,7 @@ use runlog::{History, RunPaths};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::goals::{Goals, find};
+use super::goals::Goals;
 use super::models::Source;
 use super::stage::stage;
 use crate::cli::ServeArgs;
@@ -29,10 +29,12 @@ use crate::run_dir::preset_of;
 /// When a run cannot be read, the page's address is taken, or the copy cannot be written.
 pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let mut runs = args.runs.iter().map(|folder| finished(folder));
-    let first = runs.next().context("no run was named")??;
+    let mut first = runs.next().context("no run was named")??;
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
-        let goals = recorded(&args.blueprint, &first.about)?;
+        let named = Goals::open_beside(&args.blueprint, args.runs.first().map(PathBuf::as_path))?;
+        let goals = recorded(named.ids(), &first.about);
+        first.about.catalog = named.into_catalog();
         let n_files = tokio::select! {
             () = shutdown.cancelled() => return Ok(()),
             n_files = dashboard::export(first, others, &goals, folder) => n_files?,
@@ -51,13 +53,12 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
 
 /// The blueprints whose episodes a copy of the page has: those that were named, those that the run was given, or the first of
 /// every group.
-fn recorded(named: &[BlueprintId], about: &About) -> Result<Vec<BlueprintId>, Failure> {
-    let catalog = &about.catalog;
+fn recorded(named: &[BlueprintId], about: &About) -> Vec<BlueprintId> {
     if !named.is_empty() {
-        return named.iter().map(|id| Ok(find(catalog, id.as_str())?.id().clone())).collect();
+        return named.to_vec();
     }
     if !about.blueprints.is_empty() {
-        return Ok(about.blueprints.clone());
+        return about.blueprints.clone();
     }
     let mut groups = Vec::new();
     let is_first = |blueprint: &&Blueprint| {
@@ -66,7 +67,7 @@ fn recorded(named: &[BlueprintId], about: &About) -> Result<Vec<BlueprintId>, Fa
         groups.extend(is_new.then_some(group));
         is_new
     };
-    Ok(catalog.iter().filter(is_first).map(|blueprint| blueprint.id().clone()).collect())
+    about.catalog.iter().filter(is_first).map(|blueprint| blueprint.id().clone()).collect()
 }
 
 /// What the files of a run tell.
@@ -152,12 +153,11 @@ mod tests {
             blueprints,
             catalog: Catalog::builtin().clone(),
         };
-        let found = groups(recorded(&[], &about(Vec::new())).unwrap());
+        let found = groups(recorded(&[], &about(Vec::new())));
         assert!(found.len() >= 6 && found.iter().all(Option::is_some), "{found:?}");
         let named = ["16_002".parse().unwrap()];
-        assert_eq!(recorded(&named, &about(Vec::new())).unwrap(), named);
-        assert_eq!(recorded(&[], &about(named.to_vec())).unwrap(), named, "those that the run was given");
-        assert!(recorded(&["9_999".parse().unwrap()], &about(Vec::new())).is_err());
+        assert_eq!(recorded(&named, &about(Vec::new())), named);
+        assert_eq!(recorded(&[], &about(named.to_vec())), named, "those that the run was given");
     }
 
     #[test]

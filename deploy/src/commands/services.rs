@@ -86,7 +86,7 @@ pub(super) async fn run_learner(
     let config = &settings.config;
     let setup = learner_setup(config, args.run.init_from.as_deref(), Catalog::builtin())?;
     let health = Reporter::start(Role::Learner.as_str(), args.member.health.health_file.as_deref())?;
-    let run_dir = RunDir::create(args.run.run_dir.as_deref(), config, settings.preset, &origin)?;
+    let run_dir = run_dir(args.run.run_dir.as_deref(), settings, &setup, &origin)?;
     let what = format!("learning up to {} environment steps, seed {},", config.n_env_steps, config.seed);
     terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
@@ -224,26 +224,6 @@ pub(super) async fn evaluator(
     Ok(())
 }
 
-/// The page alone, until `shutdown`: for goals that no evaluator knows.
-pub(super) async fn only_page(
-    setup: &EvaluatorSetup,
-    mut opened: Opened,
-    bus: Bus,
-    shutdown: CancellationToken,
-) -> Result<(), Failure> {
-    let (passes, its_passes) = mpsc::unbounded_channel();
-    // The page goes on showing the weights when nobody can send others.
-    let (_, its_weights) = watch::channel(opened.first.take());
-    let (page, source) = opened.onto(setup, its_passes, its_weights);
-    let until = async {
-        shutdown.cancelled().await;
-        drop(passes);
-        Ok(())
-    };
-    tokio::try_join!(until, page.serve(&bus, source))?;
-    Ok(())
-}
-
 impl Opened {
     /// The page and what it shows, with what such an evaluator would have.
     fn onto(
@@ -310,6 +290,19 @@ pub(super) fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Cata
         device: config.device,
         init: init.map(|name| models::Source::named(name).map(|source| Arc::new(source.model))).transpose()?,
     })
+}
+
+/// The folder of a run that a learner of this setup can begin or continue; one that it cannot continue stays as it is.
+pub(super) fn run_dir(
+    path: Option<&Path>,
+    settings: &Settings,
+    setup: &LearnerSetup,
+    origin: &Origin,
+) -> Result<RunDir, Failure> {
+    let mut run_dir = RunDir::claim(path, &settings.config, origin)?;
+    learner::check(setup, origin.checkpoint.as_deref()).inspect_err(|_| run_dir.abandon())?;
+    run_dir.describe(&settings.config, settings.preset, origin)?;
+    Ok(run_dir)
 }
 
 /// What a learner is told of this run.

@@ -61,7 +61,7 @@ pub(super) async fn run(
     // Before anything is written, because the address may be taken.
     let page = page(config, args, terminal).await?;
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
-    let run_dir = RunDir::create(run_dir, config, settings.preset, &origin)?;
+    let run_dir = services::run_dir(run_dir, settings, &setup, &origin)?;
     let preset = run_dir.preset().map(str::to_owned);
     let about = About { preset, ..services::about(settings, catalog) };
     let page = page.map(|page| services::Opened { page, about, first: None });
@@ -118,12 +118,13 @@ pub(super) async fn run(
     learning.await.map_err(panicked)?;
     let evaluation = evaluating.await.map_err(panicked)?;
     ended?;
-    terminal.print(&farewell(&run_dir));
     let learner = its_summary.await.map_err(|error| Failure::Service(error.into()))?;
+    let is_complete = learner.n_env_steps >= config.n_env_steps;
+    terminal.print(&farewell(&run_dir, is_complete));
     Ok(Summary {
         run: config.bus.run.clone(),
         run_dir: run_dir.path().to_owned(),
-        is_complete: learner.n_env_steps >= config.n_env_steps,
+        is_complete,
         elapsed_s: start.elapsed().as_secs_f64(),
         learner,
         evaluation: evaluation.map(|report| report.summary.clone()),
@@ -159,8 +160,7 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
             endpoints[0],
         ),
     };
-    let takes =
-        settings.preset.map_or_else(String::new, |preset| format!("\nit takes {} as the preset is", preset.takes));
+    let takes = settings.preset.map_or_else(String::new, |preset| format!("\nthe whole preset takes {}", preset.takes));
     format!(
         "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}\n\
          settings: {}{takes}\n\
@@ -170,12 +170,14 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
     )
 }
 
-fn farewell(run_dir: &RunDir) -> String {
+fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
+    // Without a later end a complete run would stop at once.
+    let steps = if is_complete { " --steps N" } else { "" };
     let path = run_dir.path().display();
     let program = program();
     format!(
         "\nsaved in {path}\n  evaluate it: {program} eval --checkpoint {path}\n  \
-         continue it: {program} train --resume {path} --steps N\n  \
+         continue it: {program} train --resume {path}{steps}\n  \
          look at it: {program} serve {path}"
     )
 }

@@ -14,7 +14,7 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// A preset that does not exist.
-    #[error("there is no preset `{name}`{}; the presets are {}", suggestion(nearest), known.join(", "))]
+    #[error("there is no preset `{name}`{} The presets are {}", ended(nearest), known.join(", "))]
     Preset {
         /// The name given.
         name: String,
@@ -24,7 +24,10 @@ pub enum ConfigError {
         known: Vec<&'static str>,
     },
     /// A key that does not exist.
-    #[error("{origin}: unknown key `{key}`{}", suggestion(nearest))]
+    #[error(
+        "{origin}: unknown key `{key}`{}",
+        suggestion_or(nearest, "; `lodestone train --print-config` lists all keys")
+    )]
     UnknownKey {
         /// File and line, variable or flag.
         origin: String,
@@ -52,8 +55,18 @@ pub enum ConfigError {
 }
 
 /// The question after a message, or nothing.
-pub(crate) fn suggestion(nearest: &Option<String>) -> String {
+fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
+}
+
+/// The question after a message, or else `otherwise`.
+pub(crate) fn suggestion_or(nearest: &Option<String>, otherwise: &str) -> String {
+    if nearest.is_some() { suggestion(nearest) } else { otherwise.to_owned() }
+}
+
+/// The question after a message that goes on, or its end.
+fn ended(nearest: &Option<String>) -> String {
+    suggestion_or(nearest, ".")
 }
 
 /// The known name that is most like `name`, unless none is alike.
@@ -76,7 +89,9 @@ impl ConfigError {
         // Serde has no structured form of this error; its text puts the unknown name and the known ones into backticks.
         let message = error.message();
         if !message.starts_with("unknown field") {
-            return Self::Value { origin, message: message.trim().replace('\n', ", ") };
+            // Names of Rust's types say nothing to others.
+            let message = message.trim().replace('\n', ", ").replace("expected f32", "expected a number");
+            return Self::Value { origin, message: message.replace("expected f64", "expected a number") };
         }
         let mut names = message.split('`').skip(1).step_by(2);
         let key = names.next().unwrap_or_default().to_owned();

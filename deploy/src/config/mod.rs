@@ -16,7 +16,7 @@ use proto::setting::Section;
 use proto::settings;
 
 pub use error::ConfigError;
-pub(crate) use error::{nearest, suggestion};
+pub(crate) use error::{nearest, suggestion_or};
 pub use layers::{Base, NO_BASE, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 

@@ -36,7 +36,8 @@ impl Pace {
 
 /// One line with how far training is, what is learned and how fast.
 pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
-    let percent = 100.0 * learner.n_env_steps as f64 / context.n_env_steps.max(1) as f64;
+    // The last update may go beyond the end.
+    let percent = (100.0 * learner.n_env_steps as f64 / context.n_env_steps.max(1) as f64).min(100.0);
     let minutes = learner.elapsed_s.max(learner.run_elapsed_s) / 60.0;
     let parts = parts(learner, context).join("  ");
     format!("{minutes:6.1} min  {:>9} steps ({percent:3.0} %)  {parts}", learner.n_env_steps)
@@ -46,10 +47,10 @@ pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
 pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> {
     let episodes = &learner.episodes;
     let mut outcome = if episodes.success.n_episodes == 0 {
-        "no episode ended".to_owned()
+        "no episode ended yet".to_owned()
     } else {
         let (rate, n_episodes) = (100.0 * episodes.success.rate, episodes.success.n_episodes);
-        format!("success {rate:5.1} % of {n_episodes}  return {:6.2}", episodes.mean_return.total())
+        format!("success {rate:5.1} % of {n_episodes} episodes  return {:6.2}", episodes.mean_return.total())
     };
     if let Some(evaluated) = context.evaluated {
         outcome += &format!("  evaluated {:.1} %", 100.0 * evaluated);
@@ -171,7 +172,7 @@ mod tests {
         let imitated = line(Some(labels), Some(Schedule::Constant(0.0)));
         assert_eq!(
             imitated,
-            "   1.5 min       1500 steps ( 50 %)  no episode ended  labels: block accuracy 87.5 %  block loss 0.250  \
+            "   1.5 min       1500 steps ( 50 %)  no episode ended yet  labels: block accuracy 87.5 %  block loss 0.250  \
              move loss 0.0000  lr 1.0e-3  12 steps/s  1 actor"
         );
         let rewarded = line(None, None);

@@ -74,7 +74,7 @@ CREATE TABLE reset_free (
 /// # Errors
 /// If the database has a newer version, is not a history, or cannot be written.
 pub(super) fn prepare(db: &mut Connection, path: &Path) -> Result<(), HistoryError> {
-    let failed = |source| HistoryError::Database { path: path.to_owned(), source };
+    let failed = |error| HistoryError::Database { path: path.to_owned(), error };
     // Check and create under one lock: if two processes find it empty, the second sees the tables of the first.
     let transaction = db.transaction_with_behavior(TransactionBehavior::Immediate).map_err(failed)?;
     let n_tables: i64 =
@@ -94,7 +94,7 @@ pub(super) fn prepare(db: &mut Connection, path: &Path) -> Result<(), HistoryErr
 /// If it has a newer version, is not a history, or cannot be read.
 pub(super) fn check(db: &Connection, path: &Path) -> Result<(), HistoryError> {
     let pragma = |name: &str| db.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
-    let failed = |source| HistoryError::Database { path: path.to_owned(), source };
+    let failed = |error| HistoryError::Database { path: path.to_owned(), error };
     let path = path.to_owned();
     match (pragma("application_id").map_err(failed)?, pragma("user_version").map_err(failed)?) {
         (APPLICATION_ID, SCHEMA_VERSION) => Ok(()),

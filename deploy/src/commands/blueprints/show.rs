@@ -26,15 +26,15 @@ const SHEET_COLORS: usize = 96;
 /// When the catalog cannot be read, an id is not in it, or a file cannot be written.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
-    let goals = Goals::open(&args.blueprint)?;
-    let named = goals.blueprints()?;
-    inferred(&args.blueprint)?.iter().for_each(|line| terminal.print(line));
-    let mut selected = if args.ids.is_empty() && !named.is_empty() {
-        Vec::new()
-    } else {
+    // Ids are those of the folder, if there is one.
+    let named = if loaded.is_some() { Vec::new() } else { [&args.ids[..], &args.blueprint[..]].concat() };
+    let goals = Goals::open(&named)?;
+    inferred(&named)?.iter().for_each(|line| terminal.print(line));
+    let selected = if named.is_empty() {
         select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?
+    } else {
+        goals.blueprints()?
     };
-    selected.extend(named);
     let shown: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let mut painter = Painter::default();
     let mut files = Vec::new();
