@@ -2,6 +2,7 @@
 """Measures worlds in Python beside the same loops in Rust and beside MuJoCo, and prints a Markdown table.
 
     python python/benches/speed.py
+    python python/benches/speed.py --at-least 0.8        # fails if Python has less than 80% of Rust's rate in some row
 
 Steps of worlds per CPU-second on one thread, the best of three rounds; Linux only. The Rust side is `benches/rollout.rs`. MuJoCo,
 if it is installed, steps the same 16 blocks in a loop in Python, without magnets, features, or rewards.
@@ -9,6 +10,7 @@ if it is installed, steps the same 16 blocks in a loop in Python, without magnet
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import json
 import subprocess
@@ -87,6 +89,9 @@ def mujoco() -> float | None:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--at-least", type=float, metavar="RATIO", help="fail if a row's ratio to Rust is lower")
+    args = parser.parse_args()
     rust, peer = in_rust(), mujoco()
     rows = [
         ("32 worlds, the policy acts", best(vector("policy")), rust["policy"]),
@@ -102,6 +107,9 @@ def main() -> None:
         if peer:
             line += f" {peer:,.0f} | {ours / peer:.2f} |" if "random" in name else " – | – |"
         print(line)
+    name, ratio = min(((name, ours / theirs) for name, ours, theirs in rows), key=lambda row: row[1])
+    if args.at_least is not None and ratio < args.at_least:
+        sys.exit(f"{name}: {ratio:.3f} of the rate in Rust, less than {args.at_least}")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 __all__ = ["Policy", "Worlds", "blueprints"]
 
 def blueprints(names: Sequence[str]) -> list[tuple[str, int]]:
-    """Ids and numbers of blocks of what the names name: ids, splits, and paths of TOML files or of folders with such files."""
+    """Ids and numbers of blocks of what the names name: ids, splits, and paths of TOML files or of folders with such files.
+
+    A UserWarning says of each block that could lie in several ways which one was taken.
+    """
 
 @final
 class Worlds:
@@ -30,7 +33,10 @@ class Worlds:
         features: str,
         n_threads: int,
     ) -> Worlds:
-        """`settings` is the section `[environment]` of a configuration as JSON, `features` the section `[policy.features]`."""
+        """`settings` is the section `[environment]` of a configuration as JSON, `features` the section `[policy.features]`.
+
+        Warns as `blueprints` does.
+        """
 
     @property
     def sizes(self) -> tuple[int, int, int]:

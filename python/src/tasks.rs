@@ -1,7 +1,6 @@
 //! What the next episode is: a goal, who plays its blocks, and how it begins, drawn from a world's generator.
 
 use std::ops::RangeInclusive;
-use std::str::FromStr;
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::sample_assignment;
@@ -9,7 +8,7 @@ use proto::{Start, Task};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use crate::goals::{GoalError, Goals, known};
+use crate::goals::{GoalError, Goals, known_id};
 
 /// Goals and starts that are drawn.
 #[derive(Clone, Debug)]
@@ -17,7 +16,7 @@ pub(crate) struct Tasks {
     pub(crate) goals: Goals,
     /// Ways to begin, with weights that are not negative and have a positive sum.
     starts: Vec<(StartRule, f64)>,
-    /// What may stand at the start: the training split.
+    /// What may stand at the start: the training split, but for what one of the goals has replaced in the catalog.
     prebuilt: Vec<BlueprintId>,
     /// Whether equal blocks swap roles from episode to episode.
     shuffle_blocks: bool,
@@ -50,7 +49,7 @@ pub(crate) enum StartsError {
          (1 to 15 blocks), or as-it-is"
     )]
     Unknown(String),
-    /// A structure that nobody knows.
+    /// A blueprint that nobody knows.
     #[error(transparent)]
     Blueprint(#[from] GoalError),
     /// A weight that is none.
@@ -66,17 +65,19 @@ pub(crate) enum StartsError {
     Empty,
 }
 
-impl FromStr for StartRule {
-    type Err = StartsError;
-
-    fn from_str(text: &str) -> Result<Self, StartsError> {
+impl StartRule {
+    /// The way to begin that a text names, with blueprints of the catalog or the generator.
+    ///
+    /// # Errors
+    /// When it is unknown, or its blueprint is.
+    fn parse(text: &str, catalog: &Catalog) -> Result<Self, StartsError> {
         let unknown = || StartsError::Unknown(text.to_owned());
         let (kind, detail) = text.split_once(':').map_or((text, None), |(kind, detail)| (kind, Some(detail)));
         match (kind, detail) {
             ("scattered", None) => Ok(Self::Scattered),
             ("as-it-is", None) => Ok(Self::AsItIs),
             ("prebuilt", None) => Ok(Self::Prebuilt(None)),
-            ("prebuilt", Some(id)) => Ok(Self::Prebuilt(Some(known(Catalog::builtin(), id)?))),
+            ("prebuilt", Some(id)) => Ok(Self::Prebuilt(Some(known_id(catalog, id)?))),
             // As in training by default.
             ("near-goal", None) => Ok(Self::NearGoal(1..=2)),
             ("near-goal", Some(range)) => {
@@ -96,8 +97,10 @@ impl Wish {
     /// # Errors
     /// When one of them is unknown.
     pub(crate) fn new(tasks: &Tasks, goal: Option<&str>, start: Option<&str>) -> Result<Self, StartsError> {
-        let goal = goal.map(|name| known(&tasks.goals.catalog, name)).transpose()?;
-        Ok(Self { goal, start: start.map(str::parse).transpose()? })
+        let catalog = &tasks.goals.catalog;
+        let goal = goal.map(|name| known_id(catalog, name)).transpose()?;
+        let start = start.map(|text| StartRule::parse(text, catalog)).transpose()?;
+        Ok(Self { goal, start })
     }
 }
 
@@ -112,12 +115,13 @@ impl Tasks {
             if !(weight.is_finite() && *weight >= 0.0) {
                 return Err(StartsError::Weight { start: start.clone(), weight: *weight });
             }
-            rules.push((start.parse()?, *weight));
+            rules.push((StartRule::parse(start, &goals.catalog)?, *weight));
         }
         if !rules.iter().any(|(_, weight)| *weight > 0.0) {
             return Err(StartsError::Empty);
         }
-        let prebuilt = Catalog::builtin().of_split(Split::Train).into_iter().map(Blueprint::id).cloned().collect();
+        let training = Catalog::builtin().of_split(Split::Train).into_iter().map(Blueprint::id);
+        let prebuilt = training.filter(|id| goals.catalog.get(id).is_some()).cloned().collect();
         Ok(Self { goals, starts: rules, prebuilt, shuffle_blocks })
     }
 
@@ -133,7 +137,12 @@ impl Tasks {
             StartRule::Prebuilt(Some(id)) => Start::Prebuilt(id.clone()),
             StartRule::Prebuilt(None) => {
                 let others: Vec<&BlueprintId> = self.prebuilt.iter().filter(|id| **id != blueprint).collect();
-                Start::Prebuilt(others[rng.random_range(0..others.len())].clone())
+                // Goals of one's own may have replaced all of them. Training begins scattered then, too.
+                if others.is_empty() {
+                    Start::Scattered
+                } else {
+                    Start::Prebuilt(others[rng.random_range(0..others.len())].clone())
+                }
             }
             StartRule::NearGoal(undone) => {
                 let most = u8::try_from(self.goals.n_blocks(&blueprint)).unwrap_or(u8::MAX).saturating_sub(1).max(1);

@@ -53,7 +53,9 @@ impl Worlds {
     /// Worlds that wait for their first reset.
     #[new]
     #[pyo3(signature = (n, blueprints, starts, shuffle_blocks, settings, features, n_threads))]
+    #[allow(clippy::too_many_arguments, reason = "a thin layer, called from one place")]
     fn new(
+        py: Python<'_>,
         n: usize,
         blueprints: Vec<String>,
         starts: Vec<(String, f64)>,
@@ -75,6 +77,8 @@ impl Worlds {
         let row = |row: usize| Ok(Row::new(World::new(&config)?, generator(0, row as u64)));
         let rows = (0..n).map(row).collect::<Result<Vec<_>, _>>();
         let rows = Mutex::new(rows.map_err(|error: proto::InvalidSetting| refused(&error))?);
+        // Past the constructors of `Batch` and of the environment, to whoever makes one.
+        tasks.goals.warn(py, 3)?;
         let (sizes, easel) = (FeatureSizes::new(&features), Mutex::new(Easel::default()));
         Ok(Self { config, features, sizes, tasks, rows, n_threads, easel })
     }

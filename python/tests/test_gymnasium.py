@@ -5,16 +5,20 @@ python -m unittest discover -s python/tests
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sys
 import tempfile
 import unittest
 import warnings
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import gymnasium
 import lodestone
 import numpy as np
+from gymnasium.error import DependencyNotInstalled
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
@@ -28,6 +32,8 @@ SHORT = {
 }
 FORMS = ({}, {"observation": "flat", "action": "flat"}, {"features": "paper", "settings": {"n_grippers": 1}})
 CATALOG = Path(__file__).parents[2] / "blueprints/catalog"
+# The structure of 4_000 by another name.
+COPY = (CATALOG / "4_000.toml").read_text().replace('"4_000"', '"mine_4_000"')
 
 
 class SingleEnvironment(unittest.TestCase):
@@ -61,11 +67,9 @@ class SingleEnvironment(unittest.TestCase):
         np.testing.assert_array_equal(env.unwrapped.scene()["positions"], before)
 
     def test_blueprints_come_from_files_and_splits(self) -> None:
-        file = CATALOG / "4_000.toml"
-        text = file.read_text()
         with tempfile.TemporaryDirectory() as folder:
             own = Path(folder, "mine.toml")
-            own.write_text(text.replace('"4_000"', '"mine_4_000"'))
+            own.write_text(COPY)
             self.assertEqual(lodestone.blueprints([own, "2_000"]), {"mine_4_000": 4, "2_000": 2})
             self.assertEqual(lodestone.blueprints(own.read_text()), {"mine_4_000": 4})
             with self.assertRaisesRegex(ValueError, "the text of a blueprint"):
@@ -74,6 +78,55 @@ class SingleEnvironment(unittest.TestCase):
             self.assertEqual(env.reset(seed=1)[1]["blueprint"], "mine_4_000")
         self.assertEqual(len(lodestone.blueprints("train")), 142)
         self.assertEqual(len(lodestone.blueprints("validation")), 24)
+
+    def test_splits_and_ids_come_before_folders(self) -> None:
+        mine = {"mine_4_000": 4}
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            for name in ("train", "2_000", "others"):
+                Path(name).mkdir()
+                Path(name, "mine.toml").write_text(COPY)
+            Path("3_000.toml").write_text(COPY)
+            Path("noted").write_text(COPY)
+            self.assertEqual(len(lodestone.blueprints("train")), 142)
+            self.assertEqual(lodestone.blueprints("2_000"), {"2_000": 2})
+            for path in ("./train", "2_000/", Path("train"), Path("2_000"), "others", "3_000.toml", "noted"):
+                with self.subTest(path):
+                    self.assertEqual(lodestone.blueprints(path), mine)
+
+    def test_a_block_that_could_lie_in_several_ways_is_told(self) -> None:
+        low = '{ name = "low", type = "3x1x1", at = [0, 0, 0], size = [3, 1, 1] }'
+        top = '{ name = "top", type = "3x1x1", at = [0, 0, 1] }'
+        text = f'id = "bars"\nblocks = [\n{low},\n{top},\n]\n'
+        words = r'block "top" is turned "\+x \+y".*; `axes` in the file chooses another'
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "bars.toml")
+            file.write_text(text)
+            for own, name in ((text, "the text of a blueprint"), (file, str(file)), (folder, str(file))):
+                makers = (lodestone.blueprints, lambda own: lodestone.AssemblyEnv(blueprint=own))
+                for make in makers:
+                    with self.assertWarnsRegex(UserWarning, f"^{name}: {words}$") as warned:
+                        make(own)
+                    self.assertEqual((len(warned.warnings), warned.filename), (1, __file__))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            lodestone.blueprints(text.replace("at = [0, 0, 1]", 'at = [0, 0, 1], axes = "+x +y"'))
+            with self.assertRaises(UserWarning):
+                lodestone.AssemblyEnv(blueprint=text)
+
+    def test_blueprints_of_ones_own_stand_at_the_start(self) -> None:
+        env = lodestone.AssemblyEnv(blueprint=["2_000", COPY], starts="prebuilt:mine_4_000")
+        goal = {"blueprint": "2_000", "start": "prebuilt:mine_4_000"}
+        self.assertEqual(env.reset(seed=1, options={"blueprint": "2_000"})[1], goal)
+        self.assertGreaterEqual(len(env.scene()["connections"]), 3)
+        # It replaces 4_000, which is then no longer drawn.
+        envs = gymnasium.make_vec(ID, num_envs=8, blueprint=COPY, starts="prebuilt")
+        for _ in range(100):
+            self.assertNotIn("prebuilt:4_000", envs.reset()[1]["start"])
+        # With copies of all training blueprints none is left to be drawn.
+        texts = {name: (CATALOG / f"{name}.toml").read_text() for name in lodestone.blueprints("train")}
+        copies = [text.replace(f'"{name}"', f'"mine_{name}"') for name, text in texts.items()]
+        env = lodestone.AssemblyEnv(blueprint=copies, starts="prebuilt")
+        self.assertEqual(env.reset(seed=1)[1]["start"], "scattered")
 
     def test_what_is_wrong_is_named(self) -> None:
         for wrong, words in [
@@ -86,6 +139,12 @@ class SingleEnvironment(unittest.TestCase):
             ({"starts": {"scattered": 0}}, "positive weight"),
             ({"settings": {"physics": {"friction": 9}}}, "environment.physics.friction = 9"),
             ({"settings": {"fysics": {}}}, "unknown field `fysics`"),
+            ({"settings": {"episode_steps": {5}}}, "settings: Object of type set"),
+            ({"settings": "/nowhere.toml"}, "settings: cannot read /nowhere.toml: No such file"),
+            ({"settings": CATALOG}, f"settings: cannot read {CATALOG}: Is a directory"),
+            ({"settings": __file__}, f"settings: {__file__} is not TOML"),
+            ({"starts": "prebuilt:train"}, '"train" is unknown: expected one id, such as 4_000'),
+            ({"blueprint": ["4_000", COPY]}, "blueprint 4_000 is the same structure as another one"),
             ({"features": "none"}, "'none' are unknown"),
             ({"features": {"up": True}}, "unknown field `up`"),
             ({"observation": "pixels"}, "'pixels' is unknown"),
@@ -111,7 +170,24 @@ class SingleEnvironment(unittest.TestCase):
             env.reset(options={"blueprnt": "2_000"})
         with self.assertRaisesRegex(ValueError, '"nowhere" is unknown'):
             env.reset(options={"blueprint": "nowhere"})
+        for options in ({"blueprint": "train"}, {"start": "prebuilt:train"}):
+            with self.assertRaises(ValueError) as raised:
+                env.reset(options=options)
+            self.assertIn('"train" is unknown: expected one id', str(raised.exception))
+            self.assertNotIn("split", str(raised.exception))
+        with self.assertRaisesRegex(ValueError, "option 'start' is 1: expected a text"):
+            env.reset(options={"start": 1})
         np.testing.assert_array_equal(env.scene()["positions"], before)
+
+    def test_settings_come_from_a_configuration_file(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "config.toml")
+            for base in ("", 'base = "none"\n'):
+                file.write_text(f"{base}seed = 3\n[environment]\nepisode_steps = 7\n")
+                self.assertEqual(lodestone.AssemblyEnv(settings=file).batch.worlds.episode_steps, 7)
+            file.write_text('base = "laptop"\n[environment]\nepisode_steps = 7\n')
+            with self.assertRaisesRegex(ValueError, "config.toml has base = 'laptop', a preset that this package"):
+                lodestone.AssemblyEnv(settings=str(file))
 
     def test_a_world_that_diverges_is_truncated(self) -> None:
         env = lodestone.AssemblyEnv(blueprint="2_000")
@@ -134,6 +210,12 @@ class SingleEnvironment(unittest.TestCase):
         self.assertGreater(changed.sum(), 50)
         # The goal in the upper right corner stays.
         self.assertFalse(changed[:58, -58:].any())
+
+    def test_a_window_without_pygame_says_what_to_install(self) -> None:
+        env = lodestone.AssemblyEnv(blueprint="2_000", render_mode="human")
+        without = mock.patch.dict(sys.modules, {"pygame": None})
+        with without, self.assertRaisesRegex(DependencyNotInstalled, "pip install pygame-ce"):
+            env.reset(seed=1)
 
 
 class VectorEnvironment(unittest.TestCase):
@@ -210,6 +292,8 @@ class VectorEnvironment(unittest.TestCase):
         envs = gymnasium.make_vec(ID, num_envs=2, render_mode="rgb_array", render_size=(64, 48))
         envs.reset(seed=1)
         self.assertEqual([picture.shape for picture in envs.render()], [(48, 64, 3)] * 2)
+        with self.assertRaisesRegex(ValueError, "'human' is not for a batch: expected rgb_array"):
+            gymnasium.make_vec(ID, num_envs=2, render_mode="human")
 
 
 def _same(ours: Any, theirs: Any) -> bool:

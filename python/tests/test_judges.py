@@ -70,6 +70,10 @@ class PettingZoo(unittest.TestCase):
             env.step({"gripper_0": {"choice": 0, "move": np.zeros(6, np.float32)}})
         with self.assertRaisesRegex(ValueError, "choice of gripper_0 is 16"):
             env.step({agent: {"choice": 16, "move": np.zeros(6, np.float32)} for agent in env.agents})
+        before = env.scene()["positions"]
+        with self.assertRaisesRegex(ValueError, "option 'blueprnt' is unknown: expected blueprint or start"):
+            env.reset(options={"blueprnt": "2_000"})
+        np.testing.assert_array_equal(env.scene()["positions"], before)
 
     def test_the_expert_and_the_policy_build_with_it(self) -> None:
         for form in FORMS:
