@@ -243,7 +243,10 @@ mod tests {
             assert_eq!(config.validate().unwrap_err().to_string(), message);
         };
         check(|c| c.run = "My Run".into(), r#"bus.run = "My Run": expected 1 to 64 characters of a-z, 0-9 and -"#);
-        check(|c| c.mode = BusMode::Client, "bus.connect = []: expected a router's endpoint for a client, such as tcp/HOST:7447 with --connect");
+        check(
+            |c| c.mode = BusMode::Client,
+            "bus.connect = []: expected a router's endpoint for a client, such as tcp/HOST:7447 with --connect",
+        );
         check(|c| c.ack_timeout_ms = 5, "bus.ack_timeout_ms = 5: expected 100..=600000");
         check(|c| c.ingest_queue = 0, "bus.ingest_queue = 0: expected 1..=65536");
         check(|c| c.max_message_bytes = 1, "bus.max_message_bytes = 1: expected 68157440..=1073741824");
