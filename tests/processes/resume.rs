@@ -91,3 +91,23 @@ fn a_second_process_is_refused_before_it_writes_anything() {
     }
     assert_eq!(contents(), before);
 }
+
+#[test]
+fn a_start_that_cannot_be_made_changes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(trained(folder.path(), 1));
+    let config = || fs::read(folder.path().join("run/config.toml")).unwrap();
+    let before = config();
+    let refused = |arguments: &[&str], code, words: &str| {
+        let ended = lodestone(folder.path()).arg("train").args(arguments).output().unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.code() == Some(code) && said.contains(words), "{:?}: {said}", ended.status);
+    };
+    // Other goals, another network, and a policy that has other inputs than the run that is to start from it.
+    refused(&["--resume", "run", "--blueprint", "6_005"], 2, "goes on with the goals that it began with");
+    refused(&["--resume", "run", "--set", "policy.network.width=32"], 66, "does not fit this learner");
+    refused(&["--init-from", "run", "--preset", "quickstart", "--run-dir", "other"], 66, "does not fit");
+    assert_eq!(config(), before);
+    assert!(!folder.path().join("other").exists());
+    refused(&["--resume", "other"], 64, "no folder of a run");
+}
