@@ -55,8 +55,8 @@ export class Desk extends Space {
       const mark = rgb(marks[i] === "wrong" ? WRONG : SELECTED);
       mesh.userData.frame.visible = Boolean(marks[i]);
       mesh.userData.frame.material.color.copy(mark);
-      // Neighbors may hide the frame.
-      mesh.material.emissive.copy(mark).multiplyScalar(marks[i] ? 0.45 : 0);
+      // Neighbors may hide the frame; a little, so that the type can still be told by its color.
+      mesh.material.emissive.copy(mark).multiplyScalar(marks[i] ? 0.15 : 0);
     });
     this.render();
   }
