@@ -40,7 +40,7 @@ settings! {
         pub n_substeps: u8 = 10, in 1..=100;
         /// Length of a substep in ms; by default a control step takes 0.1 s.
         pub substep_ms: f32 = 10.0, in 1.0..=50.0;
-        /// Computes as many substeps as fit into 20 ms as one while no four blocks hang together that are awake and that
+        /// Computes as many substeps as fit into 20 ms as one while no three blocks hang together that are awake and that
         /// the solver works on. Larger structures need short substeps, or they sag.
         pub merge_substeps: bool = true;
         /// Gravity in m/s², toward −z.

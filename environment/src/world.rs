@@ -111,7 +111,7 @@ impl World {
         let mut heavy = [0_u32; N_BLOCKS + 1];
         let mut n_left = self.config.physics.n_substeps;
         while n_left > 0 {
-            let n_merged = if self.connections.has_structures(&self.engine) { 1 } else { self.n_mergeable.min(n_left) };
+            let n_merged = if self.connections.may_merge(&self.engine) { self.n_mergeable.min(n_left) } else { 1 };
             n_left -= n_merged;
             self.engine.merge(n_merged);
             self.connections.attract(&mut self.engine);

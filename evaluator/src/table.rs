@@ -239,10 +239,10 @@ mod tests {
         let expected = "\
 weights 4 after 8192 environment steps
 group (blueprints)       actions  episodes      %    interval     stable  steps  return
-train 2-6 (1)            mode            2   50.0    9.5 - 90.5     50.0    8.0    0.75
-all (1)                  mode            2   50.0    9.5 - 90.5     50.0    8.0    0.75
+train 2-6 (1)            greedy          2   50.0    9.5 - 90.5     50.0    8.0    0.75
+all (1)                  greedy          2   50.0    9.5 - 90.5     50.0    8.0    0.75
 blueprint                actions  episodes      %    interval     stable  steps  return
-train 2_003              mode            2   50.0    9.5 - 90.5     50.0    8.0    0.75
+train 2_003              greedy          2   50.0    9.5 - 90.5     50.0    8.0    0.75
 ";
         assert_eq!(text, expected);
     }

@@ -89,7 +89,7 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["train", "--set", "actor"], None, &["--set actor", "KEY=VALUE"]),
         (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
         (&["actor"], None, &["bus.connect = []", "router"]),
-        (&["train", "--resume", "gone"], None, &["gone", "cannot read"]),
+        (&["train", "--resume", "gone"], None, &["gone", "no folder of a run"]),
         (&["render", "gone", "--out", "films"], None, &["gone", "cannot be read"]),
         (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
         (&["render", "my.toml", "--out", "films"], Some(""), &["my.toml", "is empty"]),

@@ -105,7 +105,7 @@ fn a_start_that_cannot_be_made_changes_nothing() {
     };
     // Other goals, another network, and a policy that has other inputs than the run that is to start from it.
     refused(&["--resume", "run", "--blueprint", "6_005"], 2, "goes on with the goals that it began with");
-    refused(&["--resume", "run", "--set", "policy.network.width=32"], 66, "does not fit this learner");
+    refused(&["--resume", "run", "--set", "policy.network.width=16"], 66, "does not fit this learner");
     refused(&["--init-from", "run", "--preset", "quickstart", "--run-dir", "other"], 66, "does not fit");
     assert_eq!(config(), before);
     assert!(!folder.path().join("other").exists());

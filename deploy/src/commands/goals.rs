@@ -53,7 +53,10 @@ impl Goals {
             let found = if is_path(name) {
                 Catalog::load(Path::new(name))?
             } else {
-                Catalog::of_one(find(&goals.catalog, name)?.into_owned())
+                // A file of the same structure may have taken its place already.
+                let found =
+                    find(&goals.catalog, name).or_else(|error| find(Catalog::builtin(), name).map_err(|_| error));
+                Catalog::of_one(found?.into_owned())
             };
             for blueprint in found.iter() {
                 let (id, structure) = (blueprint.id().clone(), blueprint.canonical_hash());
@@ -325,11 +328,8 @@ mod tests {
             path.display().to_string()
         };
         let copy = write("copy.toml", text("6_005").replace("\"6_005\"", "\"copy\""));
-        let (a, b) = (write("a/x.toml", text("2_003")), write("b/x.toml", text("3_001")));
-        let b = {
-            std::fs::write(&b, text("3_001").replace("\"3_001\"", "\"2_003\"")).unwrap();
-            b
-        };
+        let a = write("a/x.toml", text("2_003"));
+        let b = write("b/x.toml", text("3_001").replace("\"3_001\"", "\"2_003\""));
         assert_eq!(ids(&[&copy, &copy]), ["copy"]);
         for (named, words) in [
             ([copy.as_str(), "6_005"], "6_005: 6_005 is the same structure as copy of"),

@@ -168,7 +168,7 @@ fn failed_write_leaves_nothing_and_blocks_nothing() {
                     return files::write(folder, name, bytes);
                 }
                 fs::write(folder.join(name), &bytes[..bytes.len() / 2]).unwrap();
-                let source = std::io::ErrorKind::StorageFull.into();
+                let error = std::io::ErrorKind::StorageFull.into();
                 Err(CheckpointError::Io { action: "writing", path: folder.join(name), error })
             };
             let error = checkpoint.write_with(dir.path(), &mut full).unwrap_err();
