@@ -328,13 +328,13 @@ mod tests {
             path.display().to_string()
         };
         let copy = write("copy.toml", text("6_005").replace("\"6_005\"", "\"copy\""));
-        let a = write("a/x.toml", text("2_003"));
-        let b = write("b/x.toml", text("3_001").replace("\"3_001\"", "\"2_003\""));
+        let a = write("a/x.toml", text("2_003").replace("\"2_003\"", "\"x\""));
+        let b = write("b/x.toml", text("3_001").replace("\"3_001\"", "\"x\""));
         assert_eq!(ids(&[&copy, &copy]), ["copy"]);
         for (named, words) in [
             ([copy.as_str(), "6_005"], "6_005: 6_005 is the same structure as copy of"),
             (["6_005", copy.as_str()], "copy is the same structure as 6_005 of 6_005; name only one"),
-            ([a.as_str(), b.as_str()], "the id 2_003 is taken by"),
+            ([a.as_str(), b.as_str()], "the id x is taken by"),
         ] {
             let named = named.map(str::to_owned);
             let message = Goals::open(&named).err().unwrap().to_string();
