@@ -1,7 +1,8 @@
 //! Control steps per CPU-second of one world.
 //!
 //! `cargo bench -p environment` prints a table; `--json` prints `{case: steps per CPU-second}` for
-//! `tests/benches/peers.py`; `--single` merges no substeps, `--five` uses 5 substeps of 20 ms instead of 10 of 10 ms; a case's name times that case only.
+//! `tests/benches/peers.py`; `--single` merges no substeps; `--five` uses 5 substeps of 20 ms instead of 10 of 10 ms; a
+//! case's name times that case only.
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
