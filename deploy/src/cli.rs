@@ -1,9 +1,11 @@
 //! The command line.
 
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 use ::blueprints::Split;
-use clap::{Args, Parser, Subcommand};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
 
 mod bench;
@@ -42,6 +44,38 @@ pub struct Cli {
     /// How log lines look; RUST_LOG says which there are.
     #[arg(long, global = true, value_enum, default_value_t, env = "LODESTONE_LOG_FORMAT")]
     pub log_format: LogFormat,
+}
+
+impl Cli {
+    /// The arguments of this process. It ends with an error that names the culprit, which may be a variable of the
+    /// environment, or after help.
+    pub fn of_process() -> Self {
+        Self::try_parse().unwrap_or_else(|error| {
+            let Some(variable) = variable(&error) else { error.exit() };
+            // Where nobody reads stderr, there is only the exit status.
+            drop(error.print());
+            drop(writeln!(io::stderr(), "\nThe value is that of the environment variable {variable}."));
+            std::process::exit(error.exit_code())
+        })
+    }
+}
+
+/// The variable that a refused value came from, if it did not come from an argument.
+fn variable(error: &clap::Error) -> Option<String> {
+    if !matches!(error.kind(), ErrorKind::ValueValidation | ErrorKind::InvalidValue) {
+        return None;
+    }
+    // For example `--steps <N>`.
+    let Some(ContextValue::String(argument)) = error.get(ContextKind::InvalidArg) else { return None };
+    let flag = argument.split(' ').next()?;
+    let is_flag = |given: &str| given == flag || given.split('=').next() == Some(flag);
+    if std::env::args().any(|given| is_flag(&given)) {
+        return None;
+    }
+    let command = Cli::command();
+    let all = command.get_subcommands().chain([&command]).flat_map(clap::Command::get_arguments);
+    let mut of_flag = all.filter(|arg| arg.get_long() == flag.strip_prefix("--"));
+    Some(of_flag.find_map(clap::Arg::get_env)?.to_string_lossy().into_owned())
 }
 
 /// The subcommands.
@@ -124,7 +158,7 @@ pub struct TrainArgs {
     pub blueprint: Vec<String>,
     /// Train so many times, one after the other: with the configured seed and those after it, each in a folder `seed-S`
     /// of the run's folder. Mean and deviation of the last evaluations are printed at the end; `report` prints them again.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=100))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=100), allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["resume", "auto_resume", "listen"])]
     pub seeds: Option<u64>,
     /// Threads that step worlds.
@@ -170,7 +204,7 @@ pub struct PageArgs {
 #[derive(Clone, Debug, Default, Args)]
 pub struct RunArgs {
     /// End after this many environment steps, for example 1e6 or 1_000_000, those before a resume included.
-    #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = values::steps)]
+    #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = values::steps, allow_negative_numbers = true)]
     pub steps: Option<i64>,
     /// Folder for checkpoints and metrics [default: runs/DATE-NAME].
     #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR")]

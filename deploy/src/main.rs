@@ -2,13 +2,12 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use deploy::cli::Cli;
 use deploy::live::Terminal;
 use deploy::{commands, telemetry};
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::of_process();
     let terminal = Terminal::default();
     telemetry::init(cli.log_format, &terminal);
     match commands::execute(cli.command, &terminal) {

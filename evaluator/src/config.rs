@@ -190,6 +190,13 @@ impl Selection {
     }
 }
 
+impl ResetFreeConfig {
+    /// Episodes of all runs.
+    pub(crate) fn n_episodes(&self) -> u64 {
+        u64::from(self.n_runs) * u64::from(self.n_goals)
+    }
+}
+
 impl FilmsConfig {
     /// Checks that the catalog of the run has all blueprints of films.
     ///

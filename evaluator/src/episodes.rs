@@ -2,10 +2,11 @@
 
 use blueprints::Blueprint;
 use policy::{Policy, PolicyConfig};
-use proto::metrics::EvalReport;
+use proto::metrics::{EvalReport, EvalResetFree};
 use proto::{Agent, Weights};
 
-use crate::follower::{Follower, Tally};
+use crate::config::ResetFreeConfig;
+use crate::follower::Follower;
 use crate::pool::EvaluationPool;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
@@ -50,23 +51,18 @@ pub fn evaluate_followed(
     follower: &Follower<'_>,
 ) -> Result<EvalReport, EvalError> {
     let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
-    let (queue, tally) = (&WorkQueue::default(), Tally::new(follower));
-    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(&tally), keep_going: follower.keep_going };
-    match evaluate_in_parts(&pool, weights, blueprints, &mut |_| {}) {
-        Err(EvalError::Interrupted) => {
-            let mut report = summarize(weights.version, weights.n_env_steps, &tally.into_episodes());
-            report.summary.seed = setup.seed;
-            report.summary.n_planned = u64::from(setup.episodes.n_episodes) * blueprints.len() as u64;
-            report.summary.is_complete = false;
-            Ok(report)
-        }
+    let (queue, keep_going) = (&WorkQueue::default(), follower.keep_going);
+    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(follower), keep_going };
+    let mut last_part = None;
+    match evaluate_in_parts(&pool, weights, blueprints, &mut |part| last_part = Some(part)) {
+        Err(EvalError::Interrupted) => last_part.ok_or(EvalError::Interrupted),
         ended => ended,
     }
 }
 
 /// Like [`evaluate`] with the agents of the pool, which act by `weights`, and tells `on_part` what the first episodes
 /// found: the first [`FIRST_PART`] of them, then twice as many, and so on. Every part is spread over all blueprints, so that
-/// its groups are fair samples of the whole.
+/// its groups are fair samples of the whole. When the pool is not to go on, the last part has all episodes that have ended.
 ///
 /// # Errors
 /// As for [`evaluate`].
@@ -95,22 +91,32 @@ where
         report.summary.is_complete = is_complete;
         report
     };
+    let n_reset_free = setup.reset_free.as_ref().map_or(0, ResetFreeConfig::n_episodes);
+    pool.queue.plan((sequences.len() as u64 + n_reset_free) * setup.episodes.acting.len() as u64);
     let mut episodes = Vec::new();
     let mut n_run = 0;
-    while n_run < sequences.len() {
-        let part = &sequences[n_run..sequences.len().min(FIRST_PART.max(2 * n_run))];
-        for &acting in &setup.episodes.acting {
-            episodes.extend(pool.run(part, acting)?.into_iter().flatten());
+    let mut run_all = || -> Result<Option<EvalResetFree>, EvalError> {
+        while n_run < sequences.len() {
+            let part = &sequences[n_run..sequences.len().min(FIRST_PART.max(2 * n_run))];
+            for &acting in &setup.episodes.acting {
+                let (results, ended) = pool.run(part, acting);
+                episodes.extend(results.into_iter().flatten());
+                ended?;
+            }
+            n_run += part.len();
+            if n_run < sequences.len() {
+                on_part(report(&episodes, false));
+            }
         }
-        n_run += part.len();
-        if n_run < sequences.len() {
-            on_part(report(&episodes, false));
-        }
+        let runs = |config| reset_free::evaluate(pool, config, &setup.episodes.acting);
+        setup.reset_free.as_ref().map(runs).transpose()
+    };
+    let ended = run_all();
+    if let Err(EvalError::Interrupted) = ended {
+        on_part(report(&episodes, false));
     }
     let mut report = report(&episodes, true);
-    if let Some(config) = &setup.reset_free {
-        report.summary.reset_free = Some(reset_free::evaluate(pool, config, &setup.episodes.acting)?);
-    }
+    report.summary.reset_free = ended?;
     report.summary.n_assisted = pool.queue.n_assisted();
     Ok(report)
 }

@@ -111,12 +111,14 @@ pub fn evaluate_expert_followed(
         (0..u64::from(setup.episodes.n_episodes)).map(spec).collect()
     };
     let sequences: Vec<Vec<EpisodeSpec>> = blueprints.iter().map(|blueprint| sequence(blueprint)).collect();
-    let (diaries, tally, queue) = (Diaries::default(), Tally::new(follower), &WorkQueue::default());
+    let (diaries, tally, queue) = (Diaries::default(), Tally::default(), &WorkQueue::default());
     let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
-    let both = Both(&diaries, &tally);
-    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(&both), keep_going: follower.keep_going };
+    let told = Both(&tally, follower);
+    let observer = Some(&Both(&diaries, &told));
+    let pool = EvaluationPool { setup, agent: &agent, queue, observer, keep_going: follower.keep_going };
     let runs = |config| reset_free::evaluate(&pool, config, &[ActionMode::Greedy]);
-    let played = pool.run(&sequences, ActionMode::Greedy).and_then(|episodes| {
+    let (episodes, ended) = pool.run(&sequences, ActionMode::Greedy);
+    let played = ended.and_then(|()| {
         let reset_free = setup.reset_free.as_ref().map(runs).transpose()?;
         Ok((episodes.into_iter().flatten().collect::<Vec<EpisodeResult>>(), reset_free))
     });

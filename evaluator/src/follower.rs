@@ -15,24 +15,7 @@ pub struct Follower<'a> {
     pub on_episode: &'a (dyn Fn(&EpisodeResult) + Sync),
 }
 
-/// Keeps what came of the episodes, in the order in which they end.
-pub(crate) struct Tally<'a> {
-    follower: &'a Follower<'a>,
-    episodes: Mutex<Vec<EpisodeResult>>,
-}
-
-impl<'a> Tally<'a> {
-    pub(crate) fn new(follower: &'a Follower<'a>) -> Self {
-        Self { follower, episodes: Mutex::default() }
-    }
-
-    /// All episodes that ended.
-    pub(crate) fn into_episodes(self) -> Vec<EpisodeResult> {
-        self.episodes.into_inner()
-    }
-}
-
-impl<A: Agent> EpisodeObserver<A> for Tally<'_> {
+impl<A: Agent> EpisodeObserver<A> for Follower<'_> {
     type Record = ();
 
     fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<()> {
@@ -42,7 +25,33 @@ impl<A: Agent> EpisodeObserver<A> for Tally<'_> {
     fn observe(&self, (): &mut (), _: Step, _: &A, _: usize, _: Observation<'_>) {}
 
     fn end(&self, (): (), _: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
-        (self.follower.on_episode)(result);
+        (self.on_episode)(result);
+    }
+}
+
+/// Keeps what came of the episodes, in the order in which they end.
+#[derive(Default)]
+pub(crate) struct Tally {
+    episodes: Mutex<Vec<EpisodeResult>>,
+}
+
+impl Tally {
+    /// All episodes that ended.
+    pub(crate) fn into_episodes(self) -> Vec<EpisodeResult> {
+        self.episodes.into_inner()
+    }
+}
+
+impl<A: Agent> EpisodeObserver<A> for Tally {
+    type Record = ();
+
+    fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<()> {
+        Some(())
+    }
+
+    fn observe(&self, (): &mut (), _: Step, _: &A, _: usize, _: Observation<'_>) {}
+
+    fn end(&self, (): (), _: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
         self.episodes.lock().push(result.clone());
     }
 }

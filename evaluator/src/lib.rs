@@ -45,4 +45,5 @@ pub use record::{Callbacks, Recorded, record};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
 pub use table::{Detail, render, render_expert};
+pub use work_queue::EvaluationProgress;
 pub use worker::run_worker;

@@ -28,12 +28,12 @@ impl<A: Agent, O: EpisodeObserver<A>> EvaluationPool<'_, A, O>
 where
     EvalError: From<A::Error>,
 {
-    /// Runs the sequences; the results have their shape.
+    /// Runs the sequences; the results have their shape. After an error they are those of the sequences that were done.
     pub(crate) fn run(
         &self,
         sequences: &[Vec<EpisodeSpec>],
         acting: ActionMode,
-    ) -> Result<Vec<Vec<EpisodeResult>>, EvalError> {
+    ) -> (Vec<Vec<EpisodeResult>>, Result<(), EvalError>) {
         self.queue.post(sequences, acting);
         let n_threads = self.setup.episodes.n_threads.min(sequences.len()).max(1);
         let n_worlds = self.setup.episodes.n_worlds.min(sequences.len().div_ceil(n_threads));
@@ -45,14 +45,13 @@ where
             };
             others.into_iter().map(join).fold(own, Result::and)
         });
-        let results = self.queue.clear();
-        ended.map(|()| results)
+        (self.queue.clear(), ended)
     }
 
-    /// Takes sequences from the work queue until all are done. A failure empties it, or the others would wait for what this
-    /// thread has taken.
+    /// Takes sequences from the work queue until all are done. After a failure there is nothing to be done, or the others
+    /// would wait for what this thread has taken.
     fn work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
-        self.try_to_work(acting, n_worlds).inspect_err(|_| drop(self.queue.clear()))
+        self.try_to_work(acting, n_worlds).inspect_err(|_| self.queue.give_up())
     }
 
     fn try_to_work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {

@@ -86,10 +86,10 @@ where
     let recorder = Recorder { credits, seeds: &seeds, in_order: &in_order };
     let queue = &WorkQueue::default();
     let pool = EvaluationPool { setup, agent, queue, observer: Some(&recorder), keep_going: callbacks.keep_going };
-    let played = pool.run(&sequences, acting);
+    let (_, played) = pool.run(&sequences, acting);
     in_order.into_inner().clear();
     match played {
-        Ok(_) => Ok(true),
+        Ok(()) => Ok(true),
         Err(EvalError::Interrupted) => Ok(false),
         Err(error) => Err(error),
     }

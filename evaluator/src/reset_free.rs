@@ -34,7 +34,9 @@ where
     let (n_runs, n_goals) = (u64::from(config.n_runs), u64::from(config.n_goals));
     let mut found = EvalResetFree { n_runs, n_goals, ..EvalResetFree::default() };
     for &acting in modes {
-        let runs = count(&pool.run(&sequences, acting)?, acting);
+        let (runs, ended) = pool.run(&sequences, acting);
+        ended?;
+        let runs = count(&runs, acting);
         match acting {
             ActionMode::Greedy => found.mode = runs,
             ActionMode::Sampled => found.sampled = runs,

@@ -8,13 +8,14 @@ use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId};
 use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
 use policy::Policy;
-use proto::metrics::EvalReport;
-use proto::{Role, Weights, WeightsVersion, keys};
+use proto::metrics::{EvalBlueprint, EvalReport};
+use proto::{ActionMode, Role, Weights, WeightsVersion, keys};
 use runlog::overview::Passes;
 use runlog::{History, Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
+use crate::config::EpisodeConfig;
 use crate::dispatcher::Dispatcher;
 use crate::episodes::evaluate_in_parts;
 use crate::films::{EpisodeSelector, VideoRecorder};
@@ -24,7 +25,7 @@ use crate::records::Records;
 use crate::schedule::{Due, LastEvaluation, due};
 use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
 use crate::vetting::vetted;
-use crate::work_queue::WorkQueue;
+use crate::work_queue::{EvaluationProgress, WorkQueue};
 
 /// How long an evaluator waits for another of its name to go: a process that was killed seems to live for up to 6 s.
 const NAME_PATIENCE: Duration = Duration::from_secs(15);
@@ -35,10 +36,12 @@ const LAST_WEIGHTS_WAIT: Duration = Duration::from_secs(15);
 /// Who else in this process hears what an evaluator finds. A receiver that has gone is no error.
 #[derive(Debug, Default)]
 pub struct Listeners {
-    /// The newest report; of an evaluation that is interrupted the newest part, which is not complete.
+    /// The newest report; of an evaluation that is interrupted what its episodes so far have found, which is not complete.
     pub reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     /// Every evaluation: first those that the history has, then each as it ends.
     pub evaluations: Option<mpsc::UnboundedSender<Pass>>,
+    /// How far the evaluation under way is; `None` between two.
+    pub progress: Option<watch::Sender<Option<EvaluationProgress>>>,
     /// The newest weights by which a policy can act.
     pub weights: Option<watch::Sender<Option<Arc<Weights>>>>,
 }
@@ -85,15 +88,23 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
     let usable = listeners.weights.unwrap_or_else(|| watch::channel(None).0);
     let (weights, _vetting) = vetted(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
     let mut evaluations = Passes::default();
+    let last = history.last().and_then(|pass| Evaluated::before(pass, &setup, &selected));
     for evaluation in history {
         evaluations.push(&evaluation);
         tell(listeners.evaluations.as_ref(), evaluation);
     }
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&evaluations.overview())?;
-    let outlets =
-        Outlets { records, evaluations, publishers, reports: listeners.reports, listener: listeners.evaluations };
-    let ended = evaluate_all(&setup, bus, weights, &selected, films.as_ref(), outlets, &stop).await;
+    let outlets = Outlets {
+        records,
+        evaluations,
+        publishers,
+        reports: listeners.reports,
+        listener: listeners.evaluations,
+        progress: listeners.progress,
+        films: films.as_ref(),
+    };
+    let ended = evaluate_all(&setup, bus, weights, &selected, last, outlets, &stop).await;
     if let Some(films) = films {
         // Off the runtime: the film in hand takes a moment.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
@@ -117,13 +128,13 @@ async fn past(records: Option<&RunPaths>) -> anyhow::Result<Vec<Pass>> {
     Ok(tokio::task::spawn_blocking(move || History::read(&path)).await??)
 }
 
-/// Evaluates whenever an evaluation is due, until `stop`.
+/// Evaluates whenever an evaluation is due after `last`, until `stop`.
 async fn evaluate_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
     mut weights: watch::Receiver<Option<Arc<Weights>>>,
     selected: &Selected,
-    films: Option<&VideoRecorder>,
+    mut last: Option<Evaluated>,
     mut outlets: Outlets<'_>,
     stop: &Stop,
 ) -> anyhow::Result<u64> {
@@ -132,7 +143,6 @@ async fn evaluate_all(
         alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
     };
     let mut workers = Dispatcher::start(bus, setup_hash(setup)).await?;
-    let mut last: Option<Evaluated> = None;
     let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();
@@ -143,10 +153,12 @@ async fn evaluate_all(
         drop(waiting);
         let Some((newest, is_last)) = newest else { return Ok(n_evaluations) };
         let start = Instant::now();
-        last = Some(Evaluated { start, weights: newest.clone(), is_last });
+        last = Some(Evaluated { start, version: newest.version, n_env_steps: newest.n_env_steps, is_last });
         let (parts, mut newest_part) = watch::channel(None);
+        let films = outlets.films;
         let selector = films.and_then(|films| films.selector(&newest, &setup.config.episodes.acting));
         let queue = Arc::new(WorkQueue::default());
+        let mut progress = queue.watch_progress();
         workers.open(queue.clone(), newest.clone());
         let (selected, signals) = (selected.of(is_last).to_vec(), (&stop.now, bus.pulse()));
         let evaluation = evaluate_once(setup, selected, newest, queue, selector, parts, signals);
@@ -167,14 +179,16 @@ async fn evaluate_all(
                         outlets.publishers.publish(&stamp(part)).await?;
                     }
                 }
+                Ok(()) = progress.changed() => outlets.progress(Some(*progress.borrow_and_update())),
                 ended = &mut evaluation => break ended?,
             }
         };
         workers.close();
+        outlets.progress(None);
         let report = match ended {
             Err(EvalError::Interrupted) => {
                 // What there is can be looked at, but is not kept: the history has whole evaluations only.
-                let part = newest_part.borrow().clone();
+                let part = newest_part.borrow().clone().filter(|part| !part.blueprints.is_empty());
                 if let (Some(part), Some(reports)) = (part, &outlets.reports) {
                     reports.send_replace(Some(Arc::new(stamp(part))));
                 }
@@ -200,9 +214,17 @@ struct Outlets<'r> {
     publishers: Publishers<'r>,
     reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     listener: Option<mpsc::UnboundedSender<Pass>>,
+    progress: Option<watch::Sender<Option<EvaluationProgress>>>,
+    films: Option<&'r VideoRecorder>,
 }
 
 impl Outlets<'_> {
+    fn progress(&self, so_far: Option<EvaluationProgress>) {
+        if let Some(progress) = &self.progress {
+            progress.send_replace(so_far);
+        }
+    }
+
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
         let evaluation = Pass::new(&report, unix_ms());
         tell(self.listener.as_ref(), evaluation.clone());
@@ -244,9 +266,36 @@ impl Selected {
 /// The newest evaluation, complete or not.
 struct Evaluated {
     start: Instant,
-    weights: Arc<Weights>,
-    /// Whether it was the one of the last weights.
+    version: WeightsVersion,
+    n_env_steps: u64,
+    /// Whether it was the one of the last weights, or told as much.
     is_last: bool,
+}
+
+impl Evaluated {
+    /// The last evaluation of an evaluator before this one, which is not repeated if it had the same episodes.
+    fn before(pass: &Pass, setup: &EvaluatorSetup, selected: &Selected) -> Option<Self> {
+        let EpisodeConfig { n_episodes, acting, .. } = &setup.config.episodes;
+        let n_episodes_of = |score: &EvalBlueprint, acting| match acting {
+            ActionMode::Greedy => score.mode.success.n_episodes,
+            ActionMode::Sampled => score.sampled.success.n_episodes,
+        };
+        let has = |blueprint: &&Blueprint| {
+            let of_it = |score: &&EvalBlueprint| score.blueprint == *blueprint.id();
+            let has_all = |score| acting.iter().all(|&acting| n_episodes_of(score, acting) == u64::from(*n_episodes));
+            pass.blueprints.iter().find(of_it).is_some_and(has_all)
+        };
+        let told_all = pass.seed == setup.seed && selected.usual.iter().all(has);
+        let since = unix_ms().saturating_sub(pass.ended_unix_ms) as f64 / 1000.0 + pass.elapsed_s;
+        let start = Duration::try_from_secs_f64(since).ok().and_then(|since| Instant::now().checked_sub(since));
+        told_all.then(|| Self {
+            // A clock that does not reach back so far began after it.
+            start: start.unwrap_or_else(Instant::now),
+            version: pass.weights_version,
+            n_env_steps: pass.n_env_steps,
+            is_last: selected.last.iter().all(has),
+        })
+    }
 }
 
 /// Waits for weights that are to be evaluated, and says whether they are the last; `None` if there will be none.
@@ -263,7 +312,7 @@ async fn next_due(
             let are_there = |weights: &Option<Arc<Weights>>| weights.as_ref().is_some_and(|w| w.version >= version);
             drop(tokio::time::timeout(LAST_WEIGHTS_WAIT, weights.wait_for(are_there)).await);
             let covered = last.filter(|last| selected.is_covered(last));
-            let evaluated = covered.map(|last| (last.weights.version, last.weights.n_env_steps));
+            let evaluated = covered.map(|last| (last.version, last.n_env_steps));
             let newest = weights.borrow_and_update().clone();
             let newest = newest.filter(|newest| evaluated != Some((newest.version, newest.n_env_steps)));
             return Ok(newest.map(|newest| (newest, true)));
@@ -273,8 +322,8 @@ async fn next_due(
             None => None,
             Some(newest) => {
                 let last = last.map(|last| LastEvaluation {
-                    version: last.weights.version,
-                    n_env_steps: last.weights.n_env_steps,
+                    version: last.version,
+                    n_env_steps: last.n_env_steps,
                     elapsed: last.start.elapsed(),
                 });
                 match due(setup.config.every, last, &newest) {

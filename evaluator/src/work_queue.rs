@@ -16,12 +16,22 @@ use crate::sequences::EpisodeSpec;
 /// Most sequences that a remote worker takes at a time: a few seconds of work, and the most that is done again when it is gone.
 const MAX_LEASED: usize = 64;
 
+/// How far an evaluation is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EvaluationProgress {
+    /// Episodes that have ended, of all ways of acting and of reset-free runs too.
+    pub n_ended: u64,
+    /// Episodes in all; 0 while there is nothing to evaluate.
+    pub n_planned: u64,
+}
+
 /// The work of one evaluation.
 #[derive(Debug, Default)]
 pub(crate) struct WorkQueue {
     table: Mutex<Table>,
     brought: Condvar,
     posted: watch::Sender<()>,
+    progress: watch::Sender<EvaluationProgress>,
 }
 
 /// The sequences that are run with one way of acting.
@@ -47,6 +57,8 @@ enum State {
     Waiting,
     Taken,
     Done(Vec<EpisodeResult>),
+    /// Nobody waits for it any more.
+    GivenUp,
 }
 
 /// Sequences that a remote worker has taken. Those that were not brought when it is dropped are for others.
@@ -69,6 +81,16 @@ impl WorkQueue {
         self.table().n_assisted
     }
 
+    /// Says how many episodes there will be in all.
+    pub(crate) fn plan(&self, n_episodes: u64) {
+        self.progress.send_modify(|progress| progress.n_planned = n_episodes);
+    }
+
+    /// Follows how many of them have ended.
+    pub(crate) fn watch_progress(&self) -> watch::Receiver<EvaluationProgress> {
+        self.progress.subscribe()
+    }
+
     /// Puts up sequences in place of those before.
     pub(crate) fn post(&self, sequences: &[Vec<EpisodeSpec>], acting: ActionMode) {
         let mut table = self.table();
@@ -88,7 +110,10 @@ impl WorkQueue {
 
     /// What a thread of this process brings.
     pub(crate) fn bring(&self, sequence_idx: usize, results: Vec<EpisodeResult>) {
-        self.table().bring(sequence_idx, results);
+        let n_episodes = results.len();
+        if self.table().bring(sequence_idx, results) {
+            self.count(n_episodes);
+        }
         self.brought.notify_all();
     }
 
@@ -111,6 +136,19 @@ impl WorkQueue {
         self.table().n_missing == 0
     }
 
+    /// Waits for nothing any more; what has come is kept.
+    pub(crate) fn give_up(&self) {
+        let mut table = self.table();
+        table.n_missing = 0;
+        for sequence in &mut table.sequences {
+            if !matches!(sequence.state, State::Done(_)) {
+                sequence.state = State::GivenUp;
+            }
+        }
+        drop(table);
+        self.brought.notify_all();
+    }
+
     /// What came of the sequences, in their order; those that are not done are left out.
     pub(crate) fn clear(&self) -> Vec<Vec<EpisodeResult>> {
         let mut table = self.table();
@@ -124,6 +162,10 @@ impl WorkQueue {
     /// Follows what is posted.
     pub(crate) fn watch(&self) -> watch::Receiver<()> {
         self.posted.subscribe()
+    }
+
+    fn count(&self, n_episodes: usize) {
+        self.progress.send_modify(|progress| progress.n_ended += n_episodes as u64);
     }
 
     fn table(&self) -> MutexGuard<'_, Table> {
@@ -142,7 +184,7 @@ impl Table {
     /// Whether it was not there already.
     fn bring(&mut self, sequence_idx: usize, results: Vec<EpisodeResult>) -> bool {
         let Some(sequence) = self.sequences.get_mut(sequence_idx) else { return false };
-        if matches!(sequence.state, State::Done(_)) {
+        if matches!(sequence.state, State::Done(_) | State::GivenUp) {
             return false;
         }
         sequence.state = State::Done(results);
@@ -187,12 +229,18 @@ impl Lease {
         let queue = self.queue.clone();
         let mut table = queue.table();
         let sequences = std::mem::take(&mut self.sequences);
+        let mut n_episodes = 0;
         if table.round == self.round {
             for ((sequence_idx, _), results) in sequences.into_iter().zip(results) {
-                table.n_assisted += u64::from(table.bring(sequence_idx, results));
+                let n_results = results.len();
+                if table.bring(sequence_idx, results) {
+                    table.n_assisted += 1;
+                    n_episodes += n_results;
+                }
             }
         }
         drop(table);
+        queue.count(n_episodes);
         queue.brought.notify_all();
     }
 }

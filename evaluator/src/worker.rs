@@ -96,9 +96,9 @@ impl RemoteWorker {
                 .run(&sequences, acting)
         });
         Ok(match ran.await? {
-            Ok(results) => Some(to_answer(&results)),
-            Err(EvalError::Interrupted) => None,
-            Err(error) => Some(EvalAnswer::Refused(error.to_string())),
+            (results, Ok(())) => Some(to_answer(&results)),
+            (_, Err(EvalError::Interrupted)) => None,
+            (_, Err(error)) => Some(EvalAnswer::Refused(error.to_string())),
         })
     }
 }

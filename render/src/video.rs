@@ -21,7 +21,7 @@ mod tests;
 pub use attention::{AttentionError, EpisodeAttention, Shares};
 pub use collect::Collector;
 pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
-pub use film::{Film, MAX_WIDTH, MIN_WIDTH};
+pub use film::{Film, LAST_S, MAX_WIDTH, MIN_WIDTH};
 pub use gif::{MAX_GIF_FPS, gif};
 pub use heads::{AttentionFilm, attention_strip};
 pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, Miniature, miniature};

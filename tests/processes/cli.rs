@@ -58,6 +58,8 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["router"], &["--listen"]),
         (&["render", "x.trajectory"], &["--out"]),
         (&["render", "x", "--out", "films", "--width", "3"], &["--width", "480..=1920"]),
+        (&["train", "--steps", "-3"], &["--steps", "-3 is not in 1.."]),
+        (&["train", "--seed", "-1"], &["--seed", "-1 is not in 0.."]),
         (&["tarin"], &["tarin", "train"]),
     ] {
         check_refused(args, &[], None, 2, words);
@@ -111,6 +113,8 @@ fn wrong_configurations_are_named_with_what_is_valid() {
 fn a_wrong_variable_is_named() {
     let variables = [("LODESTONE_LEARNER__GAMA", "0.9")];
     check_refused(&["train"], &variables, None, 64, &["LODESTONE_LEARNER__GAMA", "did you mean `gamma`"]);
+    let steps = [("LODESTONE_STEPS", "abc")];
+    check_refused(&["train"], &steps, None, 2, &["'abc' for '--steps <N>'", "variable LODESTONE_STEPS"]);
 }
 
 #[test]

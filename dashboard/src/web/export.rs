@@ -46,21 +46,18 @@ pub(super) async fn export(
         copy.write(if path == "/" { "/index.html" } else { path }, text.as_bytes())?;
     }
     copy.take("/api/blueprints", "/api/blueprints.json").await?;
-    let mut pictured: Vec<String> = goals.iter().map(ToString::to_string).collect();
     for base in bases {
-        pictured.extend(copy.run(&base, goals).await?);
+        copy.run(&base, goals).await?;
     }
-    pictured.sort_unstable();
-    pictured.dedup();
-    for id in pictured {
+    for id in goals {
         copy.take(&format!("/api/picture?id={id}"), &format!("/api/picture/{id}.png")).await?;
     }
     Ok(copy.n_files)
 }
 
 impl Copy<'_> {
-    /// Copies what there is of one run; returns the blueprints of its films.
-    async fn run(&mut self, base: &str, goals: &[BlueprintId]) -> anyhow::Result<Vec<String>> {
+    /// Copies what there is of one run.
+    async fn run(&mut self, base: &str, goals: &[BlueprintId]) -> anyhow::Result<()> {
         let mut about: Value = serde_json::from_slice(&self.ask(&format!("{base}/api/about")).await?.1)?;
         let mut recorded = Vec::new();
         for goal in goals.iter().filter(|_| about["can_play"] == true) {
@@ -78,15 +75,13 @@ impl Copy<'_> {
         self.write(&format!("{base}/api/films.json"), &films)?;
         let films: Value = serde_json::from_slice(&films)?;
         let films = films["films"].as_array().into_iter().flatten();
-        let text = |film: &Value, field: &str| film[field].as_str().unwrap_or_default().to_owned();
-        let mut blueprints = Vec::new();
         for film in films {
-            let id = text(film, "id");
+            let id = film["id"].as_str().unwrap_or_default();
             self.take(&format!("{base}/api/film?id={id}"), &format!("{base}/api/film/{id}.mp4")).await?;
             self.take(&format!("{base}/api/recording?id={id}"), &format!("{base}/api/recording/{id}.json")).await?;
-            blueprints.push(text(film, "blueprint"));
+            self.take(&format!("{base}/api/poster?id={id}"), &format!("{base}/api/poster/{id}.png")).await?;
         }
-        Ok(blueprints)
+        Ok(())
     }
 
     /// Writes the answer to a question into a file; says whether there was one.

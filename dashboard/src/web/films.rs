@@ -3,18 +3,26 @@
 use std::fs;
 use std::path::Path;
 
+use blueprints::Catalog;
 use proto::codec::decode_trajectory;
 use proto::{Trajectory, WeightsVersion};
-use serde::Serialize;
-
+use render::picture::encode;
+use render::video::{Episode, Film, LAST_S, MIN_WIDTH};
 use runlog::RunPaths;
 use runlog::clips::{Clip, RECORDING, clips};
+use serde::Serialize;
 
 /// Most films that are told of.
 const MAX_LISTED: usize = 60;
 
 /// Largest film that is sent, bytes; one of 100 steps is below 2 MB.
 const MAX_BYTES: u64 = 32 << 20;
+
+/// Width of the still picture of a film.
+const POSTER_PX: usize = MIN_WIDTH;
+
+/// Colors of that picture.
+const N_COLORS: usize = 96;
 
 /// Clips and recordings of a run, read from their folders whenever somebody asks.
 #[derive(Clone, Debug)]
@@ -60,6 +68,15 @@ impl Films {
         let name = Path::new(film.path.file_name()?).with_extension(RECORDING);
         let path = self.0.as_ref()?.replays().join(film.blueprint.as_str()).join(name);
         decode_trajectory(&fs::read(path).ok()?).ok()
+    }
+
+    /// A PNG of the last scene of the film of this id; `None` without a recording of a goal that is known.
+    pub(super) fn poster(&self, catalog: &Catalog, asked: &str) -> Option<Vec<u8>> {
+        let recording = self.recording(asked)?;
+        let goal = catalog.find(&recording.task.blueprint)?;
+        let episode = Episode::new(&[recording], &goal).ok()?;
+        let frame = Film::new(&episode, POSTER_PX).frame(episode.length_s() + LAST_S);
+        encode(&frame, N_COLORS).ok()
     }
 
     fn all(&self) -> Vec<Clip> {

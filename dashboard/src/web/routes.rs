@@ -13,6 +13,7 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use blueprints::Catalog;
 use serde::Serialize;
 
 use super::about::{About, Kind, about};
@@ -151,6 +152,7 @@ fn of_run(run: Shown, names: &[String]) -> Router {
         .route("/api/recording", get(recording))
         .route("/api/films", get(list_films))
         .route("/api/film", get(film))
+        .route("/api/poster", get(poster))
         .route("/metrics", get(metrics))
         .layer(Extension(name))
         .layer(Extension(run.films))
@@ -197,6 +199,20 @@ async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> 
     let asked = id_of(query);
     match tokio::task::spawn_blocking(move || films.bytes(&asked)).await {
         Ok(Some(bytes)) => ([(CONTENT_TYPE, "video/mp4")], bytes).into_response(),
+        Ok(None) => StatusCode::NOT_FOUND.into_response(),
+        Err(error) => failed(&error),
+    }
+}
+
+/// The last scene of the film that the query names.
+async fn poster(
+    Extension(films): Extension<Films>,
+    Extension(catalog): Extension<Arc<Catalog>>,
+    RawQuery(query): RawQuery,
+) -> Response {
+    let asked = id_of(query);
+    match tokio::task::spawn_blocking(move || films.poster(&catalog, &asked)).await {
+        Ok(Some(bytes)) => ([(CONTENT_TYPE, "image/png")], bytes).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
         Err(error) => failed(&error),
     }

@@ -345,6 +345,8 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
     std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
     let answer: Value = serde_json::from_str(&body(served.get("/api/recording?id=2_000.7.success.1").await)).unwrap();
     assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
+    let poster = served.get("/api/poster?id=2_000.7.success.1").await;
+    assert!(poster.contains("content-type: image/png") && poster.contains("IHDR"), "{} bytes", poster.len());
     let attention = &answer["attention"];
     assert_eq!((&attention["weights_version"], &attention["sources"][0]), (&json!(2), &json!("gripper 1")));
     let percent: Vec<Vec<Vec<f64>>> = serde_json::from_value(attention["percent"].clone()).unwrap();
@@ -358,6 +360,7 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
     {
         assert_eq!(served.status(&format!("/api/film{id}"), "").await, 404, "{id}");
         assert_eq!(served.status(&format!("/api/recording{id}"), "").await, 404, "{id}");
+        assert_eq!(served.status(&format!("/api/poster{id}"), "").await, 404, "{id}");
     }
     served.end().await;
 }

@@ -25,7 +25,7 @@ pub struct ConfigArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Seed of everything random.
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(i64).range(0..))]
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(i64).range(0..), allow_negative_numbers = true)]
     pub seed: Option<i64>,
     /// Where the network runs: cpu or gpu.
     #[arg(long, value_name = "DEVICE", value_parser = PossibleValuesParser::new(["cpu", "gpu"]))]

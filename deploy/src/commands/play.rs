@@ -101,11 +101,16 @@ pub(super) async fn run(
     publisher.publish(weights).await?;
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(false)));
+    let (progress, counted) = watch::channel(None);
+    // As a bar only: where there is no terminal, the page says it.
+    let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || false));
     let setup = EvaluatorSetup { catalog, ..services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path())) };
     let stop = Stop { now: shutdown, ..Stop::default() };
-    let ended = services::evaluator(setup, reports, page, bus.clone(), stop).await;
+    let ended = services::evaluator(setup, reports, progress, page, bus.clone(), stop).await;
     bus.close().await;
-    shown.await.map_err(|panic| Failure::Service(panic.into()))?;
+    let panicked = |panic: tokio::task::JoinError| Failure::Service(panic.into());
+    counting.await.map_err(panicked)?;
+    shown.await.map_err(panicked)?;
     ended
 }
 

@@ -9,7 +9,7 @@ use blueprints::Catalog;
 use bus::Bus;
 use dashboard::config::WebConfig;
 use dashboard::{About, Kind, Page, Source};
-use evaluator::{EvaluatorSetup, Listeners, Stop};
+use evaluator::{EvaluationProgress, EvaluatorSetup, Listeners, Stop};
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::keys::{self, METRICS_LEARNER};
 use proto::metrics::EvalReport;
@@ -133,8 +133,12 @@ pub(super) async fn run_evaluator(
     let page = opened.map(|page| Opened { page, about: about(settings, setup.catalog), first: None });
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
+    let (progress, counted) = watch::channel(None);
+    let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || true));
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
-    let ended = on_bus(config, &health, &shutdown, async |bus| evaluator(setup, reports, page, bus, stop).await).await;
+    let evaluate = async |bus| evaluator(setup, reports, progress, page, bus, stop).await;
+    let ended = on_bus(config, &health, &shutdown, evaluate).await;
+    finished(Some(counting)).await?;
     shown.await.map_err(|panic| Failure::Service(panic.into()))?;
     ended
 }
@@ -207,11 +211,12 @@ pub(super) fn about(settings: &Settings, catalog: &Catalog) -> About {
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
+    progress: watch::Sender<Option<EvaluationProgress>>,
     page: Option<Opened>,
     bus: Bus,
     stop: Stop,
 ) -> Result<(), Failure> {
-    let mut listeners = Listeners { reports: Some(reports), ..Listeners::default() };
+    let mut listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
     let Some(mut opened) = page else {
         evaluator::run(setup, &bus, listeners, stop).await?;
         return Ok(());

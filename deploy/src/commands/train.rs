@@ -76,13 +76,19 @@ pub(super) async fn run(
     let (whole, shown, its_reports) = (config.clone(), terminal.clone(), evaluated.clone());
     let learning = tokio::spawn(async move { live::show_learning(metrics, actors, its_reports, shown, &whole).await });
     let evaluating = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
+    let (progress, counted) = watch::channel(None);
+    let (tell, last) = watch::channel(None);
+    let learner_is_done = {
+        let last = last.clone();
+        move || last.borrow().is_some()
+    };
+    let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done));
 
     let mut running = JoinSet::new();
     let mut options = services::run_options(setup, config, &run_dir, origin.checkpoint);
     options.feed = config.lockstep.then(|| services::lockstep_feed(config, catalog));
     let evaluator =
         EvaluatorSetup { catalog, ..services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path())) };
-    let (tell, last) = watch::channel(None);
     let (learned, its_summary) = oneshot::channel();
     let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
     let training = shutdown.child_token();
@@ -102,7 +108,7 @@ pub(super) async fn run(
         let actor = ActorSetup { catalog, ..services::actor_setup(config, id) };
         running.spawn(services::actor(actor, bus.clone(), training.clone()));
     }
-    running.spawn(services::evaluator(evaluator, reports, page, bus.clone(), stop));
+    running.spawn(services::evaluator(evaluator, reports, progress, page, bus.clone(), stop));
     let mut ended = Ok(());
     while let Some(service) = running.join_next().await {
         // Whoever ends, well or not, ends the run: the others have nothing to do without it. The evaluator may still have.
@@ -116,6 +122,7 @@ pub(super) async fn run(
     bus.close().await;
     let panicked = |panic: tokio::task::JoinError| Failure::Service(panic.into());
     learning.await.map_err(panicked)?;
+    counting.await.map_err(panicked)?;
     let evaluation = evaluating.await.map_err(panicked)?;
     ended?;
     let learner = its_summary.await.map_err(|error| Failure::Service(error.into()))?;

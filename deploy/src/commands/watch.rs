@@ -11,6 +11,9 @@ use crate::cli::WatchArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
+/// When a process that waits says so.
+const NOTICE: Duration = Duration::from_secs(3);
+
 /// Shows the run until it is ended, or once; as JSON, also until nobody reads any more.
 ///
 /// # Errors
@@ -22,7 +25,17 @@ pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: Cancell
     config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     if args.once {
         let format = if args.json { Format::Json } else { Format::Text };
-        terminal.print(&view::once(config, format, Duration::from_secs(args.timeout), shutdown).await?);
+        let notice = async {
+            tokio::time::sleep(NOTICE).await;
+            let (run, endpoints, seconds) = (&args.run, args.connect.join(", "), args.timeout);
+            terminal.on_stderr().print(&format!("waiting up to {seconds} s for the run `{run}` at {endpoints}"));
+            std::future::pending::<()>().await;
+        };
+        let known = tokio::select! {
+            known = view::once(config, format, Duration::from_secs(args.timeout), shutdown) => known?,
+            () = notice => unreachable!("it has no end"),
+        };
+        terminal.print(&known);
     } else if args.json {
         view::stream(config, shutdown, |known| writeln!(io::stdout(), "{known}")).await?;
     } else {

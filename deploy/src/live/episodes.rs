@@ -6,7 +6,7 @@ use evaluator::report::{End, EpisodeResult};
 use parking_lot::Mutex;
 
 use super::Terminal;
-use super::lines::duration;
+use super::lines::left;
 use super::terminal::Progress;
 
 /// Least time between two lines where there is no terminal.
@@ -61,8 +61,7 @@ impl EpisodeCounter {
 /// Success so far, and what is left at this pace.
 fn text(n_ended: u64, n_successes: u64, n_planned: u64, elapsed: Duration) -> String {
     let percent = 100.0 * n_successes as f64 / n_ended.max(1) as f64;
-    let left = elapsed.as_secs_f64() * n_planned.saturating_sub(n_ended) as f64 / n_ended.max(1) as f64;
-    format!("success {percent:.1} %  {} left", duration(left))
+    format!("success {percent:.1} %  {}", left(n_ended, n_planned, elapsed))
 }
 
 #[cfg(test)]

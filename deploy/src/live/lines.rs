@@ -1,5 +1,7 @@
 //! Metrics as text.
 
+use std::time::Duration;
+
 use learner::config::Schedule;
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 
@@ -115,6 +117,12 @@ pub(super) fn success(report: &EvalReport) -> Option<f64> {
     let all = &report.summary.all;
     let rates = [all.mode.success, all.sampled.success];
     rates.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate)
+}
+
+/// How long the rest of `n_planned` takes when `n_ended` took `elapsed`.
+pub(super) fn left(n_ended: u64, n_planned: u64, elapsed: Duration) -> String {
+    let seconds = elapsed.as_secs_f64() * n_planned.saturating_sub(n_ended) as f64 / n_ended.max(1) as f64;
+    format!("{} left", duration(seconds))
 }
 
 /// `40 s`, `12 min` or `3.5 h`.

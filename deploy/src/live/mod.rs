@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::{AliveWatch, MetricsSubscriber};
-use evaluator::{Detail, render};
+use evaluator::{Detail, EvaluationProgress, render};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use tokio::sync::watch;
 use tokio::time::Instant;
@@ -16,6 +16,7 @@ use tokio::time::Instant;
 use crate::config::Config;
 pub use episodes::EpisodeCounter;
 use lines::{Context, Pace};
+use terminal::Progress;
 pub use terminal::{HeldLog, Terminal};
 
 /// Least time between two lines where there is no terminal, so that a log stays readable.
@@ -74,6 +75,37 @@ pub async fn show_acting(mut metrics: MetricsSubscriber, terminal: Terminal) {
             last_line = Some(Instant::now());
             terminal.print(&lines::actor(&actor));
         }
+    }
+}
+
+/// Shows how far evaluations are, as a bar on a terminal. Elsewhere it prints a line every ten seconds while `is_talking`.
+pub async fn show_evaluating(
+    mut progress: watch::Receiver<Option<EvaluationProgress>>,
+    terminal: Terminal,
+    is_talking: impl Fn() -> bool,
+) {
+    let mut shown: Option<(Progress, Instant)> = None;
+    let mut last_line = Instant::now();
+    while progress.changed().await.is_ok() {
+        let Some(EvaluationProgress { n_ended, n_planned }) = *progress.borrow_and_update() else {
+            if let Some((bar, _)) = shown.take() {
+                bar.finish();
+            }
+            continue;
+        };
+        let (bar, begun) = shown.get_or_insert_with(|| {
+            last_line = Instant::now();
+            (terminal.progress(n_planned, "episodes of the evaluation"), Instant::now())
+        });
+        let left = lines::left(n_ended, n_planned, begun.elapsed());
+        bar.set(n_ended, &left);
+        if !bar.is_drawn() && is_talking() && last_line.elapsed() >= LINE_PERIOD {
+            last_line = Instant::now();
+            terminal.print(&format!("evaluating: {n_ended} of {n_planned} episodes  {left}"));
+        }
+    }
+    if let Some((bar, _)) = shown {
+        bar.finish();
     }
 }
 

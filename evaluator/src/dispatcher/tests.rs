@@ -78,7 +78,7 @@ async fn remote_workers_find_what_the_evaluator_would() {
 
     let (alone, observer) = (WorkQueue::default(), None::<&EpisodeSelector>);
     let pool = EvaluationPool { setup: &small, agent: &agent, queue: &alone, observer, keep_going: &|| true };
-    assert_eq!(shared, pool.run(&sequences(), ActionMode::Sampled).unwrap());
+    assert_eq!(shared, pool.run(&sequences(), ActionMode::Sampled).0);
     assert_eq!((queue.n_assisted(), alone.n_assisted()), (12, 0));
     shutdown.cancel();
     let mut n_units = Vec::new();

@@ -3,11 +3,10 @@
 use std::time::Duration;
 
 use blueprints::{Catalog, Split};
-use proto::ActionMode;
-use proto::metrics::{EvalBlueprint, EvalSummary};
+use proto::metrics::EvalSummary;
 
 use super::*;
-use crate::config::{EpisodeConfig, EvaluatorConfig, Every, Selection};
+use crate::config::{EvaluatorConfig, Every, Selection};
 use crate::episodes::tests::{small_policy, small_setup, weights};
 
 /// Ends a test that waits for what does not come.
@@ -113,7 +112,8 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     };
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let (reports, seen) = watch::channel(None);
-    let listeners = Listeners { reports: Some(reports), ..Default::default() };
+    let (so_far, counted) = watch::channel(None);
+    let listeners = Listeners { reports: Some(reports), progress: Some(so_far), ..Default::default() };
     let stop = Stop::default();
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
     let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
@@ -128,6 +128,7 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
         progress.push((summary.is_complete, summary.all.mode.success.n_episodes));
     }
     assert_eq!(progress, [(false, 32), (true, 45)]);
+    assert!(counted.borrow().is_none(), "nothing is under way");
     stop.now.cancel();
     within(service).await.unwrap().unwrap();
     // Whoever follows the caller's channel sees whole evaluations, and a part only of one that is interrupted.
@@ -175,4 +176,66 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     assert_eq!(ids(&report), ["2_000", "validation_7_000"]);
     assert_eq!(report.summary.groups.last().unwrap().name, "validation");
     bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let setup = one_goal(40, None);
+    let (reports, seen) = watch::channel(None);
+    let (progress, mut counted) = watch::channel(None);
+    let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Default::default() };
+    let stop = Stop::default();
+    let (its_bus, its_stop) = (bus.clone(), stop.clone());
+    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
+    let publisher = bus.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(weights())).await.unwrap();
+    // Long before the first part is complete.
+    let some = within(counted.wait_for(|progress| progress.is_some_and(|progress| progress.n_ended > 0)));
+    let n_ended = some.await.unwrap().unwrap().n_ended;
+    stop.now.cancel();
+    assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 0 });
+    let report = seen.borrow().clone().unwrap();
+    assert!(!report.summary.is_complete);
+    assert_eq!(report.summary.n_planned, 40);
+    let n_told = report.summary.all.mode.success.n_episodes;
+    assert!((n_ended..40).contains(&n_told), "{n_told} after {n_ended}");
+    bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluated_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let records = RunPaths::new(dir.path());
+    // The second resumes from the first one's weights; the third is asked for more episodes.
+    for (n_episodes, expected) in [(1, 1), (1, 0), (2, 1)] {
+        let bus = Bus::isolated(dir.path()).await.unwrap();
+        let publisher = bus.weights_publisher().await.unwrap();
+        publisher.publish(Arc::new(weights())).await.unwrap();
+        let (_tell, last) = watch::channel(Some(weights().version));
+        let stop = Stop { last: Some(last), ..Stop::default() };
+        let setup = one_goal(n_episodes, Some(records.clone()));
+        let summary = within(run(setup, &bus, Listeners::default(), stop)).await.unwrap();
+        assert_eq!(summary, Summary { n_evaluations: expected }, "{n_episodes} episodes");
+        bus.close().await;
+    }
+    assert_eq!(History::read(&records.history()).unwrap().len(), 2);
+}
+
+/// So many greedy episodes of one goal, one after the other.
+fn one_goal(n_episodes: u32, records: Option<RunPaths>) -> EvaluatorSetup {
+    let episodes = EpisodeConfig { n_episodes, acting: vec![ActionMode::Greedy], n_worlds: 1, ..Default::default() };
+    let environment = small_setup(episodes.clone()).environment.clone();
+    let selection =
+        Selection { splits: vec![Split::Train], blueprints: vec!["2_000".parse().unwrap()], ..Default::default() };
+    EvaluatorSetup {
+        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() },
+        policy: small_policy(),
+        environment,
+        id: "judge".to_owned(),
+        seed: 3,
+        records,
+        catalog: Catalog::builtin(),
+    }
 }

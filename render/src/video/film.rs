@@ -22,7 +22,7 @@ const GREEN: Rgb = [24, 132, 84];
 const AMBER: Rgb = [186, 104, 10];
 
 /// Duration of the last scene, in seconds: the camera comes near and then stays for a moment.
-const LAST_S: f32 = 2.0;
+pub const LAST_S: f32 = 2.0;
 
 /// Wider frames use larger text, pixels.
 const WIDE_PX: usize = 800;

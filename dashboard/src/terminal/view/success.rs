@@ -85,8 +85,8 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
     (vec![title, heads], blueprints.iter().map(row).collect())
 }
 
-/// The worst and the best blueprints with mode actions, or with sampled ones where only those were judged: as many as fit
-/// in a line, none in both.
+/// The worst and the best blueprints with greedy actions, or with sampled ones where only those were judged: as many as fit
+/// in a line, none in both, and none that never succeeds among the best.
 fn extremes(blueprints: &[&EvalBlueprint], summary: &EvalSummary, width: usize) -> Vec<Line<'static>> {
     let is_mode = summary.all.mode.success.n_episodes > 0;
     let rate = |blueprint: &EvalBlueprint| -> SuccessRate {
@@ -105,8 +105,9 @@ fn extremes(blueprints: &[&EvalBlueprint], summary: &EvalSummary, width: usize) 
     if !worst.is_empty() {
         lines.push(plain(row(&format!("  worst{way}"), worst.iter(), width)));
     }
-    if !best.is_empty() {
-        lines.push(plain(row(&format!("  best{way} "), best.iter().rev(), width)));
+    let mut best = best.iter().rev().filter(|(rate, _)| *rate > 0.0).peekable();
+    if best.peek().is_some() {
+        lines.push(plain(row(&format!("  best{way} "), best, width)));
     }
     lines
 }

@@ -66,24 +66,36 @@ function draw() {
   stale.clear();
   if (parts.has("history")) {
     heat.show(model.history, model.acting);
-    drawCurves($("curves"), model.history, model.acting);
+    drawCurves($("curves"), model.history, model.acting, underWay());
     drawGroups($("groups"), model.history);
   }
   if (parts.has("learner") && $("learner")) {
     $("learner").hidden = model.points.length === 0 && model.about !== null && model.about.kind === "finished";
-    drawHealth($("health"), model.points);
+    drawHealth($("health"), $("health-note"), model.points);
   }
   if ($("roster")) drawRoster($("roster"), model.roster, model.actors, model.learner);
   if ($("drops")) drawDrops($("drops"), model.actors, model.learner, model.summary);
   drawTiles();
 }
 
+/** What the evaluation under way has found, and a word on how far it is. */
+function underWay() {
+  const summary = model.summary;
+  if (!summary || summary.is_complete) return null;
+  const { success } = summary.all[model.acting];
+  if (success.n_episodes === 0) return null;
+  return { success, text: `evaluating version ${summary.weights_version}: ${success.n_episodes} of ${summary.n_planned} episodes` };
+}
+
 function drawTiles() {
   const last = model.history.passes[model.history.passes.length - 1];
-  const success = last && last.all[model.acting];
+  const now = underWay();
+  // Until one has ended, the first numbers of the first evaluation.
+  const success = last ? last.all[model.acting] : now && now.success;
   const learner = model.learner || model.points[model.points.length - 1];
   const { kind, n_env_steps: target } = model.about || {};
-  const episodes = success ? `${interval(success)}, ${success.n_episodes} episodes` : "nothing evaluated yet";
+  const soFar = success ? `${interval(success)}, ${success.n_episodes} episodes` : "nothing evaluated yet";
+  const episodes = now ? `${success ? `${interval(success)}; ` : ""}${now.text}` : soFar;
   const left = learner && target ? (target - learner.n_env_steps) / learner.env_steps_per_s : NaN;
   const soon = kind !== "finished" && left > 0 ? `, ${minutes(left)} to go` : "";
   const tiles = [["success", success ? percent(success.rate) : "–", episodes]];
@@ -187,7 +199,7 @@ function measured({ key, payload }) {
     redraw("roster");
   } else if (key === "eval/summary") {
     model.summary = payload;
-    redraw("roster");
+    redraw(model.history.passes.length === 0 ? "history" : "roster");
   }
 }
 

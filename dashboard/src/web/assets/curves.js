@@ -35,10 +35,12 @@ function ticks(most, n) {
   return all;
 }
 
-function drawCurves(place, history, acting) {
+/** Success by group; before the first evaluation ends, `now` has its first numbers, if there are any. */
+function drawCurves(place, history, acting, now) {
   const passes = history.passes.filter((pass) => pass.all[acting]);
   if (passes.length === 0) {
-    place.replaceChildren(element("p", { class: "empty" }, "No evaluation yet; the first comes with the first weights."));
+    const soFar = now ? `${percent(now.success.rate)} so far, ${now.text}.` : "No evaluation yet; the first comes with the first weights.";
+    place.replaceChildren(element("p", { class: "empty" }, soFar));
     return;
   }
   if (passes.length === 1) {

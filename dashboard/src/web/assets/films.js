@@ -32,8 +32,8 @@ async function askFilms(list, note, open) {
     const title = `${film.blueprint}, ${film.ending}, weights ${film.weights_version}`;
     const video = element("video", { controls: "", preload: "none", playsinline: "", "aria-label": title });
     video.src = answerAt(model.base, "film", film.id);
-    // Until it plays, what is to be built.
-    video.poster = answerAt("", "picture", film.blueprint);
+    // Until it plays, how it ends.
+    video.poster = answerAt(model.base, "poster", film.id);
     const turned = element("button", { type: "button", "aria-label": `Turn and step: ${title}` }, "Turn and step");
     turned.addEventListener("click", () => open(film));
     return element("figure", {}, video, element("figcaption", {}, title, " ", turned));

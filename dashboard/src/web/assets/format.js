@@ -7,7 +7,7 @@ const isCopy = document.documentElement.hasAttribute("data-copy");
 /** Where the answer to a question about a run is, or about a thing of it. */
 function answerAt(base, name, id) {
   if (!isCopy) return `${base}/api/${name}${id === undefined ? "" : `?id=${encodeURIComponent(id)}`}`;
-  const ending = { film: "mp4", picture: "png" }[name] || "json";
+  const ending = { film: "mp4", picture: "png", poster: "png" }[name] || "json";
   return `.${base}/api/${name}${id === undefined ? "" : `/${id}`}.${ending}`;
 }
 
@@ -23,7 +23,8 @@ function count(value) {
 function decimal(value) {
   if (!isNumber(value)) return "–";
   const size = Math.abs(value);
-  if (size !== 0 && (size < 1e-3 || size >= 1e5)) return value.toExponential(1);
+  if (size === 0) return "0";
+  if ((size < 1e-3 || size >= 1e5)) return value.toExponential(1);
   return size >= 100 ? value.toFixed(0) : size >= 1 ? value.toFixed(2) : value.toFixed(4);
 }
 

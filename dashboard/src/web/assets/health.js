@@ -47,18 +47,21 @@ function spark(points, name, title) {
     value.textContent = `${decimal(near[name])} at ${count(near.n_env_steps)} steps`;
   });
   picture.addEventListener("pointerleave", () => { value.textContent = now; });
-  const range = `${decimal(low)} to ${decimal(high)}, ${count(from)} to ${count(to)} steps`;
+  const range = high > low ? `${decimal(low)} to ${decimal(high)}` : "constant";
   return element("div", {}, element("h3", {}, title, value), picture, element("small", { class: "quiet" }, range));
 }
 
-function drawHealth(place, points) {
+function drawHealth(place, note, points) {
   if (points.length === 0) {
-    place.replaceChildren(element("p", { class: "empty" }, "No update yet."));
+    place.replaceChildren();
+    note.textContent = "No update yet.";
     return;
   }
   const tells = (name, value) => isNumber(value) && (value !== 0 || !OF_REWARDS.includes(name));
   const charts = HEALTH.filter(([name]) => points.some((point) => tells(name, point[name])));
   place.replaceChildren(...charts.map(([name, title]) => spark(points, name, title)));
+  const [first, last] = [points[0], points[points.length - 1]];
+  note.textContent = `From ${count(first.n_env_steps)} to ${count(last.n_env_steps)} environment steps. Point at a curve for its values.`;
 }
 
 const sum = (counts) => Object.values(counts || {}).reduce((total, n) => total + (isNumber(n) ? n : 0), 0);

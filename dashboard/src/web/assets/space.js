@@ -207,7 +207,7 @@ export class Space {
 
   /** Looks at a box from the side that is looked from already, as near as all of it is seen, with the next picture. */
   fit(low, high) {
-    const target = new Vector3(...low).add(new Vector3(...high)).multiplyScalar(0.5);
+    const middle = new Vector3(...low).add(new Vector3(...high)).multiplyScalar(0.5);
     const back = this.camera.position.clone().sub(this.controls.target);
     if (back.lengthSq() === 0) back.set(1, -1.4, 1);
     back.normalize();
@@ -216,14 +216,18 @@ export class Space {
     if (right.lengthSq() < 1e-9) right.set(1, 0, 0);
     right.normalize();
     const up = back.clone().cross(right);
-    const rise = Math.tan((VIEW * Math.PI) / 360);
-    const distances = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => {
-      const corner = new Vector3(...[0, 1, 2].map((i) => ((k >> i) & 1 ? high : low)[i])).sub(target);
-      const aside = Math.max(Math.abs(corner.dot(right)) / this.camera.aspect, Math.abs(corner.dot(up)));
-      return corner.dot(back) + (aside * MARGIN) / rise;
-    });
-    this.controls.target.copy(target);
-    this.camera.position.copy(target).addScaledVector(back, Math.max(...distances, MIN_DISTANCE_M));
+    const rise = Math.tan((VIEW * Math.PI) / 360) / MARGIN;
+    const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) =>
+      new Vector3(...[0, 1, 2].map((i) => ((k >> i) & 1 ? high : low)[i])).sub(middle));
+    // What is near looks larger, so the middle of the picture is not that of the box: each pair of opposite edges of the picture
+    // touches a corner, or would if the other pair did not ask for more distance.
+    const between = (axis, slope) => {
+      const [above, below] = [1, -1].map((side) => Math.max(...corners.map((corner) => side * corner.dot(axis) + slope * corner.dot(back))));
+      return { shift: (above - below) / 2, distance: (above + below) / (2 * slope) };
+    };
+    const [across, along] = [between(right, rise * this.camera.aspect), between(up, rise)];
+    this.controls.target.copy(middle).addScaledVector(right, across.shift).addScaledVector(up, along.shift);
+    this.camera.position.copy(this.controls.target).addScaledVector(back, Math.max(across.distance, along.distance, MIN_DISTANCE_M));
     this.settle();
   }
 
