@@ -27,7 +27,7 @@ use self::tally::{Tally, add};
 
 /// Longest time that an actor may take to join and to get its first weights: a router that has no room for one more never
 /// answers.
-const JOIN_TIMEOUT: Duration = Duration::from_secs(60);
+const JOIN_TIMEOUT: Duration = Duration::from_secs(150);
 
 /// What the actors of one process are told.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

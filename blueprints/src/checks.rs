@@ -13,7 +13,7 @@ use crate::error::{BlueprintError, BlueprintFileError, PolesAdvice};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::infer::{self, Completed};
 pub use crate::infer::{FoundTurn, WayReason};
-use crate::stance::{MIN_SUPPORT_MARGIN_U, stance};
+use crate::stance::{MIN_SUPPORT_MARGIN_U, margin_u};
 use crate::strength::{Joint, overloaded};
 use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, Link, NoAssembly, Placement,
@@ -475,12 +475,11 @@ impl<'a> Structure<'a> {
     }
 
     fn stands(&self) -> Result<(), BlueprintError> {
-        let stance = stance(self.placements, self.inventory);
-        if stance.margin_u >= MIN_SUPPORT_MARGIN_U {
+        let margin_u = margin_u(self.placements, self.inventory);
+        if margin_u >= MIN_SUPPORT_MARGIN_U {
             return Ok(());
         }
-        let [x_u, y_u] = stance.center_u;
-        Err(BlueprintError::Unsupported { x_u, y_u, margin_u: stance.margin_u, min_u: MIN_SUPPORT_MARGIN_U })
+        Err(BlueprintError::Unsupported { margin_u, min_u: MIN_SUPPORT_MARGIN_U })
     }
 
     fn strength(&self) -> Result<(), BlueprintError> {

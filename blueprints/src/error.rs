@@ -106,9 +106,11 @@ pub enum BlueprintError {
     Disconnected { block: String, root: String },
     /// The structure would tip over.
     #[error(
-        "the center of mass at ({x_u:.2}, {y_u:.2}) u has a support margin of {margin_u:.2} u, less than {min_u} u"
+        "the structure tips over: its center of mass is {} of what it stands on, and must be at least {min_u} u inside; \
+         put more of its lowest layer under it",
+        from_edge(*.margin_u)
     )]
-    Unsupported { x_u: f64, y_u: f64, margin_u: f64, min_u: f64 },
+    Unsupported { margin_u: f64, min_u: f64 },
     /// A connection carries too much.
     #[error(
         "the connection of {a:?} and {b:?} carries {force_n:.1} N and {torque_nm:.2} N m; {n_pairs} magnet pair(s) may \
@@ -143,6 +145,12 @@ pub enum PolesAdvice {
     /// The file says it of no block.
     #[error("no turns let all blocks attract, so move one, or let it lie another way with `size`")]
     Move,
+}
+
+/// Where a center of mass is, seen from the edge of the support polygon.
+fn from_edge(margin_u: f64) -> String {
+    let side = if margin_u < 0.0 { "outside" } else { "inside" };
+    format!("{:.2} u {side} the outline", margin_u.abs())
 }
 
 /// A number of blocks in words.

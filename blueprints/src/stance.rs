@@ -5,28 +5,19 @@ use crate::{Inventory, Placement};
 /// Minimum distance of a blueprint from its center of mass to the edge of the support polygon, in units.
 pub const MIN_SUPPORT_MARGIN_U: f64 = 0.1;
 
-/// The support of a structure's weight.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stance {
-    /// Horizontal position of the center of mass from the structure's frame, in units. All blocks have one density.
-    pub center_u: [f64; 2],
-    /// Distance from the center to the nearest edge of the support polygon in units, negative outside it.
-    pub margin_u: f64,
-}
-
-/// Computes the support of a rigid structure with at least one block whose cells at z = 0 touch the ground.
-pub fn stance(placements: &[Placement], inventory: &Inventory) -> Stance {
+/// Support margin of a rigid structure whose cells at z = 0 touch the ground, of which there must be one: the distance from
+/// its center of mass to the nearest edge of the support polygon in units, negative outside it. All blocks have one density.
+pub fn margin_u(placements: &[Placement], inventory: &Inventory) -> f64 {
     let cells: Vec<[i32; 3]> = placements.iter().flat_map(|p| p.filled_cells(inventory)).collect();
     let mean = |axis: usize| {
         let sum: i32 = cells.iter().map(|cell| cell[axis]).sum();
         f64::from(sum) / cells.len() as f64 + 0.5
     };
-    let center_u = [mean(0), mean(1)];
     let corners = cells
         .iter()
         .filter(|cell| cell[2] == 0)
         .flat_map(|&[x, y, _]| [[x, y], [x + 1, y], [x, y + 1], [x + 1, y + 1]]);
-    Stance { center_u, margin_u: support_margin(corners.collect(), center_u) }
+    support_margin(corners.collect(), [mean(0), mean(1)])
 }
 
 /// Distance from `center` to the nearest edge of the convex hull of `corners`, negative outside it.
@@ -77,9 +68,9 @@ mod tests {
 
     #[test]
     fn margin_is_the_distance_to_the_nearest_edge() {
-        let check = |placements: &[Placement], margin_u: f64| {
-            let got = stance(placements, Inventory::standard()).margin_u;
-            assert!((got - margin_u).abs() < 1e-12, "{got} is not {margin_u}");
+        let check = |placements: &[Placement], expected: f64| {
+            let got = margin_u(placements, Inventory::standard());
+            assert!((got - expected).abs() < 1e-12, "{got} is not {expected}");
         };
         check(&[cube(0, 0, 0)], 0.5);
         // Two cells of overhang put the center at x = (0.5 + 0.5 + 1.5 + 2.5) / 4 = 1.25, past the edge at 1.

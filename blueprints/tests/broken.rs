@@ -160,8 +160,8 @@ fn disconnected_and_tipping_structures_are_refused() {
             "a = \"bar\", b = \"top\", magnets = [\"+z(2,0,0)",
         );
     let error = check_text("tipping.toml", &tipping).blueprint.expect_err("it tips over").to_string();
-    let expected = "tipping.toml: the center of mass at (1.90, 0.50) u has a support margin of -0.10 u, \
-                    less than 0.1 u";
+    let expected = "tipping.toml: the structure tips over: its center of mass is 0.10 u outside the outline of what it stands \
+                    on, and must be at least 0.1 u inside; put more of its lowest layer under it";
     assert_eq!(error, expected);
 }
 

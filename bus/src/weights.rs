@@ -27,6 +27,10 @@ const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
 /// Pause before a failed pull is retried.
 const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
+/// Time between two pulls while nobody replies. A learner that gets its first weights gives notice, so this matters only for
+/// a pull that was lost; thousands of actors may wait like this.
+const NOTHING_PAUSE: Duration = Duration::from_secs(2);
+
 /// The learner's side: holds the newest weights and answers pulls.
 #[derive(Debug)]
 pub struct WeightsPublisher {
@@ -130,6 +134,16 @@ impl<T> WeightsSubscriber<T> {
     }
 }
 
+/// How a pull ended.
+enum Pulled {
+    /// The newest weights are here, or cannot be used and would come again.
+    Done,
+    /// Nobody replied: the learner has no weights yet, or a router on the way did not know it yet.
+    Nothing,
+    /// The session or the reply failed.
+    Failed,
+}
+
 /// Pulls in the background.
 struct Puller<T> {
     learner: Arc<Querier<'static>>,
@@ -147,8 +161,13 @@ impl<T: Send + Sync + 'static> Puller<T> {
         let mut learner_there = self.learner_there.watch();
         let mut wanted = *learner_there.borrow_and_update();
         loop {
-            if wanted && self.pull().await.is_ok() {
-                wanted = false;
+            let mut pause = RETRY_PAUSE;
+            if wanted {
+                match self.pull().await {
+                    Pulled::Done => wanted = false,
+                    Pulled::Nothing => pause = NOTHING_PAUSE,
+                    Pulled::Failed => self.counters.pulls_failed.add_one(),
+                }
             }
             tokio::select! {
                 notice = self.notices.recv_async() => {
@@ -160,7 +179,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
                     if changed.is_err() { return }
                     wanted = *learner_there.borrow_and_update();
                 }
-                () = tokio::time::sleep(RETRY_PAUSE), if wanted => {}
+                () = tokio::time::sleep(pause), if wanted => {}
             }
         }
     }
@@ -177,16 +196,11 @@ impl<T: Send + Sync + 'static> Puller<T> {
         }
     }
 
-    /// Pulls the newest weights; `Err` if a retry can help. A learner without weights gives no reply and publishes a
-    /// notice later.
-    async fn pull(&mut self) -> Result<(), ()> {
-        let failed = |counters: &BusCounters| {
-            counters.pulls_failed.add_one();
-            Err(())
-        };
-        let Ok(replies) = self.learner.get().await else { return failed(&self.counters) };
-        let Ok(reply) = replies.recv_async().await else { return Ok(()) };
-        let Ok(sample) = reply.result() else { return failed(&self.counters) };
+    /// Pulls the newest weights.
+    async fn pull(&mut self) -> Pulled {
+        let Ok(replies) = self.learner.get().await else { return Pulled::Failed };
+        let Ok(reply) = replies.recv_async().await else { return Pulled::Nothing };
+        let Ok(sample) = reply.result() else { return Pulled::Failed };
         match decode_weights(sample.payload().to_bytes().into_owned().into()) {
             Ok(PublishedWeights { epoch, weights }) => {
                 let pulled = Some(WeightsNotice { epoch, version: weights.version });
@@ -201,6 +215,6 @@ impl<T: Send + Sync + 'static> Puller<T> {
                 tracing::warn!(%error, "invalid weights");
             }
         }
-        Ok(())
+        Pulled::Done
     }
 }

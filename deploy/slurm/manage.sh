@@ -62,7 +62,7 @@ status_of_success() {
     for way in mode sampled; do
         rest=${1#*\""$way"\":}
         (($(number n_episodes "$rest") > 0)) || continue
-        printf '%-10s %.1f %% of %d episodes, %s actions, after %d steps\n' success \
+        printf '%-10s %.1f%% of %d episodes, %s actions, after %d steps\n' success \
             "$(awk "BEGIN { print 100 * $(number rate "$rest") }")" "$(number n_episodes "$rest")" "$way" "$(number n_env_steps "$1")"
     done
 }
@@ -96,13 +96,13 @@ stop() {
     echo "stopped; the newest checkpoint holds $(newest_step "$folder/run" | grep . || echo 0) steps"
 }
 
-# Waits until Slurm has ended the cancelled actors, because `launch` refuses while any is left. BEGAN is when `stop` began.
+# Waits until Slurm has ended the canceled actors, because `launch` refuses while any is left. BEGAN is when `stop` began.
 await_actors() {
     local id
     for id in $(ids_of actors); do
         while [[ -n $(states_of "$id") ]]; do
             ((SECONDS - $1 < wait_s)) ||
-                die 1 "the run is saved and its actors are cancelled, but job $id has not ended in $wait_s s: see \`squeue -j $id\`"
+                die 1 "the run is saved and its actors are canceled, but job $id has not ended in $wait_s s: see \`squeue -j $id\`"
             sleep 1
         done
     done

@@ -82,6 +82,27 @@ pub fn preset_of(paths: &RunPaths) -> Option<String> {
     Some(meta["preset"].as_str()?.to_owned())
 }
 
+/// What a message about a folder that is no run's adds: the runs in it, the newest first, or nothing.
+pub fn runs_in(folder: &Path) -> String {
+    /// More would hide the message.
+    const N_NAMED: usize = 3;
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut runs: Vec<(SystemTime, PathBuf)> = entries
+        .filter_map(|entry| {
+            let path = entry.path();
+            let begun = fs::metadata(RunPaths::new(&path).config()).and_then(|config| config.modified());
+            Some((begun.ok()?, path))
+        })
+        .collect();
+    runs.sort_by(|a, b| b.cmp(a));
+    if runs.is_empty() {
+        return String::new();
+    }
+    let named: Vec<String> = runs.iter().take(N_NAMED).map(|(_, path)| path.display().to_string()).collect();
+    let more = if runs.len() > N_NAMED { format!(" and {} more", runs.len() - N_NAMED) } else { String::new() };
+    format!("; the newest runs in it: {}{more}", named.join(", "))
+}
+
 /// Makes the folder of a run that names none: `runs/<date>-<name>`, and a number if there is one of this minute already.
 ///
 /// # Errors
@@ -294,6 +315,22 @@ mod tests {
         assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("near-goal"));
         fs::write(RunPaths::new(&path).meta(), "{}").unwrap();
         assert_eq!(preset_of(&RunPaths::new(&path)), None);
+    }
+
+    #[test]
+    fn a_folder_of_runs_names_the_newest() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(runs_in(folder.path()), "");
+        assert_eq!(runs_in(&folder.path().join("gone")), "");
+        for (name, seconds) in [("a", 20), ("b", 40), ("c", 10), ("d", 30)] {
+            let run = folder.path().join(name);
+            fs::create_dir_all(folder.path().join("no-run")).unwrap();
+            fs::create_dir(&run).unwrap();
+            let config = fs::File::create(RunPaths::new(&run).config()).unwrap();
+            config.set_modified(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)).unwrap();
+        }
+        let names = ["b", "d", "a"].map(|name| folder.path().join(name).display().to_string()).join(", ");
+        assert_eq!(runs_in(folder.path()), format!("; the newest runs in it: {names} and 1 more"));
     }
 
     #[test]

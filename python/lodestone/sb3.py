@@ -37,10 +37,16 @@ class AssemblyVecEnv(VecEnv):
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     def reset(self) -> Any:
-        """Starts episodes in all worlds, by the seeds of `seed`."""
+        """Starts episodes in all worlds, by the seeds of `seed` and the options of `set_options`: `blueprint` and `start`."""
         seeds = list(self._seeds) if any(seed is not None for seed in self._seeds) else None
-        observation, infos = self.envs.reset(seed=seeds)
-        self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
+        if all(options == self._options[0] for options in self._options):
+            observation, infos = self.envs.reset(seed=seeds, options=self._options[0])
+            self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
+        else:
+            for row, options in enumerate(self._options):
+                mask = np.arange(self.num_envs) == row
+                observation, infos = self.envs.reset(seed=seeds, options={**options, "reset_mask": mask})
+                self.reset_infos[row] = _row(infos, row)
         self._reset_seeds()
         self._reset_options()
         return observation

@@ -190,6 +190,19 @@ class StableBaselines3(unittest.TestCase):
         self.assertGreater(np.median(returns), 1.0)
         self.assertLess(np.median(lengths), 30)
 
+    def test_options_choose_the_next_goals(self) -> None:
+        envs = AssemblyVecEnv(3, blueprint="2_000", starts="scattered")
+        envs.set_options({"blueprint": "3_000"})
+        envs.reset()
+        self.assertEqual([info["blueprint"] for info in envs.reset_infos], ["3_000"] * 3)
+        envs.set_options([{"blueprint": "2_001"}, {}, {"blueprint": "3_000"}])
+        seen = envs.reset()
+        self.assertEqual([info["blueprint"] for info in envs.reset_infos], ["2_001", "2_000", "3_000"])
+        self.assertTrue(np.isfinite(seen).all())
+        # They count once.
+        envs.reset()
+        self.assertEqual([info["blueprint"] for info in envs.reset_infos], ["2_000"] * 3)
+
     def test_ppo_learns_a_start_next_to_the_goal(self) -> None:
         # Magnets that pull hard and far, and slow grippers: with the real ones it takes ten times as many steps.
         settings = {

@@ -49,7 +49,7 @@ class Member:
         self.role = role
         self.relay = relay
         self.lives: list[Life] = []
-        # What hurts it now; it is whole while this is empty.
+        # Its faults of the moment; it is healthy while there are none.
         self.hurt: set[str] = set()
         self._command = command
         self._logs = logs
@@ -62,7 +62,7 @@ class Member:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing hurts it."""
+        """Whether it has no fault now."""
         return not self.hurt
 
     def start(self) -> None:

@@ -49,7 +49,7 @@ class Memory:
     def __init__(self) -> None:
         self.samples: dict[str, list[Sample]] = {}
         self.calm_samples: dict[str, list[Sample]] = {}
-        # Whether nothing hurts the ring. Growth means something only then: a fault fills queues once, and they keep their room.
+        # Whether the ring has no fault now. Only then does growth mean something: a fault fills queues once, and they keep their room.
         self.is_calm = False
 
     def sample(self, member: Member) -> None:
@@ -71,7 +71,7 @@ class Memory:
         return {role: slope(samples) for role, samples in self.calm_samples.items()}
 
     def is_bounded(self) -> str:
-        """Fails if a role exceeds its limit, or grows while nothing hurts it."""
+        """Fails if a role exceeds its limit, or grows while the ring has no fault."""
         said = []
         slopes = self.slopes_mb_per_minute()
         for role, limit in LIMITS_MB.items():

@@ -108,7 +108,7 @@ async def show_progress(ring: Ring, faults: Faults) -> None:
 
 
 async def disturb(ring: Ring, faults: Faults, minutes: float, tally: Tally) -> bool:
-    """Starts the ring, hurts it, lets it settle and ends it; whether it came so far that it can be judged."""
+    """Starts the ring, injects faults, lets it settle, and ends it; whether it came so far that it can be judged."""
     from settle import all_work, calm, nothing_is_lost
 
     if not await attempt(tally, "the ring starts", ring.start()):
@@ -121,7 +121,7 @@ async def disturb(ring: Ring, faults: Faults, minutes: float, tally: Tally) -> b
         progress.cancel()
     await attempt(tally, "everybody works after the last fault", all_work(ring))
     if minutes >= LONG_MIN:
-        await attempt(tally, "the ring works on when nothing hurts it", calm(ring, CALM_S))
+        await attempt(tally, "the ring works on when there is no fault", calm(ring, CALM_S))
     await attempt(tally, "a learner that ends well loses nothing it acknowledged", nothing_is_lost(ring))
     await attempt(tally, "everything ends well after SIGTERM", ring.stop())
     return True

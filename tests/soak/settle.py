@@ -28,7 +28,7 @@ async def all_work(ring: Ring) -> str:
 
 
 async def calm(ring: Ring, seconds: float) -> str:
-    """Nothing hurts the ring for a while, and its memory is watched."""
+    """Injects no fault for a while and watches the memory of the ring."""
     n_updates = ring.n_updates()
     ring.memory.is_calm = True
     await asyncio.sleep(seconds)

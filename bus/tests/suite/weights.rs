@@ -1,10 +1,12 @@
 //! Weights reach all subscribers: early ones, late ones, and those of a restarted learner.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
 
 use bus::Bus;
-use proto::{Weights, WeightsVersion};
+use proto::{Weights, WeightsVersion, codec};
 use tokio::sync::watch;
+use zenoh::Wait;
 
 use crate::cluster::{Cluster, until};
 use crate::samples;
@@ -87,4 +89,20 @@ async fn weights_arrive_after_a_router_restart() {
     let router = Bus::isolated(cluster.dir.path()).await.unwrap();
     until_version(&mut weights, 2).await;
     router.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_pull_that_nobody_answers_is_repeated() {
+    let cluster = Cluster::start().await;
+    let script = cluster.script().await;
+    // Drops the first query, as a router does that does not know the way yet, and gives no notice later.
+    let (n_asked, bytes) = (AtomicU8::new(0), codec::encode_weights(&samples::weights(3), 1));
+    let learner = script.declare_queryable("lodestone/default/weights/latest").complete(true).callback(move |query| {
+        if n_asked.fetch_add(1, Ordering::Relaxed) > 0 {
+            drop(query.reply("lodestone/default/weights/latest", bytes.clone()).wait());
+        }
+    });
+    let _learner = learner.await.unwrap();
+    let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
+    until_version(&mut subscriber.watch(), 3).await;
 }

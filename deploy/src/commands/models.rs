@@ -2,13 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use learner::{Checkpoint, Model};
+use learner::{Checkpoint, CheckpointError, Model};
 
 use super::files::write_files;
 use crate::cli::{ExportArgs, ModelArgs};
 use crate::config::{Base, Config, ConfigError, Override, Preset, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
+use crate::run_dir::runs_in;
 use runlog::RunPaths;
 
 /// The policy that comes with the program; `pretrained/README.md` says how it was made and what it can do.
@@ -57,14 +58,17 @@ impl Source {
 
     /// Reads an exported file, or the newest checkpoint of a folder.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
-        let unusable = |error: learner::CheckpointError| Failure::Checkpoint(error.into());
+        let unusable = |error: CheckpointError| Failure::Checkpoint(error.into());
         if path.is_file() {
             let read = |error| anyhow::Error::new(error).context(format!("reading {}", path.display()));
             let bytes = std::fs::read(path).map_err(|error| Failure::Checkpoint(read(error)))?;
             let model = Model::from_bytes(&bytes, path).map_err(unusable)?;
             return Ok(Self { model, config: (String::new(), "the defaults".to_owned()) });
         }
-        let found = Checkpoint::read_latest(&checkpoint_folder(path)).map_err(unusable)?;
+        let found = Checkpoint::read_latest(&checkpoint_folder(path)).map_err(|error| match error {
+            CheckpointError::Absent(_) => Failure::Checkpoint(anyhow::anyhow!("{error}{}", runs_in(path))),
+            error => unusable(error),
+        })?;
         tracing::info!(checkpoint = %found.path.display(), "read");
         Ok(Self { model: Model::from(&found.checkpoint), config: run_config(&found.path)? })
     }

@@ -21,7 +21,7 @@ use crate::cli::ServeArgs;
 use crate::config::{Base, Config, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::run_dir::preset_of;
+use crate::run_dir::{preset_of, runs_in};
 
 /// Serves until `shutdown`, or writes the copy.
 ///
@@ -96,7 +96,10 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
 fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
     let (path, folder) = (paths.config(), paths.folder().display());
     if !path.exists() {
-        return Err(Failure::NothingToShow(format!("{folder} is no folder of a run: it has no config.toml")));
+        return Err(Failure::NothingToShow(format!(
+            "{folder} is no folder of a run: it has no config.toml{}",
+            runs_in(paths.folder())
+        )));
     }
     let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
     let config = merge(&text, &path.display().to_string(), Base::Defaults, &[])?;

@@ -122,7 +122,10 @@ fn explained(bytes: &[u8], error: &DecodeError) -> String {
     let is_broken = matches!(error, DecodeError::Malformed { .. } | DecodeError::Missing { .. });
     match (bytes.is_empty(), bytes.starts_with(&BEGINNING)) {
         (true, _) => "is empty".to_owned(),
-        (_, true) if is_broken => format!("begins like a recorded trajectory but is cut off or damaged: {error}"),
+        // What the decoder says of it means nothing to whoever made the recording.
+        (_, true) if is_broken => {
+            "begins like a recorded trajectory but is cut off or damaged: record it again".to_owned()
+        }
         (_, true) => format!("is no valid trajectory: {error}"),
         (_, false) => format!("is not a recorded trajectory: {error}"),
     }
