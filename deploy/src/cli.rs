@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 use ::blueprints::Split;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -47,15 +48,18 @@ pub struct Cli {
 }
 
 impl Cli {
-    /// The arguments of this process. It ends with an error that names the culprit, which may be a variable of the
-    /// environment, or after help.
-    pub fn of_process() -> Self {
-        Self::try_parse().unwrap_or_else(|error| {
-            let Some(variable) = variable(&error) else { error.exit() };
-            // Where nobody reads stderr, there is only the exit status.
+    /// Parses the arguments of this process.
+    ///
+    /// # Errors
+    /// With the exit code of the process, after printing help, the version, or an error that names the culprit.
+    pub fn of_process() -> Result<Self, ExitCode> {
+        Self::try_parse().map_err(|error| {
+            // If nobody reads stderr, only the exit code is left.
             drop(error.print());
-            drop(writeln!(io::stderr(), "\nThe value is that of the environment variable {variable}."));
-            std::process::exit(error.exit_code())
+            if let Some(variable) = variable(&error) {
+                drop(writeln!(io::stderr(), "\nThe value comes from the environment variable {variable}."));
+            }
+            u8::try_from(error.exit_code()).map_or(ExitCode::FAILURE, ExitCode::from)
         })
     }
 }

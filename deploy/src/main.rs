@@ -7,7 +7,10 @@ use deploy::live::Terminal;
 use deploy::{commands, telemetry};
 
 fn main() -> ExitCode {
-    let cli = Cli::of_process();
+    let cli = match Cli::of_process() {
+        Ok(cli) => cli,
+        Err(code) => return code,
+    };
     let terminal = Terminal::default();
     telemetry::init(cli.log_format, &terminal);
     match commands::execute(cli.command, &terminal) {

@@ -33,8 +33,7 @@ pub struct RenderArgs {
     /// Folder of blueprint files, or one file, with the goals [default: the catalog that comes with the program].
     #[arg(long, value_name = "FILE_OR_DIR")]
     pub path: Option<PathBuf>,
-    /// Only episodes with this goal, by its id; or a file, or a folder of files, with goals beside those of the program. May be
-    /// repeated.
+    /// Only episodes with this goal: an id, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "path")]
     pub blueprint: Vec<String>,
     /// Show what a network attends to through the episode, every head of every layer: that of this run's newest checkpoint,

@@ -50,7 +50,7 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
 /// Where goals are looked up, and which are shown.
 struct Goals {
     catalog: Catalog,
-    /// Named by id; with none, all are shown.
+    /// Named; with none, all are shown.
     chosen: Vec<BlueprintId>,
 }
 
@@ -60,10 +60,7 @@ impl Goals {
             return Ok(Self { catalog: Catalog::load(path)?, chosen: Vec::new() });
         }
         let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
-        // Files alone only say what a goal looks like.
-        let chooses = args.blueprint.iter().any(|name| !goals::is_path(name));
-        let named = if chooses { goals.blueprints()? } else { Vec::new() };
-        let chosen = named.iter().map(|blueprint| blueprint.id().clone()).collect();
+        let chosen = goals.ids().to_vec();
         Ok(Self { catalog: goals.into_catalog(), chosen })
     }
 
@@ -78,7 +75,7 @@ impl Goals {
         catalog.find(id).ok_or_else(|| {
             let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
             let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
-            format!("its goal `{id}` is not in the catalog{like}; --blueprint FILE adds one")
+            format!("its goal `{id}` is not in the catalog{like}; name its file with --blueprint")
         })
     }
 }
