@@ -9,10 +9,11 @@ use super::check::{LARGEST_MAGNITUDE, blueprint_id, invalid, number, positive, p
 use super::{Bytes, DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
 use crate::{Normalization, Weights, WeightsVersion, wire};
 
-/// Parameters that are checked at a time.
+/// Number of parameters checked at a time.
 const BLOCK: usize = 1024;
 
-/// Maximum number of network parameters. The largest network of a preset, a residual network on all features, has 20 million.
+/// Maximum number of network parameters. The largest network in a preset, a residual network on all features, has 20
+/// million.
 pub const MAX_PARAMETERS: usize = 24 << 20;
 
 /// Maximum size of encoded weights, in bytes: the parameters and 1 MiB for the rest.
@@ -24,8 +25,8 @@ const SUM_TOLERANCE: f64 = 1e-3;
 /// A notice that newer weights can be pulled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WeightsNotice {
-    /// Start time of the learner process, ms since 1970. A learner that resumes an older checkpoint continues from its
-    /// version, so versions are comparable only within one epoch.
+    /// Start time of the learner process, ms since 1970. A learner that resumes an older checkpoint continues from that
+    /// checkpoint's version, so versions are comparable only within one epoch.
     pub epoch: u64,
     /// The newest version.
     pub version: WeightsVersion,
@@ -45,7 +46,7 @@ pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
     weights_to_wire(weights, epoch).encode_to_vec()
 }
 
-/// Converts weights to a message; units of an evaluation contain one too.
+/// Converts weights to a message, which evaluation units also contain.
 pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
     let statistics = |i: usize| {
         Some(wire::FeatureStatistics {
@@ -83,7 +84,7 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
 /// Decodes weights and checks every rule that [`Weights`] documents. The parameters are copied once.
 ///
 /// # Errors
-/// Names the first field that breaks a rule, and its value.
+/// The error names the first field that breaks a rule, and its value.
 pub fn decode_weights(bytes: Bytes) -> Result<PublishedWeights, DecodeError> {
     weights_from_wire(parse("Weights", bytes, MAX_WEIGHTS_BYTES)?)
 }
@@ -117,11 +118,11 @@ fn parameters_from_wire(bytes: &[u8]) -> Result<Vec<f32>, DecodeError> {
         return Err(invalid("parameters", format!("{} bytes", bytes.len()), "four bytes per value"));
     }
     if !(1..=MAX_PARAMETERS).contains(&places.len()) {
-        return Err(invalid("parameters", format!("{} values", places.len()), "1 to 16777216 values"));
+        return Err(invalid("parameters", format!("{} values", places.len()), "1 to 25165824 values"));
     }
     let parameters: Vec<f32> = places.iter().map(|place| f32::from_le_bytes(*place)).collect();
     for block in parameters.chunks(BLOCK) {
-        // Without an early exit the check of a block takes a few instructions for 16 values.
+        // Without an early exit, checking a block takes a few instructions per 16 values.
         if !block.iter().fold(true, |all, parameter| all & (parameter.abs() <= LARGEST_MAGNITUDE)) {
             block.iter().try_for_each(|&parameter| number("parameters", parameter).map(drop))?;
         }

@@ -150,7 +150,7 @@ fn invalid_weights_are_refused() {
         change(&mut weights);
         assert_eq!(decode_weights(encode_weights(&weights, 1).into()).unwrap_err().to_string(), message);
     }
-    check(|w| w.parameters.clear(), "parameters is 0 values, expected 1 to 16777216 values");
+    check(|w| w.parameters.clear(), "parameters is 0 values, expected 1 to 25165824 values");
     check(|w| w.parameters[2] = f32::NEG_INFINITY, "parameters is -inf, expected a number in −1e6..=1e6");
     check(|w| w.parameters[2] = 2e6, "parameters is 2000000, expected a number in −1e6..=1e6");
     check(|w| w.normalization.feature_std[0].push(1.0), "normalization.std is 3 values, expected as many as the means");
