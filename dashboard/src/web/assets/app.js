@@ -1,4 +1,4 @@
-// State, the stream of events, and when to draw.
+// Page state, the event stream, and redraw scheduling.
 
 const model = {
   history: { blueprints: [], passes: [], n_left_out: 0 },
@@ -9,7 +9,7 @@ const model = {
   roster: { actors: [], learners: [], evaluators: [] },
   acting: "mode",
   about: null,
-  // Where the shown run's answers are; of several runs on a page, all but the first have a folder.
+  // URL prefix of the shown run's endpoints. On a page of several runs, all but the first have one.
   base: "",
 };
 const $ = (id) => document.getElementById(id);
@@ -41,7 +41,7 @@ const editor = new Editor(stage, {
 const openFilm = (film) => openRecording(replay, $("replay-note"), film);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
 heat.opened = async ({ id }, pass) => {
-  // What that evaluation recorded, if this is among it; or else what the newest weights make of the same blueprint.
+  // Opens the clip that this evaluation recorded, or else plays the same blueprint with the newest weights.
   const recorded = await filmOf(id, pass.weights_version);
   if (recorded) {
     openFilm(recorded);
@@ -55,7 +55,7 @@ heat.opened = async ({ id }, pass) => {
 $("heat-find").addEventListener("input", () => heat.find($("heat-find").value));
 const stale = new Set();
 
-/** Draws the named parts in the next frame, however often it is asked for. */
+/** Redraws the named parts in the next frame, once per frame at most. */
 function redraw(...parts) {
   if (stale.size === 0) requestAnimationFrame(draw);
   parts.forEach((part) => stale.add(part));
@@ -78,7 +78,7 @@ function draw() {
   drawTiles();
 }
 
-/** What the evaluation under way has found, and a word on how far it is. */
+/** Returns the success so far and a progress text of the evaluation in progress; `null` if there is none. */
 function underWay() {
   const summary = model.summary;
   if (!summary || summary.is_complete) return null;
@@ -90,7 +90,7 @@ function underWay() {
 function drawTiles() {
   const last = model.history.passes[model.history.passes.length - 1];
   const now = underWay();
-  // Until one has ended, the first numbers of the first evaluation.
+  // Before the first evaluation ends, show its preliminary numbers.
   const success = last ? last.all[model.acting] : now && now.success;
   const learner = model.learner || model.points[model.points.length - 1];
   const { kind, n_env_steps: target } = model.about || {};
@@ -99,7 +99,7 @@ function drawTiles() {
   const left = learner && target ? (target - learner.n_env_steps) / learner.env_steps_per_s : NaN;
   const soon = kind !== "finished" && left > 0 ? `, ${minutes(left)} to go` : "";
   const tiles = [["success", success ? percent(success.rate) : "–", episodes]];
-  // Nobody learns where a policy is shown, or was.
+  // Without a learner, as when only playing a policy, these tiles have no data.
   if (kind !== "play" && (kind !== "finished" || learner)) {
     tiles.push(
       ["environment steps", learner ? count(learner.n_env_steps) : "–", learner ? `${target ? `of ${count(target)}, ` : ""}in ${minutes(Math.max(learner.elapsed_s, learner.run_elapsed_s || 0))}${soon}` : ""],
@@ -112,7 +112,7 @@ function drawTiles() {
     element("div", {}, element("dt", {}, name), element("dd", {}, value, element("small", {}, more)))));
 }
 
-/** Arranges the page for what it is about: a run that goes on, one that has ended, or a policy at work. */
+/** Sets up the page for its kind: a run in progress, a finished run, or a playing policy. */
 function introduce(about) {
   model.about = about;
   const name = about.preset && about.preset !== about.run ? `${about.run}, preset ${about.preset}` : about.run;
@@ -122,7 +122,7 @@ function introduce(about) {
   if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
   if (!about.can_play) {
     ["stage-bar", "draw"].forEach((id) => $(id).remove());
-    $("replay-note").textContent = "No policy of this run is there to play; its films can be turned and stepped.";
+    $("replay-note").textContent = "This run has no policy to play. You can still rotate and step through its films.";
   }
   else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
@@ -139,7 +139,7 @@ function introduce(about) {
   stage.start(isCopy ? about.recorded[about.recorded.length - 1] : about.first);
 }
 
-/** A choice of the run that is shown, and the curves of all runs together. */
+/** Adds a run selector and a chart with the curves of all runs. */
 function chooseRun(runs) {
   const choice = element("select", { "aria-label": "Run" }, ...runs.map(({ name }, i) => element("option", { value: String(i) }, name)));
   choice.value = String(Math.max(runs.findIndex(({ base }) => base === model.base), 0));
@@ -165,7 +165,7 @@ function say(state, text) {
 let asking = false;
 let askAgain = false;
 
-/** Asks for the history; while an answer is under way, once more after it. */
+/** Fetches the history. If a request is already in flight, repeats it once that completes. */
 async function askHistory() {
   askAgain = asking;
   if (asking) return;
@@ -180,7 +180,7 @@ async function askHistory() {
       redraw("history", "learner");
     }
   } catch {
-    // The stream of events notices too, and asks again when it is back.
+    // The event stream fails too, and fetches again after reconnecting.
   }
   asking = false;
   if (askAgain) askHistory();
@@ -191,7 +191,7 @@ function measured({ key, payload }) {
     model.learner = payload;
     model.points = model.points.filter((point) => point.n_env_steps < payload.n_env_steps);
     model.points.push(toPoint(payload));
-    // As many as the history keeps; the next pass brings those from before, thinned out.
+    // The history's limit. The next pass reloads the earlier points, thinned out.
     if (model.points.length > 1200) model.points.splice(0, 1);
     redraw("learner");
   } else if (key.startsWith("actor/")) {
@@ -221,7 +221,7 @@ function listen() {
   on("roster", gathered);
   on("pass", () => {
     askHistory();
-    // Films are drawn after the evaluation, one after the other.
+    // Clips are rendered one by one after the evaluation.
     [5, 20, 60].forEach((seconds) => setTimeout(() => askFilms($("films"), $("films-note"), openFilm), 1000 * seconds));
   });
   source.onopen = () => {
@@ -232,7 +232,7 @@ function listen() {
   source.onerror = () => {
     say("away", "reconnecting");
     if (model.history.passes.length === 0) askHistory();
-    // An answer such as 503 closes it for good; the browser itself tries again after anything else.
+    // A response such as 503 closes the source for good; after other failures the browser reconnects by itself.
     if (source.readyState === EventSource.CLOSED) setTimeout(listen, 3000);
   };
 }
@@ -246,7 +246,7 @@ new ResizeObserver(([entry]) => {
   if (Math.abs(entry.contentRect.width - width) > 1) redraw("history");
   width = entry.contentRect.width;
 }).observe($("curves"));
-/** Learns first what the page is about; without an answer it is taken for a training. */
+/** Fetches the page's summary first. If that fails, treats the page as a training run. */
 async function begin() {
   const place = new URLSearchParams(location.search).get("run");
   model.base = place && place !== "0" ? `/runs/${Number(place)}` : "";
@@ -254,7 +254,7 @@ async function begin() {
     const answer = await fetch(answerAt(model.base, "about"));
     if (answer.ok) introduce(await answer.json());
   } catch {
-    // The stream of events says that nobody answers.
+    // The event stream reports that the server is unreachable.
   }
   redraw("history", "learner");
   if (!isCopy) {

@@ -1,6 +1,6 @@
-// What the network attends to through an episode: a strip of the goal's blocks over time, and shades on the blocks.
+// The network's attention over an episode: a strip of the goal's blocks over time, and shading of the blocks.
 
-/** From no attention to half of it and more, as in films. */
+/** Color scale from 0 to 50 % or more attention, as in the video clips. */
 const SHADES = [[240, 242, 246], [247, 164, 66], [140, 14, 84]];
 
 function shade(percent) {
@@ -10,7 +10,7 @@ function shade(percent) {
 }
 
 class Attention {
-  /** `changed` is called when another source is chosen. */
+  /** Calls `changed` when the user selects another source. */
   constructor({ part, choice, strip, note }, changed) {
     Object.assign(this, { part, choice, strip, note });
     choice.addEventListener("change", () => {
@@ -29,11 +29,11 @@ class Attention {
     const options = ["off", ...this.told.sources].map((name, i) => element("option", { value: String(i - 1) }, name));
     this.choice.replaceChildren(...options);
     this.choice.value = options.some((option) => option.value === before) ? before : "-1";
-    this.note.textContent = `By weights ${this.told.weights_version}, whoever acted. A row is a block of the goal, the last one all others.`;
+    this.note.textContent = `Attention of weights ${this.told.weights_version}, no matter who acted. Each row is a block of the goal; the last row is all others.`;
     this.draw();
   }
 
-  /** Percent of the chosen source's attention by block, or `null` when none is chosen. */
+  /** Returns the attention of the selected source in percent by block, or `null` if none is selected. */
   at(time) {
     const source = Number(this.choice.value);
     return this.told && source >= 0 ? this.told.percent[source][Math.floor(time)] : null;

@@ -1,12 +1,12 @@
 // Success by group against environment steps, with 95 % intervals, and the table of the newest evaluation.
 
 const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation", "all"];
-/** Fewer points than this have dots. */
+/** Curves with fewer points than this have visible dots. */
 const MAX_DOTS = 40;
 
 const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "7 2 1 2", "1 2"];
 
-/** An empty picture of rates, 0 to 1, against at most `most` environment steps, and where a point of it is. */
+/** Creates an empty chart of rates (0 to 1) against environment steps (0 to `most`), with its coordinate functions. */
 function rateAxes(place, most, label) {
   const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
   const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
@@ -24,7 +24,7 @@ function rateAxes(place, most, label) {
   return { drawing, x, y };
 }
 
-/** Round numbers from 0 on, about `n` of them. */
+/** Returns round numbers from 0 to `most`, about `n` of them. */
 function ticks(most, n) {
   if (most < n) return [0];
   const rough = most / n;
@@ -35,7 +35,7 @@ function ticks(most, n) {
   return all;
 }
 
-/** Success by group; before the first evaluation ends, `now` has its first numbers, if there are any. */
+/** Draws success by group. Before the first evaluation ends, shows the preliminary numbers of `now`, if any. */
 function drawCurves(place, history, acting, now) {
   const passes = history.passes.filter((pass) => pass.all[acting]);
   if (passes.length === 0) {
@@ -44,7 +44,7 @@ function drawCurves(place, history, acting, now) {
     return;
   }
   if (passes.length === 1) {
-    // The table below says all that there is.
+    // The table below already shows all numbers.
     place.replaceChildren();
     return;
   }
@@ -62,7 +62,7 @@ function drawCurves(place, history, acting, now) {
     drawing.append(svg("polygon", { class: `band g${i}`, points: [...upper, ...lower].join(" ") }));
     const line = points.map((point) => `${x(point.steps)},${y(point.rate.rate)}`).join(" ");
     drawing.append(svg("polyline", { class: `curve g${i}`, "stroke-dasharray": DASHES[i], points: line }));
-    // Dots that touch would hide the line; they are still there to be pointed at.
+    // Dots that touch would hide the line. Invisible ones still show tooltips.
     const look = points.length < MAX_DOTS ? { class: `g${i}`, r: 2.5 } : { class: "unseen", r: 5 };
     points.forEach((point) => drawing.append(svg("circle", { ...look, cx: x(point.steps), cy: y(point.rate.rate) },
       svg("title", {}, `${name}, ${count(point.steps)} steps: ${percent(point.rate.rate)} (${interval(point.rate)})`))));
@@ -89,7 +89,7 @@ function drawGroups(table, history) {
   fill(table, caption, heads, rows);
 }
 
-/** Success on all blueprints of several runs against environment steps, in one picture. */
+/** Draws success on all blueprints against environment steps, several runs in one chart. */
 function drawBeside(place, runs, acting) {
   const curves = runs.map(({ name, history }) => ({
     name,

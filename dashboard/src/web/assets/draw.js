@@ -1,13 +1,13 @@
-// The drawing in three dimensions: blocks on a grid, and which of them somebody points at. Lengths are in unit cells, but for
-// those of the pictures. Loaded when somebody begins to draw.
+// The 3D drawing: blocks on a grid, and picking them with the pointer. Lengths are in unit cells, except in meshes and
+// poses, which are in meters. Loaded when the user starts to draw.
 
 import { Space, blockMesh, dispose, ghostMesh, put, rgb } from "./space.js";
 import { Color, GridHelper, Vector3 } from "./three.js";
 
-/** Frames of selected blocks and of those with which something is wrong. */
+/** Frame colors of selected blocks and of blocks with problems. */
 const [SELECTED, WRONG] = [[31, 111, 199], [214, 60, 20]];
 
-/** Cells along a side of the grid. */
+/** Cells per side of the grid. */
 const GRID = 24;
 
 export class Desk extends Space {
@@ -19,10 +19,10 @@ export class Desk extends Space {
     this.settle();
   }
 
-  /** A grid of cells, at the height of the layer. */
+  /** Draws the grid of cells at the height of the current layer. */
   theme() {
     super.theme();
-    // The first time is too early to know how large a cell is.
+    // The base constructor calls this before the cell size is known.
     if (!this.unit) return;
     dispose(this.scene, [this.grid]);
     const color = () => new Color(getComputedStyle(document.documentElement).getPropertyValue("--line").trim());
@@ -38,8 +38,8 @@ export class Desk extends Space {
   }
 
   /**
-   * Shows the blocks of `drawn`, each with its `type`, `color`, `cells` of its own, `pose`, lowest corner `at` and `size` on the
-   * grid; `marks` says of each whether it is `"selected"`, `"wrong"` or neither.
+   * Shows the blocks of `drawn`, each with its `type`, `color`, own `cells`, `pose`, and lowest corner `at` and `size`
+   * on the grid. `marks` holds `"selected"`, `"wrong"` or a falsy value per block.
    */
   set(drawn, marks) {
     const fresh = drawn.map(({ type, cells, color }, i) => {
@@ -55,13 +55,13 @@ export class Desk extends Space {
       const mark = rgb(marks[i] === "wrong" ? WRONG : SELECTED);
       mesh.userData.frame.visible = Boolean(marks[i]);
       mesh.userData.frame.material.color.copy(mark);
-      // Neighbors may hide the frame; a little, so that the type can still be told by its color.
+      // Neighbors may hide the frame, so tint the block too, but faintly: its color must still identify its type.
       mesh.material.emissive.copy(mark).multiplyScalar(marks[i] ? 0.15 : 0);
     });
     this.render();
   }
 
-  /** Shows where a block would go; `null` shows none. */
+  /** Shows where a block would be placed; `null` hides the preview. */
   hint(place) {
     dispose(this.scene, this.ghosts);
     this.ghosts = [];
@@ -74,7 +74,7 @@ export class Desk extends Space {
     this.render();
   }
 
-  /** What is under a point of the canvas, in pixels: a block and the cell before its side, or a cell of the grid. */
+  /** Returns the object at a canvas pixel: a block and the cell next to the hit face, or a cell of the grid. */
   pick(x, y) {
     const [width, height] = this.size;
     this.camera.updateMatrixWorld();
@@ -84,7 +84,7 @@ export class Desk extends Space {
     const at = (t) => from.map((v, k) => v + t * way[k]);
     let best = null;
     this.drawn.forEach(({ at: low, size }, block) => {
-      // The ray is inside where it is between the two planes of all three axes.
+      // The ray is inside the box where it is between both planes of all three axes.
       let [enter, leave, axis] = [0, Infinity, -1];
       for (let k = 0; k < 3; k += 1) {
         const [a, b] = [low[k], low[k] + size[k]].map((plane) => (plane - from[k]) / way[k]);
@@ -106,19 +106,19 @@ export class Desk extends Space {
     return best;
   }
 
-  /** The direction of the grid that is to the right on the screen. */
+  /** Returns the grid direction that points right on the screen. */
   right() {
     const { x, y } = this.camera.position.clone().sub(this.controls.target);
-    // A quarter turn from where the viewer stands.
+    // A quarter turn from the direction to the camera.
     return Math.abs(y) >= Math.abs(x) ? [y < 0 ? 1 : -1, 0, 0] : [0, x > 0 ? 1 : -1, 0];
   }
 
-  /** Looks at everything. */
+  /** Moves the camera to show all blocks. */
   all() {
     const ends = this.drawn.flatMap(({ at, size }) => [at, at.map((v, k) => v + size[k])]);
     if (ends.length === 0) ends.push([-2, -2, 0], [2, 2, 2]);
     const [low, high] = [Math.min, Math.max].map((pick) => [0, 1, 2].map((k) => pick(...ends.map((end) => end[k])) * this.unit));
-    // Room for a block on every side.
+    // One cell of margin on every side.
     this.fit(low.map((v) => v - this.unit), high.map((v) => v + this.unit));
     this.render();
   }

@@ -1,32 +1,32 @@
-// Draw and build: blocks placed on a grid by hand. The program checks every state of the drawing, turns blocks until poles match,
-// and writes it as a file, which is what is built.
+// Draw and build: the user places blocks on a grid. The server checks every state of the drawing, turns blocks until
+// poles match, and writes it as a blueprint file, which the agent then builds.
 
-/** Cells on each side of the middle, and upward, within which blocks are placed. */
+/** Extent of the drawing area: cells on each side of the center, and cells upward. */
 const [WIDE, HIGH] = [12, 24];
 
-/** Where the drawing is kept, so that it outlives the page. */
+/** Local storage key of the drawing, which survives reloads. */
 const KEPT = "lodestone-drawing";
 
 const axisOf = (name) => [0, 1, 2].map((k) => ("xyz"[k] === name[1] ? (name[0] === "+" ? 1 : -1) : 0));
 const nameOf = (axis) => `${axis.some((v) => v > 0) ? "+" : "-"}${"xyz"[axis.findIndex((v) => v !== 0)]}`;
 
-/** Images of a block's own x, y and z axes. */
+/** Returns the images of the block's own x, y and z axes. */
 function imagesOf(axes) {
   const [x, y] = axes.split(" ").map(axisOf);
   return [x, y, cross3(x, y)];
 }
 
-/** The same axes after a quarter turn about the axis `about`. */
+/** Returns the axes after a quarter turn about the axis `about`. */
 function quarter(axes, about) {
   const turned = (v) => add3(about.map((a) => a * dot3(about, v)), cross3(about, v));
   return axes.split(" ").map((name) => nameOf(turned(axisOf(name)).map(Math.round))).join(" ");
 }
 
-/** The turn as a quaternion x, y, z, w. */
+/** Returns the rotation as a quaternion x, y, z, w. */
 function quaternionOf(axes) {
   const [x, y, z] = imagesOf(axes);
   const squares = [1 + x[0] - y[1] - z[2], 1 - x[0] + y[1] - z[2], 1 - x[0] - y[1] + z[2], 1 + x[0] + y[1] + z[2]];
-  // The largest part is found first, and the others by dividing by it.
+  // Start from the largest component, then divide by it to get the others.
   const most = squares.indexOf(Math.max(...squares));
   const rows = [
     [squares[0], x[1] + y[0], x[2] + z[0], y[2] - z[1]],
@@ -53,7 +53,7 @@ class Editor {
     this.file.addEventListener("change", () => this.upload());
     this.copy.addEventListener("click", () => this.take());
     this.canvas.addEventListener("keydown", (event) => this.key(event));
-    // A second finger, like another button, turns or shifts the view.
+    // A second finger or another button moves the view.
     this.canvas.addEventListener("pointerdown", (event) => { this.pressed = event.isPrimary && event.button === 0 ? [event.clientX, event.clientY] : null; });
     this.canvas.addEventListener("pointerup", (event) => this.release(event));
     this.canvas.addEventListener("pointermove", (event) => this.hover(event));
@@ -66,7 +66,7 @@ class Editor {
     });
   }
 
-  /** Opens the board, and closes it. */
+  /** Opens or closes the board. */
   async toggle(on = this.board.hidden) {
     this.board.hidden = !on;
     this.open.setAttribute("aria-expanded", String(on));
@@ -79,12 +79,12 @@ class Editor {
       this.unit = unit;
       this.desk ||= new Desk(this.canvas, unit);
     } catch {
-      this.say.textContent = "This browser draws no three dimensions, or the program does not answer.";
+      this.say.textContent = "This browser cannot draw in 3D, or the program does not answer.";
       return;
     }
     this.restore();
     this.resize();
-    // Hands over the blocks that the view is to fit.
+    // Passes the blocks to the desk before fitting the view to them.
     this.change(() => {});
     this.desk.all();
     this.past = [];
@@ -109,14 +109,14 @@ class Editor {
     return this.kinds.get(type).count - this.blocks.filter((block) => block.type === type).length;
   }
 
-  /** What a block is called, as in what is said about it. */
+  /** Returns the name of a block, as used in problem reports. */
   called(i) {
     const same = this.blocks.filter(({ type }) => type === this.blocks[i].type);
     const { word } = this.kinds.get(this.blocks[i].type);
     return same.length === 1 ? word : `${word} ${same.indexOf(this.blocks[i]) + 1}`;
   }
 
-  /** Changes the blocks; the state before can be had back. */
+  /** Changes the blocks and saves the previous state for undo. */
   change(how) {
     const before = JSON.stringify(this.blocks);
     how();
@@ -128,7 +128,7 @@ class Editor {
     this.ask();
   }
 
-  /** Lets the program check the drawing, whose blocks may have changed; only the answer to the newest question counts. */
+  /** Has the server check the drawing, whose blocks may have `changed`. Ignores all but the newest response. */
   async ask(changed = true) {
     this.asked += 1;
     const mine = this.asked;
@@ -155,22 +155,22 @@ class Editor {
     try {
       localStorage.setItem(KEPT, JSON.stringify({ title: this.name.value, blocks: this.blocks }));
     } catch {
-      // A browser may keep nothing.
+      // The browser may not allow storage.
     }
   }
 
-  /** Takes up the drawing that was left, if it can still be read. */
+  /** Restores the saved drawing, if it is readable. */
   restore() {
     try {
       const { title, blocks } = JSON.parse(localStorage.getItem(KEPT));
       if (!blocks.every(({ type, at, axes }) => this.kinds.has(type) && at.length === 3 && imagesOf(axes))) return;
       [this.blocks, this.name.value] = [blocks, title];
     } catch {
-      // There is none.
+      // There is no saved drawing.
     }
   }
 
-  /** Shows the blocks, what is left of each type, and what was found. */
+  /** Redraws the blocks, the palette with the remaining counts, and the problems. */
   draw() {
     if (!this.desk) return;
     const wrong = new Set(this.found.problems.flatMap(({ blocks }) => blocks));
@@ -199,7 +199,7 @@ class Editor {
     this.speak();
   }
 
-  /** Says how the drawing is. */
+  /** Updates the status text, the problem list and the buttons. */
   speak() {
     const { problems, connections, toml } = this.found;
     const n = this.blocks.length;
@@ -207,11 +207,11 @@ class Editor {
     const hint = this.tool ? `Click on the grid, or on a side of a block, to place a ${this.kinds.get(this.tool).word}.` : "Choose a block to place.";
     const more = toml ? "It can be built." : problems.length > 0 ? "" : n < 2 ? hint : "Checking …";
     this.say.textContent = n === 0 ? hint : `${counted}. ${more}`;
-    // What is said again is not read out again.
+    // Update only on changes, so that screen readers do not repeat the list.
     const told = JSON.stringify(problems);
     if (this.told !== told) this.problems.replaceChildren(...problems.map(({ blocks, text }) => {
       const button = element("button", { type: "button" }, `${text[0].toUpperCase()}${text.slice(1)}.`);
-      // One click after the other leads to each of its blocks.
+      // Successive clicks step through the blocks of the problem.
       button.addEventListener("click", () => { if (blocks.length > 0) this.pick(blocks[(blocks.indexOf(this.selected) + 1) % blocks.length]); });
       return element("li", {}, button);
     }));
@@ -231,7 +231,7 @@ class Editor {
     this.canvas.focus({ preventScroll: true });
   }
 
-  /** Selects a block, which keys then turn and move. */
+  /** Selects a block for the keys to turn and move. */
   pick(i) {
     [this.selected, this.tool] = [i, null];
     this.draw();
@@ -246,7 +246,7 @@ class Editor {
     this.desk.render();
   }
 
-  /** Where the block to be placed fits best so that it fills a cell and lies on the side toward `normal`; `null` for nowhere. */
+  /** Returns the best position of the next block that fills `cell` and lies on the side toward `normal`, or `null`. */
   fitting(cell, normal) {
     const size = this.cells(this.tool, this.axes);
     const filled = this.blocks.map(({ type, at, axes }) => [at, this.cells(type, axes)]);
@@ -261,7 +261,7 @@ class Editor {
 
   place(spot) {
     if (!spot) {
-      this.say.textContent = "There is no room for it here.";
+      this.say.textContent = "There is no room for this block here.";
       return;
     }
     this.change(() => {
@@ -270,14 +270,14 @@ class Editor {
     });
   }
 
-  /** The place that a pointer is over. */
+  /** Returns the block or cell under the pointer. */
   under(event) {
     const box = this.canvas.getBoundingClientRect();
     return this.desk.pick(event.clientX - box.left, event.clientY - box.top);
   }
 
   release(event) {
-    // What moved turned the view.
+    // A drag moved the view instead.
     if (!this.desk || !event.isPrimary || !this.pressed || Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 5) return;
     const hit = this.under(event);
     this.desk.hint(null);
@@ -295,7 +295,7 @@ class Editor {
     this.desk.hint(hit && this.fitting(hit.cell, hit.normal));
   }
 
-  /** Without a pointer: onto the selected block, or onto the middle of the grid. */
+  /** Places a block without a pointer: on top of the selected or last block, or at the center of the grid. */
   placeNext() {
     if (!this.tool) return;
     const below = this.blocks[this.selected ?? this.blocks.length - 1];
@@ -304,7 +304,7 @@ class Editor {
     this.place(this.fitting(top, [0, 0, 1]));
   }
 
-  /** Turns the selected block, or the one that is placed next. */
+  /** Turns the selected block, or the next block to place. */
   rotate(about) {
     const block = this.blocks[this.selected];
     if (!block) {
@@ -315,10 +315,10 @@ class Editor {
       const before = this.cells(block.type, block.axes);
       block.axes = quarter(block.axes, about);
       const after = this.cells(block.type, block.axes);
-      // Its middle cell stays, and so does what it stands on.
+      // Keep the middle cell and the bottom of the block in place.
       const middle = (size, k) => (k === 2 ? 0 : Math.floor((size[k] - 1) / 2));
       block.at = block.at.map((v, k) => v + middle(before, k) - middle(after, k));
-      // Whoever turns a block that fills the same cells as before means its poles: then no other block gives way.
+      // If the cells stay the same, the user is setting the poles: keep the server from turning any block.
       if (after.join() === before.join()) this.blocks.forEach((one) => { one.is_free = false; });
       this.axes = block.axes;
     });
@@ -378,7 +378,7 @@ class Editor {
     event.preventDefault();
   }
 
-  /** Takes the place of the drawing with that of a blueprint file. */
+  /** Replaces the drawing with the contents of a blueprint file. */
   async load(text) {
     let answer;
     try {
@@ -388,11 +388,11 @@ class Editor {
       return;
     }
     if (!answer.ok) {
-      this.say.textContent = `This file cannot be drawn: ${(await answer.text()).trim()}`;
+      this.say.textContent = `This file cannot be opened: ${(await answer.text()).trim()}`;
       return;
     }
     const { title, blocks } = await answer.json();
-    // Its middle comes into that of the grid.
+    // Center the structure on the grid.
     const middle = [0, 1].map((k) => Math.floor(Math.max(...blocks.map((b) => b.at[k] + this.cells(b.type, b.axes)[k])) / 2));
     this.name.value = title;
     this.change(() => {
@@ -408,7 +408,7 @@ class Editor {
     if (file) await this.load(await file.text());
   }
 
-  /** Draws on what is chosen in the gallery. */
+  /** Opens the blueprint selected in the gallery for editing. */
   async take() {
     const answer = await fetch(`/api/blueprint?id=${encodeURIComponent(this.stage.chosen)}`);
     if (answer.ok) await this.load(await answer.text());

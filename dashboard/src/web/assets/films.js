@@ -1,8 +1,8 @@
-// Films of evaluations: the newest success and failure of every group.
+// Video clips of evaluations: the newest success and failure of every group.
 
 let shownFilms = "";
 
-/** The film of a blueprint in the evaluation of some weights, if there is one. */
+/** Returns the clip of a blueprint from the evaluation of these weights, if it exists. */
 async function filmOf(blueprint, version) {
   try {
     const answer = await fetch(answerAt(model.base, "films"));
@@ -13,7 +13,7 @@ async function filmOf(blueprint, version) {
   }
 }
 
-/** Asks which films there are and shows those that were not there before. */
+/** Fetches the list of clips and updates the page if it changed. */
 async function askFilms(list, note, open) {
   let films;
   try {
@@ -24,15 +24,15 @@ async function askFilms(list, note, open) {
     return;
   }
   const ids = films.map((film) => film.id).join(" ");
-  // A film that somebody watches is not to begin anew.
+  // Replacing the elements would restart a clip that the user is watching.
   if (ids === shownFilms) return;
   shownFilms = ids;
-  note.textContent = films.length ? "Newest first." : "None so far; an evaluator with a run folder makes some in every evaluation.";
+  note.textContent = films.length ? "Newest first." : "No films yet. An evaluator with a run folder makes some in every evaluation.";
   list.replaceChildren(...films.slice(0, 12).map((film) => {
     const title = `${film.blueprint}, ${film.ending}, weights ${film.weights_version}`;
     const video = element("video", { controls: "", preload: "none", playsinline: "", "aria-label": title });
     video.src = answerAt(model.base, "film", film.id);
-    // Until it plays, how it ends.
+    // Until it plays, show its final frame.
     video.poster = answerAt(model.base, "poster", film.id);
     const turned = element("button", { type: "button", "aria-label": `Turn and step: ${title}` }, "Turn and step");
     turned.addEventListener("click", () => open(film));

@@ -1,10 +1,10 @@
 "use strict";
-// Numbers and elements. Text from outside goes in as text only, never as markup.
+// Formatting of numbers, and element construction. Untrusted text is inserted as text only, never as markup.
 
-/** Whether this is a copy of the page, where every answer is a file and nothing runs. */
+/** Whether this is a static copy of the page, where every response is a file and there is no server. */
 const isCopy = document.documentElement.hasAttribute("data-copy");
 
-/** Where the answer to a question about a run is, or about a thing of it. */
+/** Returns the URL of an endpoint of a run, optionally for one item. */
 function answerAt(base, name, id) {
   if (!isCopy) return `${base}/api/${name}${id === undefined ? "" : `?id=${encodeURIComponent(id)}`}`;
   const ending = { film: "mp4", picture: "png", poster: "png" }[name] || "json";
@@ -34,7 +34,7 @@ function minutes(seconds) {
   return whole >= 60 ? `${Math.floor(whole / 60)} h ${whole % 60} min` : whole ? `${whole} min` : `${Math.round(seconds)} s`;
 }
 
-/** Success with its 95 % interval and episodes. */
+/** Returns the 95 % confidence interval of a success rate. */
 const interval = (rate) => `${percent(rate.wilson_low)} to ${percent(rate.wilson_high)}`;
 
 function element(name, attributes, ...children) {
@@ -51,7 +51,7 @@ function svg(name, attributes, ...children) {
   return made;
 }
 
-/** Fills a table; every row begins with its header. */
+/** Fills a table; the first cell of every row is its header. */
 function fill(table, caption, heads, rows) {
   const head = element("tr", {}, ...heads.map((text) => element("th", { scope: "col" }, text)));
   const body = rows.map(([first, ...rest]) =>

@@ -1,6 +1,6 @@
-// The learner's numbers over time, who is there, and what was dropped.
+// The learner's metrics over time, live processes, and drop counts.
 
-/** What the expert's labels teach, where they do. */
+/** Returns the imitation metrics, if the imitation loss is active. */
 const labels = ({ imitation }) => (imitation && imitation.weight > 0 ? imitation : {});
 
 const HEALTH = [
@@ -16,17 +16,17 @@ const HEALTH = [
   ["explained_variance", "explained variance", (learner) => learner.ppo.explained_variance],
 ];
 
-/** Zero throughout where rewards teach nothing, and then not drawn. */
+/** All zero if training uses no rewards; such charts are omitted. */
 const OF_REWARDS = ["policy_loss", "value_loss", "entropy", "approx_kl", "explained_variance"];
 
-/** The point of a learner's metrics, as `/api/history` has it. */
+/** Converts learner metrics to a point of `/api/history`. */
 function toPoint(learner) {
   const point = { n_env_steps: learner.n_env_steps, elapsed_s: learner.elapsed_s, weights_version: learner.weights_version };
   for (const [name, , value] of HEALTH) point[name] = value(learner);
   return point;
 }
 
-/** A small chart of one number, which tells its values under the pointer. */
+/** Draws a sparkline of one metric that shows the value under the pointer. */
 function spark(points, name, title) {
   const [width, height] = [210, 46];
   const known = points.filter((point) => isNumber(point[name]));
@@ -78,7 +78,7 @@ function drawRoster(table, roster, actors, learner) {
       : [`actor ${name}`, "–", "–", "–", "–"]);
   }
   for (const name of roster.evaluators) rows.push([`evaluator ${name}`, "–", "–", "–", "–"]);
-  const caption = rows.length ? "Alive now" : "Nobody is there.";
+  const caption = rows.length ? "Alive now" : "No members.";
   fill(table, caption, ["member", "steps/s", "weights", "lag", "dropped"], rows);
 }
 
@@ -95,7 +95,7 @@ function drawDrops(table, actors, learner, summary) {
   for (const [reason, n] of Object.entries((summary && summary.bus) || {})) add("evaluator's bus", words(reason), n);
   if (learner) {
     for (const [reason, n] of Object.entries(learner.ingest || {})) {
-      // What came while the mailbox was full waits at the actor and comes again: that is no loss.
+      // Segments refused because of a full mailbox are not lost: the actor sends them again.
       if (!["received_total", "accepted_total", "duplicates_total", "full_total"].includes(reason)) add("learner", words(reason), n);
     }
     add("learner", "expired", learner.expired_total);

@@ -15,7 +15,7 @@ class Heat {
     this.cellText = cellText;
     this.cursor = null;
     this.words = "";
-    // Called with the row and the evaluation of a cell that somebody opens.
+    // Callback for opening a cell, called with its row and its evaluation.
     this.opened = () => {};
     this.rows = [];
     canvas.addEventListener("pointermove", (event) => this.point(event));
@@ -37,12 +37,12 @@ class Heat {
   show(history, acting) {
     this.passes = history.passes.filter((pass) => pass[acting].some((cell) => cell !== null));
     this.acting = acting;
-    // The order is the server's, by split and size, so that groups are together.
+    // The server orders blueprints by split and size, which keeps groups together.
     this.all = history.blueprints.map((blueprint, place) => ({ ...blueprint, place, group: blueprint.group || "other" }));
     this.find(this.words);
   }
 
-  /** Shows only rows that contain these words. */
+  /** Shows only rows that match the search text. */
   find(words) {
     this.words = words.trim().toLowerCase();
     const text = (row) => `${row.id} ${row.split} ${row.group} ${row.n_blocks} blocks`.toLowerCase();
@@ -73,7 +73,7 @@ class Heat {
       y += height;
       groups[groups.length - 1].end = y;
     }
-    // Few evaluations do not fill the width: wider cells would say nothing more. One alone is drawn as bars, which do.
+    // With few evaluations, limit the cell width. A single evaluation is drawn as bars across the full width.
     const isOne = this.passes.length === 1;
     const column = isOne ? width - left : Math.min((width - left) / Math.max(this.passes.length, 1), 180);
     return { height, names, left, groups, column, isOne, total: y };
@@ -110,7 +110,7 @@ class Heat {
         pen.fillRect(x, row.y, end - x - gap, height);
         if (!cell || !at.isOne) return;
         pen.fillStyle = heatColor(cell[0] / cell[1]);
-        // Failures alone are still to be seen.
+        // Draw a sliver even if all episodes failed.
         pen.fillRect(x, row.y, Math.max((end - x - gap) * (cell[0] / cell[1]), 2), height);
       });
     }

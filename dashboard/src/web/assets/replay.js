@@ -1,17 +1,17 @@
-// The player of an episode: play, scrub, step; drag, pinch or press keys to look from elsewhere.
+// The episode player: play, scrub and step; drag, pinch or press keys to move the camera.
 
 let spaceModule = null;
 
-/** The part that draws three dimensions; asked for once, with the first episode. */
+/** Loads the 3D module once, with the first episode. */
 const loadSpace = () => (spaceModule ||= import("./space.js"));
 
-/** Loose blocks farther than this from the middle of the goal's blocks need not be seen, as in films, meters. */
+/** Loose blocks farther than this (meters) from the middle of the goal's blocks may be out of view, as in clips. */
 const REACH_M = 1.6;
 
-/** What is farther than this from the origin fell off the world, meters. */
+/** Blocks farther than this from the origin have fallen off the world, meters. */
 const WORLD_M = 10;
 
-/** Scenes that the camera takes to follow. */
+/** Number of scenes over which the camera movement is smoothed. */
 const FOLLOW_STEPS = 14;
 
 class Replay {
@@ -33,7 +33,7 @@ class Replay {
     });
     document.addEventListener("fullscreenchange", () => this.resize());
     new ResizeObserver(([entry]) => {
-      // The height is our own doing.
+      // Ignore height changes: `size` causes them.
       if (Math.abs(entry.contentRect.width - this.width) < 1) return;
       this.width = entry.contentRect.width;
       this.resize();
@@ -45,7 +45,7 @@ class Replay {
     });
   }
 
-  /** Makes ready to draw; says why if that cannot be. */
+  /** Creates the 3D scene. If that fails, shows why and returns false. */
   async prepare() {
     if (this.space) return true;
     try {
@@ -53,7 +53,7 @@ class Replay {
       this.space ||= new Space(this.canvas, () => { this.follows = false; });
       return true;
     } catch {
-      this.note.textContent = "This browser draws no three dimensions: WebGL is off or missing. The films below need none.";
+      this.note.textContent = "This browser cannot draw in 3D: WebGL is off or missing. The films below do not need it.";
       return false;
     }
   }
@@ -75,7 +75,7 @@ class Replay {
     event.preventDefault();
   }
 
-  /** Shows an episode from its start; `ended` is called when it has played to its end. */
+  /** Shows an episode from its start and calls `ended` when playback reaches its end. */
   show(episode, ended) {
     this.play(false);
     [this.episode, this.ended] = [episode, ended];
@@ -91,14 +91,14 @@ class Replay {
     this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   }
 
-  /** Follows again what is being built. */
+  /** Makes the camera follow the construction again. */
   fit() {
     if (!this.episode) return;
     this.follows = true;
     this.draw();
   }
 
-  /** The box that is to be seen after each scene, and while the camera settles: the goal's blocks, and its place. */
+  /** Computes the box to show at each scene and while the camera settles: the goal's blocks and its location. */
   plan() {
     const { goal, scenes, half_extents_m: halves } = this.episode;
     const corner = (pick, points) => [0, 1, 2].map((i) => pick(...points.map((point) => point[i])));
@@ -111,14 +111,15 @@ class Replay {
         const at = scene.blocks[block];
         const isNear = [0, 1].every((i) => Math.abs(at[i] - median[i]) < REACH_M);
         const isBuilt = apart3(at, placed(scene.goal_frame, pose)) < 0.02;
-        // A policy that learns throws some blocks far away; what stands and what is held is never left out.
+        // A policy in training may throw blocks far away. Blocks that are in place or held stay in view.
         return [0, 1, 2].every((i) => Math.abs(at[i]) < WORLD_M) && (isNear || isBuilt || scene.held.includes(block));
       });
       const boxes = wanted.map(([block]) => around([scene.blocks[block]], Math.max(...halves[block])));
-      // Before anything is connected, nobody knows where the goal will be.
+      // Until blocks are connected, the location of the goal is undetermined.
       return union(scene.n_connected > 0 || boxes.length === 0 ? [place(scene), ...boxes] : boxes);
     });
-    // Opens before a block needs room, and closes slowly: each is a mean of boxes that all hold what that scene needs.
+    // Zooms out before a block needs room and zooms in slowly: each box is a mean of boxes that all contain what its
+    // scene needs.
     const ahead = needed.map((_, i) => union(needed.slice(i, i + FOLLOW_STEPS + 1)));
     const at = (i) => ahead[Math.min(Math.max(i, 0), this.n)];
     this.boxes = Array.from({ length: this.n + 1 + FOLLOW_STEPS }, (_, i) => {
@@ -127,14 +128,14 @@ class Replay {
     });
   }
 
-  /** The box that is to be seen at a time in scenes: its lowest and its highest corner. */
+  /** Returns the box to show at `time` (in scenes): its lowest and its highest corner. */
   view(time) {
     const from = Math.min(Math.floor(time), this.boxes.length - 1);
     const to = Math.min(from + 1, this.boxes.length - 1);
     return [0, 1].map((side) => this.boxes[from][side].map((x, i) => x + (this.boxes[to][side][i] - x) * (time - from)));
   }
 
-  /** Comes near to what was built, once nothing moves any more. */
+  /** Moves the camera close to the finished structure once playback has ended. */
   settle() {
     const episode = this.episode;
     let before = null;
@@ -148,7 +149,7 @@ class Replay {
     requestAnimationFrame(frame);
   }
 
-  /** As large as there is room, with the next picture. */
+  /** Fits the canvas to the available space. Takes effect at the next render. */
   size() {
     const width = this.canvas.clientWidth;
     if (width === 0) return;
@@ -165,7 +166,7 @@ class Replay {
     this.draw();
   }
 
-  /** To the whole screen and back; where a browser gives none away, to its whole window. */
+  /** Toggles full screen, or fills the browser window where full screen is unsupported. */
   full() {
     if (document.fullscreenElement) document.exitFullscreen();
     else if (this.player.requestFullscreen) this.player.requestFullscreen().catch(() => {});
@@ -222,7 +223,7 @@ class Replay {
     const [from, to, share] = [episode.scenes[low], episode.scenes[high], this.time - low];
     const poses = from.blocks.map((pose, block) => between(pose, to.blocks[block], share));
     const attention = this.attention.at(this.time);
-    // The frame jumps when another piece becomes the largest; between two scenes it moves with that.
+    // The frame jumps when another piece becomes the largest. Interpolate only smaller movements.
     const frame = apart3(from.goal_frame, to.goal_frame) < 0.5 ? between(from.goal_frame, to.goal_frame, share) : from.goal_frame;
     const ghosts = episode.goal.map(([block, pose]) => {
       const there = placed(frame, pose);
@@ -233,24 +234,24 @@ class Replay {
   }
 }
 
-/** Shows an episode in the player, which appears with it. */
+/** Shows the player with an episode. */
 async function present(replay, episode, ended) {
   if (!(await replay.prepare())) return;
   replay.player.hidden = false;
   replay.show(episode, ended);
 }
 
-/** Shows the episode of a film. */
+/** Plays the episode of a video clip. */
 async function openRecording(replay, note, film) {
   let episode = null;
   try {
     const answer = await fetch(answerAt(model.base, "recording", film.id));
     if (answer.ok) episode = await answer.json();
   } catch {
-    // Said below.
+    // Reported below.
   }
   if (!episode) {
-    note.textContent = "That recording is no longer there.";
+    note.textContent = "That recording no longer exists.";
     return;
   }
   note.textContent = `${film.blueprint}, ${film.ending} in an evaluation of weights ${film.weights_version}`;
@@ -258,11 +259,11 @@ async function openRecording(replay, note, film) {
   $("replay-title").scrollIntoView();
 }
 
-/** Asks for an episode until there is one; the server records one when it is asked. */
+/** Polls until the server has a new episode; the first request makes it record one. */
 async function askReplay(replay, note, button) {
   button.disabled = true;
   note.textContent = "Recording an episode …";
-  // What there is at first may be of any age: it was recorded after somebody asked before.
+  // The first response may be an old episode, recorded for an earlier request.
   let first = null;
   for (let i = 0; i < 40; i += 1) {
     let answer = null;
@@ -287,6 +288,6 @@ async function askReplay(replay, note, button) {
     }
     await new Promise((done) => setTimeout(done, 1500));
   }
-  note.textContent = "No episode came: is an actor there?";
+  note.textContent = "No episode arrived. Is an actor running?";
   button.disabled = false;
 }

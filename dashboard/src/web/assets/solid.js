@@ -5,20 +5,20 @@ const dot3 = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross3 = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const apart3 = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
 
-/** `v` turned by the unit quaternion x, y, z, w. */
+/** Rotates `v` by the unit quaternion x, y, z, w. */
 function turn(q, v) {
   const t = cross3(q, v).map((x) => 2 * x);
   return add3(add3(v, t.map((x) => x * q[3])), cross3(q, t));
 }
 
-/** The pose `b`, which is told in the frame of `a`. */
+/** Converts pose `b` from the frame of `a` to the frame in which `a` is given. */
 function placed(a, b) {
   const [p, q] = [a.slice(3), b.slice(3)];
   const vector = add3(add3(cross3(p, q), q.slice(0, 3).map((x) => x * p[3])), p.slice(0, 3).map((x) => x * q[3]));
   return [...add3(a.slice(0, 3), turn(p, b.slice(0, 3))), ...vector, p[3] * q[3] - dot3(p, q)];
 }
 
-/** The pose at `share` of the way from `a` to `b`. */
+/** Interpolates from pose `a` to pose `b` by `share`. */
 function between(a, b, share) {
   const sign = a[3] * b[3] + a[4] * b[4] + a[5] * b[5] + a[6] * b[6] < 0 ? -1 : 1;
   const mixed = a.map((x, i) => x + ((i < 3 ? b[i] : sign * b[i]) - x) * share);

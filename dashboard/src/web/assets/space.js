@@ -1,5 +1,5 @@
-// Three dimensions, drawn by three.js: blocks, and the world of an episode with its goal in a corner. Loaded with the first
-// episode, and with the first drawing.
+// The 3D view, rendered by three.js: blocks, and an episode's world with its goal in a corner. Loaded with the first
+// episode or drawing.
 
 import {
   AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, DirectionalLight, EdgesGeometry, GridHelper,
@@ -7,14 +7,14 @@ import {
   PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene, ShadowMaterial, Vector3, WebGLRenderer,
 } from "./three.js";
 
-/** Colors of negative and positive magnets, as in films. */
+/** Colors of negative and positive magnets, as in the video clips. */
 const MAGNETS = [[32, 82, 196], [208, 40, 46]];
 
-/** Angle of view, degrees, and width of the frame around a held block, meters. */
+/** Field of view in degrees, and width of the frame around a held block in meters. */
 export const VIEW = 32;
 const FRAME_M = 0.007;
 
-/** How much larger a picture is than what it shows, and how near a camera comes by itself, meters. */
+/** Margin factor around the fitted box, and minimum distance of automatic camera moves in meters. */
 const MARGIN = 1.06;
 const MIN_DISTANCE_M = 0.9;
 
@@ -22,7 +22,7 @@ const BACK_SIDE = 1;
 
 export const rgb = ([r, g, b]) => new Color().setRGB(r / 255, g / 255, b / 255, "srgb");
 
-/** A disc with its sign in the middle of each unit cell of a block: red and blue are not apart for everyone. */
+/** Creates a disc per unit cell face, marked with its sign because not everyone can tell red from blue. */
 function magnets(half, unit) {
   const [places, normals, colors] = [[], [], []];
   const corner = (at, out, color) => {
@@ -69,7 +69,7 @@ function magnets(half, unit) {
   return geometry;
 }
 
-/** A block with magnets, edges, and a frame that is hidden until a gripper holds it. */
+/** Creates a block with magnets, edges, and a frame that is hidden until a gripper holds the block. */
 export function blockMesh(half, color, unit) {
   const size = half.map((x) => 2 * x);
   const box = new BoxGeometry(...size);
@@ -85,7 +85,7 @@ export function blockMesh(half, color, unit) {
   return mesh;
 }
 
-/** A block as if of glass: where one is to be. */
+/** Creates a translucent block that marks a target position. */
 export function ghostMesh(half, color) {
   const box = new BoxGeometry(...half.map((x) => 2 * x));
   const paint = rgb(color);
@@ -110,7 +110,7 @@ export function dispose(scene, meshes) {
   }
 }
 
-/** Light from above on one side, so that edges and heights are seen. */
+/** Lights the scene from above and one side, so that edges and heights are visible. Returns the directional light. */
 export function lit(scene) {
   scene.add(new HemisphereLight(0xffffff, 0xb9c0c8, 1.5), new AmbientLight(0xffffff, 0.35));
   const sun = new DirectionalLight(0xffffff, 2.1);
@@ -119,10 +119,10 @@ export function lit(scene) {
 }
 
 export class Space {
-  /** `moved` is called when somebody looks from elsewhere. Throws where the browser draws no three dimensions. */
+  /** Calls `moved` when the user moves the camera. Throws if WebGL is unavailable. */
   constructor(canvas, moved) {
     this.canvas = canvas;
-    // Kept, so that the picture can be read at any time.
+    // Preserve the buffer so that the image can be read at any time.
     this.renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
@@ -144,14 +144,14 @@ export class Space {
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.maxPolarAngle = Math.PI / 2 - 0.03;
     [this.controls.minDistance, this.controls.maxDistance] = [0.2, 30];
-    // Not while a picture follows anyway: each takes as long as the blocks and their shadows.
+    // Skip this during `settle`: a render follows anyway, and each one draws all blocks and shadows.
     this.controls.addEventListener("change", () => { if (!this.still) this.render(); });
     this.controls.addEventListener("start", moved);
     [this.blocks, this.ghosts, this.goal] = [[], [], []];
     this.theme();
   }
 
-  /** Takes the colors of the page, which has a light and a dark dress. */
+  /** Applies the page's current colors, light or dark. */
   theme() {
     const style = getComputedStyle(document.documentElement);
     const color = (name) => new Color(style.getPropertyValue(name).trim());
@@ -164,7 +164,7 @@ export class Space {
     this.backing = color("--card");
   }
 
-  /** Makes the blocks of an episode. */
+  /** Creates the blocks of an episode. */
   load(episode) {
     dispose(this.scene, [...this.blocks, ...this.ghosts]);
     dispose(this.corner, this.goal);
@@ -187,8 +187,8 @@ export class Space {
   }
 
   /**
-   * Puts every block in its pose; `held` is what each gripper holds, `shades` other colors if there are any, `ghosts` the
-   * poses of the goal's blocks, or `null` for those that are in place.
+   * Moves every block to its pose. `held` lists the block in each gripper, `shades` are optional replacement colors,
+   * and `ghosts` are the target poses of the goal's blocks, with `null` for blocks already in place.
    */
   show(poses, held, shades, ghosts) {
     this.blocks.forEach((mesh, block) => {
@@ -205,22 +205,22 @@ export class Space {
     this.render();
   }
 
-  /** Looks at a box from the side that is looked from already, as near as all of it is seen, with the next picture. */
+  /** Moves the camera as close as possible with the whole box in view, keeping its direction. Does not render. */
   fit(low, high) {
     const middle = new Vector3(...low).add(new Vector3(...high)).multiplyScalar(0.5);
     const back = this.camera.position.clone().sub(this.controls.target);
     if (back.lengthSq() === 0) back.set(1, -1.4, 1);
     back.normalize();
     const right = new Vector3(0, 0, 1).cross(back);
-    // From straight above, any side is right.
+    // From straight above, any horizontal direction will do.
     if (right.lengthSq() < 1e-9) right.set(1, 0, 0);
     right.normalize();
     const up = back.clone().cross(right);
     const rise = Math.tan((VIEW * Math.PI) / 360) / MARGIN;
     const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) =>
       new Vector3(...[0, 1, 2].map((i) => ((k >> i) & 1 ? high : low)[i])).sub(middle));
-    // What is near looks larger, so the middle of the picture is not that of the box: each pair of opposite edges of the picture
-    // touches a corner, or would if the other pair did not ask for more distance.
+    // Nearer corners look larger, so the image center is not the center of the box. Each pair of opposite image edges
+    // touches a corner, or would if the other pair did not require more distance.
     const between = (axis, slope) => {
       const [above, below] = [1, -1].map((side) => Math.max(...corners.map((corner) => side * corner.dot(axis) + slope * corner.dot(back))));
       return { shift: (above - below) / 2, distance: (above + below) / (2 * slope) };
@@ -231,14 +231,14 @@ export class Space {
     this.settle();
   }
 
-  /** Takes the camera's new place, without a picture. */
+  /** Applies the camera's new position without rendering. */
   settle() {
     this.still = true;
     this.controls.update();
     this.still = false;
   }
 
-  /** Turns around what is looked at and tilts, radians. */
+  /** Turns the camera around its target and tilts it, radians. */
   turn(around, up) {
     const from = this.camera.position.clone().sub(this.controls.target);
     const flat = Math.hypot(from.x, from.y);
@@ -251,7 +251,7 @@ export class Space {
     this.render();
   }
 
-  /** Comes nearer by a factor. */
+  /** Moves the camera closer by a factor. */
   near(factor) {
     const from = this.camera.position.clone().sub(this.controls.target);
     const length = Math.min(Math.max(from.length() / factor, this.controls.minDistance), this.controls.maxDistance);
@@ -260,7 +260,7 @@ export class Space {
     this.render();
   }
 
-  /** As many pixels as the canvas has on the page, with the next picture. */
+  /** Matches the drawing buffer to the canvas size on the page. Takes effect at the next render. */
   resize(width, height) {
     if (width === 0 || height === 0) return;
     this.size = [width, height];
@@ -274,7 +274,7 @@ export class Space {
     if (!this.size) return;
     const [width, height] = this.size;
     const target = this.controls.target;
-    // The light goes along, or shadows would end where its map does.
+    // Move the light with the camera, or shadows would end at the edge of the shadow map.
     this.sun.position.set(target.x - 2.4, target.y - 1.2, target.z + 3.6);
     this.sun.target.position.copy(target);
     const spread = Math.min(this.camera.position.distanceTo(target) * 0.6, 4);

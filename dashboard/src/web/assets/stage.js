@@ -1,9 +1,9 @@
-// Episodes on demand: which blueprint, who builds, how, from which start; and the gallery to choose from.
+// Episodes on demand: the choice of blueprint, agent, action mode and start, and the gallery.
 
-/** Rest between two episodes that follow each other by themselves, milliseconds. */
+/** Pause before the next episode starts automatically, milliseconds. */
 const REST_MS = 2500;
 
-/** Goals in a row without a reset, as in the evaluation; the next one begins with scattered blocks again. */
+/** Maximum number of goals in a row without a reset, as in the evaluation; then blocks are scattered again. */
 const IN_A_ROW = 10;
 
 class Stage {
@@ -23,16 +23,16 @@ class Stage {
     this.dialog.addEventListener("click", (event) => { if (event.target === this.dialog) this.dialog.close(); });
   }
 
-  /** Learns which blueprints there are. */
+  /** Loads the list of blueprints. */
   async learn() {
     if (this.blueprints.length > 0) return;
     const answer = await fetch(answerAt("", "blueprints"));
     if (answer.ok) this.blueprints = (await answer.json()).blueprints;
-    // A copy has no others.
+    // A static copy contains only recorded episodes.
     if (isCopy) this.blueprints = this.blueprints.filter(({ id }) => this.only.includes(id));
   }
 
-  /** Goes on to the blueprint after the chosen one, in the gallery's order. */
+  /** Starts the blueprint `by` places after the current one, in gallery order. */
   async go(by) {
     await this.learn();
     const all = this.only.length > 0 ? this.blueprints.filter(({ id }) => this.only.includes(id)) : this.blueprints;
@@ -47,14 +47,14 @@ class Stage {
     this.build();
   }
 
-  /** Builds what somebody has drawn, as a blueprint file. */
+  /** Builds a drawing, given as the text of a blueprint file. */
   startDrawn(file, title, agent) {
     [this.drawn, this.before, this.seed] = [{ file, title }, [], 0];
     this.agent.querySelector(`input[value="${agent}"]`).checked = true;
     this.build();
   }
 
-  /** Asks for the episode as it is wished for. */
+  /** Requests the episode with the selected options. */
   request() {
     const picked = (choices) => choices.querySelector("input:checked").value;
     const { signal } = this.gone;
@@ -65,7 +65,7 @@ class Stage {
     return fetch(`${model.base}/api/play?blueprint=${encodeURIComponent(this.chosen)}&${wishes}${after}`, { signal });
   }
 
-  /** Asks for the episode and plays it, unless another is asked for meanwhile. */
+  /** Requests the episode and plays it, unless another one has been requested in the meantime. */
   async build() {
     if (!this.chosen && !this.drawn) return;
     this.asked += 1;
@@ -98,7 +98,7 @@ class Stage {
       const episode = await answer.json();
       if (!isWanted()) return;
       const weights = episode.actor === "expert" ? "" : ` with weights ${episode.weights_version}`;
-      // The name may be newer than the file that was checked last.
+      // The user may have renamed the drawing since the file was checked.
       const title = this.drawn ? this.drawn.title : episode.title;
       const nth = this.before.length > 0 ? `, goal ${this.before.length + 1} of ${IN_A_ROW} without a reset` : "";
       this.note.textContent = `${who} builds ${title} (${episode.blueprint}), start ${this.seed + 1}${nth}${weights}`;
@@ -109,7 +109,7 @@ class Stage {
     }
   }
 
-  /** Opens the gallery, which asks for a picture only when it is seen. */
+  /** Opens the gallery. Pictures load when they come into view. */
   async open() {
     await this.learn();
     const find = element("input", { type: "search", placeholder: "Name or number", "aria-label": "Search the gallery" });
@@ -137,7 +137,7 @@ class Stage {
         });
         parts.push(tile);
       }
-      list.replaceChildren(...(parts.length > 0 ? parts : [element("p", { class: "empty" }, "No blueprint has such a name.")]));
+      list.replaceChildren(...(parts.length > 0 ? parts : [element("p", { class: "empty" }, "No blueprint matches.")]));
     };
     find.addEventListener("input", draw);
     this.dialog.replaceChildren(element("div", { class: "bar" }, element("h2", {}, "Blueprints"), find, close), list);

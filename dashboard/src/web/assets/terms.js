@@ -1,4 +1,4 @@
-// Where an episode's reward comes from: each term, summed from the first step on.
+// The reward terms of an episode, each as the cumulative sum from the first step on.
 
 const TERMS = [
   ["all", (scene) => scene.reward],
@@ -10,7 +10,7 @@ const TERMS = [
 ];
 
 class Terms {
-  /** `go` is called with the step that somebody clicks. */
+  /** Calls `go` with the step that the user clicks. */
   constructor(place, legend, go) {
     [this.place, this.go, this.time] = [place, go, 0];
     this.values = TERMS.map(([title], i) => {
@@ -29,7 +29,7 @@ class Terms {
     const y = (value) => (high > low ? 2 + (1 - (value - low) / (high - low)) * 96 : 50);
     const said = TERMS.map(([title, value]) => `${title} ${decimal(value(this.scenes[last]))}`).join(", ");
     const label = `Reward by term over ${last} steps; at the end: ${said}`;
-    // Stretched to the room there is; lines keep their width.
+    // Stretched to the available width; lines keep their thickness.
     const drawing = svg("svg", { viewBox: `0 0 ${Math.max(last, 1)} 100`, preserveAspectRatio: "none", role: "img", "aria-label": label });
     drawing.append(svg("line", { class: "grid", x1: 0, x2: Math.max(last, 1), y1: y(0), y2: y(0) }));
     TERMS.forEach(([, value], i) => {
@@ -51,7 +51,7 @@ class Terms {
     this.tell(time);
   }
 
-  /** Marks a time and writes the values there. */
+  /** Marks a time and shows the values at it. */
   tell(time) {
     this.now.setAttribute("x1", time);
     this.now.setAttribute("x2", time);
