@@ -1,8 +1,8 @@
-//! What a step of an actor costs and where the time goes, in microseconds of CPU time per environment step.
+//! CPU time of an actor's step and of its parts, in microseconds per environment step.
 //!
-//! `cargo bench -p actor` rolls out 64 worlds on one thread with the default network, untrained, and the expert acting, so
-//! that structures are built. Parts are timed again by themselves on the scenes that came out of it; the world is what remains of the
-//! whole, and the forward pass what remains of the policy.
+//! `cargo bench -p actor` rolls out 64 worlds on one thread with the default network, untrained. The expert acts, so
+//! that structures get built. The parts are then timed individually on the scenes of that rollout. The world's time is
+//! what remains of the whole, and the forward pass is what remains of the policy.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -21,7 +21,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 const N_WORLDS: usize = 64;
-/// Steps of each world before the clock runs, so that episodes are at all stages.
+/// Steps of each world before the measurement, so that episodes are at all stages.
 const WARM_UP: usize = 50;
 const N_STEPS: usize = 100;
 
@@ -37,7 +37,7 @@ fn main() {
     }
     let whole = micros(before, N_WORLDS * N_STEPS);
 
-    // Equal blocks change places from episode to episode.
+    // Equal blocks swap roles from episode to episode.
     let goal = |task: &Task| Catalog::builtin().get(&task.blueprint).unwrap().permuted(&task.assignment);
     let goals: Vec<Blueprint> = segments.iter().map(|segment| goal(&segment.task)).collect();
     let blueprints: Vec<&Blueprint> = goals.iter().collect();
@@ -142,7 +142,7 @@ fn engine(policy: &PolicyConfig) -> Engine {
     Engine::new(policy, 0, &DeviceKind::Cpu.open().unwrap(), false)
 }
 
-/// Microseconds per step, the best of five times.
+/// Returns microseconds per step, the best of five rounds.
 fn best_of(n_steps: usize, mut work: impl FnMut()) -> f64 {
     let round = |_| {
         let before = cpu_seconds();
@@ -156,7 +156,7 @@ fn micros(before: f64, n_steps: usize) -> f64 {
     1e6 * (cpu_seconds() - before) / n_steps as f64
 }
 
-/// CPU time of this thread: wall time on a shared machine says little.
+/// Returns the CPU time of this thread, because wall time on a shared machine says little.
 fn cpu_seconds() -> f64 {
     let stat = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();
     stat.split(' ').next().unwrap().parse::<f64>().unwrap() / 1e9

@@ -1,4 +1,4 @@
-//! The bounded queue between the threads that step and the tasks that send.
+//! The bounded queue between stepping threads and sending tasks.
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
@@ -8,7 +8,7 @@ use tokio::sync::Notify;
 
 use crate::FullBacklog;
 
-/// Segments that wait to be sent, oldest first.
+/// Segments waiting to be sent, oldest first.
 #[derive(Debug)]
 pub struct Backlog {
     limit: usize,
@@ -27,15 +27,15 @@ struct State {
 }
 
 impl Backlog {
-    /// An empty backlog for `limit` segments, at least 1.
+    /// Creates an empty backlog for `limit` segments, at least 1.
     pub fn new(limit: usize, when_full: FullBacklog) -> Self {
         Self { limit: limit.max(1), when_full, state: Mutex::default(), filled: Notify::new(), emptied: Condvar::new() }
     }
 
     /// Adds the newest segment.
     ///
-    /// When it is full, this drops the oldest, or blocks the thread until there is room or it is closed. Returns how
-    /// many segments were dropped.
+    /// If the backlog is full, this drops the oldest segment, or blocks the thread until there is room or the backlog
+    /// is closed. Returns how many segments were dropped.
     pub fn push(&self, segment: Trajectory) -> u64 {
         let mut state = self.lock();
         while self.when_full == FullBacklog::Pause && !state.closed && state.segments.len() >= self.limit {
@@ -48,10 +48,11 @@ impl Backlog {
         n_dropped
     }
 
-    /// Puts a segment back that could not be sent; it is the oldest again and the first to go when there is no room.
+    /// Puts back a segment that could not be sent. It is the oldest again, and the first to be dropped if there is no
+    /// room.
     ///
-    /// A pausing backlog drops nothing and exceeds its limit by what the senders had taken. Returns how many were
-    /// dropped.
+    /// A pausing backlog drops nothing and exceeds its limit by the segments that senders had taken. Returns how many
+    /// segments were dropped.
     pub fn put_back(&self, segment: Trajectory) -> u64 {
         let mut state = self.lock();
         state.segments.push_front(segment);
@@ -61,7 +62,7 @@ impl Backlog {
         n_dropped
     }
 
-    /// Takes the oldest segment, waiting for one; `None` when the backlog is closed and empty.
+    /// Removes and returns the oldest segment, waiting for one; `None` once the backlog is closed and empty.
     pub async fn pop(&self) -> Option<Trajectory> {
         loop {
             {
@@ -72,7 +73,7 @@ impl Backlog {
                     drop(state);
                     self.emptied.notify_one();
                     if more {
-                        // One permit is stored however many segments came, so each taker wakes the next.
+                        // Only one permit is stored however many segments arrive, so each receiver wakes the next.
                         self.filled.notify_one();
                     }
                     return segment;
@@ -82,29 +83,29 @@ impl Backlog {
         }
     }
 
-    /// No segment will come any more: takers get what is left and then `None`.
+    /// Closes the backlog: receivers get the remaining segments and then `None`.
     pub fn close(&self) {
         self.lock().closed = true;
         self.filled.notify_one();
         self.emptied.notify_all();
     }
 
-    /// Whether [`Backlog::close`] was called.
+    /// Returns whether [`Backlog::close`] was called.
     pub fn is_closed(&self) -> bool {
         self.lock().closed
     }
 
-    /// Number of waiting segments.
+    /// Returns the number of waiting segments.
     pub fn len(&self) -> usize {
         self.lock().segments.len()
     }
 
-    /// Whether nothing waits.
+    /// Returns whether no segments are waiting.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Drops everything that waits and returns how many segments that was.
+    /// Drops all waiting segments and returns their number.
     pub fn clear(&self) -> u64 {
         let segments = std::mem::take(&mut self.lock().segments);
         self.emptied.notify_all();
@@ -121,7 +122,7 @@ impl Backlog {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // The state is consistent after every statement, so a panic elsewhere does not spoil it.
+        // Every statement leaves the state consistent, so a panic elsewhere does no harm.
         self.state.lock()
     }
 }
@@ -165,7 +166,7 @@ mod tests {
         let backlog = Backlog::new(3, FullBacklog::DropOldest);
         let n_dropped: u64 = (0..5).map(|seq| backlog.push(segment(seq))).sum();
         assert_eq!((n_dropped, backlog.len()), (2, 3));
-        // One that comes back is the oldest, so it is what goes when the place was taken meanwhile.
+        // A segment that is put back is the oldest, so it is dropped if its place was taken in the meantime.
         let taken = backlog.pop().await.unwrap();
         assert_eq!((taken.seq, backlog.push(segment(5))), (2, 0));
         assert_eq!(backlog.put_back(taken), 1);

@@ -14,33 +14,33 @@ settings! {
         pub n_worlds: usize = 32, in 1..=1024;
         /// Steps after which an episode's segment is cut and sent.
         pub segment_len: usize = 32, in 1..=1000;
-        /// Which tasks are rolled out and how their episodes begin.
+        /// Tasks to roll out, and how their episodes begin.
         pub tasks: TaskConfig;
-        /// Steps before an episode is learned from.
+        /// Burn-in: first steps of an episode that are not learned from.
         pub burn_in: BurnInConfig;
-        /// The expert, who labels every scene and acts in some episodes; absent, as by default, means none.
+        /// The expert, which labels every scene and acts in some episodes; none by default.
         pub dagger: Option<DaggerConfig>;
-        /// Segments that may wait for the learner's answer at once.
+        /// Maximum number of segments that wait for the learner's answer at once.
         pub n_outstanding: usize = 2, in 1..=16;
-        /// Segments kept while the learner does not take them.
+        /// Maximum number of segments kept while the learner does not accept them.
         pub backlog_limit: usize = 512, in 1..=100_000;
         /// What happens when the backlog is full.
         pub full_backlog: FullBacklog = FullBacklog::DropOldest;
-        /// Time between two publications of the actor's metrics in milliseconds.
+        /// Interval between publications of the actor's metrics, in milliseconds.
         pub metrics_period_ms: u64 = 2000, in 50..=3_600_000;
-        /// Longest time that shutting down waits for the backlog to be sent, in milliseconds.
+        /// Maximum time that shutdown waits for the backlog to be sent, in milliseconds.
         pub drain_timeout_ms: u64 = 2000, in 0..=60_000;
     }
 
-    /// Episodes whose first steps are acted by the policy's mode and not learned from (an extension).
+    /// Burn-in: in the first steps of some episodes, the policy acts greedily and nothing is learned (an extension).
     ///
-    /// Noise carries a sampled policy out of states in which its mode would stay forever, so it hardly meets them;
-    /// learning from there on teaches the mode to leave them.
+    /// Noise carries a sampled policy out of states in which the greedy policy would stay forever, so it rarely visits
+    /// them. Episodes that continue from such states teach the greedy policy to leave them.
     #[derive(Copy)]
     pub struct BurnInConfig {
-        /// Share of the episodes.
+        /// Share of the episodes that begin with a burn-in.
         pub probability: f64 = 0.0, in 0.0..=1.0;
-        /// Longest burn-in in steps; the length is uniform from 1.
+        /// Maximum length of a burn-in in steps; the length is uniform from 1.
         pub max_steps: u16 = 60, in 1..=1000;
     }
 }
@@ -49,10 +49,11 @@ settings! {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum FullBacklog {
-    /// Step on, drop the oldest segment and count it: what is kept is as near to the newest weights as can be.
+    /// Keep stepping, drop the oldest segment, and count it. The segments kept are as close to the newest weights as
+    /// possible.
     #[default]
     DropOldest,
-    /// Stop stepping until there is room: no step is wasted where actor and learner share the same cores.
+    /// Stop stepping until there is room. No step is wasted if actor and learner share the same cores.
     Pause,
 }
 

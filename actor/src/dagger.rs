@@ -1,7 +1,7 @@
-//! The expert beside the policy: who acts in an episode, with how much noise, and what the expert would have done.
+//! Mixes expert and policy: which one acts in an episode, with how much noise, and what the expert would have done.
 //!
-//! This is DAgger (Ross, Gordon & Bagnell, "A reduction of imitation learning and structured prediction to no-regret online
-//! learning"): scenes come from a mixture of both, labels from the expert alone.
+//! This is DAgger (Ross, Gordon & Bagnell, "A reduction of imitation learning and structured prediction to no-regret
+//! online learning"): scenes come from a mixture of both, labels from the expert alone.
 
 use blueprints::{BlockIdx, Blueprint, N_BLOCKS};
 use environment::EnvironmentConfig;
@@ -12,43 +12,43 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 settings! {
-    /// The DAgger mixture: who acts in an episode, the expert or the policy. Whoever it is, every scene gets the
+    /// The DAgger mixture: whether the expert or the policy acts in an episode. Either way, every scene gets the
     /// expert's label.
     pub struct DaggerConfig {
-        /// Share of the episodes in which the expert acts: with weights version 0, and from version `mixing_versions`
-        /// on; in between on a straight line.
+        /// Share of the episodes in which the expert acts: the first at weights version 0, the second from version
+        /// `mixing_versions` on, linear in between.
         pub expert_share: [f64; 2] = [1.0, 0.1], in 0.0..=1.0;
-        /// Versions until the second share.
+        /// Weights version from which the second share applies.
         pub mixing_versions: u64 = 100, in 1..;
-        /// Share of the other episodes in which actions are sampled from the policy, so that PPO can learn from them;
-        /// in the rest the most probable ones are taken.
+        /// Share of the other episodes in which actions are sampled from the policy, so that PPO can learn from them.
+        /// In the rest, the policy acts greedily.
         pub sampled_share: f64 = 0.0, in 0.0..=1.0;
         /// Noise on the expert's actions.
         pub expert_noise: NoiseConfig;
-        /// Noise on the policy's most probable actions.
+        /// Noise on the policy's greedy actions.
         pub policy_noise: NoiseConfig;
     }
 
-    /// Noise that leads an episode off the beaten track.
+    /// Noise that drives an episode into unfamiliar states.
     pub struct NoiseConfig {
-        /// Standard deviations of the noise on each entry of a move, of which an episode draws one.
+        /// Standard deviations of the noise on each entry of a move; each episode draws one of them.
         pub sigmas: Vec<f32> = vec![0.0], in 0.0..=1.0, where |c| !c.sigmas.is_empty() => "at least one number";
-        /// Probability that a gripper chooses any of the 16 blocks in a step.
+        /// Probability per step that a gripper chooses a random one of the 16 blocks.
         pub random_block: f64 = 0.0, in 0.0..=1.0;
     }
 }
 
-/// The settings and what the expert needs to know of the world.
+/// The settings, and the environment configuration for the expert.
 #[derive(Clone, Debug)]
 pub struct DaggerMixture {
     config: DaggerConfig,
     environment: EnvironmentConfig,
 }
 
-/// The mixture in one episode: who drives it, and the expert that labels it.
+/// The mixture in one episode: the driver, and the expert that labels it.
 #[derive(Debug)]
 pub struct DaggerEpisode {
-    /// None if there is no order in which the blueprint can be built.
+    /// `None` if the blueprint has no assembly order.
     expert: Option<Expert>,
     driver: Driver,
     sigma: f32,
@@ -57,7 +57,7 @@ pub struct DaggerEpisode {
 }
 
 impl DaggerConfig {
-    /// Probability that the expert acts in an episode begun with weights `version`.
+    /// Returns the probability that the expert acts in an episode begun with weights `version`.
     fn expert_share_at(&self, version: WeightsVersion) -> f64 {
         let [first, last] = self.expert_share;
         let part = version.0.min(self.mixing_versions) as f64 / self.mixing_versions as f64;
@@ -66,12 +66,12 @@ impl DaggerConfig {
 }
 
 impl DaggerMixture {
-    /// A mixture in worlds of this configuration.
+    /// Creates a mixture for worlds of this configuration.
     pub fn new(config: DaggerConfig, environment: EnvironmentConfig) -> Self {
         Self { config, environment }
     }
 
-    /// Decides who acts in an episode that begins.
+    /// Chooses the driver of a new episode.
     pub(crate) fn begin(&self, blueprint: &Blueprint, version: WeightsVersion, rng: &mut ChaCha8Rng) -> DaggerEpisode {
         let expert = Expert::new(&self.environment, blueprint).ok();
         let config = &self.config;
@@ -91,13 +91,13 @@ impl DaggerMixture {
 }
 
 impl DaggerEpisode {
-    /// Who acts.
+    /// Returns the driver.
     pub(crate) fn driver(&self) -> Driver {
         self.driver
     }
 
-    /// The action that is taken, the policy's own or the expert's, with the episode's noise unless it is a sample; and the
-    /// expert's label.
+    /// Returns the action to take and the expert's label. The action is the policy's own or the expert's, with the
+    /// episode's noise unless it is sampled.
     pub(crate) fn step(&mut self, scene: &Scene, own: Action, rng: &mut ChaCha8Rng) -> (Action, Option<Label>) {
         let right = self.expert.as_mut().map(|expert| expert.act(scene));
         let label = right.as_ref().and_then(|action| Label::new(action, self.n_grippers));
@@ -199,7 +199,7 @@ mod tests {
                 chosen.extend(is_chosen.then(|| block.get()));
             }
         }
-        // 200 draws of 16 blocks leave one out with a probability below 1e-4.
+        // 200 draws from 16 blocks miss one of them with a probability below 1e-4.
         assert_eq!(chosen.len(), N_BLOCKS);
     }
 }

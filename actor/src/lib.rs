@@ -1,8 +1,8 @@
-//! From tasks to trajectories: steps many worlds with the newest weights and sends what the learner learns from.
+//! From tasks to trajectories: steps many worlds with the newest weights and sends segments to the learner.
 //!
-//! Reading order: [`config`] → [`task`] (what to build next) → [`dagger`] (who acts) → [`segment`] (episodes cut into segments) → [`rollout`]
-//! (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`] and [`streams`] → [`run()`]
-//! (threads and the bus). [`load`] measures the bus with actors that step no worlds.
+//! Reading order: [`config`] → [`task`] (what to build next) → [`dagger`] (whether expert or policy acts) → [`segment`]
+//! (episodes cut into segments) → [`rollout`] (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`]
+//! and [`streams`] → [`run()`] (threads and the bus). [`load`] measures the bus with actors that step no worlds.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

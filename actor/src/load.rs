@@ -1,8 +1,8 @@
-//! Actors that step no worlds: they send recorded segments and pull weights as real ones do, so that bus and learner can be
-//! measured without the processors of a cluster.
+//! Simulated actors that step no worlds. They send recorded segments and pull weights as real actors do, so that bus
+//! and learner can be measured without the processors of a cluster.
 //!
-//! Each has a session, a name and numbers of its own. Two attempts may be under way at a time, what finds the learner's
-//! mailbox full is sent again, and a segment without an answer is sent again until it has one.
+//! Each has its own session, name, and sequence numbers, and at most `n_outstanding` attempts in flight. A segment is
+//! sent again if the learner's mailbox is full or there is no answer.
 
 mod histogram;
 mod member;
@@ -25,36 +25,36 @@ use self::member::Member;
 pub use self::tally::{LoadCounts, LoadReport, Pull};
 use self::tally::{Tally, add};
 
-/// Longest time that an actor may take to join and to get its first weights: a router that has no room for one more never
+/// Maximum time for an actor to join and receive its first weights. A router without room for another session never
 /// answers.
 const JOIN_TIMEOUT: Duration = Duration::from_secs(150);
 
-/// What the actors of one process are told.
+/// Configuration of the simulated actors in one process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LoadPlan {
-    /// How each joins the bus.
+    /// How each actor joins the bus.
     pub bus: BusConfig,
-    /// Number of the first actor, which makes names unique among processes.
+    /// Number of the first actor, which makes names unique across processes.
     pub first_actor: usize,
-    /// How many there are, at least 1.
+    /// Number of actors, at least 1.
     pub n_actors: usize,
-    /// Steps per second of each actor; 0 sends as fast as answers come.
+    /// Steps per second of each actor; 0 sends as fast as answers arrive.
     pub steps_per_s: f64,
-    /// Segments that may wait for an answer at once.
+    /// Maximum number of segments per actor that wait for an answer at once.
     pub n_outstanding: usize,
-    /// Time between two publications of an actor's metrics, milliseconds.
+    /// Interval between publications of an actor's metrics, in milliseconds.
     pub metrics_period_ms: u64,
-    /// Longest time that the end waits for answers, milliseconds.
+    /// Maximum time to wait for answers at the end, in milliseconds.
     pub drain_timeout_ms: u64,
 }
 
-/// Actors that have joined.
+/// Simulated actors that have joined the bus.
 #[derive(Debug)]
 pub struct Load {
     plan: LoadPlan,
     members: Vec<Arc<Member>>,
-    /// Why there are fewer than planned.
+    /// Why fewer joined than planned.
     shortfall: Option<String>,
 }
 
@@ -62,21 +62,21 @@ pub struct Load {
 #[derive(Debug)]
 pub(crate) struct Script {
     segments: Vec<Trajectory>,
-    /// Encoded size of each, with a name and numbers of usual length.
+    /// Encoded size of each segment, with a name and numbers of typical length.
     n_bytes: Vec<usize>,
-    /// Steps before each segment, and of all together.
+    /// Number of steps before each segment; `n_steps` is the total.
     steps_before: Vec<u64>,
     n_steps: u64,
     steps_per_s: f64,
 }
 
 impl Load {
-    /// Lets one actor after the other join and get its first weights, until one finds no room.
+    /// Lets the actors join and receive their first weights one after another, until one finds no room.
     ///
-    /// One waits for the other, so that a router need not take them all in at once; how that ends is another question.
+    /// One at a time, so that a router need not accept them all at once, which is a different test.
     ///
     /// # Errors
-    /// When the first session already fails, or the learner gives no weights.
+    /// If the first actor cannot join, or the learner sends no weights.
     pub async fn open(plan: LoadPlan) -> anyhow::Result<Self> {
         let mut members = Vec::with_capacity(plan.n_actors);
         let mut shortfall = None;
@@ -101,21 +101,21 @@ impl Load {
         Ok(Self { plan, members, shortfall })
     }
 
-    /// How many actors have joined.
+    /// Returns the number of actors that have joined.
     pub fn n_actors(&self) -> usize {
         self.members.len()
     }
 
-    /// Why fewer have joined than planned.
+    /// Returns why fewer have joined than planned.
     pub fn shortfall(&self) -> Option<&str> {
         self.shortfall.as_deref()
     }
 
-    /// Sends `segments` again and again, under the actors' names and numbers, until `stop`; then waits for answers as long as
-    /// the plan allows.
+    /// Sends `segments` over and over, under the actors' names and numbers, until `stop`. Then waits for answers as
+    /// long as the plan allows.
     ///
     /// # Errors
-    /// When there is nothing to send, or a task panicked.
+    /// If there is nothing to send, or a task panicked.
     pub async fn run(&self, segments: Vec<Trajectory>, stop: CancellationToken) -> anyhow::Result<LoadReport> {
         let script = Arc::new(Script::new(segments, self.plan.steps_per_s)?);
         let (start, give_up) = (Instant::now(), CancellationToken::new());
@@ -184,12 +184,12 @@ impl Script {
         self.n_bytes[(seq % self.n_bytes.len() as u64) as usize]
     }
 
-    /// The segment of this number, in turn.
+    /// Returns the segment with this sequence number; segments repeat in order.
     fn segment(&self, seq: u64) -> &Trajectory {
         &self.segments[(seq % self.segments.len() as u64) as usize]
     }
 
-    /// Time from the start until an actor has stepped the segment of this number; `None` at full speed.
+    /// Returns the time from the start until an actor has stepped the segment with this number; `None` at full speed.
     fn due(&self, seq: u64) -> Option<Duration> {
         let n_segments = self.segments.len() as u64;
         let index = (seq % n_segments) as usize;
@@ -198,7 +198,8 @@ impl Script {
         (self.steps_per_s > 0.0).then(|| Duration::from_secs_f64(steps as f64 / self.steps_per_s))
     }
 
-    /// How much later than others an actor starts: spreads them evenly over the time of one segment.
+    /// Returns how much later than others an actor starts, which spreads the actors evenly over the time of one
+    /// segment.
     fn phase(&self, number: usize) -> Duration {
         const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
         let mean_period = self.n_steps as f64 / self.segments.len() as f64 / self.steps_per_s;

@@ -1,4 +1,4 @@
-//! Rollouts that take turns with a learner, on its thread and without the bus: equal seeds then give equal bytes.
+//! Rollouts that take turns with a learner, on its thread and without the bus, so that equal seeds give equal bytes.
 
 use anyhow::Context;
 use environment::World;
@@ -8,26 +8,26 @@ use crate::rollout::{Rollout, RolloutSetup};
 use crate::segment::Identity;
 use crate::setup::ActorSetup;
 
-/// The worlds of one thread, which step when they are asked to.
+/// The worlds of one thread, stepped on request.
 pub struct Lockstep {
     setup: ActorSetup,
-    /// Made with the first weights.
+    /// Created with the first weights.
     rollout: Option<Rollout<'static, World>>,
 }
 
 impl Lockstep {
-    /// Worlds of an actor, whatever its number of threads; the seed determines tasks and actions.
+    /// Creates the worlds of one thread, whatever the actor's number of threads. The seed determines tasks and actions.
     pub fn new(setup: ActorSetup) -> Self {
         Self { setup, rollout: None }
     }
 
-    /// Moves every world by one step, acted by `weights`, and returns the segments that this finished.
+    /// Advances every world by one step with `weights` and returns the segments that this finished.
     ///
-    /// With `restart` all episodes are abandoned first and others begin, which depend on seed and version alone. Worlds are
+    /// With `restart`, all episodes are abandoned first, and the new ones depend only on seed and version. Worlds are
     /// not part of a checkpoint: a run that writes one restarts there, so that a run resumed from it stays equal.
     ///
     /// # Errors
-    /// When a setting is invalid, the weights are of another network, or no task can be started.
+    /// If a setting is invalid, the weights are for another network, or no task can be started.
     pub fn step(&mut self, weights: &Weights, restart: bool) -> anyhow::Result<Vec<Trajectory>> {
         let seed = self.setup.seed ^ weights.version.0.rotate_left(32);
         let rollout = match &mut self.rollout {

@@ -1,4 +1,4 @@
-//! Many worlds, one policy: steps all of them with one forward pass and hands out finished segments.
+//! Many worlds, one policy: steps all of them with one forward pass and returns finished segments.
 
 use blueprints::Catalog;
 use environment::vec_env::generator;
@@ -18,29 +18,29 @@ use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
 use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskConfig, TaskSampler};
 
-/// All that a rollout needs besides worlds and weights.
+/// Everything that a rollout needs besides worlds and weights.
 #[derive(Clone, Debug)]
 pub struct RolloutSetup<'c> {
-    /// Where goals and starts come from.
+    /// Source of goals and starts.
     pub catalog: &'c Catalog,
-    /// The policy that acts; it must be the learner's.
+    /// The policy that acts; it must match the learner's.
     pub policy: PolicyConfig,
-    /// Which goals and starts.
+    /// Selection of goals and starts.
     pub tasks: TaskConfig,
     /// Steps after which a segment is cut, at least 1.
     pub segment_len: usize,
-    /// Steps that are not learned from.
+    /// First steps of an episode, which are not learned from.
     pub burn_in: BurnInConfig,
-    /// The expert, if there is one.
+    /// The DAgger mixture, if there is an expert.
     pub dagger: Option<DaggerMixture>,
-    /// Names and numbers the segments.
+    /// Name and numbering of the segments.
     pub identity: Identity,
-    /// Determines tasks and actions.
+    /// Seed of tasks and actions.
     pub seed: u64,
 }
 
 impl RolloutSetup<'static> {
-    /// As an actor rolls out.
+    /// Creates the setup for an actor's rollout.
     pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
         let ActorSetup { config, policy, environment, seed, catalog, .. } = setup;
         Self {
@@ -56,7 +56,7 @@ impl RolloutSetup<'static> {
     }
 }
 
-/// Steps a batch of worlds, synchronously and without any I/O or clock; equal seed and weights give equal segments.
+/// Steps a batch of worlds, synchronously and without any I/O or clock. Equal seeds and weights give equal segments.
 #[derive(Debug)]
 pub struct Rollout<'c, E> {
     setup: RolloutSetup<'c>,
@@ -64,39 +64,39 @@ pub struct Rollout<'c, E> {
     version: WeightsVersion,
     tasks: TaskSampler,
     envs: VecEnv<E>,
-    /// One for each world.
+    /// One per world.
     slots: Vec<EnvSlot>,
     counters: RolloutCounters,
 }
 
-/// What a rollout did since it was made.
+/// Counts since the rollout was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RolloutCounters {
     /// Steps of all worlds.
     pub n_env_steps: u64,
-    /// Segments handed out.
+    /// Segments returned.
     pub n_segments: u64,
     /// Episodes that ended in success or at the time limit.
     pub n_episodes: u64,
     /// Episodes that ended in success.
     pub n_successes: u64,
-    /// Episodes that were given up because the physics left the rails.
+    /// Episodes abandoned because the physics diverged.
     pub n_diverged_episodes: u64,
-    /// Steps of those episodes that were dropped.
+    /// Dropped steps of those episodes.
     pub n_diverged_steps: u64,
-    /// Steps of burn-ins, with the last ones of episodes that end in one.
+    /// Steps of burn-ins, including the last steps of episodes that end in one.
     pub n_burn_in_steps: u64,
-    /// Tasks that a world could not start and that were replaced by others.
+    /// Tasks that a world could not start and that were replaced.
     pub n_failed_resets: u64,
 }
 
-/// Why a rollout cannot start or go on.
+/// Reasons why a rollout cannot start or continue.
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     /// The task filter selects nothing.
     #[error(transparent)]
     Filter(#[from] FilterError),
-    /// The policy cannot be made or refuses the weights.
+    /// The policy cannot be created or refuses the weights.
     #[error(transparent)]
     Policy(#[from] PolicyError),
     /// A world could not start any of several tasks.
@@ -104,20 +104,20 @@ pub enum RolloutError {
     Start(#[from] StartError),
 }
 
-/// The episode of a world so far and the generator of its tasks.
+/// The current episode of a world, and the generator of its tasks.
 #[derive(Debug)]
 struct EnvSlot {
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
     dagger: Option<DaggerEpisode>,
-    /// Of the last step.
+    /// Expert's label of the last step.
     label: Option<Label>,
-    /// Steps in which the policy still acts greedily before the episode is learned from.
+    /// Remaining burn-in steps, in which the policy acts greedily and which are not learned from.
     n_burn_in: u16,
 }
 
 impl EnvSlot {
-    /// How the policy acts in the next step.
+    /// Returns how the policy acts in the next step.
     fn mode(&self) -> ActionMode {
         match driver(self.dagger.as_ref()) {
             Driver::Sampled if self.n_burn_in == 0 => ActionMode::Sampled,
@@ -126,7 +126,7 @@ impl EnvSlot {
     }
 }
 
-/// The policy, mixed with the expert where there is one and the burn-in is over.
+/// The policy, mixed with the expert if there is one and the burn-in is over.
 struct Mixture<'a> {
     policy: &'a mut Policy,
     slots: &'a mut [EnvSlot],
@@ -147,7 +147,7 @@ impl Agent for Mixture<'_> {
             let Some(dagger) = slot.dagger.as_mut().filter(|_| slot.n_burn_in == 0) else { return decision };
             let (action, label) = dagger.step(seen.scene, decision.action, rng);
             slot.label = label;
-            // Noise and the expert have no probability under the policy that could be of use.
+            // Noisy actions and the expert's have no useful probability under the policy.
             let log_prob = if dagger.driver() == Driver::Sampled { decision.log_prob } else { 0.0 };
             Decision { action, log_prob, ..decision }
         };
@@ -156,10 +156,10 @@ impl Agent for Mixture<'_> {
 }
 
 impl<'c, E: Env> Rollout<'c, E> {
-    /// Starts an episode in each of `worlds`, acting by `weights`.
+    /// Starts an episode in each of `worlds`, acting with `weights`.
     ///
     /// # Errors
-    /// When the filter selects nothing, the weights do not fit the policy, or no task can be started.
+    /// If the filter selects nothing, the weights do not fit the policy, or no task can be started.
     pub fn new(setup: RolloutSetup<'c>, worlds: Vec<E>, weights: &Weights) -> Result<Self, RolloutError> {
         let policy = Policy::with_weights(&setup.policy, weights)?;
         let mut tasks = TaskSampler::new(&setup.tasks, setup.catalog)?;
@@ -171,10 +171,10 @@ impl<'c, E: Env> Rollout<'c, E> {
         Ok(rollout)
     }
 
-    /// Acts by other weights from the next step on; episodes go on.
+    /// Acts with other weights from the next step on; episodes continue.
     ///
     /// # Errors
-    /// When the weights do not fit the policy; the old ones then stay in force.
+    /// If the weights do not fit the policy; the old ones then stay in use.
     pub fn set_weights(&mut self, weights: &Weights) -> Result<(), RolloutError> {
         self.policy.load(weights)?;
         self.tasks.follow(weights);
@@ -182,16 +182,17 @@ impl<'c, E: Env> Rollout<'c, E> {
         Ok(())
     }
 
-    /// Abandons all episodes and begins new ones as a fresh rollout with `seed` would, still counting on.
+    /// Abandons all episodes and begins new ones as a fresh rollout with `seed` would. The counters continue.
     ///
-    /// A run that saves and one that resumes there both do this, so that they stay equal without saving worlds.
+    /// A run that saves a checkpoint and a run resumed from it both do this, so that they stay equal without saved
+    /// worlds.
     ///
     /// # Errors
-    /// When no task can be started.
+    /// If no task can be started.
     pub fn restart(&mut self, seed: u64) -> Result<(), RolloutError> {
         self.slots.clear();
         for row in 0..self.envs.n_envs() {
-            // Even streams draw tasks, odd ones actions, so neither depends on how many worlds there are.
+            // Even streams draw tasks and odd ones actions, so neither depends on the number of worlds.
             self.envs.seed(row, generator(seed, 2 * row as u64 + 1));
             let slot = self.begin(row, generator(seed, 2 * row as u64))?;
             self.slots.push(slot);
@@ -199,7 +200,7 @@ impl<'c, E: Env> Rollout<'c, E> {
         Ok(())
     }
 
-    /// Starts an episode in a world, of the first task that has room; a start without is possible though rare.
+    /// Starts an episode in a world with the first task whose blocks find room, as nearly all do.
     fn begin(&mut self, row: usize, mut task_rng: ChaCha8Rng) -> Result<EnvSlot, RolloutError> {
         let setup = &self.setup;
         let task = self.tasks.sample(setup.catalog, &mut task_rng);
@@ -217,17 +218,17 @@ impl<'c, E: Env> Rollout<'c, E> {
         Ok(EnvSlot { task_rng, segment, dagger, label: None, n_burn_in })
     }
 
-    /// Moves every world by one step and returns the segments that this finished, in the order of the worlds.
+    /// Advances every world by one step and returns the segments that this finished, in the order of the worlds.
     ///
     /// # Errors
-    /// When no new task can be started, or [`PolicyError::NoDistribution`] before any world has moved: with other weights it
-    /// can go on.
+    /// If no new task can be started, or with [`PolicyError::NoDistribution`] before any world has moved. In the latter
+    /// case, the rollout can continue with other weights.
     pub fn step(&mut self) -> Result<Vec<Trajectory>, RolloutError> {
         let modes: Vec<ActionMode> = self.slots.iter().map(EnvSlot::mode).collect();
         let mut mixture = Mixture { policy: &mut self.policy, slots: &mut self.slots };
         let steps = self.envs.step(&mut mixture, &modes)?;
         let mut finished: Vec<Trajectory> = Vec::new();
-        // Finished segments that need the value of their last scene, and the worlds in which that is.
+        // Finished segments that need the value of their last scene, and the rows of their worlds.
         let mut unvalued: Vec<(usize, usize)> = Vec::new();
         let mut ended: Vec<usize> = Vec::new();
         for (row, Step { scene, decision, result }) in steps.into_iter().enumerate() {
@@ -279,8 +280,8 @@ impl<'c, E: Env> Rollout<'c, E> {
             }
         }
         let last: Vec<Observation<'_>> = unvalued.iter().map(|&(_, row)| self.envs.env(row).observation()).collect();
-        // The worlds have moved, so weights that have no value for a last scene must not stop the step. The learner refuses a
-        // segment without one, which the actor then counts.
+        // The worlds have moved, so weights without a value for a last scene must not stop the step. The learner
+        // refuses a segment without a value, and the actor counts it.
         let values = self.policy.values(&last).unwrap_or_else(|_| vec![f32::NAN; last.len()]);
         for ((segment_idx, _), value) in unvalued.into_iter().zip(values) {
             finished[segment_idx].bootstrap_value = value;
@@ -291,12 +292,12 @@ impl<'c, E: Env> Rollout<'c, E> {
         Ok(finished)
     }
 
-    /// What was done so far.
+    /// Returns the counts so far.
     pub fn counters(&self) -> RolloutCounters {
         self.counters
     }
 
-    /// Version of the weights that act.
+    /// Returns the version of the acting weights.
     pub fn version(&self) -> WeightsVersion {
         self.version
     }
@@ -315,7 +316,7 @@ impl std::ops::AddAssign for RolloutCounters {
     }
 }
 
-/// Length of an episode's burn-in; without any, nothing is drawn.
+/// Returns the length of an episode's burn-in. Draws nothing if there are no burn-ins.
 fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
     if config.probability > 0.0 && rng.random_bool(config.probability) {
         rng.random_range(1..=config.max_steps)
@@ -324,7 +325,7 @@ fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
     }
 }
 
-/// Who acts in an episode.
+/// Returns the driver of an episode.
 fn driver(dagger: Option<&DaggerEpisode>) -> Driver {
     dagger.map_or(Driver::Sampled, DaggerEpisode::driver)
 }

@@ -1,4 +1,4 @@
-//! The actor as a service: threads that step, tasks that send, and one that reports.
+//! The actor as a service: stepping threads, sending tasks, and a reporting task.
 
 mod stepping;
 
@@ -21,36 +21,37 @@ use crate::segment::Identity;
 use crate::setup::ActorSetup;
 use stepping::step_worlds;
 
-/// Attempts to send a segment that nobody answers.
+/// Maximum number of attempts to send a segment that gets no answer.
 const MAX_ATTEMPTS: usize = 3;
 
-/// How long an actor waits for another of its name to go before it gives up. A process that was killed seems to live for up to
-/// 6 s, and one that takes its place must come through.
+/// How long an actor waits for another process with its name to end before it gives up. A killed process still appears
+/// alive for up to 6 s, and its replacement must succeed.
 const NAME_PATIENCE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 15 });
 
-/// Pause before a learner whose mailbox is full, or a session that failed, is tried again.
+/// Pause before retrying a learner whose mailbox is full or that reports the name as taken.
 const RETRY_PAUSE: Duration = Duration::from_millis(50);
 
-/// What an actor did in its life.
+/// Results of an actor process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
-    /// Of all threads.
+    /// Counts of all threads.
     pub counters: RolloutCounters,
-    /// Segments that the learner took.
+    /// Segments that the learner acknowledged.
     pub n_trajectories_acked: u64,
-    /// Segments that nobody took, by reason.
+    /// Segments that were dropped, by reason.
     pub dropped: ActorDrops,
 }
 
-/// Rolls out from the first weights until `shutdown`, then sends what is left as long as the configuration allows.
+/// Rolls out from the first weights until `shutdown`, then sends the remaining segments as long as the configuration
+/// allows.
 ///
-/// Stepping goes on while the learner is away, unless the backlog pauses when it is full. The seed of the run, the name, the
-/// time of the start and the version of the first weights determine tasks and actions. Weights that cannot be acted by are counted, and
-/// those before them stay in force.
+/// Stepping continues while the learner is away, unless a full backlog pauses it. The run's seed, the actor's name, its
+/// start time, and the version of the first weights determine tasks and actions. Unusable weights are counted, and the
+/// previous ones stay in use.
 ///
 /// # Errors
-/// When a configuration is invalid, the session fails at the start, the weights are of another network, no task can
-/// be started, or another live actor has the same name and keeps it.
+/// If a configuration is invalid, the session fails at the start, the weights are for another network, no task can be
+/// started, or another live actor has the same name and keeps it.
 pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Summary> {
     let ActorSetup { config, id, .. } = &setup;
     config.validate().context("invalid actor configuration")?;
@@ -91,7 +92,7 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
         give_up: CancellationToken::new(),
         counted: CancellationToken::new(),
     });
-    // However this ends, the reporter does too.
+    // Dropping this guard ends the reporter on every return path.
     let uncounted = shared.counted.clone().drop_guard();
     let reporter = Reporter {
         shared: shared.clone(),
@@ -110,7 +111,7 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
     for thread_idx in 0..config.n_threads {
         let identity =
             Identity { actor: id.clone(), epoch, first_seq: thread_idx as u64, seq_step: config.n_threads as u64 };
-        // The seed waits for the version of the first weights.
+        // The seed still needs the version of the first weights.
         let rollout = RolloutSetup::new(&setup, identity);
         let (environment, weights, shared) = (setup.environment.clone(), weights.clone(), shared.clone());
         let n_worlds = config.n_worlds;
@@ -118,7 +119,7 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
     }
 
     shared.stop_with_first(&mut threads).await?;
-    // Whatever came in after the senders ended is counted below.
+    // Segments that arrive after the senders have ended are counted below.
     let drained = tokio::time::timeout(Duration::from_millis(config.drain_timeout_ms), async {
         while senders.join_next().await.is_some() {}
     });
@@ -144,33 +145,33 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
     Ok(report)
 }
 
-/// What threads and tasks have in common.
+/// State shared by threads and tasks.
 struct Shared {
     backlog: Backlog,
     sender: TrajectorySender,
     dropped: Mutex<ActorDrops>,
     n_acked: AtomicU64,
-    /// The learner's weights as its last answer says.
+    /// Version of the learner's weights in its last answer.
     learner_version: AtomicU64,
-    /// One for each thread.
+    /// One per thread.
     progress: Mutex<Vec<Progress>>,
     bus: Bus,
-    /// The last weights that were refused, so that those that several threads refuse count once.
+    /// The last refused weights, so that weights refused by several threads count once.
     refused: Mutex<Weak<Weights>>,
     actor: ActorId,
-    /// Since when the learner says that another process has the actor's name.
+    /// Time since which the learner reports that another process owns the actor's name.
     name_taken_since: Mutex<Option<Instant>>,
-    /// It said so for too long.
+    /// Whether the learner has reported this for too long.
     lost_name: AtomicBool,
-    /// No more steps.
+    /// Canceled to stop stepping.
     stop: CancellationToken,
-    /// No more attempts to send either.
+    /// Canceled to stop sending as well.
     give_up: CancellationToken,
-    /// What became of all segments is known.
+    /// Canceled when all segments are accounted for.
     counted: CancellationToken,
 }
 
-/// How far a thread is.
+/// Progress of a thread.
 #[derive(Clone, Copy, Debug, Default)]
 struct Progress {
     counters: RolloutCounters,
@@ -178,7 +179,7 @@ struct Progress {
 }
 
 impl Shared {
-    /// Waits for the stop or the first thread to end, then ends the others and closes the backlog.
+    /// Waits for `stop` or the end of the first thread, then ends the other threads and closes the backlog.
     async fn stop_with_first(&self, threads: &mut JoinSet<anyhow::Result<()>>) -> anyhow::Result<()> {
         let mut outcome = Ok(());
         loop {
@@ -207,7 +208,7 @@ impl Shared {
         self.progress.lock()
     }
 
-    /// Counts weights that are not acted by.
+    /// Counts unusable weights.
     fn refuse(&self, weights: &Arc<Weights>, error: &PolicyError) {
         let mut refused = self.refused.lock();
         let weak = Arc::downgrade(weights);
@@ -218,7 +219,7 @@ impl Shared {
         }
     }
 
-    /// Remembers that the learner takes another process for the owner of the name, or ends everything if that stays so.
+    /// Records that the learner assigns the name to another process, and stops the actor if this lasts for `patience`.
     fn name_is_taken(&self, patience: Duration) {
         let mut since = self.name_taken_since.lock();
         let since = since.get_or_insert_with(|| {
@@ -232,7 +233,7 @@ impl Shared {
         }
     }
 
-    /// Counts segments that found no room.
+    /// Counts segments dropped for lack of room.
     fn count_shed(&self, n_dropped: u64) {
         if n_dropped > 0 && self.sender.learner_is_there() {
             self.drops().full_total += n_dropped;
@@ -281,13 +282,13 @@ async fn send_all(shared: Arc<Shared>) {
     }
 }
 
-/// What became of an attempt.
+/// Result of an attempt to send.
 enum Sent {
-    /// Taken, or dropped and counted.
+    /// Acknowledged, or dropped and counted.
     Done,
-    /// To be tried again soon.
+    /// Retry soon.
     Busy,
-    /// To be tried again when a learner is there.
+    /// Retry when a learner is present.
     NobodyThere,
 }
 
@@ -327,7 +328,7 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
     Sent::Done
 }
 
-/// Puts the actor's metrics on the bus.
+/// Publishes the actor's metrics.
 struct Reporter {
     shared: Arc<Shared>,
     metrics: MetricsPublisher,
@@ -349,7 +350,7 @@ impl Reporter {
             let n_env_steps = report.counters.n_env_steps;
             let env_steps_per_s = (n_env_steps - last.1) as f64 / (now - last.0).as_secs_f64().max(1e-9);
             last = (now, n_env_steps);
-            // The oldest, so that a thread that hangs behind shows.
+            // The oldest version, so that a thread that falls behind is visible.
             let weights_version = self.shared.progress().iter().map(|p| p.version).min().unwrap_or_default();
             let learner_version = self.shared.learner_version.load(Ordering::Relaxed);
             let metrics = ActorMetrics {

@@ -1,8 +1,8 @@
-//! Cuts one episode after the other into segments that can be learned from.
+//! Cuts episodes into segments to learn from.
 
 use proto::{ActorId, Driver, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
 
-/// Who numbers the segments: with the actor's name and start time each number is unique.
+/// Origin and numbering of segments. Each number is unique together with the actor's name and start time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// Name of the actor.
@@ -11,52 +11,54 @@ pub struct Identity {
     pub epoch: u64,
     /// Number of the first segment.
     pub first_seq: u64,
-    /// Distance between numbers, at least 1: as many as there are threads, so that they never share one.
+    /// Increment between numbers, at least 1: the number of threads, so that they never share one.
     pub seq_step: u64,
 }
 
-/// Collects the steps of one world's episodes.
+/// Collects the steps of one episode.
 ///
-/// A segment ends after `segment_len` steps or with its episode. Segments of an episode that were cut earlier are gone
-/// when it diverges: they ended in sound scenes and carry the value of those, so only the steps since the last cut are
-/// dropped.
+/// A segment ends after `segment_len` steps or with the episode. If the episode diverges, only the steps since the last
+/// cut are dropped. Earlier segments may already have been sent; they ended in valid scenes and carry the values of
+/// those.
 #[derive(Clone, Debug)]
 pub struct SegmentBuilder {
     segment_len: usize,
     task: Task,
     driver: Driver,
     transitions: Vec<Transition>,
-    /// Oldest weights among the collected steps.
+    /// Oldest weights version among the collected steps.
     oldest_version: Option<WeightsVersion>,
     /// Index of the first collected step in its episode.
     first_step: u16,
-    /// Steps that are in no segment and that no segment tells of yet.
+    /// Burn-in steps that no segment has reported yet.
     n_burn_in_steps: u16,
-    /// Of the whole episode so far.
+    /// Return of the whole episode so far.
     episode_return: RewardTerms,
 }
 
-/// What a step completes.
+/// Result of adding a step.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cut {
-    /// Nothing yet.
+    /// No segment is complete yet.
     None,
-    /// A segment; its number, and its bootstrap value where [`needs_bootstrap`] says so, are still to be filled in.
+    /// A segment. Its number must still be filled in, and its bootstrap value if [`needs_bootstrap`] returns true.
     Segment(Box<Trajectory>),
-    /// The episode diverged and this many steps of it were dropped.
+    /// The episode diverged, and steps of it were dropped.
     Diverged {
         /// Steps since the last cut, at least 1.
         n_dropped_steps: u64,
     },
 }
 
-/// Whether a segment ends in a state whose value counts: true after a cut and at the time limit, false after success.
+/// Returns whether a segment ends in a state whose value counts: true after a cut and at the time limit, false after
+/// success.
 pub fn needs_bootstrap(status: Status) -> bool {
     matches!(status, Status::Running | Status::TimeLimit)
 }
 
 impl SegmentBuilder {
-    /// A builder at the start of an episode of `task` in which `driver` acts; `segment_len` is in steps, at least 1.
+    /// Creates a builder at the start of an episode of `task` in which `driver` acts; `segment_len` is in steps, at
+    /// least 1.
     pub fn new(segment_len: usize, task: Task, driver: Driver) -> Self {
         Self {
             segment_len: segment_len.max(1),
@@ -70,27 +72,27 @@ impl SegmentBuilder {
         }
     }
 
-    /// The goal and start of the current episode.
+    /// Returns the goal and start of the episode.
     pub fn task(&self) -> &Task {
         &self.task
     }
 
-    /// Counts a step at the start of an episode that is not learned from.
+    /// Counts a burn-in step at the start of the episode, which is not learned from.
     pub fn skip(&mut self, reward: &RewardTerms) {
         self.episode_return = self.episode_return + *reward;
         self.first_step = self.first_step.saturating_add(1);
         self.n_burn_in_steps = self.n_burn_in_steps.saturating_add(1);
     }
 
-    /// The episode ends in its burn-in: the last step becomes a segment of the policy's mode, so that its outcome counts
-    /// although nothing is learned from it.
+    /// Ends the episode in its burn-in. The last step becomes a segment of the greedy policy, so that its outcome
+    /// counts although nothing is learned from it.
     pub fn end_in_burn_in(&mut self) {
         self.driver = Driver::Greedy;
     }
 
-    /// Adds a step that led to `after` with `status`, acted by `version`.
+    /// Adds a step that led to `after` with `status`, acted with weights `version`.
     ///
-    /// The segment that it may complete carries the name and epoch of `identity`, number 0 and bootstrap value 0.
+    /// A segment that this completes has the name and epoch of `identity`, number 0, and bootstrap value 0.
     pub fn push(
         &mut self,
         transition: Transition,
@@ -155,7 +157,7 @@ mod tests {
         }
     }
 
-    /// Pushes steps `(reward, version, status)` into segments of 3 and lists what they complete.
+    /// Pushes steps `(reward, version, status)` into segments of 3 and returns what they complete.
     fn cuts(steps: &[(f32, u64, Status)]) -> Vec<Cut> {
         let mut builder = SegmentBuilder::new(3, toy::task(), Driver::Sampled);
         let push = |&(reward, version, status): &(f32, u64, Status)| {
@@ -182,7 +184,7 @@ mod tests {
         // The return of the whole episode: 1 + 2 + 3 + 4.
         let outcome = second.outcome.unwrap();
         assert_eq!((outcome.success, outcome.n_steps, outcome.episode_return.connected), (true, 4, 10.0));
-        // Nothing of one episode is left in the next.
+        // Nothing of one episode carries over to the next.
         let outcome = third.outcome.unwrap();
         assert_eq!((third.first_step, outcome.n_steps, outcome.episode_return.connected), (0, 1, 8.0));
     }

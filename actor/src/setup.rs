@@ -1,4 +1,4 @@
-//! What an actor is made of.
+//! Configuration of a whole actor.
 
 use blueprints::Catalog;
 use environment::EnvironmentConfig;
@@ -7,19 +7,19 @@ use proto::ActorId;
 
 use crate::config::ActorConfig;
 
-/// What an actor needs besides the bus.
+/// Everything that an actor needs besides the bus.
 #[derive(Clone, Debug)]
 pub struct ActorSetup {
-    /// Tasks, worlds, segments and how they are sent.
+    /// Tasks, worlds, segments, and how they are sent.
     pub config: ActorConfig,
-    /// The policy that acts; it must be the learner's.
+    /// The policy that acts; it must match the learner's.
     pub policy: PolicyConfig,
-    /// The world.
+    /// The worlds.
     pub environment: EnvironmentConfig,
-    /// Name among the living, which its segments carry.
+    /// Name among the live actors, which its segments carry.
     pub id: ActorId,
     /// Seed of the run.
     pub seed: u64,
-    /// Where goals and starts come from; the learner's has them too.
+    /// Source of goals and starts; the learner has the same.
     pub catalog: &'static Catalog,
 }

@@ -1,11 +1,11 @@
-//! Random streams: no two processes of a run, and no two lives of one, draw the same tasks and actions.
+//! Random streams: no two processes of a run, and no two lives of an actor, draw the same tasks and actions.
 
 use blueprints::hash::fnv1a;
 use environment::vec_env::generator;
 use proto::{ActorId, WeightsVersion};
 use rand::RngExt;
 
-/// What sets an actor's life apart from all others of a run.
+/// What distinguishes an actor's life from all others in a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Life {
     /// Seed of the run.
@@ -14,19 +14,19 @@ pub struct Life {
     pub actor: ActorId,
     /// Start time of the process, ms since 1970.
     pub epoch: u64,
-    /// Weights that it begins with, so that a run that goes on does not repeat what it did.
+    /// Version of its first weights, so that a resumed run does not repeat itself.
     pub version: WeightsVersion,
 }
 
 impl Life {
-    /// The seed of all its tasks and actions.
+    /// Returns the seed of all its tasks and actions.
     pub fn seed(&self) -> u64 {
-        // The name comes last and has no fixed length: so no two lives give the same bytes.
+        // The name comes last because its length varies, so no two lives give the same bytes.
         let numbers = [self.run_seed, self.epoch, self.version.0].map(u64::to_le_bytes);
         fnv1a(numbers.into_iter().flatten().chain(self.actor.as_str().bytes()))
     }
 
-    /// The seed of one of its threads.
+    /// Returns the seed of one of its threads.
     pub fn thread_seed(&self, thread_idx: usize) -> u64 {
         generator(self.seed(), thread_idx as u64).random()
     }
@@ -46,7 +46,7 @@ mod tests {
         Life { run_seed: 7, actor: "local".parse().unwrap(), epoch: 1_700_000_000_000, version: WeightsVersion(0) }
     }
 
-    /// The first tasks of a thread.
+    /// Returns the first tasks of a thread.
     fn tasks(life: &Life, thread_idx: usize) -> Vec<Task> {
         let sampler = TaskSampler::new(&TaskConfig::default(), Catalog::builtin()).unwrap();
         let mut rng = generator(life.thread_seed(thread_idx), 0);
@@ -60,7 +60,7 @@ mod tests {
         for other in [
             Life { run_seed: 8, ..life() },
             Life { actor: "actor-1".parse().unwrap(), ..life() },
-            // A process that was started again a millisecond later, and a run that goes on.
+            // A process that was restarted a millisecond later, and a resumed run.
             Life { epoch: life().epoch + 1, ..life() },
             Life { version: WeightsVersion(1), ..life() },
         ] {

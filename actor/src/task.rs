@@ -1,4 +1,4 @@
-//! Which task comes next: the learner's probabilities, narrowed by a filter, and the mix of starts.
+//! Task sampling: the learner's probabilities, restricted by a filter, and the mix of starts.
 
 use std::collections::BTreeMap;
 
@@ -10,72 +10,72 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-/// Generated structures that are tried before a goal of the catalog is taken after all.
+/// Maximum number of generated structures to try before falling back to a goal of the catalog.
 const MAX_GENERATED: usize = 8;
 
 settings! {
     /// Which training blueprints are goals, and how their episodes begin.
     ///
-    /// What remains after the probabilities of `prebuilt` and `near_goal` starts scattered.
+    /// All episodes without a prebuilt or near-goal start begin scattered.
     pub struct TaskConfig {
         /// The goals.
         pub filter: TaskFilter = TaskFilter::All;
-        /// Probability that another training blueprint stands at the start (paper, "Initial State").
+        /// Probability that another training blueprint is built at the start (paper, "Initial State").
         pub prebuilt_probability: f64 = 0.2, in 0.0..=1.0;
-        /// Probability that the goal stands but for some blocks (an extension, not the paper's).
+        /// Probability that the goal is built except for some blocks (an extension, not the paper's).
         pub near_goal_probability: f64 = 0.0, in 0.0..=1.0,
             where |c| c.prebuilt_probability + c.near_goal_probability <= 1.0 => "at most 1 with prebuilt_probability";
-        /// Fewest and most blocks taken off in a start near the goal; the goal's size less one is the limit. With a
-        /// reverse curriculum the learner decides instead: half of these starts go as far as it lets them, to scattered
-        /// blocks in the end, and the others are spread evenly over what comes before.
+        /// Minimum and maximum number of blocks removed in a near-goal start, limited to the goal's size less one. With
+        /// a reverse curriculum, the learner decides instead: half of these starts remove as many blocks as it allows
+        /// (a scattered start if that is all of them), and the others a uniform number from 1 to that.
         pub near_goal_undone: [u8; 2] = [1, 2],
             in 1..=15, where |c| c.near_goal_undone.is_sorted() => "two ascending numbers";
-        /// Probability that a structure of the generator takes the goal's place, of the same number of blocks (an
-        /// extension). It is seeded like everything else, and never has the shape of a held-out structure, mirrored,
-        /// with other poles, and built of other blocks included.
+        /// Probability that a generated structure with the same number of blocks replaces the goal (an extension). It
+        /// is seeded like everything else, and never has the shape of a held-out structure, even mirrored, with other
+        /// poles, or built of other blocks.
         pub generated_probability: f64 = 0.0, in 0.0..=1.0;
-        /// What those look like, all alike where the size allows. By default not `longest` and `tallest`, of which the
-        /// held-out structures of those splits are made.
+        /// Styles of generated structures, equally likely where the size allows. By default without `longest` and
+        /// `tallest`, because the held-out structures of those splits have these styles.
         pub generated_styles: Vec<Style> = Style::TRAINING.to_vec(),
             where |c| !c.generated_styles.is_empty() => "at least one style";
-        /// Lets equal blocks swap roles from episode to episode, since the policy sees slot numbers.
+        /// Shuffles equal blocks in every episode, because the policy sees slot numbers.
         pub shuffle_blocks: bool = true;
     }
 }
 
-/// A choice of training blueprints.
+/// A selection of training blueprints.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum TaskFilter {
-    /// All of the training split.
+    /// All blueprints of the training split.
     #[default]
     All,
-    /// Those with a number of blocks in the range.
+    /// Training blueprints with a number of blocks in the range.
     Sizes {
-        /// Fewest blocks.
+        /// Minimum number of blocks.
         min: usize,
-        /// Most blocks.
+        /// Maximum number of blocks.
         max: usize,
     },
-    /// These, by id; generated ones too, such as `gen1-arch-7_6_000`.
+    /// The blueprints with these ids, including generated ones such as `gen1-arch-7_6_000`.
     Blueprints(Vec<BlueprintId>),
 }
 
-/// Why a filter selects no goals.
+/// Reasons why a filter selects no goals.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FilterError {
-    /// An id that neither the training split nor the generator has, or one of a held-out structure.
+    /// An id that neither the training split nor the generator has, or the id of a held-out structure.
     #[error("blueprint {0} is neither in the training split of the catalog nor a generated one")]
     NotForTraining(BlueprintId),
-    /// Nothing remains.
+    /// No training blueprint has a size in the range.
     #[error("no training blueprint has between {min} and {max} blocks")]
     NoSuchSize {
-        /// Fewest blocks asked for.
+        /// Requested minimum number of blocks.
         min: usize,
-        /// Most blocks asked for.
+        /// Requested maximum number of blocks.
         max: usize,
     },
-    /// Nothing was there.
+    /// The list of blueprints is empty.
     #[error("the list of goals is empty")]
     Empty,
 }
@@ -84,19 +84,19 @@ pub enum FilterError {
 #[derive(Clone, Debug)]
 pub struct TaskSampler {
     config: TaskConfig,
-    /// Goals in catalog order with their number of blocks and their probability, which need not sum to 1.
+    /// Goals in catalog order with their number of blocks and their probability. Probabilities need not sum to 1.
     goals: Vec<(BlueprintId, usize, f64)>,
-    /// What may stand at the start: the whole training split, whatever the filter.
+    /// Blueprints that may be built at the start: the whole training split, regardless of the filter.
     prebuilt: Vec<BlueprintId>,
-    /// Most blocks taken off by number of blocks; empty without a reverse curriculum.
+    /// Maximum number of removed blocks by number of blocks; empty without a reverse curriculum.
     reach: BTreeMap<u8, u8>,
 }
 
 impl TaskConfig {
-    /// The structures of the generator that a sampler draws as goals; `None` if it draws none.
+    /// Returns the generated structures that a sampler may draw as goals; `None` if it draws none.
     ///
     /// # Errors
-    /// When the filter selects nothing or an unknown blueprint.
+    /// If the filter selects nothing or an unknown blueprint.
     pub fn draws(&self, catalog: &Catalog) -> Result<Option<Draws>, FilterError> {
         if self.generated_probability == 0.0 {
             return Ok(None);
@@ -108,10 +108,10 @@ impl TaskConfig {
 }
 
 impl TaskFilter {
-    /// The ids that the filter selects, sorted and unique.
+    /// Returns the ids that the filter selects, sorted and unique.
     ///
     /// # Errors
-    /// When an id is not a training blueprint, or when nothing is selected.
+    /// If an id is not a training blueprint, or nothing is selected.
     pub fn select(&self, catalog: &Catalog) -> Result<Vec<BlueprintId>, FilterError> {
         let training = catalog.of_split(Split::Train);
         let mut ids: Vec<BlueprintId> = match self {
@@ -142,10 +142,10 @@ impl TaskFilter {
 }
 
 impl TaskSampler {
-    /// A sampler that is uniform over the goals until it gets probabilities.
+    /// Creates a sampler that is uniform over the goals until it receives probabilities.
     ///
     /// # Errors
-    /// When the filter selects nothing or an unknown blueprint.
+    /// If the filter selects nothing or an unknown blueprint.
     pub fn new(config: &TaskConfig, catalog: &Catalog) -> Result<Self, FilterError> {
         let ids = config.filter.select(catalog)?;
         let goals =
@@ -154,13 +154,13 @@ impl TaskSampler {
         Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt, reach: BTreeMap::new() })
     }
 
-    /// The goals, in order.
+    /// Returns the goals, in order.
     pub fn goals(&self) -> impl Iterator<Item = &BlueprintId> {
         self.goals.iter().map(|(id, ..)| id)
     }
 
-    /// Takes over the learner's curriculum: its probabilities, restricted to the goals and uniform where they leave
-    /// nothing, and how far from the goal episodes begin.
+    /// Adopts the learner's curriculum: its probabilities, restricted to the goals and uniform if none remain, and how
+    /// far from the goal episodes begin.
     pub fn follow(&mut self, weights: &Weights) {
         self.reach.clone_from(&weights.reverse_reach);
         self.set_probabilities(&weights.task_probabilities);
@@ -176,7 +176,7 @@ impl TaskSampler {
         }
     }
 
-    /// Draws the next task; generated structures are held against the held-out ones of `catalog`.
+    /// Draws the next task. Generated structures are checked against the held-out ones of `catalog`.
     pub fn sample(&self, catalog: &Catalog, rng: &mut ChaCha8Rng) -> Task {
         let (blueprint, n_blocks) = self.draw_goal(rng);
         let replaced = rng.random_bool(self.config.generated_probability);
@@ -187,7 +187,7 @@ impl TaskSampler {
         Task { blueprint, assignment, start, seed: rng.random() }
     }
 
-    /// A generated structure to be trained on; `None` if a few draws come to nothing.
+    /// Draws a generated structure for training; `None` if a few attempts fail.
     fn draw_generated(&self, catalog: &Catalog, n_blocks: usize, rng: &mut ChaCha8Rng) -> Option<BlueprintId> {
         let fits = |style: &&Style| style.sizes().contains(&n_blocks);
         let styles: Vec<Style> = self.config.generated_styles.iter().filter(fits).copied().collect();
@@ -209,7 +209,7 @@ impl TaskSampler {
             rest -= probability;
             rest < 0.0
         });
-        // Rounding may leave a rest of about 0 behind the last goal that has a probability.
+        // Rounding may leave a remainder of about 0 after the last goal with a positive probability.
         let last = self.goals.iter().rev().find(|(.., probability)| *probability > 0.0);
         let (id, n_blocks, _) = drawn.or(last).expect("a sampler has at least one goal with a positive probability");
         (id, *n_blocks)

@@ -1,4 +1,4 @@
-//! A world without physics for tests: nothing moves, and a script says how each step ends.
+//! A world without physics for tests: nothing moves, and a script determines how each step ends.
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS};
 use environment::{Env, ResetError, StepResult};
@@ -10,7 +10,7 @@ use proto::{
 
 use crate::segment::Identity;
 
-/// Ends each step as the script says, over and over; step `k` of the script gives the reward `k + 1` for connections.
+/// Ends each step as scripted, over and over. Step `k` of the script gives the reward `k + 1` for connections.
 pub(crate) struct Toy {
     script: Vec<Status>,
     n_steps: usize,
@@ -41,7 +41,7 @@ impl Env for Toy {
         let at = self.n_steps % self.script.len();
         self.n_steps += 1;
         self.since_reset += 1;
-        // The scene remembers what was done, so that different actions show in later scenes.
+        // The scene records the action, so that different actions show in later scenes.
         self.scene.blocks[0].position[0] = action.moves[0][0];
         let reward = RewardTerms { connected: (at + 1) as f32, ..RewardTerms::default() };
         StepResult { reward, status: self.script[at] }
@@ -64,7 +64,7 @@ pub(crate) fn id(name: &str) -> BlueprintId {
     BlueprintId::try_from(name.to_owned()).unwrap()
 }
 
-/// Blocks in a row, one meter apart.
+/// Returns a scene with the blocks in a row, one meter apart.
 pub(crate) fn scene() -> Scene {
     let gripper = Gripper {
         held: None,
@@ -87,7 +87,7 @@ pub(crate) fn task() -> Task {
     Task { blueprint: id("2_000"), assignment, start: Start::Scattered, seed: 5 }
 }
 
-/// A segment of one step of another process than [`identity`]'s.
+/// Returns a one-step segment from a different process than [`identity`]'s.
 pub(crate) fn trajectory() -> Trajectory {
     let transition = Transition {
         scene: scene(),
@@ -118,7 +118,7 @@ pub(crate) fn identity() -> Identity {
     Identity { actor: ActorId::try_from("toy".to_owned()).unwrap(), epoch: 1, first_seq: 10, seq_step: 2 }
 }
 
-/// A network small enough for tests.
+/// Returns the configuration of a network small enough for tests.
 pub(crate) fn policy() -> PolicyConfig {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
@@ -126,7 +126,7 @@ pub(crate) fn policy() -> PolicyConfig {
     PolicyConfig { network, ..Default::default() }
 }
 
-/// Untrained weights whose values are `value` on average and whose only task is `2_000`.
+/// Returns untrained weights whose values are `value` on average and whose only task is `2_000`.
 pub(crate) fn weights(version: u64, value: f32) -> Weights {
     let config = policy();
     let network = Network::init(&config.network, &config.sizes(), 1, &policy::DeviceKind::Cpu.open().unwrap());

@@ -1,25 +1,25 @@
-//! Times in buckets that are 3 % wide, so that many processes' times can be put together.
+//! Durations in buckets that are 3 % wide, so that those of many processes can be merged.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// Buckets between two powers of two.
+/// Number of buckets between consecutive powers of two.
 const N_PARTS: u64 = 32;
 
-/// How often which times were seen.
+/// A histogram of durations.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Histogram {
-    /// Number of times in each bucket; see [`upper_us`].
+    /// Number of durations in each bucket; see [`upper_us`].
     buckets: BTreeMap<u16, u64>,
     n: u64,
     max_us: u64,
 }
 
 impl Histogram {
-    /// Counts a time.
+    /// Counts a duration.
     pub fn add(&mut self, time: Duration) {
         let us = u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
         *self.buckets.entry(bucket(us)).or_default() += 1;
@@ -27,7 +27,7 @@ impl Histogram {
         self.max_us = self.max_us.max(us);
     }
 
-    /// Counts what `other` has counted.
+    /// Adds the counts of `other`.
     pub fn merge(&mut self, other: &Self) {
         for (&bucket, n) in &other.buckets {
             *self.buckets.entry(bucket).or_default() += n;
@@ -36,12 +36,12 @@ impl Histogram {
         self.max_us = self.max_us.max(other.max_us);
     }
 
-    /// How many times were counted.
+    /// Returns the number of durations counted.
     pub fn n(&self) -> u64 {
         self.n
     }
 
-    /// The time that a share of `share`, 0 to 1, does not exceed, at most 3 % too long; `None` without any.
+    /// Returns the quantile at `share`, 0 to 1, at most 3 % too long; `None` if nothing was counted.
     pub fn quantile(&self, share: f64) -> Option<Duration> {
         let rank = ((share * self.n as f64).ceil() as u64).clamp(1, self.n.max(1));
         let mut n_below = 0;
@@ -52,13 +52,13 @@ impl Histogram {
         Some(Duration::from_micros(upper_us(bucket).min(self.max_us)))
     }
 
-    /// The longest time; zero without any.
+    /// Returns the longest duration; zero if nothing was counted.
     pub fn max(&self) -> Duration {
         Duration::from_micros(self.max_us)
     }
 }
 
-/// Times below 32 µs have a bucket each, and so has every 32nd part between two powers of two.
+/// Returns the bucket of a duration: one each below 32 µs, and 32 between consecutive powers of two above.
 fn bucket(us: u64) -> u16 {
     if us < N_PARTS {
         return us as u16;
@@ -67,7 +67,7 @@ fn bucket(us: u64) -> u16 {
     (u64::from(shift) * N_PARTS + (us >> shift)) as u16
 }
 
-/// The longest time of a bucket.
+/// Returns the longest duration of a bucket.
 fn upper_us(bucket: u16) -> u64 {
     let bucket = u64::from(bucket);
     if bucket < 2 * N_PARTS {

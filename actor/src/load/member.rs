@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 use super::Script;
 use super::tally::{LoadCounts, Pull, Tally};
 
-/// Pause before a learner whose mailbox is full is tried again, as of a real actor.
+/// Pause before retrying a learner whose mailbox is full, as in a real actor.
 const RETRY_PAUSE: Duration = Duration::from_millis(50);
 
 /// A simulated actor on the bus.
@@ -34,7 +34,7 @@ pub(super) struct Member {
 }
 
 impl Member {
-    /// Declares all that an actor declares.
+    /// Declares everything that an actor declares.
     pub(super) async fn join(number: usize, bus: Bus) -> anyhow::Result<Self> {
         let id = ActorId::try_from(format!("load-{number}")).context("naming a simulated actor")?;
         Ok(Self {
@@ -93,7 +93,7 @@ impl Member {
         }
     }
 
-    /// Sends one segment until it has a final answer.
+    /// Sends one segment until it gets a final answer.
     async fn deliver(
         &self,
         segment: &Trajectory,
@@ -102,7 +102,7 @@ impl Member {
         tally: &Tally,
         give_up: &CancellationToken,
     ) {
-        // Whether an attempt ended without an answer, so that the learner may have the segment.
+        // Whether an attempt got no answer, so that the learner may have the segment.
         let mut in_doubt = false;
         let refused = |count: fn(&mut LoadCounts), in_doubt: bool| {
             let doubt: fn(&mut LoadCounts) = |counts| counts.in_doubt_total += 1;
@@ -149,7 +149,7 @@ impl Member {
         }
     }
 
-    /// Publishes metrics every `period` and notes when newer weights came, until `end`.
+    /// Publishes metrics every `period` and records when newer weights arrived, until `end`.
     pub(super) async fn watch_and_report(&self, tally: &Tally, period: Duration, end: &CancellationToken) -> Vec<Pull> {
         let mut weights = self.weights.watch();
         weights.mark_unchanged();

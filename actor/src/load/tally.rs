@@ -1,4 +1,4 @@
-//! What became of the segments, counted at the actors' end.
+//! Results of the segments, counted by the actors.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::time::Duration;
@@ -8,42 +8,43 @@ use serde::{Deserialize, Serialize};
 
 use super::Histogram;
 
-/// What became of segments. Each one that was begun is in exactly one of `acked_total`, `stale_total`, `invalid_total`,
-/// `failed_total`, `in_doubt_total` and `unsent_total`; the others count attempts.
+/// Results of segments. Each segment that was started is in exactly one of `acked_total`, `stale_total`,
+/// `invalid_total`, `failed_total`, `in_doubt_total`, and `unsent_total`. `full_total`, `no_reply_total`, and
+/// `no_learner_total` count attempts.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LoadCounts {
-    /// The learner acknowledged it.
+    /// Segments that the learner acknowledged.
     pub acked_total: u64,
-    /// Steps of those.
+    /// Steps of the acknowledged segments.
     pub acked_steps_total: u64,
-    /// Encoded bytes of those.
+    /// Encoded bytes of the acknowledged segments.
     pub acked_bytes_total: u64,
-    /// Wrapping sum of [`Trajectory::fingerprint`] of those.
+    /// Wrapping sum of [`Trajectory::fingerprint`] over the acknowledged segments.
     pub acked_fingerprints: u64,
-    /// The learner called it too old.
+    /// Segments that the learner refused as stale.
     pub stale_total: u64,
-    /// The learner called it invalid.
+    /// Segments that the learner refused as invalid, or because the name is taken.
     pub invalid_total: u64,
-    /// The session refused it.
+    /// Segments that the session failed to send.
     pub failed_total: u64,
-    /// The end came before an answer: the learner may have it.
+    /// Segments that the learner may have, because an attempt got no answer.
     pub in_doubt_total: u64,
-    /// The end came while it waited for another attempt: the learner does not have it.
+    /// Segments that still waited for another attempt at the end; the learner does not have them.
     pub unsent_total: u64,
-    /// Attempts that found mailbox or queue full.
+    /// Attempts that found the learner's mailbox or queue full.
     pub full_total: u64,
-    /// Attempts that nobody answered in time.
+    /// Attempts without an answer in time.
     pub no_reply_total: u64,
-    /// Attempts while no learner was there.
+    /// Attempts while no learner was present.
     pub no_learner_total: u64,
-    /// Time from when a segment was due, or at full speed from its first attempt, to its acknowledgement.
+    /// Time from when a segment was due, or at full speed from its first attempt, to its acknowledgment.
     pub ack_latency: Histogram,
     /// The first failure of the session.
     pub first_error: Option<String>,
 }
 
-/// When an actor had which weights.
+/// When an actor received which weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pull {
@@ -53,28 +54,28 @@ pub struct Pull {
     pub unix_us: u64,
 }
 
-/// What the actors of one process did.
+/// Results of the actors of one process.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LoadReport {
     /// Actors that took part.
     pub n_actors: usize,
-    /// Time from the start to the stop.
+    /// Time from start to stop, in seconds.
     pub elapsed_s: f64,
-    /// Whether every attempt had its answer before the end.
+    /// Whether every attempt was answered before the end.
     pub drained: bool,
-    /// Of all actors together.
+    /// Counts of all actors together.
     pub counts: LoadCounts,
-    /// The weights of each actor, oldest first, from those on that it held at the start.
+    /// The weights of each actor, oldest first, beginning with those that it held at the start.
     pub pulls: Vec<Vec<Pull>>,
-    /// Pulls of weights that failed and were tried again.
+    /// Pulls of weights that failed and were retried.
     pub pulls_failed_total: u64,
-    /// Weights that could not be read.
+    /// Weights that could not be decoded.
     pub weights_invalid_total: u64,
 }
 
 impl LoadCounts {
-    /// Adds what another process or actor counted.
+    /// Adds the counts of another process or actor.
     pub fn add(&mut self, other: &Self) {
         let Self { acked_total, acked_steps_total, acked_bytes_total, acked_fingerprints, .. } = other;
         add(&mut self.acked_total, *acked_total);
@@ -125,7 +126,7 @@ impl Tally {
     }
 
     fn lock(&self) -> MutexGuard<'_, LoadCounts> {
-        // Numbers are whole after every statement.
+        // Every statement leaves the counts consistent.
         self.0.lock()
     }
 }

@@ -1,4 +1,4 @@
-//! Simulated actors against a learner that refuses now and then.
+//! Simulated actors against a learner that refuses some segments.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -10,7 +10,7 @@ use super::*;
 use crate::segment::{Cut, SegmentBuilder};
 use crate::toy;
 
-/// A segment of so many steps.
+/// Returns a segment of `n_steps` steps.
 fn segment(n_steps: usize) -> Trajectory {
     let mut builder = SegmentBuilder::new(n_steps, toy::task(), Driver::Sampled);
     for _ in 0..n_steps {
@@ -36,10 +36,10 @@ fn segment(n_steps: usize) -> Trajectory {
 #[test]
 fn segments_are_due_when_their_steps_are_stepped() {
     let script = Script::new(vec![segment(4), segment(2)], 2.0).unwrap();
-    // Steps 4, 6, 10, 12 at two a second.
+    // Steps 4, 6, 10, and 12 at two per second.
     let due: Vec<_> = (0..4).map(|seq| script.due(seq).unwrap().as_secs_f64()).collect();
     assert_eq!(due, [2.0, 3.0, 5.0, 6.0]);
-    // A segment takes 1.5 s in the mean.
+    // A segment takes 1.5 s on average.
     let phases: Vec<_> = (0..3).map(|number| script.phase(number).as_secs_f64()).collect();
     assert!(phases[0] == 0.0 && (phases[1] - 0.927).abs() < 1e-3 && (phases[2] - 0.354).abs() < 1e-3, "{phases:?}");
     let fast = Script::new(vec![segment(4)], 0.0).unwrap();
@@ -88,7 +88,7 @@ async fn both_ends_count_the_same_segments() {
             if taken.len() == 50 {
                 publisher.publish(Arc::new(toy::weights(4, 1.0))).await.unwrap();
             }
-            // Only who has pulled the newer weights sends under their version.
+            // Only an actor that has pulled the newer weights sends under their version.
             if taken.len() >= 100 && n_newer >= 20 {
                 stopping.cancel();
             }

@@ -1,4 +1,4 @@
-//! Rollouts of toy worlds whose endings are scripted.
+//! Rollouts of toy worlds with scripted endings.
 
 use proto::{Outcome, RewardTerms, WeightsVersion};
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::task::TaskFilter;
 use crate::toy::{self, Toy, id};
 
-/// Untrained values lie within a few standard deviations of the mean that the weights give, and these are 0.001.
+/// Untrained values are within a few standard deviations (0.001) of the mean in the weights.
 const VALUE: f32 = 5.0;
 
 fn rollout(scripts: &[&[Status]], seed: u64) -> Rollout<'static, Toy> {
@@ -40,7 +40,7 @@ fn is_near(value: f32, expected: f32) -> bool {
 #[test]
 fn bootstrap_values_after_a_cut_a_success_and_the_time_limit() {
     use Status::{Running, Success, TimeLimit};
-    // Segments of 3: a cut, the end by success, an episode of 2 steps up to the time limit.
+    // Segments of 3: a cut, an end by success, and an episode of 2 steps up to the time limit.
     let script = [Running, Running, Running, Success, Running, TimeLimit];
     let segments = run(&mut rollout(&[&script], 1), 6);
     let [cut, success, time_limit] = &segments[..] else { panic!("{} segments", segments.len()) };
@@ -52,7 +52,7 @@ fn bootstrap_values_after_a_cut_a_success_and_the_time_limit() {
     let of_terms = |connected| RewardTerms { connected, ..RewardTerms::default() };
     assert_eq!(success.outcome, Some(Outcome { success: true, n_steps: 4, episode_return: of_terms(10.0) }));
     assert_eq!(time_limit.outcome, Some(Outcome { success: false, n_steps: 2, episode_return: of_terms(11.0) }));
-    // The last scene is the one before the reset, which the next segment begins with only within an episode.
+    // The last scene is the one before the reset. Only within an episode does the next segment begin with it.
     assert_eq!(cut.last_scene, success.transitions[0].scene);
     assert!(cut.transitions.iter().all(|step| is_near(step.value, VALUE) && step.behavior_log_prob.is_finite()));
 }
@@ -80,7 +80,7 @@ fn a_burn_in_counts_but_is_not_learned_from() {
 fn segments_are_numbered_across_worlds_and_threads() {
     let script = [Status::Running];
     let segments = run(&mut rollout(&[&script, &script], 1), 6);
-    // The identity of the toy starts at 10 in steps of 2.
+    // The toy's identity starts at 10 in steps of 2.
     assert_eq!(segments.iter().map(|segment| segment.seq).collect::<Vec<_>>(), [10, 12, 14, 16]);
     assert_eq!(segments.iter().map(|segment| segment.first_step).collect::<Vec<_>>(), [0, 0, 3, 3]);
 }
@@ -90,7 +90,7 @@ fn diverged_episodes_are_dropped_and_counted() {
     use Status::{Diverged, Running};
     let mut rollout = rollout(&[&[Running, Running, Running, Running, Diverged]], 1);
     let segments = run(&mut rollout, 10);
-    // Of each episode of 5 steps the first 3 were cut before it diverged.
+    // The first 3 steps of each episode of 5 were cut before it diverged.
     assert_eq!(segments.len(), 2);
     assert!(segments.iter().all(|segment| segment.status == Running && segment.first_step == 0));
     let expected = RolloutCounters {
@@ -138,7 +138,7 @@ fn new_weights_act_from_the_next_step_and_move_the_tasks() {
     weights.task_probabilities = [(id("3_002"), 1.0)].into();
     rollout.set_weights(&weights).unwrap();
     let segments = run(&mut rollout, 3);
-    // The first episode began with version 0 and counts as its work; the later ones follow the new probabilities.
+    // The first episode began with version 0, which its segment carries; later ones follow the new probabilities.
     assert_eq!((segments[0].weights_version, rollout.version()), (WeightsVersion(0), WeightsVersion(4)));
     assert!(is_near(segments[0].transitions[0].value, VALUE));
     assert!(is_near(segments[0].transitions[1].value, 2.0 * VALUE));

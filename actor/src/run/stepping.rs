@@ -1,4 +1,4 @@
-//! The threads that step worlds, and which weights they act by.
+//! The threads that step worlds, and their choice of weights.
 
 use std::sync::Arc;
 
@@ -14,10 +14,10 @@ use crate::rollout::{Rollout, RolloutError, RolloutSetup};
 use crate::segment::Identity;
 use crate::streams::Life;
 
-/// Newest weights as they come.
+/// Newest weights as they arrive.
 type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 
-/// The life of a stepping thread, which may wait on the runtime that started it; `setup` has the seed of the run.
+/// Runs a stepping thread, which may wait on the runtime that started it. `setup` has the seed of the run.
 pub(super) fn step_worlds(
     mut setup: RolloutSetup<'static>,
     environment: &EnvironmentConfig,
@@ -41,7 +41,7 @@ pub(super) fn step_worlds(
         match stepper.rollout.step() {
             Ok(segments) => {
                 for segment in segments {
-                    // A full backlog may wait for the learner.
+                    // A push to a full backlog may wait for the learner.
                     let _waiting = shared.bus.pulse().waiting();
                     shared.count_shed(shared.backlog.push(segment));
                 }
@@ -59,7 +59,7 @@ pub(super) fn step_worlds(
     Ok(())
 }
 
-/// Waits for weights by which an untrained policy can act; `None` if the end comes first.
+/// Waits for the first usable weights; `None` if the actor stops first.
 fn first_usable(
     setup: &RolloutSetup<'static>,
     weights: &mut Arrivals,
@@ -80,7 +80,7 @@ fn first_usable(
     }
 }
 
-/// Waits for other weights; false if the end comes first.
+/// Waits for other weights; false if the actor stops first.
 fn wait_for_others(weights: &mut Arrivals, shared: &Shared) -> bool {
     let _waiting = shared.bus.pulse().waiting();
     Handle::current().block_on(async {
@@ -91,16 +91,16 @@ fn wait_for_others(weights: &mut Arrivals, shared: &Shared) -> bool {
     })
 }
 
-/// A rollout, and the weights that act in it.
+/// A rollout and its acting weights.
 struct Stepper {
     rollout: Rollout<'static, World>,
     current: Arc<Weights>,
-    /// What acted before, in case the current ones turn out to be of no use in some scene.
+    /// The weights before the current ones, in case those turn out to be unusable in some scene.
     previous: Option<Arc<Weights>>,
 }
 
 impl Stepper {
-    /// Acts by the newest weights if they are of use.
+    /// Switches to the newest weights if they are usable.
     fn take_newest(&mut self, weights: &mut Arrivals, shared: &Shared) -> Result<(), RolloutError> {
         let Some(newest) = weights.borrow_and_update().clone() else { return Ok(()) };
         match self.rollout.set_weights(&newest) {
@@ -111,7 +111,7 @@ impl Stepper {
         Ok(())
     }
 
-    /// Goes back to the weights before the current ones, or waits for others if there are none; false if the end comes first.
+    /// Falls back to the previous weights, or waits for others if there are none; false if the actor stops first.
     fn fall_back(
         &mut self,
         error: &PolicyError,

@@ -33,7 +33,7 @@ fn setup(config: ActorConfig) -> ActorSetup {
     ActorSetup { config, policy: toy::policy(), environment, id: toy::identity().actor, seed: 1, catalog }
 }
 
-/// Ends a test that waits for what does not come.
+/// Fails a test that would otherwise hang.
 async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(60), future).await.expect("it takes a moment only")
 }
@@ -132,7 +132,7 @@ async fn it_waits_for_the_first_weights_and_refuses_other_networks() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
-    // The other is there already.
+    // The other actor is already present.
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let taken = bus.declare_alive(Role::Actor, "toy").await.unwrap();
@@ -145,10 +145,10 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     let alive = bus.alive(Role::Actor).await.unwrap();
     within(alive.watch().wait_for(|names| names.contains("toy"))).await.unwrap();
     drop(taken);
-    // A learner that still saw the old token go would forget whose the name is.
+    // A learner that saw the old token disappear later would forget the owner of the name.
     within(alive.watch().wait_for(BTreeSet::is_empty)).await.unwrap();
 
-    // Both looked at the same moment and found nobody; the learner took a trajectory of the other first.
+    // Both checked at the same moment and found no other; the learner accepted a trajectory of the other first.
     let (_version, current_version) = watch::channel(WeightsVersion(0));
     let server = bus.serve_trajectories(|_| Ok(()), current_version).await.unwrap();
     let actor = start();
@@ -162,7 +162,7 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     assert_eq!(within(actor).await.unwrap().unwrap_err().to_string(), expected);
     assert_eq!(server.counts().accepted_total, 1);
     assert!(server.counts().name_taken_total > 0);
-    // It has told how many segments nobody took.
+    // It has reported how many segments were not accepted.
     loop {
         let said: ActorMetrics = serde_json::from_value(within(metrics.recv()).await.unwrap().value).unwrap();
         assert_eq!(said.n_trajectories_acked, 0);
@@ -173,8 +173,8 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     bus.close().await;
 }
 
-/// Untrained weights that are of no use once the first gripper holds a block that is not the first goal's of the catalog,
-/// which in the scene of the trial it does not.
+/// Returns untrained weights that become unusable once the first gripper holds a block outside the catalog's first
+/// goal. In the trial's scene, it does not.
 fn trap(version: u64) -> Weights {
     let (mut weights, config) = (toy::weights(version, 1.0), toy::policy());
     let network = Network::init(&config.network, &config.sizes(), 1, &policy::DeviceKind::Cpu.open().unwrap());
@@ -183,7 +183,7 @@ fn trap(version: u64) -> Weights {
     for spec in network.table() {
         if spec.name.ends_with("input_global.w") {
             for stray in BlockIdx::all().filter(|block| !goal.contains(*block)) {
-                // Global features 9..25 say which block it holds.
+                // Global features 9..25 encode which block it holds.
                 let row = at + (9 + stray.get()) * spec.shape[1];
                 weights.parameters[row..row + spec.shape[1]].fill(1e6);
             }
@@ -215,7 +215,7 @@ async fn weights_that_give_no_distribution_are_counted_and_the_old_ones_stay() {
             versions.insert(within(received.recv()).await.unwrap());
         }
     };
-    // The service reports from its first weights on that are of this network, though it cannot act by them.
+    // The actor publishes metrics from its first weights on, even if it cannot act with those.
     publisher.publish(Arc::new(huge(1))).await.unwrap();
     refused(1).await;
     publisher.publish(Arc::new(toy::weights(2, 1.0))).await.unwrap();

@@ -1,4 +1,4 @@
-//! What is drawn, how often, and what a filter refuses.
+//! What the sampler draws, how often, and what a filter refuses.
 
 use blueprints::Inventory;
 use rand::SeedableRng;
@@ -56,7 +56,7 @@ fn probabilities_are_restricted_to_the_goals() {
         draw(sampler, 3000).iter().filter(|task| task.blueprint == id(name)).count() as f64
     };
     assert!((n_of(&sampler, "2_001") - 1000.0).abs() < 100.0, "uniform before any probabilities");
-    // Of 0.1 : 0.3 with 0.6 elsewhere, 2_000 gets a quarter.
+    // With 0.1 : 0.3 and 0.6 elsewhere, 2_000 gets a quarter.
     let given = [("2_000", 0.1), ("2_001", 0.3), ("3_000", 0.6)].map(|(name, p)| (id(name), p));
     sampler.set_probabilities(&BTreeMap::from(given));
     assert!((n_of(&sampler, "2_000") - 750.0).abs() < 100.0);
@@ -90,7 +90,7 @@ fn starts_come_in_the_configured_mix() {
         }
     }
     assert!((n_prebuilt - 1000_i32).abs() < 120 && (n_near - 2000_i32).abs() < 150);
-    // Of three blocks at most two can be taken off.
+    // At most two of three blocks can be removed.
     assert!(undone_seen[1] > 100 && undone_seen[2] > 100);
     assert_eq!(undone_seen[1] + undone_seen[2], n_near);
 }
@@ -112,7 +112,7 @@ fn generated_goals_have_the_size_of_the_goals_they_replace() {
         let blueprint = Catalog::builtin().find(&task.blueprint).unwrap();
         assert!(Catalog::builtin().is_for_training(&blueprint));
         assert!((3..=4).contains(&blueprint.n_blocks()));
-        // A bridge has four blocks at least.
+        // A bridge has at least four blocks.
         assert!(request.style == Style::Tower || blueprint.n_blocks() == 4);
     }
     let distinct: std::collections::BTreeSet<_> = generated.iter().map(|task| &task.blueprint).collect();
@@ -185,7 +185,7 @@ fn a_reverse_curriculum_sets_how_much_is_taken_off() {
         };
         *counts.entry((n_blocks, undone)).or_default() += 1;
     }
-    // Half at the reach, the rest even: of 3000 each, 500, 500, and 2000, or 750 and 2250.
+    // Half at the reach and the rest uniform: of 3000 each, 500, 500, and 2000, or 750 and 2250.
     for (key, wanted) in [((3, 1), 500.0), ((3, 2), 500.0), ((3, 3), 2000.0), ((4, 1), 750.0), ((4, 2), 2250.0)] {
         let found = counts.remove(&key).unwrap_or(0) as f64;
         assert!((found - wanted).abs() < 150.0, "{key:?}: {found}");
