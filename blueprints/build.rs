@@ -1,4 +1,4 @@
-//! Lists the catalog's files for embedding, so that a new file is a new built-in blueprint.
+//! Generates the list of catalog files to embed, so that adding a file adds a built-in blueprint.
 
 use std::fmt::Write as _;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! Assembly orders: which part can be added next, and along which approach path.
 //!
-//! A structure is built lying on one of its six sides; success does not depend on the side. The builder cannot support
-//! the other parts, so every intermediate structure must stand by itself. A part must not pass through another one or
+//! A structure is built on any of its six sides; success does not depend on the side. The builder cannot support the
+//! other parts, so every intermediate structure must stand on its own. A part must not pass through another one or
 //! slide along a face whose magnets would catch it one cell early.
 
 mod geometry;
@@ -29,11 +29,11 @@ const MAX_VISITS: usize = 4000;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("whichever side it lies on, it cannot be put together block by block: blocks {missing:?} are never reached")]
 pub struct NoAssembly {
-    /// The blocks that remain at the furthest point of the search, on the side where it got furthest.
+    /// The blocks missing from the largest structure that the search reached on any side.
     pub missing: Vec<BlockIdx>,
 }
 
-/// A blueprint's assembly orders. Queries are cached and therefore take `&mut self`, but depend only on the blueprint.
+/// The assembly orders of a blueprint. Queries take `&mut self` to cache results that depend only on the blueprint.
 #[derive(Clone, Debug)]
 pub struct Assembly {
     geometry: Geometry,
@@ -42,11 +42,11 @@ pub struct Assembly {
     sides: Vec<Side>,
 }
 
-/// Assembly with one direction of the blueprint's frame pointing up.
+/// Assembly orders with one direction of the blueprint's frame pointing up.
 #[derive(Clone, Debug)]
 struct Side {
     up: [i32; 3],
-    /// Whether the structure can be completed from here.
+    /// Whether the structure can be completed from each set of placed parts.
     safe: BTreeMap<Parts, bool>,
     /// The largest structure reached.
     furthest: Parts,
@@ -59,8 +59,8 @@ impl Side {
 }
 
 impl Assembly {
-    /// Finds the sides on which the blueprint can be built. All copies of a blueprint share one search; their parts
-    /// have the same numbers, whichever blocks they use.
+    /// Finds the sides on which the blueprint can be built. All copies of a blueprint share one search and number their
+    /// parts alike, whichever blocks they use.
     ///
     /// # Errors
     /// If no side has an assembly order.
@@ -82,7 +82,7 @@ impl Assembly {
                 furthest = side.furthest;
             }
         }
-        // The sort is stable: the drawing's own up comes first among equals.
+        // The sort is stable, so the drawing's own up direction wins ties.
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         let sides: Vec<Side> = ranked.into_iter().map(|(_, side)| side).collect();
         if sides.is_empty() {
@@ -92,72 +92,73 @@ impl Assembly {
         Ok(Self { geometry, blocks, sides })
     }
 
-    /// Whether the placements can be built on some side. It does not rank the sides and is several times as fast as
-    /// [`of_placements`](Self::of_placements).
+    /// Returns whether the placements can be built on some side. Does not rank the sides, so it is several times as
+    /// fast as [`of_placements`](Self::of_placements).
     pub(crate) fn is_possible(placements: &[Placement]) -> bool {
         let geometry = Geometry::new(placements);
         UPS.into_iter().any(|up| Side::new(up).is_safe(&geometry, Parts::default()))
     }
 
-    /// The blocks by part index.
+    /// Returns the blocks by part index.
     pub fn blocks(&self) -> &[BlockIdx] {
         &self.blocks
     }
 
-    /// All parts.
+    /// Returns the set of all parts.
     pub fn all(&self) -> Parts {
         Parts::first(self.blocks.len())
     }
 
-    /// Number of sides on which the structure can be built, at least 1; side 0 is the best.
+    /// Returns the number of sides on which the structure can be built, at least 1. Side 0 is the best.
     pub fn n_sides(&self) -> usize {
         self.sides.len()
     }
 
-    /// The direction of the blueprint's frame that points up on a side.
+    /// Returns the direction of the blueprint's frame that points up on a side.
     pub fn up(&self, side: usize) -> [i32; 3] {
         self.sides[side].up
     }
 
-    /// Height in half units, along a side's up, of the plane on which the finished structure lies.
+    /// Returns the height, in half units along a side's up direction, of the plane on which the finished structure
+    /// rests.
     pub fn ground_half_units(&self, side: usize) -> i32 {
         self.geometry.ground(self.sides[side].up)
     }
 
-    /// Whether a part lies on the ground when the structure is finished.
+    /// Returns whether a part touches the ground in the finished structure.
     pub fn is_at_bottom(&self, side: usize, part: usize) -> bool {
         self.geometry.bottom(part, self.sides[side].up) == self.ground_half_units(side)
     }
 
-    /// Whether the structure can be completed from `placed` on that side.
+    /// Returns whether the structure can be completed from `placed` on that side.
     pub fn is_safe(&mut self, side: usize, placed: Parts) -> bool {
         let Self { geometry, sides, .. } = self;
         sides[side].is_safe(geometry, placed)
     }
 
-    /// The approach paths for `group` when `placed` stands, best first.
+    /// Returns the approach paths for `group` to the structure `placed`, best first.
     pub fn approaches(&self, side: usize, placed: Parts, group: Parts) -> impl Iterator<Item = Approach> {
         self.geometry.approaches(placed, group, self.sides[side].up)
     }
 
-    /// The best approach path for `group` when `placed` stands; `None` if there is none.
+    /// Returns the best approach path for `group` to the structure `placed`; `None` if there is none.
     pub fn approach(&self, side: usize, placed: Parts, group: Parts) -> Option<Approach> {
         self.approaches(side, placed, group).next()
     }
 
-    /// Support margin of `placed` in units; negative if it does not stand.
+    /// Returns the support margin of `placed` in units; negative if it would tip over.
     pub fn margin_u(&self, side: usize, placed: Parts) -> f64 {
         self.geometry.margin_u(placed, self.sides[side].up)
     }
 
-    /// The first part, or the best next one; `None` if all parts are placed or no assembly order continues from here.
+    /// Returns the best part to place next; `None` if all parts are placed or no assembly order continues from here.
     pub fn next(&mut self, side: usize, placed: Parts) -> Option<usize> {
         let Self { geometry, sides, .. } = self;
         let side = &mut sides[side];
         side.candidates(geometry, placed).into_iter().find(|&part| side.is_safe(geometry, placed.with(part)))
     }
 
-    /// A complete assembly order on the best side.
+    /// Returns a complete assembly order on the best side.
     pub fn order(&mut self) -> Vec<BlockIdx> {
         let mut placed = Parts::default();
         let mut order = Vec::new();
@@ -172,8 +173,8 @@ impl Assembly {
 const UPS: [[i32; 3]; 6] = [[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]];
 
 impl Side {
-    /// Parts that can be added now, best first: the lowest, then those that keep the structure most stable, then the
-    /// largest.
+    /// Returns the parts that can be added now, best first: lower parts, then those that keep the structure more
+    /// stable, then larger ones.
     fn candidates(&self, geometry: &Geometry, placed: Parts) -> Vec<usize> {
         let mut found: Vec<(i32, i64, i32, usize)> = Vec::new();
         for part in geometry.all().without(placed).iter() {
@@ -219,7 +220,7 @@ impl Side {
         safe
     }
 
-    /// The minimum support margin along the preferred order; `None` if there is no order.
+    /// Returns the minimum support margin along the preferred order; `None` if there is no order.
     fn least_margin(&mut self, geometry: &Geometry) -> Option<f64> {
         let mut placed = Parts::default();
         let mut least = f64::INFINITY;

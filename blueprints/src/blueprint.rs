@@ -9,15 +9,15 @@ use serde::{Deserialize, Serialize};
 use crate::assembly::{Plan, PlanStep, Shared};
 use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT_M};
 
-/// Name of a blueprint: 1 to 64 letters, digits, `-` and `_`, the first a letter or a digit.
+/// Name of a blueprint: 1 to 64 letters, digits, `-`, and `_`, starting with a letter or digit.
 ///
-/// Those of the catalog are `<size>_<index>` as in the paper (`6_005`), with a prefix for the held-out splits. One's own
-/// blueprints may have any name.
+/// Catalog names have the form `<size>_<index>` as in the paper (`6_005`), with a prefix for the held-out splits.
+/// User-defined blueprints may have any name.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct BlueprintId(String);
 
-/// Which part of the catalog a blueprint belongs to (paper, Table "Number of blueprint block distributions").
+/// The part of the catalog that a blueprint belongs to (paper, Table "Number of blueprint block distributions").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Split {
@@ -31,8 +31,8 @@ pub enum Split {
     TestLongest,
     /// Held out: greatest height.
     TestTallest,
-    /// Held out from training, for every decision during development; not the paper's. It comes last, so that the order
-    /// of the others does not depend on it.
+    /// Held out from training, for all decisions during development; not in the paper. It comes last to leave the order
+    /// of the others unchanged.
     Validation,
 }
 
@@ -54,7 +54,7 @@ pub struct Link {
     pub a: BlockIdx,
     /// The higher block index.
     pub b: BlockIdx,
-    /// Pose of `b` seen from `a`.
+    /// Pose of `b` relative to `a`.
     pub relative: RelativePlacement,
     /// Number of coincident opposite magnet pairs, at least 1.
     pub n_magnet_pairs: u8,
@@ -73,10 +73,10 @@ pub struct Blueprint {
     pub(crate) assembly: Shared,
 }
 
-/// Most characters of a [`BlueprintId`]: ids are names of folders and parts of keys.
+/// Maximum length of a [`BlueprintId`] in characters; ids serve as folder names and parts of keys.
 pub const MAX_ID_LEN: usize = 64;
 
-/// A text that is not a blueprint id.
+/// A string that is not a blueprint id.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a blueprint id: 1 to {MAX_ID_LEN} letters, digits, - and _, the first a letter or a digit")]
 pub struct InvalidBlueprintId(pub String);
@@ -87,17 +87,18 @@ pub struct InvalidBlueprintId(pub String);
 pub struct InvalidSplit(pub String);
 
 impl BlueprintId {
-    /// The id as text.
+    /// Returns the id as a string.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// The number of blocks, 2 to 16, if the id is of the catalog's form, which says it.
+    /// Returns the number of blocks, 2 to 16, that an id of the catalog's form encodes; `None` for other ids.
     pub fn size(&self) -> Option<usize> {
         parse_size(&self.0)
     }
 
-    /// The id that a file without one gets from its name: every run of other characters becomes one `-`. `None` if nothing is left.
+    /// Derives an id from a file name, for files without one: every run of invalid characters becomes one `-`. Returns
+    /// `None` if nothing is left.
     pub(crate) fn of_file(file: &str) -> Option<Self> {
         let stem = Path::new(file).file_stem()?.to_str()?;
         let words = stem.split(|c: char| !is_id_char(c)).filter(|word| !word.is_empty());
@@ -111,7 +112,7 @@ fn is_id_char(c: char) -> bool {
     c.is_ascii_alphanumeric() || c == '-' || c == '_'
 }
 
-/// The size in `[prefix_]<size>_<index>`, or `None` if the text has another form.
+/// Returns the size in `[prefix_]<size>_<index>`, or `None` if the text has another form.
 fn parse_size(text: &str) -> Option<usize> {
     let (rest, index) = text.rsplit_once('_')?;
     let (prefix, size) = rest.rsplit_once('_').map_or((None, rest), |(prefix, size)| (Some(prefix), size));
@@ -162,10 +163,10 @@ impl Split {
     pub const ALL: [Self; 6] =
         [Self::Train, Self::Test, Self::TestLiteral, Self::TestLongest, Self::TestTallest, Self::Validation];
 
-    /// The paper's splits: training and its test sets, 142 and 24 blueprints of the built-in catalog.
+    /// The paper's splits: training and test sets, with 142 and 24 blueprints in the built-in catalog.
     pub const PAPER: [Self; 5] = [Self::Train, Self::Test, Self::TestLiteral, Self::TestLongest, Self::TestTallest];
 
-    /// The name used in files and flags.
+    /// Returns the name used in files and flags.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Train => "train",
@@ -193,17 +194,17 @@ impl FromStr for Split {
 }
 
 impl Placement {
-    /// Center in meters, blueprint frame.
+    /// Returns the center in meters, blueprint frame.
     pub fn position_m(&self) -> nalgebra::Vector3<f32> {
         nalgebra::Vector3::from(self.center_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
     }
 
-    /// Size in unit cells along the blueprint's axes.
+    /// Returns the size in unit cells along the blueprint's axes.
     pub fn size_cells(&self, inventory: &Inventory) -> [i32; 3] {
         self.rotation.apply(inventory.cells(self.block).map(i32::from)).map(i32::abs)
     }
 
-    /// The unit cells that the block fills, each by its lowest corner in units, in increasing order.
+    /// Returns the unit cells that the block fills, each as its lowest corner in units, in increasing order.
     pub fn filled_cells(&self, inventory: &Inventory) -> Vec<[i32; 3]> {
         let size = self.size_cells(inventory);
         let low: [i32; 3] = std::array::from_fn(|k| (self.center_half_units[k] - size[k]) / 2);
@@ -218,37 +219,37 @@ impl Placement {
 }
 
 impl Blueprint {
-    /// The blueprint's name.
+    /// Returns the blueprint's id.
     pub fn id(&self) -> &BlueprintId {
         &self.id
     }
 
-    /// The part of the catalog it belongs to.
+    /// Returns the split that the blueprint belongs to.
     pub fn split(&self) -> Split {
         self.split
     }
 
-    /// A short description of the structure.
+    /// Returns a short description of the structure.
     pub fn title(&self) -> &str {
         &self.title
     }
 
-    /// Its blocks, sorted by block index.
+    /// Returns the placements, sorted by block index.
     pub fn placements(&self) -> &[Placement] {
         &self.placements
     }
 
-    /// The block pairs that must be connected, sorted by `(a, b)`.
+    /// Returns the block pairs that must be connected, sorted by `(a, b)`.
     pub fn links(&self) -> &[Link] {
         &self.links
     }
 
-    /// Number of blocks, 2 to 16.
+    /// Returns the number of blocks, 2 to 16.
     pub fn n_blocks(&self) -> usize {
         self.placements.len()
     }
 
-    /// Size of the whole structure along its own x, y and z (up), in units (0.1 m).
+    /// Returns the size of the structure along its own x, y, and z (up), in units (0.1 m).
     pub fn extent_u(&self) -> [i32; 3] {
         let inventory = Inventory::standard();
         std::array::from_fn(|k| {
@@ -259,42 +260,43 @@ impl Blueprint {
         })
     }
 
-    /// Whether the block is part of the structure.
+    /// Returns whether the block is part of the structure.
     pub fn contains(&self, block: BlockIdx) -> bool {
         self.placement(block).is_some()
     }
 
-    /// The placement of a block, or `None` if the structure does not use it.
+    /// Returns the placement of a block, or `None` if the structure does not use it.
     pub fn placement(&self, block: BlockIdx) -> Option<&Placement> {
         self.placements.binary_search_by_key(&block, |p| p.block).ok().map(|i| &self.placements[i])
     }
 
-    /// The target pose of `b` seen from `a`, linked or not; `None` if one of them is not in the structure.
+    /// Returns the target pose of `b` relative to `a`, linked or not; `None` if either is not in the structure.
     pub fn relative(&self, a: BlockIdx, b: BlockIdx) -> Option<RelativePlacement> {
         Some(RelativePlacement::between(self.placement(a)?, self.placement(b)?))
     }
 
-    /// The assembly plan, computed by the first call on any copy; `None` without an assembly order.
+    /// Returns the assembly plan, computed by the first call on any copy; `None` if there is no assembly order.
     pub fn plan(&self) -> Option<&Plan> {
         self.assembly.plan(&self.placements)
     }
 
-    /// The step of `plan`, which must be this blueprint's, for a block; `None` for a block outside the structure.
+    /// Returns the step of `plan`, which must be this blueprint's, for a block; `None` for a block outside the
+    /// structure.
     pub fn plan_step(&self, plan: &Plan, block: BlockIdx) -> Option<PlanStep> {
         self.assembly.step(plan, block)
     }
 
-    /// The link between two blocks in either order.
+    /// Returns the link between two blocks, given in either order.
     ///
-    /// Its `relative` is always the pose of the higher block index seen from the lower.
+    /// Its `relative` is always the pose of the block with the higher index relative to the one with the lower.
     pub fn link(&self, a: BlockIdx, b: BlockIdx) -> Option<&Link> {
         let key = (a.min(b), a.max(b));
         self.links.binary_search_by_key(&key, |link| (link.a, link.b)).ok().map(|i| &self.links[i])
     }
 
-    /// The same structure on other blocks: block `i` is replaced by `permutation[i]`.
+    /// Returns the same structure on other blocks: `permutation[i]` replaces block `i`.
     ///
-    /// The result is a valid blueprint if the permutation maps every block to one of the same type, each once.
+    /// The result is a valid blueprint if `permutation` is a permutation and maps every block to one of the same type.
     pub fn permuted(&self, permutation: &[BlockIdx; N_BLOCKS]) -> Self {
         let place = |p: &Placement| Placement { block: permutation[p.block.get()], ..*p };
         let mut placements: Vec<_> = self.placements.iter().map(place).collect();

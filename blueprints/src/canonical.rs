@@ -1,15 +1,15 @@
-//! Hashes of a structure and of its outline that do not depend on how it is turned, moved, and numbered, to find
-//! duplicates and structures of equal shape.
+//! Hashes of a structure and its outline that are invariant to rotation, translation, and block numbering. They
+//! identify duplicates and structures of equal shape.
 
 use crate::hash::fnv1a;
 use crate::{Blueprint, CubeRotation, Inventory};
 
-/// The ways to order three axes.
+/// The permutations of three axes.
 const AXIS_ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
 
 impl Blueprint {
-    /// A hash that is the same for two blueprints exactly when one can be turned (24 rotations) and moved onto the
-    /// other with blocks of the same types in the same orientations, up to collisions of 64 bits.
+    /// Returns a hash that is the same for two blueprints exactly when one can be rotated (24 rotations) and moved onto
+    /// the other with blocks of the same types in the same orientations, up to 64-bit collisions.
     ///
     /// Mirror images have different hashes: a reflection maps no block onto itself, because it would swap a face's
     /// magnets. The hash does not depend on id, split, title, or the program's version.
@@ -17,17 +17,17 @@ impl Blueprint {
         fnv1a(self.canonical_form())
     }
 
-    /// A hash that is the same for two blueprints exactly when the cells that they fill are the same up to moves and the
-    /// 48 symmetries of the cube, up to collisions of 64 bits.
+    /// Returns a hash that is the same for two blueprints exactly when they fill the same cells up to translation and
+    /// the 48 symmetries of the cube, up to 64-bit collisions.
     ///
-    /// So it does not change if a structure is turned or mirrored, if its poles are exchanged, or if the same cells are
-    /// filled with other blocks. It costs about as much as [`Self::canonical_hash`].
+    /// So it does not change if a structure is rotated or mirrored, if its poles are swapped, or if other blocks fill
+    /// the same cells. It costs about as much as [`Self::canonical_hash`].
     pub fn outline_hash(&self) -> u64 {
         let inventory = Inventory::standard();
         outline_hash(self.placements().iter().flat_map(|p| p.filled_cells(inventory)).collect())
     }
 
-    /// The smallest, over the 24 rotations, of the sorted lists of (size, center, rotation) as bytes.
+    /// Returns the smallest, over the 24 rotations, of the sorted lists of (size, center, rotation) as bytes.
     fn canonical_form(&self) -> Vec<u8> {
         CubeRotation::all().map(|rotation| self.form_turned_by(rotation)).min().unwrap_or_default()
     }
@@ -53,8 +53,8 @@ impl Blueprint {
     }
 }
 
-/// The hash of the smallest sorted list of cells over the symmetries that put the extents in ascending order: those lists
-/// are the same for every pose of an outline, and there are 8 of them instead of 48 if all extents differ.
+/// Hashes the smallest sorted list of cells over the symmetries that put the extents in ascending order. These lists
+/// are the same for every pose of an outline, and if all extents differ there are 8 of them instead of 48.
 fn outline_hash(cells: Vec<[i32; 3]>) -> u64 {
     let low: [i32; 3] = std::array::from_fn(|k| cells.iter().map(|cell| cell[k]).min().unwrap_or(0));
     let high: [i32; 3] = std::array::from_fn(|k| cells.iter().map(|cell| cell[k]).max().unwrap_or(0));
@@ -81,7 +81,7 @@ mod tests {
 
     fn turned(blueprint: &Blueprint, turn: CubeRotation) -> Blueprint {
         let place = |p: &Placement| Placement {
-            // By whole units, so that blocks stay on cells.
+            // Move by whole units, so that blocks stay on cells.
             center_half_units: turn.apply(p.center_half_units).map(|x| x + 8),
             rotation: turn.compose(p.rotation),
             ..*p
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn hash_is_invariant_to_rotation_translation_and_renumbering() {
-        // Reverses the blocks inside each type: 4, 4, 2, 2, 2 and 2 of them.
+        // Reverses the blocks within each type, which has 4, 4, 2, 2, 2, and 2 of them.
         let reversed: [u8; N_BLOCKS] = [3, 2, 1, 0, 7, 6, 5, 4, 9, 8, 11, 10, 13, 12, 15, 14];
         let reversed = reversed.map(|i| BlockIdx::try_from(i).unwrap());
         for blueprint in Catalog::builtin().iter() {
@@ -106,7 +106,8 @@ mod tests {
 
     #[test]
     fn mirror_image_has_a_different_hash() {
-        // A cube 0, a bar in +x of it, a longer bar in +y of it, and the same with +x and +y exchanged.
+        // Four cubes: one at the origin, one next to it in +x, one in +y, and one two cells in +y and one up; or the
+        // same with x and y swapped.
         let bars = |x_first: bool| {
             let at = |block: u8, center: [i32; 3]| Placement {
                 block: BlockIdx::try_from(block).unwrap(),
@@ -122,12 +123,12 @@ mod tests {
         assert_eq!(bars(true).canonical_hash(), bars(true).canonical_hash());
     }
 
-    /// The blueprint with other placements; the links are left as they were.
+    /// Returns the blueprint with other placements and its original links.
     fn placed(blueprint: &Blueprint, placements: Vec<Placement>) -> Blueprint {
         Blueprint { assembly: Shared::new(&placements), placements, ..blueprint.clone() }
     }
 
-    /// The mirror image in the plane between negative and positive coordinates of an axis. A box is its own mirror image.
+    /// Returns the mirror image across the plane where an axis's coordinate is 0. A box is its own mirror image.
     fn mirrored(blueprint: &Blueprint, axis: usize) -> Blueprint {
         let mirror = |p: &Placement| {
             let mut mirrored = *p;
@@ -137,13 +138,14 @@ mod tests {
         placed(blueprint, blueprint.placements.iter().map(mirror).collect())
     }
 
-    /// Every block turned by half a turn about an axis of its own, which brings other poles where its poles were.
+    /// Rotates every block by a half turn about one of its own axes, which swaps the poles on its other faces.
     fn with_other_poles(blueprint: &Blueprint, half_turn: CubeRotation) -> Blueprint {
         let turn = |p: &Placement| Placement { rotation: p.rotation.compose(half_turn), ..*p };
         placed(blueprint, blueprint.placements.iter().map(turn).collect())
     }
 
-    /// The same cells, each filled by a cube; there are not that many, but the outline does not ask.
+    /// Fills each of the same cells with a cube. The inventory has fewer cubes, but the outline hash does not check
+    /// that.
     fn retiled(blueprint: &Blueprint) -> Blueprint {
         let cells = blueprint.placements.iter().flat_map(|p| p.filled_cells(Inventory::standard()));
         let cube = |cell: [i32; 3]| Placement {
@@ -170,14 +172,14 @@ mod tests {
             let mut others: Vec<Blueprint> = (0..3).map(|axis| mirrored(blueprint, axis)).collect();
             others.extend(half_turns.iter().map(|&turn| with_other_poles(blueprint, turn)));
             others.push(retiled(blueprint));
-            // One of them is another structure, which the canonical hash would let pass.
+            // The canonical hash takes at least one of them for a different structure and would let it pass.
             assert!(others.iter().any(|other| other.canonical_hash() != blueprint.canonical_hash()));
             for other in others {
                 for turn in [CubeRotation::IDENTITY, half_turns[0], CubeRotation::try_from(7).unwrap()] {
                     assert!(!catalog.is_for_training(&turned(&other, turn)), "{} {turn:?}", blueprint.id());
                 }
             }
-            // One block less is another outline.
+            // Removing a block changes the outline.
             let less = placed(blueprint, blueprint.placements[1..].to_vec());
             assert!(catalog.is_for_training(&less), "{}", blueprint.id());
         }
@@ -185,7 +187,7 @@ mod tests {
 
     #[test]
     fn outlines_are_equal_up_to_the_symmetries_of_the_cube() {
-        // A chiral piece of five cells, its mirror image, and a piece of as many cells with the same extents.
+        // A chiral piece of five cells, its mirror image, and another piece of five cells with the same extents.
         let chiral = vec![[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 2, 1]];
         let hash = outline_hash(chiral.clone());
         for [x, y, z] in [[0, 1, 2], [2, 0, 1], [1, 0, 2]] {

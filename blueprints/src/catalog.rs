@@ -15,7 +15,7 @@ use crate::{Blueprint, BlueprintId, Split, generator};
 /// The `(file name, text)` of every compiled-in blueprint file.
 pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/catalog.rs"));
 
-/// Most bytes of a file of one blueprint; the largest of the catalog has 5000.
+/// Maximum size of a blueprint file in bytes; the largest in the catalog has about 4400.
 pub const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Blueprints with distinct ids and structures.
@@ -34,7 +34,7 @@ pub const MAX_FILE_BYTES: u64 = 1 << 20;
 pub struct Catalog {
     blueprints: Vec<Blueprint>,
     positions: BTreeMap<BlueprintId, usize>,
-    /// Hashes of the outlines of the held-out blueprints.
+    /// Outline hashes of the held-out blueprints.
     held_out: BTreeSet<u64>,
 }
 
@@ -50,20 +50,20 @@ pub enum CatalogError {
         #[source]
         error: io::Error,
     },
-    /// There is nothing at the path.
+    /// The path does not exist.
     #[error("cannot read {0}: there is no such file or folder; check the path")]
     Missing(PathBuf),
-    /// A file is not text.
+    /// A file is not UTF-8 text.
     #[error("{path} is not UTF-8 text: line {line} has the byte {byte:#04x}; save it as UTF-8")]
     NotText {
         /// The file.
         path: PathBuf,
-        /// The line of the first byte that is not text, counted from 1.
+        /// The line of the first invalid byte, counted from 1.
         line: usize,
-        /// That byte.
+        /// The invalid byte.
         byte: u8,
     },
-    /// A file is far larger than any blueprint's.
+    /// A file is larger than [`MAX_FILE_BYTES`].
     #[error("{0} has more than {MAX_FILE_BYTES} bytes: that is no blueprint")]
     TooLarge(PathBuf),
     /// A file is not a valid blueprint.
@@ -115,7 +115,7 @@ pub enum CatalogError {
 }
 
 impl Catalog {
-    /// The compiled-in blueprints.
+    /// Returns the compiled-in blueprints.
     ///
     /// # Panics
     /// Never in a build that passes the tests: the files are compiled in.
@@ -126,7 +126,7 @@ impl Catalog {
         &BUILTIN
     }
 
-    /// Reads every `*.toml` of a folder, or one file. Files of one's own may have any name.
+    /// Reads every `*.toml` file of a folder, or one file. The files may have any name.
     ///
     /// # Errors
     /// The first error, in file name order; see [`CatalogError`].
@@ -136,7 +136,7 @@ impl Catalog {
         Self::from_checked(checked(files)?)
     }
 
-    /// Builds a catalog from `(file name, text)` pairs; every file is named after its blueprint.
+    /// Builds a catalog from `(file name, text)` pairs; every file must be named after its blueprint.
     ///
     /// # Errors
     /// The first error, in the order given.
@@ -151,7 +151,7 @@ impl Catalog {
         Self::from_checked(files)
     }
 
-    /// This catalog and another one, whose blueprints take the place of those with the same id or the same structure.
+    /// Returns this catalog merged with another one, whose blueprints replace those with the same id or structure.
     #[must_use]
     pub fn with(&self, others: &Self) -> Self {
         let structures: BTreeSet<u64> = others.iter().map(Blueprint::canonical_hash).collect();
@@ -161,7 +161,7 @@ impl Catalog {
         Self::of_sorted(blueprints)
     }
 
-    /// A catalog of one blueprint.
+    /// Creates a catalog of one blueprint.
     pub fn of_one(blueprint: Blueprint) -> Self {
         Self::of_sorted(vec![blueprint])
     }
@@ -193,12 +193,13 @@ impl Catalog {
         Self { blueprints, positions, held_out }
     }
 
-    /// The blueprint with that id.
+    /// Returns the blueprint with that id.
     pub fn get(&self, id: &BlueprintId) -> Option<&Blueprint> {
         self.positions.get(id).map(|&i| &self.blueprints[i])
     }
 
-    /// The blueprint with that id, from the catalog or from the [`generator`] for the id of a generated structure.
+    /// Returns the blueprint with that id from the catalog, or from the [`generator`] if the id names a generated
+    /// structure.
     ///
     /// Generating one takes 0.1 to 30 ms, depending on size and style; recent ones are cached.
     pub fn find(&self, id: &BlueprintId) -> Option<Cow<'_, Blueprint>> {
@@ -206,48 +207,48 @@ impl Catalog {
         self.get(id).map(Cow::Borrowed).or_else(generated)
     }
 
-    /// Whether training may use a structure: it has the outline of no held-out structure. A mirror image of a held-out
-    /// structure, the same with other poles, and another tiling of its cells have that outline.
+    /// Returns whether training may use a structure, which must not share its outline with a held-out structure.
+    /// Mirroring a structure, swapping its poles, or tiling its cells with other blocks does not change the outline.
     pub fn is_for_training(&self, blueprint: &Blueprint) -> bool {
         !self.held_out.contains(&blueprint.outline_hash())
     }
 
-    /// All blueprints by split, then size, then id.
+    /// Iterates over the blueprints by split, then size, then id.
     pub fn iter(&self) -> std::slice::Iter<'_, Blueprint> {
         self.blueprints.iter()
     }
 
-    /// The blueprints of one split by size, then id.
+    /// Returns the blueprints of one split by size, then id.
     pub fn of_split(&self, split: Split) -> Vec<&Blueprint> {
         self.iter().filter(|blueprint| blueprint.split() == split).collect()
     }
 
-    /// Number of blueprints.
+    /// Returns the number of blueprints.
     pub fn len(&self) -> usize {
         self.blueprints.len()
     }
 
-    /// Whether the catalog is empty.
+    /// Returns whether the catalog is empty.
     pub fn is_empty(&self) -> bool {
         self.blueprints.is_empty()
     }
 }
 
-/// By split, then by size, because 12_000 sorts before 2_000 as text.
+/// Sorts by split, size, and id. Size comes before id because 12_000 sorts before 2_000 as text.
 fn sort(blueprints: &mut [Blueprint]) {
     blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
 }
 
-/// The blueprints of files, with the names of the files.
+/// Checks files and returns their names and blueprints.
 fn checked<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Vec<(&'a str, Blueprint)>, CatalogError> {
     files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?))).collect()
 }
 
-/// The `(path, text)` of every `*.toml` of a folder, sorted by name, or of one file with any name.
+/// Reads the `(path, text)` of every `*.toml` file of a folder, sorted by name, or of one file with any name.
 ///
 /// # Errors
-/// [`CatalogError::Empty`] for a folder without any, [`CatalogError::Missing`] or [`CatalogError::Io`] with the path that
-/// cannot be read, [`CatalogError::TooLarge`], or [`CatalogError::NotText`].
+/// [`CatalogError::Empty`] for a folder without such files, [`CatalogError::Missing`] or [`CatalogError::Io`] with the
+/// path that cannot be read, [`CatalogError::TooLarge`], or [`CatalogError::NotText`].
 pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
@@ -264,7 +265,7 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
                 paths.push(entry);
             }
         }
-        // Not an empty list: a check of nothing would pass.
+        // Do not return an empty list, because it would pass every check.
         if paths.is_empty() {
             return Err(CatalogError::Empty(path.to_owned()));
         }
@@ -285,7 +286,7 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
     paths.into_iter().map(read).collect()
 }
 
-/// The text that a file's bytes are.
+/// Decodes a file's bytes as UTF-8.
 fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String, CatalogError> {
     String::from_utf8(bytes).map_err(|error| {
         let (bytes, at) = (error.as_bytes(), error.utf8_error().valid_up_to());

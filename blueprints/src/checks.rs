@@ -1,7 +1,7 @@
 //! Named static checks that a blueprint must pass.
 //!
-//! The loader and `lodestone blueprints check` run the same list. The loader stops at the first failure, and the
-//! command reports all of them.
+//! The loader and `lodestone blueprints check` run the same list. The loader returns the first error, and the command
+//! reports all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -20,7 +20,7 @@ use crate::{
     RelativePlacement, Split,
 };
 
-/// A check of one file, in running order.
+/// A check of one file; variants are in running order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Check {
@@ -28,7 +28,7 @@ pub enum Check {
     Format,
     /// The inventory has enough blocks of each type.
     Inventory,
-    /// Blocks without `axes` can lie where the file has them.
+    /// Blocks without `axes` fit where the file places them.
     Turns,
     /// No two blocks fill the same cell.
     Overlap,
@@ -84,41 +84,41 @@ pub struct Report {
     pub file: String,
     /// The id, if the text parses.
     pub id: Option<BlueprintId>,
-    /// One result per check, in order; [`Check::Unique`] only where several files were checked together.
+    /// One result per check, in order; [`Check::Unique`] only if several files were checked together.
     pub results: Vec<CheckResult>,
-    /// What the file leaves open and was found.
+    /// What the file leaves open, as inferred.
     pub inferred: Vec<Inferred>,
-    /// The file's text with all that was found, if the blueprint is valid and something was.
+    /// The file's text with everything inferred filled in, if the blueprint is valid and anything was inferred.
     pub completed: Option<String>,
-    /// The blueprint, if all checks but uniqueness passed, else the first error.
+    /// The blueprint if all checks but uniqueness passed, otherwise the first error.
     pub blueprint: Result<Blueprint, BlueprintFileError>,
 }
 
 /// A part of a blueprint that its file leaves open.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Inferred {
-    /// How a block is turned.
+    /// The rotation of a block.
     Turn {
         /// The block's name.
         block: String,
-        /// Directions of its own x and y axes, as written in a file.
+        /// Directions of the block's own x and y axes, as written in a file.
         axes: String,
-        /// How that was found.
+        /// How the rotation was found.
         found: FoundTurn,
     },
     /// The magnet pairs of two blocks.
     Pairs {
-        /// One block's name.
+        /// Name of one block.
         a: String,
-        /// The other's.
+        /// Name of the other block.
         b: String,
-        /// How many meet.
+        /// Number of magnet pairs that meet.
         n_pairs: usize,
     },
 }
 
 impl Inferred {
-    /// Whether there were several ways, of which one was taken.
+    /// Returns whether this is one of several possibilities.
     pub fn is_a_choice(&self) -> bool {
         matches!(self, Self::Turn { found, .. } if found.n_ways > 1 || found.may_be_more)
     }
@@ -177,13 +177,14 @@ impl fmt::Display for Check {
 }
 
 impl Report {
-    /// Whether every check passed.
+    /// Returns whether every check passed.
     pub fn passed(&self) -> bool {
         self.results.iter().all(|result| result.outcome == Outcome::Passed)
     }
 }
 
-/// Runs every check except [`Check::Unique`] on a file's text; `file` only appears in messages.
+/// Runs every check except [`Check::Unique`] on a file's text. `file` appears in messages and provides the id if the
+/// text has none.
 ///
 /// # Example
 /// ```
@@ -208,8 +209,8 @@ pub fn check_text(file: &str, text: &str) -> Report {
         let structure = Structure::new(draft, placements, inventory);
         let apart = run.record(Check::Overlap, structure.overlap());
         let attract = run.record(Check::Polarity, structure.polarity());
-        // Blocks that overlap or repel have no magnets that hold. What hangs on them would look loose or too heavy, which is
-        // no failure of its own.
+        // Magnets do not hold blocks that overlap or repel. Whatever hangs on them would also be reported as loose or
+        // too heavy, so skip these checks.
         let is_held = apart.and(attract).is_some();
         run.record(Check::Connections, structure.connections());
         run.record_if(is_held, Check::Connected, || structure.connected());
@@ -241,7 +242,7 @@ pub fn check_text(file: &str, text: &str) -> Report {
     }
 }
 
-/// The first completion that passes the checks, or else the first, for its errors to be shown.
+/// Returns the first completion that passes the checks, or else the first one, so that its errors are reported.
 fn first_good(
     draft: &Draft,
     assigned: &[BlockIdx],
@@ -250,7 +251,7 @@ fn first_good(
 ) -> Option<(Completed, Vec<Placement>)> {
     let place = |way: &Completed| draft.place(assigned, &way.turns, inventory);
     let is_good = |way: &Completed| Structure::new(draft, &place(way), inventory).check().is_ok();
-    // With one way only, the checks that follow judge it.
+    // If there is only one completion, the checks that follow judge it.
     let at = if completions.len() == 1 { 0 } else { completions.iter().position(is_good).unwrap_or(0) };
     let chosen = completions.get(at)?.after(&completions[..at]);
     let placements = place(&chosen);
@@ -315,7 +316,7 @@ impl Run {
         value
     }
 
-    /// The same where the check makes sense; else it is reported as not checked.
+    /// Records a check if it makes sense, and reports it as skipped otherwise.
     fn record_if(&mut self, makes_sense: bool, check: Check, run: impl FnOnce() -> Result<(), BlueprintError>) {
         if makes_sense {
             self.record(check, run());
@@ -367,7 +368,7 @@ impl<'a> Structure<'a> {
         Self { draft, placements, inventory, attracting, repelling, joints }
     }
 
-    /// The checks of the structure, in order.
+    /// Runs the checks of the structure in order, up to the first failure.
     fn check(&self) -> Result<(), BlueprintError> {
         self.overlap()?;
         self.polarity()?;
@@ -378,7 +379,7 @@ impl<'a> Structure<'a> {
         self.assembly()
     }
 
-    /// What the file leaves open.
+    /// Returns what the file leaves open.
     fn inferred(&self, completed: &Completed) -> Vec<Inferred> {
         let turn = |(i, found): (usize, &Option<FoundTurn>)| {
             let found = found.clone()?;
@@ -396,7 +397,7 @@ impl<'a> Structure<'a> {
         inferred
     }
 
-    /// The text of the file with all that was found; blocks keep their names.
+    /// Returns the file's text with everything inferred filled in; blocks keep their names.
     fn completed(&self, blueprint: &Blueprint) -> String {
         let name = |placement: &Placement| {
             let i = self.placements.iter().take_while(|p| p.block != placement.block).count();
@@ -439,7 +440,7 @@ impl<'a> Structure<'a> {
         })
     }
 
-    /// Where the file has a point of the structure, both in half units.
+    /// Converts a point of the structure to the file's coordinates, both in half units.
     fn drawn(&self, point: [i32; 3]) -> [i32; 3] {
         self.draft.drawn(point, self.placements, self.inventory)
     }

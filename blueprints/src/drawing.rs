@@ -1,7 +1,7 @@
-//! A drawing in progress: blocks on the lattice that need not be a blueprint yet, and what keeps them from being one.
+//! A drawing in progress: blocks on the lattice that may not form a valid blueprint yet, and the remaining problems.
 //!
-//! [`checks`](crate::checks) ends at the first error of a file. Whoever draws wants all of them at once, each with the
-//! blocks that it is about, and wants the blocks turned so that the poles that meet attract.
+//! Each of the [`checks`](crate::checks) stops at its first error. An editor needs all errors at once, each with the
+//! blocks that it concerns, and needs the blocks rotated so that the poles that meet attract.
 
 mod turns;
 
@@ -16,10 +16,10 @@ use crate::{
     RelativePlacement, Split, writer,
 };
 
-/// Most characters of a title; the rest is cut off.
+/// Maximum number of characters in a title; the rest is cut off.
 pub const MAX_TITLE: usize = 80;
 
-/// The title of a drawing that has none.
+/// Title of a drawing without one.
 const UNTITLED: &str = "a drawing";
 
 /// A block of a drawing.
@@ -29,9 +29,9 @@ pub struct DrawnBlock {
     pub type_name: String,
     /// The lowest-numbered corner cell that it fills.
     pub at: [i32; 3],
-    /// Its turn.
+    /// Its rotation.
     pub rotation: CubeRotation,
-    /// Whether another turn that fills the same cells is as good.
+    /// Whether the block may take any rotation that fills the same cells.
     pub is_free: bool,
 }
 
@@ -40,7 +40,7 @@ pub struct DrawnBlock {
 pub struct Drawing {
     /// A short description of the structure.
     pub title: String,
-    /// At most as many of each type as the inventory has.
+    /// The blocks; at most as many of each type as the inventory has.
     pub blocks: Vec<DrawnBlock>,
 }
 
@@ -49,13 +49,13 @@ pub struct Drawing {
 pub struct Problem {
     /// The check that fails.
     pub check: Check,
-    /// The blocks that it is about, by their index in the drawing; all of them if none is named.
+    /// Indices in the drawing of the blocks concerned; empty if the problem concerns all of them.
     pub blocks: Vec<usize>,
-    /// One sentence without a full stop.
+    /// One sentence without a period.
     pub text: String,
 }
 
-/// Two blocks of a drawing, by their index, that hold each other.
+/// Two blocks of a drawing, by index, that hold each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Connection {
     /// The lower index.
@@ -66,23 +66,24 @@ pub struct Connection {
     pub n_magnet_pairs: usize,
 }
 
-/// What there is to say about a drawing.
+/// The results of examining a drawing.
 #[derive(Clone, Debug)]
 pub struct Findings {
-    /// Every overlap, every pair of blocks that repel, every block that is not connected; without any of these the first
-    /// failure of the other checks.
+    /// Every overlap, every pair of blocks that repel, and the blocks that are not connected. If there are none of
+    /// these, the first failure of the other checks; a structure that is too weak may also lack an assembly order.
     pub problems: Vec<Problem>,
     /// The pairs of blocks that hold each other.
     pub connections: Vec<Connection>,
-    /// The blueprint, with an id made from its structure, if there are no problems and at least two blocks.
+    /// The blueprint, with an id derived from its structure, if there are no problems and at least two blocks.
     pub blueprint: Option<Blueprint>,
 }
 
 impl DrawnBlock {
-    /// A block as a file has it; `axes` are the directions of its own x and y axes, for example `+x +y`.
+    /// Creates a block from its fields in a file; `axes` are the directions of the block's x and y axes, for example
+    /// `+x +y`.
     ///
     /// # Errors
-    /// If there is no such type, the axes are no turn, or the cell is out of range.
+    /// If the type is unknown, the axes do not form a rotation, or the cell is out of range.
     pub fn new(type_name: &str, at: [i32; 3], axes: &str, is_free: bool) -> Result<Self, BlueprintError> {
         let block = || type_name.to_owned();
         let inventory = Inventory::standard();
@@ -98,22 +99,22 @@ impl DrawnBlock {
         Ok(Self { type_name: block(), at, rotation, is_free })
     }
 
-    /// Directions of its own x and y axes, as written in a file.
+    /// Returns the directions of the block's own x and y axes, as written in a file.
     pub fn axes(&self) -> String {
         self.rotation.axes()
     }
 }
 
-/// The everyday word for a type of block, for example `cube`.
+/// Returns the everyday word for a type of block, for example `cube`.
 pub fn word(type_name: &str) -> &str {
     writer::NAMES.iter().find(|(of, _)| *of == type_name).map_or(type_name, |(_, word)| word)
 }
 
 impl Drawing {
-    /// The blocks of a blueprint file. The lowest corner lies at the origin.
+    /// Parses a blueprint file. The lowest corner of the drawing is at the origin.
     ///
     /// # Errors
-    /// If the text is no blueprint.
+    /// If the text is not a valid blueprint.
     pub fn from_toml(text: &str) -> Result<Self, BlueprintError> {
         let blueprint = check_text("drawing.toml", text).blueprint.map_err(|error| error.error)?;
         let inventory = Inventory::standard();
@@ -130,7 +131,7 @@ impl Drawing {
         Ok(Self { title: blueprint.title().to_owned(), blocks })
     }
 
-    /// Gives every free block a turn that fills the same cells, so that as few like poles meet as possible.
+    /// Rotates every free block, without changing the cells that it fills, so that as few like poles as possible meet.
     ///
     /// # Errors
     /// If the inventory has too few blocks.
@@ -162,7 +163,8 @@ impl Drawing {
                 Err(error) => {
                     let is_assembly = matches!(error, BlueprintError::NoAssembly { .. });
                     found.problems.push(self.explain(&error, &placements));
-                    // What is too weak nearly always has no order either, and the order says which block is the trouble.
+                    // A structure that is too weak nearly always lacks an assembly order too, and that error names the
+                    // blocks at fault.
                     if let (false, Err(NoAssembly { missing })) = (is_assembly, Assembly::of_placements(&placements)) {
                         found.problems.push(self.unreached(&missing, &placements));
                     }
@@ -172,7 +174,7 @@ impl Drawing {
         Ok(found)
     }
 
-    /// The k-th block of a type is the k-th of the inventory. The lowest corner lies at the origin.
+    /// Places the blocks with the lowest corner at the origin. The k-th block of a type is the k-th in the inventory.
     fn placements(&self) -> Result<Vec<Placement>, BlueprintError> {
         let inventory = Inventory::standard();
         let lowest: [i32; 3] = std::array::from_fn(|k| self.blocks.iter().map(|b| b.at[k]).min().unwrap_or(0));
@@ -194,7 +196,7 @@ impl Drawing {
         Ok(placements)
     }
 
-    /// The word for a block, with a number if there are several of its type.
+    /// Returns the word for a block, with a number if there are several of its type.
     fn name(&self, i: usize) -> String {
         let same = |blocks: &[DrawnBlock]| blocks.iter().filter(|b| b.type_name == self.blocks[i].type_name).count();
         let word = word(&self.blocks[i].type_name);
@@ -274,9 +276,9 @@ impl Drawing {
         Ok(Blueprint { id, ..blueprint })
     }
 
-    /// A failure of the checks that run last, in words for whoever draws.
+    /// Describes a failure of the last checks in terms of the drawing.
     fn explain(&self, error: &BlueprintError, placements: &[Placement]) -> Problem {
-        // In these errors a block is called by its number in the inventory.
+        // These errors name a block by its index in the inventory.
         let find = |name: &String| BlockIdx::all().find(|block| block.get().to_string() == *name);
         match error {
             BlueprintError::Overloaded { a, b, .. } => {
@@ -302,12 +304,12 @@ impl Drawing {
     }
 }
 
-/// The indices of these blocks in the drawing.
+/// Returns the indices of these blocks in the drawing.
 fn of_blocks(blocks: &[BlockIdx], placements: &[Placement]) -> Vec<usize> {
     (0..placements.len()).filter(|&i| blocks.contains(&placements[i].block)).collect()
 }
 
-/// The id of a drawing: equal structures have equal ids, others nearly always different ones.
+/// Returns the id of a drawing. Equal structures have equal ids; different ones nearly always differ.
 fn draft_id(n_blocks: usize, hash: u64) -> BlueprintId {
     let id = format!("drawn_{}_{:03}", n_blocks.clamp(2, N_BLOCKS), hash % 1000);
     BlueprintId::try_from(id).expect("a size of 2 to 16 and an index of three digits")

@@ -12,7 +12,7 @@ pub enum BlueprintError {
     /// The number of blocks differs from the one in the id.
     #[error("the id {id} promises {promised} blocks, the file has {n_blocks}; an id of another form promises nothing")]
     SizeMismatch { id: BlueprintId, promised: usize, n_blocks: usize },
-    /// The file gives no id, and its name makes none.
+    /// The file has no id, and none can be derived from its name.
     #[error("the file has no `id`, and no letter of its name can make one; add id = \"my-blueprint\"")]
     NoId,
     /// Too few or too many blocks.
@@ -22,7 +22,7 @@ pub enum BlueprintError {
         if *.0 < 2 { "add some" } else { "leave some out" }
     )]
     BadCount(usize),
-    /// A required text is empty.
+    /// A text field is empty.
     #[error("field `{0}` is empty")]
     Empty(&'static str),
     /// `up` is not an axis.
@@ -37,32 +37,32 @@ pub enum BlueprintError {
     /// A block lacks its type or its place.
     #[error("line {line}: block {block:?} has no `{key}`; add {what}")]
     MissingKey { line: usize, block: String, key: &'static str, what: &'static str },
-    /// `at` or `size` is not made of three whole numbers.
+    /// `at` or `size` is not three whole numbers.
     #[error("line {line}: block {block:?}: `{key}` needs three whole numbers of cells, like [2, 1, 1], and is {value}")]
     BadCells { line: usize, block: String, key: &'static str, value: String },
     /// `axes` is not a pair of distinct axes.
     #[error("block {block:?}: axes {axes:?} are not two different axes like \"+x +y\"")]
     BadAxes { block: String, axes: String },
-    /// A cell is far outside the drawing.
+    /// A cell is out of range.
     #[error("block {block:?}: cell {at:?} is outside -64..=64")]
     OutOfRange { block: String, at: [i64; 3] },
-    /// `size` is not the block's.
+    /// `size` does not match the block's type.
     #[error(
         "block {block:?}: a block of type {type_name} cannot fill {size:?} cells; its sides are {cells:?} in some order"
     )]
     BadSize { block: String, type_name: String, size: [i32; 3], cells: [u8; 3] },
-    /// `size` and `axes` say different things.
+    /// `size` and `axes` contradict each other.
     #[error(
         "block {block:?}: turned by its axes it fills {turned:?} cells, its size is {size:?}; leave one of them out"
     )]
     SizeAndAxes { block: String, turned: [i32; 3], size: [i32; 3] },
-    /// Magnets are named for a block whose turn is to be found.
+    /// Magnets are named for a block without `axes`.
     #[error(
         "block {block:?} has no axes, and `connections` names magnets in the blocks' own frames; add its axes, or leave \
          `connections` out"
     )]
     NamedMagnets { block: String },
-    /// A block overlaps others in every turn.
+    /// A block overlaps others in every orientation.
     #[error(
         "block {block:?} of type {type_name} at {at:?} overlaps another block whichever way it lies; `at` is the \
          lowest-numbered corner cell"
@@ -111,7 +111,7 @@ pub enum BlueprintError {
         from_edge(*.margin_u)
     )]
     Unsupported { margin_u: f64, min_u: f64 },
-    /// A connection carries too much.
+    /// A connection carries too much load.
     #[error(
         "the connection of {a:?} and {b:?} carries {force_n:.1} N and {torque_nm:.2} N m; {n_pairs} magnet pair(s) may \
          carry {max_force_n} N and {max_torque_nm:.2} N m"
@@ -133,27 +133,27 @@ pub enum BlueprintError {
     NoAssembly { blocks: Vec<String> },
 }
 
-/// What to do about two blocks that repel. An enum, because a text would make every error larger.
+/// Advice about two blocks that repel. An enum, because a string would make every error larger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PolesAdvice {
-    /// The file says how one of the two is turned.
+    /// The file gives `axes` for at least one of the two.
     #[error("turn one, or leave out its `axes`")]
     Turn,
-    /// The file says it of other blocks only, and the two have the turns that fit best.
+    /// The file gives `axes` only for other blocks, and the two already have their best rotations.
     #[error("move one, or leave out the `axes` of the blocks around them")]
     FreeOthers,
-    /// The file says it of no block.
+    /// The file gives `axes` for no block.
     #[error("no turns let all blocks attract, so move one, or let it lie another way with `size`")]
     Move,
 }
 
-/// Where a center of mass is, seen from the edge of the support polygon.
+/// Describes where a center of mass is relative to the edge of the support polygon.
 fn from_edge(margin_u: f64) -> String {
     let side = if margin_u < 0.0 { "outside" } else { "inside" };
     format!("{:.2} u {side} the outline", margin_u.abs())
 }
 
-/// A number of blocks in words.
+/// Formats a number of blocks.
 fn counted(n_blocks: usize) -> String {
     match n_blocks {
         0 => "no blocks".to_owned(),
@@ -162,7 +162,7 @@ fn counted(n_blocks: usize) -> String {
     }
 }
 
-/// A [`BlueprintError`] and the file that has it.
+/// A [`BlueprintError`] and the file that caused it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{file}: {error}")]
 pub struct BlueprintFileError {

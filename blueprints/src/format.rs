@@ -1,4 +1,4 @@
-//! The TOML format of blueprint files, one structure per file. `docs/blueprints.md` explains it at length.
+//! The TOML format of blueprint files, one structure per file. `docs/blueprints.md` explains it in detail.
 //!
 //! ```toml
 //! # `type` and `at` are enough; everything else can be left out.
@@ -30,18 +30,18 @@ use toml::{Spanned, Value};
 use crate::error::BlueprintError;
 use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, Magnet, N_BLOCKS, Placement, Split};
 
-/// Largest absolute coordinate of a cell in a file; it prevents overflow in sums.
+/// Maximum absolute coordinate of a cell in a file, which prevents overflow in sums.
 pub const MAX_COORDINATE: i32 = 64;
 
-/// A block as written in a file, not yet assigned to one of the inventory.
+/// A block as written in a file, not yet assigned to an inventory block.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct DraftBlock {
     pub(crate) name: String,
     pub(crate) type_name: String,
     pub(crate) at: [i32; 3],
-    /// How it is turned, if the file says it.
+    /// Rotation, if the file gives it.
     pub(crate) turn: Option<CubeRotation>,
-    /// Cells along the drawing's axes, if the file says them.
+    /// Cells along the drawing's axes, if the file gives them.
     pub(crate) size: Option<[i32; 3]>,
 }
 
@@ -62,10 +62,10 @@ pub(crate) struct Draft {
     pub(crate) split: Split,
     pub(crate) title: String,
     pub(crate) up: [i32; 3],
-    /// Where the structure is from, if the file says it.
+    /// Origin of the structure, if the file gives it.
     pub(crate) provenance: Option<String>,
     pub(crate) blocks: Vec<DraftBlock>,
-    /// Without them, all magnets that meet.
+    /// Magnet pairs in the file; `None` stands for all magnets that meet.
     pub(crate) pairs: Option<BTreeSet<NamedPair>>,
 }
 
@@ -83,7 +83,7 @@ struct RawFile {
     connections: Option<Vec<RawConnection>>,
 }
 
-/// Nothing is required and numbers are of any kind, so that errors can name the block.
+/// All fields are optional and numbers may be of any type, so that errors can name the block.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, expecting = "a block like { type = \"1x1x1\", at = [0, 0, 0] }")]
 struct RawBlock {
@@ -112,7 +112,7 @@ fn up_is_z() -> String {
 }
 
 impl Draft {
-    /// Parses a file's text; it reports errors of form, not of structure. A file without an id gets it from its name.
+    /// Parses a file's text and reports errors of form, not of structure. The file name provides a missing id.
     pub(crate) fn parse(file: &str, text: &str) -> Result<Self, BlueprintError> {
         let raw: RawFile = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
         let id = raw.id.or_else(|| BlueprintId::of_file(file)).ok_or(BlueprintError::NoId)?;
@@ -120,7 +120,7 @@ impl Draft {
         if let Some(promised) = id.size().filter(|promised| *promised != n_blocks) {
             return Err(BlueprintError::SizeMismatch { id, promised, n_blocks });
         }
-        // Before anything that takes longer with more blocks.
+        // Check this before any work that grows with the number of blocks.
         if !(2..=N_BLOCKS).contains(&n_blocks) {
             return Err(BlueprintError::BadCount(n_blocks));
         }
@@ -147,7 +147,7 @@ impl Draft {
         Ok(Self { id, split: raw.split, title, up, provenance: raw.provenance, blocks, pairs })
     }
 
-    /// A drawing of placed blocks without connections; block names are numbers.
+    /// Creates a drawing of placed blocks without connections; block names are numbers.
     pub(crate) fn of_placements(
         id: BlueprintId,
         split: Split,
@@ -169,7 +169,7 @@ impl Draft {
         Self { id, split, title, up: [0, 0, 1], provenance: None, blocks, pairs: None }
     }
 
-    /// A block of the inventory for each block of the file: the k-th of a type gets the k-th.
+    /// Assigns an inventory block to each block of the file: the k-th of a type gets the k-th in the inventory.
     pub(crate) fn assign(&self, inventory: &Inventory) -> Result<Vec<BlockIdx>, BlueprintError> {
         let mut assigned = Vec::with_capacity(self.blocks.len());
         for (i, block) in self.blocks.iter().enumerate() {
@@ -186,8 +186,8 @@ impl Draft {
         Ok(assigned)
     }
 
-    /// Places assigned blocks, each with its turn, and turns the drawing so that `up` is +z and its lowest corner lies at the
-    /// origin. Placements are in file order.
+    /// Places assigned blocks with their rotations, then rotates and moves the drawing so that `up` is +z and its
+    /// lowest corner is at the origin. Placements are in file order.
     pub(crate) fn place(&self, assigned: &[BlockIdx], turns: &[CubeRotation], inventory: &Inventory) -> Vec<Placement> {
         let upright = self.upright();
         let place = |((block, &idx), &turn): ((&DraftBlock, &BlockIdx), &CubeRotation)| {
@@ -200,25 +200,26 @@ impl Draft {
         placements
     }
 
-    /// Where the file has a point of its placed blocks, for messages; both in half units.
+    /// Converts a point of the placed blocks to the file's coordinates, for messages; both in half units.
     pub(crate) fn drawn(&self, point: [i32; 3], placements: &[Placement], inventory: &Inventory) -> [i32; 3] {
         let back = self.upright().inverse();
         let turned = back.apply(point);
-        // The first block's center, once turned back and once as drawn, tells how far the drawing was moved.
+        // The first block's center, rotated back, differs from its center as drawn by the distance the drawing was
+        // moved.
         self.blocks.iter().zip(placements).next().map_or(turned, |(block, placement)| {
             let (center, size) = (back.apply(placement.center_half_units), back.apply(placement.size_cells(inventory)));
             std::array::from_fn(|k| turned[k] - center[k] + 2 * block.at[k] + size[k].abs())
         })
     }
 
-    /// The turn that brings `up` to +z.
+    /// Returns the rotation that maps `up` to +z.
     fn upright(&self) -> CubeRotation {
         CubeRotation::all().find(|r| r.apply(self.up) == [0, 0, 1]).unwrap_or(CubeRotation::IDENTITY)
     }
 }
 
 impl MagnetName {
-    /// The name of a magnet of the given block.
+    /// Returns the name of a magnet of the given block.
     pub(crate) fn of(inventory: &Inventory, block: BlockIdx, magnet: &Magnet) -> Self {
         let cells = inventory.cells(block).map(i32::from);
         // The cell's center lies half a cell inside the face.
@@ -242,7 +243,7 @@ impl std::fmt::Display for MagnetName {
     }
 }
 
-/// The `i`-th block of a file, which gets its name from that if it has none; `text` is the file's.
+/// Parses the `i`-th block of the file with this `text`. A block without a name is named after its position.
 fn parse_block(text: &str, raw: Spanned<RawBlock>, i: usize) -> Result<DraftBlock, BlueprintError> {
     let line = line_at(text.as_bytes(), raw.span().start);
     let RawBlock { name, type_name, at, axes, size } = raw.into_inner();
@@ -311,19 +312,19 @@ fn move_to_origin(placements: &mut [Placement], inventory: &Inventory) {
     }
 }
 
-/// Three whole numbers, if the value is that.
+/// Returns the value as three whole numbers, if it is that.
 fn whole_numbers(value: &Value) -> Option<[i64; 3]> {
     let [x, y, z] = &value.as_array()?[..] else { return None };
     Some([x.as_integer()?, y.as_integer()?, z.as_integer()?])
 }
 
-/// The same numbers, if they are small enough.
+/// Narrows the numbers to `i32`, if they are small enough.
 fn narrow(numbers: [i64; 3]) -> Option<[i32; 3]> {
     let [x, y, z] = numbers.map(i32::try_from);
     Some([x.ok()?, y.ok()?, z.ok()?])
 }
 
-/// A value for a message: on one line, and cut off where it is long.
+/// Formats a value for a message, on one line and cut off if it is long.
 fn brief(value: &Value) -> String {
     const MOST: usize = 60;
     let text = value.to_string();
@@ -331,7 +332,7 @@ fn brief(value: &Value) -> String {
     if text.chars().count() > MOST { short + "…" } else { short }
 }
 
-/// Reads `+x`, `-y` and the like.
+/// Parses a signed axis such as `+x` or `-y`.
 fn parse_axis(text: &str) -> Option<[i32; 3]> {
     let (sign, axis) = match text.as_bytes() {
         [b'+', axis] => (1, axis),
@@ -346,13 +347,13 @@ fn parse_axis(text: &str) -> Option<[i32; 3]> {
     }
 }
 
-/// The parser's message on one line, with the line number of the error.
+/// Returns the parser's message on one line, with the line number of the error.
 fn syntax_error(text: &str, error: &toml::de::Error) -> BlueprintError {
     let line = line_at(text.as_bytes(), error.span().map_or(0, |span| span.start));
     BlueprintError::Syntax { line, message: error.message().replace('\n', ", ") }
 }
 
-/// The line that the byte at `at` lies on, counted from 1.
+/// Returns the line of the byte at `at`, counted from 1.
 pub(crate) fn line_at(text: &[u8], at: usize) -> usize {
     1 + text.iter().take(at).filter(|&&byte| byte == b'\n').count()
 }

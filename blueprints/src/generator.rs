@@ -41,7 +41,7 @@ pub const MAX_INDEX: u16 = 999;
 pub struct Request {
     /// The style.
     pub style: Style,
-    /// Seed; other seeds give other structures.
+    /// Seed; different seeds give different structures.
     pub seed: u64,
     /// Number of blocks, within the style's [`sizes`](Style::sizes).
     pub n_blocks: usize,
@@ -52,7 +52,7 @@ pub struct Request {
 /// Reasons why a structure could not be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GenerateError {
-    /// The style needs another number of blocks.
+    /// The style does not support this number of blocks.
     #[error("style {style} needs {} to {} blocks, not {n_blocks}", style.sizes().start(), style.sizes().end())]
     Size {
         /// The style.
@@ -71,7 +71,7 @@ pub enum GenerateError {
         /// Number of shapes drawn.
         n_draws: usize,
     },
-    /// There are too few different structures.
+    /// There are too few distinct structures.
     #[error("seed {seed} gives {n_found} different structures of style {style} and {n_blocks} blocks, not {count}")]
     TooFew {
         /// The style.
@@ -97,7 +97,7 @@ pub enum GenerateError {
 }
 
 impl Request {
-    /// The structure's id, `gen<version>-<style>-<seed, hexadecimal>_<size>_<index>`.
+    /// Returns the structure's id, `gen<version>-<style>-<seed, hexadecimal>_<size>_<index>`.
     ///
     /// # Errors
     /// [`GenerateError::Size`] and [`GenerateError::Index`] if there is no such structure.
@@ -113,7 +113,7 @@ impl Request {
         Ok(BlueprintId::try_from(text).expect("styles and numbers are letters, digits, - and _"))
     }
 
-    /// The request that an id encodes; `None` unless it is the id of a generated structure of this [`VERSION`].
+    /// Returns the request that an id encodes; `None` unless it is the id of a generated structure of this [`VERSION`].
     pub fn from_id(id: &BlueprintId) -> Option<Self> {
         let (prefix, index) = id.as_str().rsplit_once('_')?;
         let (prefix, _) = prefix.rsplit_once('_')?;
@@ -124,7 +124,7 @@ impl Request {
         (request.id().as_ref() == Ok(id)).then_some(request)
     }
 
-    /// The origin of the structure, for its file.
+    /// Returns the origin of the structure, for its file.
     pub fn provenance(&self) -> String {
         let Self { style, seed, index, .. } = self;
         format!("generated: version {VERSION}, style {style}, seed {seed}, index {index}")
@@ -136,7 +136,7 @@ impl Request {
         bytes[8..10].copy_from_slice(&self.index.to_le_bytes());
         bytes[10] = self.n_blocks as u8;
         bytes[11..15].copy_from_slice(&VERSION.to_le_bytes());
-        // By name, so that a new style in the middle of the list does not change the others.
+        // Use the style's name, so that a new style in the middle of the list does not change the others.
         for (byte, letter) in bytes[16..].iter_mut().zip(self.style.as_str().bytes()) {
             *byte = letter;
         }
@@ -167,7 +167,7 @@ pub fn from_id(id: &BlueprintId) -> Option<Result<Blueprint, GenerateError>> {
     Request::from_id(id).map(|request| generate(&request))
 }
 
-/// Number of structures, a few kilobytes each, cached by [`made`]; more than the concurrent episodes of a process.
+/// Number of structures that [`made`] caches, a few kilobytes each; more than the concurrent episodes of a process.
 pub const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
 
 /// Like [`from_id`], with a cache of recent structures; `None` also if the request has no structure.
@@ -179,7 +179,7 @@ pub fn made(id: &BlueprintId) -> Option<Blueprint> {
     if let Some(known) = lock().get(id) {
         return known.clone();
     }
-    // Generate without the lock, so that other threads need not wait.
+    // Generate without holding the lock, so that other threads do not wait.
     let blueprint = generate(&request).ok();
     lock().put(id.clone(), blueprint.clone());
     blueprint
@@ -188,7 +188,7 @@ pub fn made(id: &BlueprintId) -> Option<Blueprint> {
 /// Generates `count` structures that differ from each other as much as possible, by increasing index.
 ///
 /// They are chosen by composition and appearance from a pool of about four times as many. No two have the same
-/// [canonical hash](Blueprint::canonical_hash), and none has one of `exclude`, so that training goals never equal a
+/// [canonical hash](Blueprint::canonical_hash), and none has a hash in `exclude`, so that training goals never equal a
 /// held-out structure.
 ///
 /// # Errors
@@ -208,7 +208,7 @@ pub fn generate_many(
         }
         match generate(&Request { style, seed, n_blocks, index }) {
             Ok(blueprint) if seen.insert(blueprint.canonical_hash()) => pool.push(blueprint),
-            // A request without a structure or with a known one only yields no candidate.
+            // A request without a structure, or with a known one, adds no candidate.
             Ok(_) | Err(GenerateError::Exhausted { .. }) => {}
             Err(error) => return Err(error),
         }
@@ -223,7 +223,7 @@ pub fn generate_many(
     Ok(features::most_different(pool, count))
 }
 
-/// A title with the shape, the number of blocks, and the characteristic size.
+/// Returns a title with the shape, the number of blocks, and the characteristic size.
 fn title(found: &search::Found, style: Style) -> String {
     let n_blocks = found.placements.len();
     match style {

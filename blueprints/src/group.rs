@@ -1,4 +1,4 @@
-//! The groups of blueprints in reports: the paper's, and that of the validation split.
+//! The groups of blueprints in reports: the paper's, and the validation split.
 
 use crate::Split;
 use serde::{Deserialize, Serialize};
@@ -17,11 +17,11 @@ pub enum Group {
     Test12To16,
     /// Held-out literal, longest and tallest blueprints.
     TestSpecial,
-    /// Blueprints of the validation split, which is not the paper's.
+    /// Blueprints of the validation split, which is not in the paper.
     Validation,
 }
 
-/// A text that is not a group name.
+/// A string that is not a group name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16, test special or validation")]
 pub struct InvalidGroup(pub String);
@@ -45,7 +45,7 @@ impl Group {
     pub const ALL: [Self; 6] =
         [Self::Train2To6, Self::Train7To11, Self::Train12To16, Self::Test12To16, Self::TestSpecial, Self::Validation];
 
-    /// The group of a blueprint of `n_blocks` blocks; `None` for a size outside the paper's groups.
+    /// Returns the group of a blueprint of `n_blocks` blocks; `None` for a size outside the paper's groups.
     pub fn of(split: Split, n_blocks: usize) -> Option<Self> {
         match (split, n_blocks) {
             (Split::Train, 2..=6) => Some(Self::Train2To6),
@@ -58,7 +58,7 @@ impl Group {
         }
     }
 
-    /// The name used in reports.
+    /// Returns the name used in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Train2To6 => "train 2-6",

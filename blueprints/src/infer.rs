@@ -1,12 +1,14 @@
-//! Finds what a file leaves open: which way blocks lie, and how they are turned.
+//! Infers what a file leaves open: which way blocks lie, and how they are rotated.
 //!
-//! A block's `at` is its lowest corner, so what is open are the sides that lie along the drawing's axes: one to six ways.
-//! Ways of all blocks are searched for together, with no overlap, and those with the most magnets that meet come first.
+//! A block's `at` is its lowest corner, so only the assignment of its sides to the drawing's axes is open: one to six
+//! ways. The search covers the ways of all blocks together, without overlap, and ranks those with the most magnets that
+//! meet first.
 //!
-//! Given the ways, turns follow from equations. Let `s_k` be the sign of the magnets on the face that points along +k in the
-//! drawing; the opposite face has the other sign. Two blocks that touch along axis k attract exactly if their `s_k` are
-//! equal, and the product of a block's three signs is the determinant of the permutation of its axes. A block with two equal
-//! sides can swap them and reaches all eight combinations; for one with three different sides this is an equation.
+//! Given the ways, the rotations follow from equations. Let `s_k` be the sign of the magnets on the face that points
+//! along +k in the drawing; the opposite face has the other sign. Two blocks that touch along axis k attract exactly if
+//! their `s_k` are equal, and the product of a block's three signs is the determinant of the permutation of its axes. A
+//! block with two equal sides can swap them and reaches all eight combinations; for a block with three different sides,
+//! this is an equation.
 
 mod poles;
 
@@ -19,11 +21,11 @@ use crate::stance::{MIN_SUPPORT_MARGIN_U, margin_u};
 use crate::{BlockIdx, CubeRotation, Inventory};
 use poles::Parities;
 
-/// Most partial drawings that are followed from one block to the next, so that time and memory are bounded. The ones with
-/// the most magnets that meet stay.
+/// Maximum number of partial drawings kept from one block to the next, which bounds time and memory. Those with the
+/// most magnets that meet stay.
 const MAX_FOLLOWED: usize = 1024;
 
-/// Most drawings that are handed on to the checks that take long.
+/// Maximum number of drawings passed on to the slow checks.
 const MAX_TRIED: usize = 16;
 
 type Cell = [i32; 3];
@@ -31,47 +33,47 @@ type Cell = [i32; 3];
 /// Names of the drawing's axes.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// A way to complete a drawing: a turn for each block.
+/// A way to complete a drawing: a rotation for each block.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Completed {
     pub(crate) turns: Vec<CubeRotation>,
-    /// For each block whose turn was open, how it was found.
+    /// How each block's rotation was found; `None` if the file gives it.
     pub(crate) found: Vec<Option<FoundTurn>>,
 }
 
-/// How a block's turn was found.
+/// How a block's rotation was found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoundTurn {
     /// Cells that the block fills along the drawing's axes.
     pub size: [i32; 3],
     /// Which of the drawing's axes is vertical: 0 for x, 1 for y, 2 for z.
     pub vertical: usize,
-    /// In how many ways it lies in the drawings that hold together, whether they stand or not; 1 if there is only this one.
-    /// If no drawing holds together, all without an overlap count.
+    /// Number of ways that the block lies in the drawings that hold together, whether they stand or not; at least 1. If
+    /// no drawing holds together, all drawings without overlap count.
     pub n_ways: usize,
-    /// Why this one was taken of several.
+    /// Why this way was chosen among several.
     pub reason: WayReason,
     /// Whether the search was cut off, so that there may be more ways.
     pub may_be_more: bool,
-    /// Whether its neighbors' poles leave only this turn.
+    /// Whether the neighbors' poles leave only this rotation.
     pub is_only: bool,
 }
 
-/// Why a block lies as it does and not in another way.
+/// Why a block lies one way and not another.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum WayReason {
     /// No other way has more magnets that meet.
     MostMagnets,
-    /// No other way in which the structure stands has more.
+    /// No other way in which the structure stands has more magnets that meet.
     MostThatStand,
-    /// No other way that passes the checks has more.
+    /// No other way that passes the checks has more magnets that meet.
     MostThatPass,
-    /// Whichever of these cells it filled instead, the structure would tip over.
+    /// The structure would tip over in every other way; these are the cells that the block fills in each.
     OthersTip(Vec<[i32; 3]>),
 }
 
 impl Completed {
-    /// This completion, taken because the ones before it fail a check.
+    /// Returns this completion as chosen because the `failed` ones before it fail a check.
     pub(crate) fn after(&self, failed: &[Self]) -> Self {
         let mut taken = self.clone();
         for (i, found) in taken.found.iter_mut().enumerate() {
@@ -86,13 +88,13 @@ impl Completed {
 }
 
 impl fmt::Display for FoundTurn {
-    /// What follows the words "block … is turned …".
+    /// Formats the text that follows "block … is turned …".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { size, n_ways, .. } = self;
         let least = if self.may_be_more { "at least " } else { "" };
         let of_several = format!(": of {least}{n_ways} ways it fills {size:?} cells");
         match &self.reason {
-            // A cube lies in one way only, whatever stands around it.
+            // A cube can lie only one way, whatever its neighbors.
             _ if *size == [1, 1, 1] => {}
             _ if *n_ways == 1 && !self.may_be_more => write!(f, ": it can fill {size:?} cells only")?,
             WayReason::MostMagnets => write!(f, "{of_several}, where the most magnets meet")?,
@@ -109,7 +111,7 @@ impl fmt::Display for FoundTurn {
 }
 
 impl FoundTurn {
-    /// Says that the structure would tip over with the other ways: in words for a bar, in cells for a plate.
+    /// Writes that the structure would tip over in the other ways: in words for a bar, in cells for a plate.
     fn tell_others(&self, others: &[Cell], f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let ways = if let Some(axis) = long_axis(self.size) {
             match axis == self.vertical {
@@ -133,8 +135,8 @@ impl FoundTurn {
     }
 }
 
-/// Completions of a draft whose blocks are assigned, best first: those that hang together and stand, or else one that does
-/// not, for the checks to say what is wrong with it.
+/// Returns completions of a draft with assigned blocks, best first: those that hold together and stand, or else one
+/// that does not, so that the checks can report what is wrong with it.
 pub(crate) fn completions(
     draft: &Draft,
     assigned: &[BlockIdx],
@@ -157,7 +159,7 @@ pub(crate) fn completions(
     let ways = Ways::new(&search, &drawings, &stands, is_cut);
     let mut taken: Vec<usize> = (0..drawings.len()).filter(|&at| stands[at]).take(MAX_TRIED).collect();
     if taken.is_empty() {
-        // The one with the most magnets.
+        // Take the one with the most magnets.
         taken.extend((!drawings.is_empty()).then_some(0));
     }
     let complete = |at: usize| {
@@ -167,15 +169,15 @@ pub(crate) fn completions(
     Ok(taken.into_iter().map(complete).collect())
 }
 
-/// The ways in which each block lies in the drawings among which one is taken.
+/// The ways that each block lies in the candidate drawings.
 struct Ways<'a> {
     search: &'a Search<'a>,
     drawings: &'a [Drawing],
     /// Whether each drawing stands.
     stands: &'a [bool],
-    /// Whether drawings were dropped.
+    /// Whether the search dropped drawings.
     is_cut: bool,
-    /// Cells that each block fills in any of the drawings, and in those that stand.
+    /// Cells that each block fills in any of the drawings (`all`) and in those that stand (`standing`).
     all: Vec<BTreeSet<Cell>>,
     standing: Vec<BTreeSet<Cell>>,
 }
@@ -190,7 +192,7 @@ impl<'a> Ways<'a> {
         Self { search, drawings, stands, is_cut, all: of_each(true), standing: of_each(false) }
     }
 
-    /// How block `i` was found in the drawing `at`.
+    /// Returns how block `i` was found in the drawing with index `at`.
     fn found(&self, at: usize, i: usize) -> FoundTurn {
         let n_ways = self.all[i].len();
         FoundTurn {
@@ -208,30 +210,30 @@ impl<'a> Ways<'a> {
         if !self.stands[at] {
             return WayReason::MostMagnets;
         }
-        // In the order in which they are tried.
+        // Keep the order in which the ways are tried.
         let others = self.search.options[i].iter().filter(|other| **other != size && self.all[i].contains(*other));
         let others: Vec<Cell> = others.copied().collect();
         let all_tip = others.iter().all(|other| !self.standing[i].contains(other));
         if all_tip && !others.is_empty() && !self.is_cut {
             return WayReason::OthersTip(others);
         }
-        // It would have been taken if it stood.
+        // The earlier drawing would have been taken if it stood.
         let is_passed_over = |before: usize| !self.stands[before] && self.drawings[before].sizes[i] != size;
         if (0..at).any(is_passed_over) { WayReason::MostThatStand } else { WayReason::MostMagnets }
     }
 }
 
-/// A way for every block to lie and to be turned.
+/// A way and a rotation for every block.
 struct Drawing {
     sizes: Vec<Cell>,
     turns: Vec<CubeRotation>,
-    /// For each block, whether the poles leave this turn only.
+    /// For each block, whether the poles leave only this rotation.
     is_only: Vec<bool>,
-    /// Whether all hang together and attract.
+    /// Whether all blocks hold together and attract.
     fits: bool,
 }
 
-/// A draft and what each of its blocks can fill.
+/// A draft and the cells that each of its blocks can fill.
 struct Search<'a> {
     draft: &'a Draft,
     /// Sides of each block along its own axes.
@@ -246,7 +248,7 @@ impl<'a> Search<'a> {
         let mut options = Vec::with_capacity(own.len());
         for ((block, &own), &idx) in draft.blocks.iter().zip(&own).zip(assigned) {
             let of = |turn: CubeRotation| turn.apply(own).map(i32::abs);
-            // In the order of the turns, so that a block lies along x where nothing else decides.
+            // Keep the order of the rotations, so that a block lies along x if nothing else decides.
             let mut all: Vec<Cell> = Vec::new();
             for size in CubeRotation::all().map(of) {
                 if !all.contains(&size) {
@@ -270,12 +272,13 @@ impl<'a> Search<'a> {
         Ok(Self { draft, own, options })
     }
 
-    /// Sizes of all blocks without an overlap, those with the most magnets that meet first, and whether some were dropped.
+    /// Returns sizes of all blocks without overlap, those with the most magnets that meet first, and whether any were
+    /// dropped.
     fn drawings(&self) -> Result<(Vec<Vec<Cell>>, bool), BlueprintError> {
-        // Blocks that can lie in one way only come first: the others have to make room for them.
+        // Blocks that can lie only one way come first, because the others have to make room for them.
         let mut order: Vec<usize> = (0..self.own.len()).collect();
         order.sort_by_key(|&i| (self.options[i].len(), self.draft.blocks[i].at[2], i));
-        // By position in `order`; each with the number of magnet pairs.
+        // Sizes by position in `order`, with their number of magnet pairs.
         let mut followed: Vec<(usize, Vec<Cell>)> = vec![(0, Vec::new())];
         let mut is_cut = false;
         for (n_placed, &i) in order.iter().enumerate() {
@@ -292,7 +295,7 @@ impl<'a> Search<'a> {
             if next.is_empty() {
                 return self.overlapping(i).map(|sizes| (vec![sizes], is_cut));
             }
-            // Stable, so that equal ones keep the order of their ways.
+            // The sort is stable, so that ties keep the order of their ways.
             next.sort_by_key(|(n_pairs, _)| std::cmp::Reverse(*n_pairs));
             is_cut |= next.len() > MAX_FOLLOWED;
             next.truncate(MAX_FOLLOWED);
@@ -306,7 +309,8 @@ impl<'a> Search<'a> {
         Ok((followed.into_iter().map(|(_, sizes)| in_file_order(sizes)).collect(), is_cut))
     }
 
-    /// What to say of block `i`, for which there was no room: sizes for the checks to judge if it can lie in one way only.
+    /// Handles block `i`, for which there was no room. If it can lie only one way, returns sizes that the checks
+    /// reject; otherwise, returns an error.
     fn overlapping(&self, i: usize) -> Result<Vec<Cell>, BlueprintError> {
         let block = &self.draft.blocks[i];
         if self.options[i].len() > 1 {
@@ -316,7 +320,7 @@ impl<'a> Search<'a> {
         Ok(self.options.iter().map(|options| options[0]).collect())
     }
 
-    /// Number of magnet pairs of two blocks that touch, 0 of two that do not, `None` if they overlap.
+    /// Returns the number of magnet pairs of two blocks: 0 if they do not touch, `None` if they overlap.
     fn n_pairs(&self, i: usize, size: Cell, j: usize, other: Cell) -> Option<usize> {
         match self.contact(i, size, j, other) {
             Contact::Overlap => None,
@@ -327,7 +331,7 @@ impl<'a> Search<'a> {
 
     fn contact(&self, i: usize, size: Cell, j: usize, other: Cell) -> Contact {
         let (a, b) = (self.draft.blocks[i].at, self.draft.blocks[j].at);
-        // How far the two reach into each other along each axis: 0 where they touch, less where they are apart.
+        // Overlap of the two along each axis: 0 where they touch, negative where they are apart.
         let depth: Cell = std::array::from_fn(|k| (a[k] + size[k]).min(b[k] + other[k]) - a[k].max(b[k]));
         if depth.iter().all(|&d| d > 0) {
             return Contact::Overlap;
@@ -339,10 +343,11 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// A turn for each block.
+    /// Computes a rotation for each block.
     fn turned(&self, sizes: Vec<Cell>) -> Drawing {
         let n = sizes.len();
-        // An unknown for each block and axis: whether s_k is negative. z comes first, so that x and y follow from it.
+        // There is one unknown per block and axis: whether s_k is negative. z comes first, so that x and y follow from
+        // it.
         let unknown = |i: usize, axis: usize| 1_u64 << ((2 - axis) * crate::N_BLOCKS + i);
         let mut parities = Parities::new();
         let mut fits = true;
@@ -368,7 +373,7 @@ impl<'a> Search<'a> {
         fits &= piece.iter().all(|&p| p == 0);
         let forced = parities.clone();
         for i in (0..n).filter(|&i| self.draft.blocks[i].turn.is_none()) {
-            // If that can be had, the block's own z points up, as people draw blocks and as they lie around.
+            // If possible, point the block's own z up, as people draw blocks and as they lie around.
             let (own, size) = (self.own[i], sizes[i]);
             if own[2] == size[2] && own[0] != own[1] && parities.add(unknown(i, 2), false) {
                 parities.add(unknown(i, 0) | unknown(i, 1), size[0] != own[0]);
@@ -383,7 +388,7 @@ impl<'a> Search<'a> {
             };
             let is_upright = |turn: &CubeRotation| turn.matrix()[2][2] == 1;
             let fitting = || CubeRotation::all().filter(can_be);
-            // Only where the equations contradict each other is there none.
+            // There is none only if the equations contradict each other.
             let found = self.draft.blocks[i].turn.or_else(|| fitting().find(is_upright)).or_else(|| fitting().next());
             found.unwrap_or_else(|| {
                 let of_size = |turn: &CubeRotation| turn.apply(self.own[i]).map(i32::abs) == sizes[i];
@@ -397,25 +402,26 @@ impl<'a> Search<'a> {
     }
 }
 
-/// How two blocks lie to each other.
+/// How two blocks lie relative to each other.
 enum Contact {
     Overlap,
     Apart,
     Along { axis: usize, n_pairs: usize },
 }
 
-/// The axis that a bar lies along; `None` for a cube or a plate.
+/// Returns the axis that a bar lies along; `None` for a cube or a plate.
 fn long_axis(size: Cell) -> Option<usize> {
     let mut long = (0..3).filter(|&k| size[k] > 1);
     long.next().filter(|_| long.next().is_none())
 }
 
-/// Sign of the magnets on the face that points along `axis` in the drawing.
+/// Returns the sign of the magnets on the face that points along `axis` in the drawing.
 fn sign(turn: CubeRotation, axis: usize) -> i32 {
     turn.matrix()[axis].iter().sum()
 }
 
-/// Whether a block with three different sides lies in an odd permutation of its axes; `None` for one with equal sides.
+/// Returns whether a block with three different sides lies in an odd permutation of its axes; `None` if sides are
+/// equal.
 fn parity(own: Cell, size: Cell) -> Option<bool> {
     let is_distinct = own[0] != own[1] && own[1] != own[2] && own[0] != own[2];
     // The three cyclic permutations are the even ones.

@@ -38,12 +38,12 @@ impl From<BlockIdx> for u8 {
 }
 
 impl BlockIdx {
-    /// All 16 indices in order.
+    /// Iterates over all 16 indices in order.
     pub fn all() -> impl Iterator<Item = Self> {
         (0..N_BLOCKS as u8).map(Self)
     }
 
-    /// The index as a `usize`, for arrays of [`N_BLOCKS`].
+    /// Returns the index as a `usize`, for arrays of [`N_BLOCKS`].
     pub fn get(self) -> usize {
         usize::from(self.0)
     }
@@ -114,7 +114,7 @@ pub enum InventoryError {
 }
 
 impl Inventory {
-    /// The inventory of the paper's world, read from `inventory.toml`.
+    /// Returns the inventory of the paper's world, read from `inventory.toml`.
     ///
     /// # Panics
     /// Never in a build that passes the tests: the file is compiled in.
@@ -124,52 +124,52 @@ impl Inventory {
         &STANDARD
     }
 
-    /// The types in the order of the file.
+    /// Returns the types in the order of the file.
     pub fn types(&self) -> &[BlockType] {
         &self.types
     }
 
-    /// Position of a block's type in [`types`](Self::types).
+    /// Returns the position of a block's type in [`types`](Self::types).
     pub fn type_idx(&self, block: BlockIdx) -> usize {
         usize::from(self.type_of[block.get()])
     }
 
-    /// The type of a block.
+    /// Returns the type of a block.
     pub fn block_type(&self, block: BlockIdx) -> &BlockType {
         &self.types[self.type_idx(block)]
     }
 
-    /// Size of a block in unit cells along its own x, y and z.
+    /// Returns the size of a block in unit cells along its own x, y, and z.
     pub fn cells(&self, block: BlockIdx) -> [u8; 3] {
         self.block_type(block).cells
     }
 
-    /// Half of a block's size in meters along its own x, y and z.
+    /// Returns half of a block's size in meters along its own x, y, and z.
     pub fn half_extents_m(&self, block: BlockIdx) -> [f32; 3] {
         self.cells(block).map(|n| f32::from(n) * UNIT_M / 2.0)
     }
 
-    /// The magnets of a block, one at the center of every unit cell of every face.
+    /// Returns the magnets of a block, one at the center of every unit cell of every face.
     ///
     /// Order: faces +x −x +y −y +z −z, within a face by increasing position.
     pub fn magnets(&self, block: BlockIdx) -> &[Magnet] {
         &self.magnets[self.type_idx(block)]
     }
 
-    /// All blocks of the same type, the block itself included, in index order.
+    /// Iterates over all blocks of the same type, including the block itself, in index order.
     pub fn same_type(&self, block: BlockIdx) -> impl Iterator<Item = BlockIdx> {
         BlockIdx::all().filter(move |&other| self.type_of[other.get()] == self.type_of[block.get()])
     }
 
-    /// All blocks of the named type in index order; empty for an unknown name.
+    /// Returns all blocks of the named type in index order; empty for an unknown name.
     pub fn blocks_of_type(&self, name: &str) -> Vec<BlockIdx> {
         BlockIdx::all().filter(|&block| self.block_type(block).name == name).collect()
     }
 
-    /// Magnets of `a` and of `b` that coincide, face each other and attract, as indices into
+    /// Returns the magnets of `a` and `b` that coincide, face each other, and attract, as indices into
     /// [`magnets`](Self::magnets) of each, ordered by `a`'s.
     ///
-    /// `b_from_a` is the pose of `b` seen from `a`.
+    /// `b_from_a` is the pose of `b` relative to `a`.
     pub fn magnet_pairs(&self, a: BlockIdx, b: BlockIdx, b_from_a: RelativePlacement) -> Vec<(usize, usize)> {
         self.coincident(a, b, b_from_a, |p, q| p != q)
     }
@@ -228,7 +228,7 @@ impl FromStr for Inventory {
 }
 
 impl Magnet {
-    /// This magnet of block `b` in the frame of a block `a` that sees `b` at `b_from_a`.
+    /// Transforms a magnet of block `b` to the frame of block `a`, where `b_from_a` is the pose of `b` relative to `a`.
     pub fn seen_through(self, b_from_a: RelativePlacement) -> Self {
         let turned = b_from_a.rotation.apply(self.position_half_units);
         Self {
@@ -239,7 +239,7 @@ impl Magnet {
     }
 }
 
-/// The magnets of a cuboid: a unit cell's center lies at odd half units from the cuboid's corner.
+/// Returns the magnets of a cuboid. A unit cell's center is an odd number of half units from the cuboid's corner.
 fn magnets_of(cells: [u8; 3]) -> Vec<Magnet> {
     let size = cells.map(i32::from);
     let centers = |axis: usize| (0..size[axis]).map(move |k| 2 * k + 1 - size[axis]);

@@ -35,12 +35,12 @@ impl CubeRotation {
     /// The identity.
     pub const IDENTITY: Self = Self(0);
 
-    /// All 24 rotations in index order.
+    /// Iterates over all 24 rotations in index order.
     pub fn all() -> impl Iterator<Item = Self> {
         (0..24).map(Self)
     }
 
-    /// The rotation that maps x to `x` and y to `y`; `None` unless both are distinct signed unit axes.
+    /// Returns the rotation that maps x to `x` and y to `y`; `None` unless both are distinct signed unit axes.
     pub fn from_images(x: [i32; 3], y: [i32; 3]) -> Option<Self> {
         Self::all().find(|r| {
             let m = r.matrix();
@@ -48,7 +48,7 @@ impl CubeRotation {
         })
     }
 
-    /// The rotation as a row-major matrix of −1, 0 and 1; column `j` is the image of axis `j`.
+    /// Returns the rotation as a row-major matrix of −1, 0, and 1; column `j` is the image of axis `j`.
     pub fn matrix(self) -> [[i32; 3]; 3] {
         let axis = |k: u8| {
             let mut v = [0; 3];
@@ -68,20 +68,20 @@ impl CubeRotation {
         self.matrix().map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
     }
 
-    /// The inverse rotation.
+    /// Returns the inverse rotation.
     pub fn inverse(self) -> Self {
         let m = self.matrix();
         Self::from_images(m[0], m[1]).expect("the rows of a rotation are distinct unit axes")
     }
 
-    /// `self ∘ other`: first `other`, then `self`.
+    /// Returns `self ∘ other`: first `other`, then `self`.
     pub fn compose(self, other: Self) -> Self {
         let m = other.matrix();
         let column = |j: usize| self.apply([m[0][j], m[1][j], m[2][j]]);
         Self::from_images(column(0), column(1)).expect("a product of rotations is a rotation")
     }
 
-    /// Directions of the rotated x and y axes, as written in a blueprint's file: `+x +y` for the identity.
+    /// Returns the directions of the rotated x and y axes, as written in a blueprint's file: `+x +y` for the identity.
     pub fn axes(self) -> String {
         let matrix = self.matrix();
         let image = |column: usize| {
@@ -91,10 +91,10 @@ impl CubeRotation {
         format!("{} {}", image(0), image(1))
     }
 
-    /// The rotation nearest to `orientation`, and the angle between the two in radians, 0 to about 1.1.
+    /// Returns the rotation nearest to `orientation`, and the angle between the two in radians, 0 to about 1.1.
     ///
-    /// The nearest rotation has the largest trace of `Rᵀ·M`, so no angle is computed for the other 23. The first of
-    /// equally near ones is returned.
+    /// The nearest rotation has the largest trace of `Rᵀ·M`, so no angle is computed for the other 23. Ties go to the
+    /// first.
     pub fn nearest(orientation: &nalgebra::UnitQuaternion<f32>) -> (Self, f32) {
         let wanted = orientation.to_rotation_matrix();
         let trace = |r: Self| {
@@ -112,14 +112,14 @@ impl CubeRotation {
         (best.0, best.0.quaternion().angle_to(orientation))
     }
 
-    /// The rotation as a unit quaternion.
+    /// Returns the rotation as a unit quaternion.
     pub fn quaternion(self) -> nalgebra::UnitQuaternion<f32> {
         let m = nalgebra::Matrix3::from_fn(|i, j| self.matrix()[i][j] as f32);
         nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(m))
     }
 }
 
-/// The pose of block `b` seen from block `a` on the lattice: exact, so two of them can be compared with `==`.
+/// The pose of block `b` relative to block `a` on the lattice. It is exact, so `==` can compare two of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct RelativePlacement {
     /// Center of `b` minus center of `a` in `a`'s frame, in half units (0.05 m).
@@ -129,19 +129,19 @@ pub struct RelativePlacement {
 }
 
 impl RelativePlacement {
-    /// The pose of `b` seen from `a`.
+    /// Returns the pose of `b` relative to `a`.
     pub fn between(a: &Placement, b: &Placement) -> Self {
         let to_a = a.rotation.inverse();
         let offset = std::array::from_fn(|i| b.center_half_units[i] - a.center_half_units[i]);
         Self { offset_half_units: to_a.apply(offset), rotation: to_a.compose(b.rotation) }
     }
 
-    /// Center of `b` minus center of `a` in `a`'s frame, in meters.
+    /// Returns the center of `b` minus the center of `a` in `a`'s frame, in meters.
     pub fn position_m(&self) -> nalgebra::Vector3<f32> {
         nalgebra::Vector3::from(self.offset_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
     }
 
-    /// The pose of `a` seen from `b`.
+    /// Returns the pose of `a` relative to `b`.
     pub fn inverse(self) -> Self {
         let rotation = self.rotation.inverse();
         Self { offset_half_units: rotation.apply(self.offset_half_units).map(|x| -x), rotation }

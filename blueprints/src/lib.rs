@@ -1,8 +1,8 @@
 //! Blocks, magnets, the inventory, and target structures ("blueprints"), without physics.
 //!
 //! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`]
-//! and [`strength`] → what a file leaves open (`infer`) → [`checks`] → [`drawing`] → the file writer → the canonical hash →
-//! [`catalog`].
+//! and [`strength`] → inference of what a file leaves open (`infer`) → [`checks`] → [`drawing`] → the file writer → the
+//! canonical hash → [`catalog`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

@@ -2,11 +2,12 @@
 
 use crate::{Inventory, Placement};
 
-/// Minimum distance of a blueprint from its center of mass to the edge of the support polygon, in units.
+/// Minimum distance from a blueprint's center of mass to the edge of the support polygon, in units.
 pub const MIN_SUPPORT_MARGIN_U: f64 = 0.1;
 
-/// Support margin of a rigid structure whose cells at z = 0 touch the ground, of which there must be one: the distance from
-/// its center of mass to the nearest edge of the support polygon in units, negative outside it. All blocks have one density.
+/// Returns the support margin of a rigid structure: the distance in units from its center of mass to the nearest edge
+/// of the support polygon, negative outside it. Cells at z = 0 touch the ground, and there must be at least one. All
+/// blocks have the same density.
 pub fn margin_u(placements: &[Placement], inventory: &Inventory) -> f64 {
     let cells: Vec<[i32; 3]> = placements.iter().flat_map(|p| p.filled_cells(inventory)).collect();
     let mean = |axis: usize| {
@@ -20,19 +21,19 @@ pub fn margin_u(placements: &[Placement], inventory: &Inventory) -> f64 {
     support_margin(corners.collect(), [mean(0), mean(1)])
 }
 
-/// Distance from `center` to the nearest edge of the convex hull of `corners`, negative outside it.
+/// Returns the distance from `center` to the nearest edge of the convex hull of `corners`, negative outside it.
 pub(crate) fn support_margin(corners: Vec<[i32; 2]>, center: [f64; 2]) -> f64 {
     let hull = convex_hull(corners);
     (0..hull.len()).map(|i| distance_inside(hull[i], hull[(i + 1) % hull.len()], center)).fold(f64::INFINITY, f64::min)
 }
 
-/// Signed distance of `p` from the line `a`→`b`, positive on its left.
+/// Returns the signed distance of `p` from the line `a`→`b`, positive on its left.
 fn distance_inside(a: [i32; 2], b: [i32; 2], p: [f64; 2]) -> f64 {
     let (dx, dy) = (f64::from(b[0] - a[0]), f64::from(b[1] - a[1]));
     (dx * (p[1] - f64::from(a[1])) - dy * (p[0] - f64::from(a[0]))) / dx.hypot(dy)
 }
 
-/// The corners of the convex hull, counter-clockwise (Andrew's monotone chain).
+/// Returns the corners of the convex hull, counterclockwise (Andrew's monotone chain).
 fn convex_hull(mut points: Vec<[i32; 2]>) -> Vec<[i32; 2]> {
     points.sort_unstable();
     points.dedup();
@@ -41,7 +42,7 @@ fn convex_hull(mut points: Vec<[i32; 2]>) -> Vec<[i32; 2]> {
     hull
 }
 
-/// One side of the hull without its last point, which begins the other side.
+/// Returns one side of the hull without its last point, which begins the other side.
 fn half_hull(points: impl Iterator<Item = [i32; 2]>) -> Vec<[i32; 2]> {
     let mut chain: Vec<[i32; 2]> = Vec::new();
     for p in points {

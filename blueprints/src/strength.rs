@@ -40,7 +40,7 @@ impl Load {
     }
 }
 
-/// The first joint whose load exceeds its limit, by index in `joints`.
+/// Returns the first joint whose load exceeds its limit, by index in `joints`.
 ///
 /// `cells` are the filled cells of each block, `lowest` the height of the ground in units. Only joints whose removal
 /// cuts the structure in two are considered, and only if one part does not touch the ground: its weight is the force on
@@ -61,7 +61,7 @@ pub(crate) fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32)
     })
 }
 
-/// Which blocks stay connected to the first block of the joint at `without` when that joint is removed.
+/// Returns which blocks stay connected to the first block of the joint at `without` when that joint is removed.
 fn reached(n_blocks: usize, joints: &[Joint], without: usize) -> Vec<bool> {
     let mut reached = vec![false; n_blocks];
     let mut frontier = vec![joints[without].a];
@@ -102,7 +102,8 @@ fn load_of(hanging: &[usize], cells: &[Vec<[i32; 3]>], joint: &Joint) -> Load {
 mod tests {
     use super::*;
 
-    /// A column of `height` cells as one block, and a bar of `length` cells from its top along +x as another.
+    /// Returns the overload of a bar of `length` cells along +x from the top of a column of `height` cells, each one
+    /// block.
     fn cantilever(height: i32, length: i32) -> Option<(usize, Load)> {
         let column = (0..height).map(|z| [0, 0, z]).collect();
         let bar = (1..=length).map(|x| [x, 0, height - 1]).collect();
@@ -119,7 +120,7 @@ mod tests {
         assert_eq!(at, 0);
         assert!((load.force_n - 7.848).abs() < 1e-9 && (load.torque_nm - 1.5696).abs() < 1e-6, "{load:?}");
         assert!((load.max_force_n - 15.0).abs() < 1e-9 && (load.max_torque_nm - 1.5).abs() < 1e-6, "{load:?}");
-        // On the ground it carries nothing.
+        // On the ground, the joint carries nothing.
         assert_eq!(cantilever(1, 4), None);
     }
 

@@ -10,7 +10,7 @@ pub(crate) const NAMES: [(&str, &str); 6] =
     [("1x1x1", "cube"), ("2x1x1", "brick"), ("3x1x1", "bar"), ("4x1x1", "beam"), ("2x2x1", "tile"), ("3x2x1", "slab")];
 
 impl Blueprint {
-    /// The text of the blueprint's file; `provenance` states the origin of the structure.
+    /// Returns the text of the blueprint's file; `provenance` states the origin of the structure.
     ///
     /// Blocks are named after their types. Parsing the text gives an equal blueprint if this one uses the first blocks
     /// of every type, as every blueprint from a file does. After [`permuted`](Self::permuted), the text parses as the
@@ -19,10 +19,10 @@ impl Blueprint {
         self.to_toml_with(&self.block_names(Inventory::standard()), provenance)
     }
 
-    /// The same with other names of blocks, in the order of the placements.
+    /// Like [`to_toml`](Self::to_toml), with other block names, in the order of the placements.
     pub(crate) fn to_toml_with(&self, names: &[String], provenance: &str) -> String {
         let inventory = Inventory::standard();
-        // TOML's rules for quotes and control characters apply.
+        // Quote the names by TOML's rules for quotes and control characters.
         let names: Vec<String> = names.iter().map(|name| toml::Value::from(&name[..]).to_string()).collect();
         let width = names.iter().map(String::len).max().unwrap_or(0);
         let mut text = format!("id = \"{}\"\nsplit = \"{}\"\n", self.id(), self.split());
@@ -63,7 +63,7 @@ impl Blueprint {
         text
     }
 
-    /// A name for each placement: the name of its type, numbered from 1 if the type occurs more than once.
+    /// Returns a name for each placement: the name of its type, numbered from 1 if the type occurs more than once.
     fn block_names(&self, inventory: &Inventory) -> Vec<String> {
         let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
         let word = |name: &str| NAMES.iter().find(|(of, _)| *of == name).map_or(name, |(_, word)| word).to_owned();

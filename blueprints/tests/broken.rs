@@ -187,8 +187,8 @@ connections = [
     // Board: 3 cells of 1.962 N at 1.5 u are 0.88 N m. With the post, 5 cells at 1.2 u: 1.18 N m.
     let report = check_text("board.toml", text);
     assert!(report.passed(), "{report:#?}");
-    // On the foot: post and a board of four are 6 cells, their center at x = (2·0.5 + 4·3) / 6 = 2.17 u, the contact's at
-    // 0.5 u, so 11.77 N at 0.167 m.
+    // On the foot, the post and a board of four are 6 cells with their center at x = (2·0.5 + 4·3) / 6 = 2.17 u, the
+    // contact's at 0.5 u, so 11.77 N at 0.167 m.
     let longer = text.replace("3x1x1\", at = [1", "4x1x1\", at = [1").replace("+x(2,0,0)", "+x(3,0,0)");
     let report = check_text("board.toml", &longer);
     let strength = report.results.iter().find(|r| r.check == Check::Strength).expect("all checks are listed");

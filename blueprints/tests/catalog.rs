@@ -42,7 +42,7 @@ fn builtin_catalog_has_the_expected_sizes() {
     assert_eq!(counts(Split::TestLongest), [12, 13, 14, 15, 16].map(|n| (n, 1)));
     assert_eq!(counts(Split::TestTallest), [12, 13, 14, 15, 16].map(|n| (n, 1)));
     assert_eq!(Split::PAPER.iter().map(|&split| Catalog::builtin().of_split(split).len()).sum::<usize>(), 142 + 24);
-    // Ours, besides those of the paper.
+    // Not in the paper.
     let validation = [2, 2, 2, 2, 2, 3, 3, 3, 3, 2];
     assert_eq!(validation.iter().sum::<i32>(), 24);
     assert_eq!(counts(Split::Validation), (7..=16).zip(validation).collect::<Vec<_>>());
@@ -113,7 +113,7 @@ fn check_invariants(blueprint: &Blueprint) {
     }
 }
 
-/// A permutation of the 16 blocks that preserves types.
+/// Generates permutations of the 16 blocks that preserve types.
 fn permutation() -> impl Strategy<Value = [BlockIdx; 16]> {
     let shuffled = |name: &str| Just(Inventory::standard().blocks_of_type(name)).prop_shuffle();
     let types: Vec<_> = Inventory::standard().types().iter().map(|t| shuffled(&t.name)).collect();

@@ -90,8 +90,8 @@ fn catalog_records_match_their_provenance() {
     }
 }
 
-/// The validation split was drawn by these requests: two or three styles for each size, index 0, and the first seed from 24
-/// on whose structure passes the checks of `lodestone blueprints check`, those in a simulated world included.
+/// These requests generated the validation split: two or three styles for each size, index 0, and the first seed from
+/// 24 on whose structure passes the checks of `lodestone blueprints check`, including those in a simulated world.
 #[test]
 fn validation_goals_match_their_provenance_and_are_not_for_training() {
     let catalog = Catalog::builtin();
@@ -180,7 +180,7 @@ fn generate_many_is_distinct_and_respects_exclusions() {
     let hashes: BTreeSet<u64> = first.iter().map(Blueprint::canonical_hash).collect();
     assert_eq!((first.len(), hashes.len()), (20, 20));
     assert!(hashes.is_disjoint(&builtin));
-    // Excluding these as well gives others.
+    // Excluding these as well yields others.
     let exclude: BTreeSet<u64> = builtin.union(&hashes).copied().collect();
     let second = generate_many(Style::Any, 3, 2, 20, &exclude).expect("there are enough pairs");
     assert!(second.iter().all(|blueprint| !exclude.contains(&blueprint.canonical_hash())));

@@ -55,7 +55,7 @@ fn magnets_of_touching_faces_pair_by_cell() {
     check(12, 13, [2, 2, 2], same, 1, 0);
     check(0, 4, [3, 0, 0], same, 1, 0);
     check(0, 4, [1, 0, 2], same, 1, 0);
-    // Half a cell off: the faces touch, the magnets do not meet.
+    // Half a cell off, the faces touch but the magnets do not meet.
     check(0, 4, [0, 0, 2], same, 0, 0);
     check(0, 1, [4, 0, 0], same, 0, 0);
 }

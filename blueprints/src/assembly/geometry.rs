@@ -3,7 +3,7 @@
 use crate::stance::support_margin;
 use crate::{Inventory, N_BLOCKS, Placement};
 
-/// Minimum approach length in half units: it starts outside the reach of every magnet but the wanted ones.
+/// Minimum approach length in half units; a path starts out of reach of every magnet but its targets.
 const MIN_APPROACH: i32 = 3;
 /// Maximum approach length in half units.
 const MAX_APPROACH: i32 = 14;
@@ -27,8 +27,8 @@ pub struct Approach {
 #[derive(Clone, Debug)]
 pub(super) struct Geometry {
     boxes: Vec<Box3>,
-    /// For each part and direction (+x −x +y −y +z −z) the parts that it touches on that side of *them*: if part `j` is in
-    /// `contacts[i][d]`, then `i` lies in direction `d` of `j`.
+    /// For each part and direction (+x −x +y −y +z −z), the parts whose face in that direction touches it: if part `j`
+    /// is in `contacts[i][d]`, then `i` lies in direction `d` from `j`.
     contacts: Vec<[Parts; 6]>,
 }
 
@@ -39,57 +39,57 @@ struct Box3 {
 }
 
 impl Parts {
-    /// One part.
+    /// Returns the set of one part.
     pub fn one(part: usize) -> Self {
         Self(1 << part)
     }
 
-    /// Parts `0..n`, `n` up to 16.
+    /// Returns the set of parts `0..n`, `n` up to 16.
     pub fn first(n: usize) -> Self {
         debug_assert!(n <= N_BLOCKS);
         Self(((1_u32 << n) - 1) as u16)
     }
 
-    /// Whether the set is empty.
+    /// Returns whether the set is empty.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
 
-    /// Number of parts.
+    /// Returns the number of parts.
     pub fn len(self) -> usize {
         self.0.count_ones() as usize
     }
 
-    /// Whether the set contains the part.
+    /// Returns whether the set contains the part.
     pub fn contains(self, part: usize) -> bool {
         self.0 & (1 << part) != 0
     }
 
-    /// The set with one more part.
+    /// Returns the set with `part` added.
     #[must_use]
     pub fn with(self, part: usize) -> Self {
         Self(self.0 | (1 << part))
     }
 
-    /// Union.
+    /// Returns the union of the two sets.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
 
-    /// Intersection.
+    /// Returns the intersection of the two sets.
     #[must_use]
     pub fn intersection(self, other: Self) -> Self {
         Self(self.0 & other.0)
     }
 
-    /// The parts that are not in `other`.
+    /// Returns the parts that are not in `other`.
     #[must_use]
     pub fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }
 
-    /// The parts in increasing order.
+    /// Iterates over the parts in increasing order.
     pub fn iter(self) -> impl Iterator<Item = usize> {
         (0..N_BLOCKS).filter(move |&part| self.contains(part))
     }
@@ -116,30 +116,30 @@ impl Geometry {
         Parts::first(self.boxes.len())
     }
 
-    /// Volume in eighths of a cell.
+    /// Returns a part's volume in eighths of a cell.
     pub(super) fn volume(&self, part: usize) -> i32 {
         self.boxes[part].volume()
     }
 
-    /// Lowest point of a part along `up`, half units.
+    /// Returns the lowest point of a part along `up`, in half units.
     pub(super) fn bottom(&self, part: usize, up: [i32; 3]) -> i32 {
         self.boxes[part].bottom(up)
     }
 
-    /// Lowest point of the finished structure along `up`, half units.
+    /// Returns the lowest point of the finished structure along `up`, in half units.
     pub(super) fn ground(&self, up: [i32; 3]) -> i32 {
         self.boxes.iter().map(|b| b.bottom(up)).min().unwrap_or(0)
     }
 
-    /// Height of the finished structure along `up`, units.
+    /// Returns the height of the finished structure along `up`, in units.
     pub(super) fn height(&self, up: [i32; 3]) -> i32 {
         let down = up.map(|x| -x);
         let top = self.boxes.iter().map(|b| -b.bottom(down)).max().unwrap_or(0);
         (top - self.ground(up)) / 2
     }
 
-    /// Support margin in units of the parts `placed`, as one rigid body on the ground plane of the finished structure;
-    /// negative if they would tip, −∞ if none touches the plane.
+    /// Returns the support margin of the parts `placed`, in units, as one rigid body on the ground plane of the
+    /// finished structure; negative if they would tip, −∞ if none touches the plane.
     pub(super) fn margin_u(&self, placed: Parts, up: [i32; 3]) -> f64 {
         let ground = self.ground(up);
         let axis = axis_of(up);
@@ -166,10 +166,10 @@ impl Geometry {
         support_margin(corners, center) / 2.0
     }
 
-    /// Straight approach paths for `group`, moved as one rigid body, while `placed` stands, best first.
+    /// Returns the straight approach paths for `group`, moved as one rigid body, to the structure `placed`, best first.
     ///
-    /// The group leaves every face that it touches, so no two of them may face each other, and it does not approach
-    /// from below. Above the start of the path the space over the group is free.
+    /// Moving outward, the group leaves every face that it touches, so no two of these faces may face each other. It
+    /// does not approach from below. The space above the group is free at the start of the path.
     pub(super) fn approaches(&self, placed: Parts, group: Parts, up: [i32; 3]) -> impl Iterator<Item = Approach> {
         self.directions(placed, group, up).into_iter().filter_map(move |direction| {
             let length_half_units = self.free_path(placed, group, direction, up)?;
@@ -177,7 +177,7 @@ impl Geometry {
         })
     }
 
-    /// The directions in which a group can leave every face that it touches.
+    /// Returns the directions in which a group can leave every face that it touches.
     fn directions(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Vec<[i32; 3]> {
         let mut sides = [false; 6];
         for part in group.iter() {
@@ -208,15 +208,16 @@ impl Geometry {
         ways
     }
 
-    /// Path length after which a group moved along `direction` is clear of everything and has free space above it.
+    /// Returns the path length after which a group moved along `direction` is clear of `placed` with free space above
+    /// it.
     ///
-    /// Along the path, nothing but the faces that the group touches comes closer than a half unit: the wrong magnets
+    /// Along the path, only the faces that the group touches come closer than a half unit, because the wrong magnets
     /// would catch a face that slides along another one.
     fn free_path(&self, placed: Parts, group: Parts, direction: [i32; 3], up: [i32; 3]) -> Option<i32> {
         let hits = |b: Box3| placed.iter().any(|other| b.overlaps(&self.boxes[other]));
         for t in 1..=MAX_APPROACH {
             let moved = |part: usize| self.boxes[part].moved(direction.map(|x| x * t));
-            // After one half unit, a face that passes another one is offset by half a cell: no magnets meet.
+            // After one half unit, a face that passes another one is offset by half a cell, so no magnets meet.
             let room = i32::from(t > 1);
             if group.iter().any(|part| hits(moved(part).grown(room))) {
                 return None;
@@ -263,7 +264,7 @@ impl Box3 {
         (0..3).all(|k| self.low[k] < other.high[k] && other.low[k] < self.high[k])
     }
 
-    /// The direction from `other` to this box if they share part of a face.
+    /// Returns the direction from `other` to this box if they share part of a face.
     fn side_of(&self, other: &Self) -> Option<usize> {
         let overlap = |k: usize| self.high[k].min(other.high[k]) - self.low[k].max(other.low[k]);
         let axis = (0..3).find(|&k| overlap(k) == 0)?;
@@ -276,7 +277,7 @@ fn axis_of(direction: [i32; 3]) -> usize {
     direction.iter().position(|&x| x != 0).unwrap_or(0)
 }
 
-/// Index of a unit direction in +x −x +y −y +z −z.
+/// Returns the index of a unit direction in +x −x +y −y +z −z.
 fn direction_idx(direction: [i32; 3]) -> usize {
     let axis = axis_of(direction);
     2 * axis + usize::from(direction[axis] < 0)

@@ -5,17 +5,17 @@ use std::sync::{Arc, OnceLock};
 use super::{Assembly, NoAssembly, Parts};
 use crate::{BlockIdx, Placement, UNIT_M};
 
-/// The side and order in which a blueprint is built. They depend on the structure alone, not on which of several blocks
-/// of one type is used for a part.
+/// The side and order in which a blueprint is built. They depend only on the structure, not on which block of a type is
+/// used for a part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// The direction of the blueprint's frame that points up.
     pub up: [i32; 3],
-    /// Height in half units, along `up`, of the plane on which the structure lies.
+    /// Height in half units, along `up`, of the plane on which the structure rests.
     pub ground_half_units: i32,
     /// Center of all blocks in meters, blueprint frame.
     pub middle_m: [f32; 3],
-    /// Distance across `up` from `middle_m` to the furthest block, m.
+    /// Distance from `middle_m` to the farthest block, perpendicular to `up`, in meters.
     pub radius_m: f32,
     /// Steps by part.
     steps: Vec<PlanStep>,
@@ -26,12 +26,13 @@ pub struct Plan {
 pub struct PlanStep {
     /// Number of blocks placed before it.
     pub rank: usize,
-    /// Vector from its place to the start of its approach path, half units, blueprint frame; zeros for the first block.
+    /// Vector from its place to the start of its approach path, in half units, blueprint frame; zeros for the first
+    /// block.
     pub way_half_units: [i32; 3],
 }
 
-/// Returns the center of a structure's blocks in meters, blueprint frame, and the distance in meters, across `up`, to
-/// the block furthest from it.
+/// Returns the center of a structure's blocks in meters, blueprint frame, and the distance in meters, perpendicular to
+/// `up`, from it to the farthest block.
 pub fn extent_m(placements: &[Placement], up: [i32; 3]) -> ([f32; 3], f32) {
     let n = placements.len().max(1) as f32;
     let half_unit_m = UNIT_M / 2.0;
@@ -68,17 +69,17 @@ impl PartialEq for Shared {
 impl Eq for Shared {}
 
 impl Shared {
-    /// An empty cache.
+    /// Creates an empty cache.
     pub(crate) fn new(placements: &[Placement]) -> Self {
         Self { computed: Arc::default(), parts: placements.iter().map(|placement| placement.block).collect() }
     }
 
-    /// The same cache with other blocks of the same types.
+    /// Returns the same cache with other blocks of the same types.
     pub(crate) fn replaced(&self, new: impl Fn(BlockIdx) -> BlockIdx) -> Self {
         Self { computed: self.computed.clone(), parts: self.parts.iter().map(|&block| new(block)).collect() }
     }
 
-    /// Returns a copy to query; `placements` are those of the blueprint, in any order.
+    /// Returns a copy of the assembly to query; `placements` are the blueprint's, in any order.
     ///
     /// # Errors
     /// If the blueprint has no assembly order.
@@ -90,12 +91,12 @@ impl Shared {
         }
     }
 
-    /// The plan; `None` without an assembly order.
+    /// Returns the plan; `None` if there is no assembly order.
     pub(crate) fn plan(&self, placements: &[Placement]) -> Option<&Plan> {
         Some(&self.computed(placements)?.plan)
     }
 
-    /// The plan's step for `block`; `None` if the block is not used.
+    /// Returns the plan's step for `block`; `None` if the block is not used.
     pub(crate) fn step(&self, plan: &Plan, block: BlockIdx) -> Option<PlanStep> {
         plan.steps.get(self.parts.iter().position(|&part| part == block)?).copied()
     }
@@ -104,7 +105,7 @@ impl Shared {
         self.computed.get_or_init(|| Computed::new(&self.ordered(placements)).ok()).as_ref()
     }
 
-    /// The placements by part.
+    /// Returns the placements by part.
     fn ordered(&self, placements: &[Placement]) -> Vec<Placement> {
         let of = |block: &BlockIdx| placements.iter().find(|placement| placement.block == *block).copied();
         self.parts.iter().filter_map(of).collect()

@@ -3,7 +3,7 @@
 use super::*;
 use crate::{Catalog, CubeRotation};
 
-/// The `k`-th block of a type with its lowest corner cell at `at`, turned so that it fills `size` cells.
+/// Places the `k`-th block of a type with its lowest corner cell at `at`, rotated so that it fills `size` cells.
 fn block(type_name: &str, k: usize, at: [i32; 3], size: [i32; 3]) -> Placement {
     let inventory = crate::Inventory::standard();
     let block = inventory.blocks_of_type(type_name)[k];
@@ -45,7 +45,7 @@ fn part_between_two_faces_cannot_come_last() {
     assert!(assembly.is_safe(upright, Parts::one(0)));
 }
 
-/// Six arms around a cube, without an assembly order.
+/// Returns six arms around a cube, a structure without an assembly order.
 pub(crate) fn jack() -> Vec<Placement> {
     vec![
         cube(0, [0, 0, 0]),
@@ -60,8 +60,9 @@ pub(crate) fn jack() -> Vec<Placement> {
 
 #[test]
 fn jack_with_long_arms_has_no_order() {
-    // On whichever arm it stands, the first long arm to the side tips it. On an arm of 4, with the cube and the other
-    // arm of 4 and both arms of 2, an arm of 3 moves the center by 3 · 2 / 16 = 0.375, which leaves 0.125.
+    // Whichever arm it stands on, the first long arm to the side tips it. On an arm of 4, with the cube, the other arm
+    // of 4, and both arms of 2 in place, an arm of 3 moves the center by 3 · 2 / 16 = 0.375, which leaves a margin of
+    // 0.125.
     let NoAssembly { missing } = Assembly::of_placements(&jack()).unwrap_err();
     assert!(!missing.is_empty() && missing.len() < jack().len(), "{missing:?}");
 }
@@ -110,7 +111,7 @@ fn every_step_of_an_order_stands_and_has_an_approach() {
 #[test]
 fn copies_on_other_blocks_have_the_same_plan() {
     for blueprint in Catalog::builtin().iter().step_by(11) {
-        // Blocks of one type in reversed order.
+        // Reverse the blocks of each type.
         let mut swapped: [BlockIdx; crate::N_BLOCKS] = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
         for block in BlockIdx::all() {
             let same: Vec<BlockIdx> = crate::Inventory::standard().same_type(block).collect();

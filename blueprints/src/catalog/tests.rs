@@ -1,16 +1,16 @@
-//! What is said of files and folders that hold no text or no blueprint.
+//! Error messages for files that are not text and for paths without blueprints.
 
 use super::*;
 
 #[test]
 fn bytes_that_are_no_text_are_named_with_their_line() {
     let message = |bytes: &[u8]| text_of(Path::new("mine.toml"), bytes.to_vec()).unwrap_err().to_string();
-    // Latin-1 has ü as one byte.
+    // Latin-1 encodes ü as one byte.
     let latin = message(b"id = \"mine\"\ntitle = \"T\xfcr\"");
     assert_eq!(latin, "mine.toml is not UTF-8 text: line 2 has the byte 0xfc; save it as UTF-8");
     let utf16 = message(b"\xff\xfei\0d\0");
     assert_eq!(utf16, "mine.toml is not UTF-8 text: line 1 has the byte 0xff; save it as UTF-8");
-    // The first byte of a letter of two, at the end.
+    // The first byte of a two-byte character, at the end.
     assert!(message(b"title = \"T\xc3").contains("line 1 has the byte 0xc3"));
     assert_eq!(text_of(Path::new("mine.toml"), "Tür".into()).unwrap(), "Tür");
 }

@@ -1,4 +1,4 @@
-//! Tests of single checks on blueprints made for them.
+//! Tests of single checks on handmade blueprints.
 
 use super::*;
 use crate::assembly::tests::jack;
@@ -15,12 +15,12 @@ fn assembly_error_names_the_unplaced_blocks() {
     assert!(!blocks.is_empty() && blocks.iter().all(|name| draft.blocks.iter().any(|b| b.name == *name)), "{error}");
 }
 
-/// How a check of the file went.
+/// Returns the outcome of a check.
 fn outcome(report: &Report, check: Check) -> &Outcome {
     &report.results.iter().find(|result| result.check == check).unwrap().outcome
 }
 
-/// The checks that failed, with their errors.
+/// Returns the failed checks with their errors.
 fn failures(report: &Report) -> Vec<(Check, &str)> {
     let failed = report.results.iter().filter_map(|result| match &result.outcome {
         Outcome::Failed { error } => Some((result.check, error.as_str())),
@@ -65,7 +65,7 @@ fn like_poles_are_told_where_the_file_has_them_and_alone() {
 
 #[test]
 fn what_hangs_on_a_repelling_block_is_not_too_heavy() {
-    // The post on the right repels the beam, which then would hang on the left one alone.
+    // The post on the right repels the beam, which would then hang on the left post alone.
     let text = "blocks = [\n\
                 { name = \"left\", type = \"1x1x1\", at = [0, 0, 0], axes = \"+x +y\" },\n\
                 { name = \"right\", type = \"1x1x1\", at = [3, 0, 0], axes = \"+x -y\" },\n\
@@ -78,7 +78,7 @@ fn what_hangs_on_a_repelling_block_is_not_too_heavy() {
 
 #[test]
 fn blocks_without_axes_are_not_told_to_leave_them_out() {
-    // Slabs across each other, held by a beam and a tile: no turns fit.
+    // Crossed slabs held by a beam and a tile: no rotations fit.
     let blocks = "{ name = \"a\", type = \"3x2x1\", at = [0, 0, 0], size = [3, 2, 1] },\n\
                   { name = \"b\", type = \"3x2x1\", at = [0, 2, 0], size = [2, 3, 1] },\n\
                   { name = \"c\", type = \"4x1x1\", at = [-1, 0, 0], size = [1, 4, 1] },\n\

@@ -1,4 +1,4 @@
-//! What is said about drawings, and how their blocks are turned.
+//! Findings about drawings, and rotations of their free blocks.
 
 use proptest::prelude::*;
 
@@ -13,7 +13,7 @@ fn drawing(blocks: Vec<DrawnBlock>) -> Drawing {
     Drawing { title: "a test".to_owned(), blocks }
 }
 
-/// What is wrong, and with which blocks.
+/// Returns the failed checks with the blocks concerned.
 fn problems(blocks: Vec<DrawnBlock>) -> Vec<(Check, Vec<usize>)> {
     let found = drawing(blocks).examine().unwrap();
     assert_eq!(found.blueprint.is_some(), found.problems.is_empty());
@@ -27,7 +27,7 @@ fn a_post_on_a_plank_is_a_blueprint() {
     assert_eq!(found.connections, [Connection { a: 0, b: 1, n_magnet_pairs: 1 }]);
     let blueprint = found.blueprint.unwrap();
     assert!(blueprint.id().as_str().starts_with("drawn_2_"), "{}", blueprint.id());
-    // What is written can be drawn again, on the ground and at the origin.
+    // The written file reads back as a drawing, on the ground and at the origin.
     let again = Drawing::from_toml(&blueprint.to_toml("a test")).unwrap();
     assert_eq!(again.blocks, [block("1x1x1", [0, 0, 1], "+x +y"), block("2x1x1", [0, 0, 0], "+x +y")]);
     assert_eq!(again.examine().unwrap().blueprint, Some(blueprint));
@@ -47,7 +47,7 @@ fn every_problem_names_its_blocks() {
 #[test]
 fn the_last_checks_speak_of_the_blocks_as_drawn() {
     let block = |type_name: &str, at, axes: &str| DrawnBlock::new(type_name, at, axes, true).unwrap();
-    // Six arms around a cube, on the lowest of which it stands: whichever arm comes first tips it.
+    // Six arms around a cube, which stands on the lowest arm: whichever arm comes first tips it.
     let mut jack = drawing(vec![
         block("4x1x1", [1, 0, 0], "+x +y"),
         block("1x1x1", [0, 0, 0], "+x +y"),
@@ -92,7 +92,7 @@ fn the_whole_catalog_is_turned_anew_from_its_cells_alone() {
                 let inventory = Inventory::standard();
                 turn.apply(inventory.cells(inventory.blocks_of_type(&block.type_name)[0]).map(i32::from)).map(i32::abs)
             };
-            // The first turn that fills the same cells, so that nothing is left of the poles.
+            // Use the first rotation that fills the same cells, which discards the original poles.
             block.rotation = CubeRotation::all().find(|turn| size(*turn) == size(block.rotation)).unwrap();
             block.is_free = true;
         }

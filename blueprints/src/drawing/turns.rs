@@ -1,25 +1,26 @@
-//! Turns that let the poles that meet attract, without moving a block.
+//! Rotations that make the poles that meet attract, without moving a block.
 //!
-//! As in the generator: two blocks that touch along an axis attract exactly if the magnets on their sides toward +axis
-//! have equal signs. So each piece of blocks that touch along an axis shares one sign. A block that keeps its turn settles
-//! the signs of its pieces; any other piece has the sign of its first block. A block with three different sides reaches
-//! only half of the combinations, and may need another sign for a piece that nothing has settled.
+//! As in the generator, two blocks that touch along an axis attract exactly if the magnets on their +axis faces have
+//! equal signs. So each piece, a set of blocks connected by contacts along that axis, shares one sign. A block that
+//! keeps its rotation settles the signs of its pieces; any other piece has the sign of its first block. A block with
+//! three different sides reaches only half of the combinations, and may have to change the sign of a piece that is not
+//! settled yet.
 
 use std::collections::BTreeMap;
 
 use crate::{CubeRotation, Inventory, Placement};
 
-/// Combinations of three signs. A block with two equal sides reaches all of them.
+/// Number of combinations of three signs. A block with two equal sides reaches all of them.
 const N_COMBINATIONS: usize = 8;
 
-/// A turn for every block; those that are not free keep theirs.
+/// Returns a rotation for every block; those that are not free keep theirs.
 pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRotation> {
     let inventory = Inventory::standard();
     let mut turns: Vec<CubeRotation> = placements.iter().map(|p| p.rotation).collect();
     let pieces = pieces(placements, inventory);
     let mut signs = [0, 1, 2].map(|k| turns.iter().map(|turn| signs_of(*turn)[k]).collect::<Vec<i32>>());
     let mut settled = [(); 3].map(|()| vec![false; placements.len()]);
-    // Backward, so that of two that disagree the first one has its way.
+    // Iterate backward, so that the first of two conflicting blocks wins.
     for i in (0..placements.len()).rev().filter(|&i| !is_free[i]) {
         for k in 0..3 {
             signs[k][pieces[k][i]] = signs_of(turns[i])[k];
@@ -31,7 +32,7 @@ pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRo
         CubeRotation::all().filter(|turn| size(*turn) == size(placements[i].rotation)).collect()
     };
     let free = (0..placements.len()).filter(|&i| is_free[i]).map(|i| (i, choices(i)));
-    // Those that cannot have all signs come first.
+    // Blocks that cannot have all combinations of signs come first.
     let (few, all): (Vec<_>, Vec<_>) = free.partition(|(_, choices)| choices.len() < N_COMBINATIONS);
     for (i, choices) in few.into_iter().chain(all) {
         let own: [usize; 3] = std::array::from_fn(|k| pieces[k][i]);
@@ -52,12 +53,12 @@ pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRo
     turns
 }
 
-/// Signs of the magnets on the sides toward +x, +y and +z.
+/// Returns the signs of the magnets on the +x, +y, and +z faces.
 fn signs_of(turn: CubeRotation) -> [i32; 3] {
     turn.matrix().map(|row| row.iter().sum())
 }
 
-/// For each axis and block, the first block of its piece.
+/// Returns, for each axis and block, the first block of its piece.
 fn pieces(placements: &[Placement], inventory: &Inventory) -> [Vec<usize>; 3] {
     let cells = placements.iter().enumerate();
     let cells = cells.flat_map(|(i, p)| p.filled_cells(inventory).into_iter().map(move |cell| (cell, i)));

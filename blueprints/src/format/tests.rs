@@ -1,14 +1,14 @@
-//! Errors of form say where they are, what they are about, and what to do.
+//! Errors of form name the location, the cause, and the remedy.
 
 use super::*;
 use crate::checks::check_text;
 
-/// The error of a file, without the file's name.
+/// Returns the error of a file with this text, without the file's name.
 fn error(text: &str) -> String {
     check_text("my tower.toml", text).blueprint.unwrap_err().error.to_string()
 }
 
-/// The error of a file with this block on its third line, after a good one.
+/// Returns the error of a file with this block on its third line, after a valid one.
 fn error_of_block(block: &str) -> String {
     error(&format!("blocks = [\n{{ type = \"1x1x1\", at = [0, 0, 0] }},\n{{ {block} }},\n]"))
 }
@@ -22,7 +22,7 @@ fn a_place_or_size_that_is_not_three_whole_numbers_names_its_key_and_block() {
         ("[0, 0, 1, 1]", "[0, 0, 1, 1]"),
         ("7", "7"),
         ("\"2 0 1\"", "\"2 0 1\""),
-        // On one line.
+        // Shown on one line.
         ("[0, \"x\\ny\", 1]", "[0, \"\"\" x y\"\"\", 1]"),
     ] {
         let needs = |key: &str, block: &str| {
@@ -80,7 +80,7 @@ fn what_is_no_block_is_told_what_one_looks_like() {
 fn names_that_are_empty_and_names_that_are_taken_differ() {
     let empty = error_of_block("name = \"\", type = \"1x1x1\", at = [0, 0, 1]");
     assert_eq!(empty, "block 2 of the list has an empty name; give it one, or leave its `name` out");
-    // A block without a name has the name of its place.
+    // A block without a name is named after its position.
     let taken = error_of_block("name = \"block-1\", type = \"1x1x1\", at = [0, 0, 1]");
     assert_eq!(taken, "blocks 1 and 2 of the list are both called \"block-1\"; give one of them another name");
 }
@@ -104,7 +104,7 @@ fn points_of_placed_blocks_are_found_in_the_file_again() {
         let draft = Draft::parse("drawn.toml", &text).unwrap();
         let turns: Vec<CubeRotation> = draft.blocks.iter().filter_map(|block| block.turn).collect();
         let placements = draft.place(&draft.assign(inventory).unwrap(), &turns, inventory);
-        // Centers as the file has them: 1 x 3 x 2 cells from [10, -7, 3], and 1 x 1 x 2 from [4, 5, 6].
+        // Centers in the file's coordinates: 1 x 3 x 2 cells from [10, -7, 3], and 1 x 1 x 2 from [4, 5, 6].
         let centers = placements.iter().map(|p| draft.drawn(p.center_half_units, &placements, inventory));
         assert_eq!(centers.collect::<Vec<_>>(), [[21, -11, 8], [9, 11, 14]], "{up}");
     }

@@ -35,7 +35,7 @@ impl Brick {
         self.low[axis] + self.size[axis]
     }
 
-    /// Whether `wanted` holds for every cell; evaluation stops at the first cell for which it does not.
+    /// Returns whether `wanted` holds for every cell; stops at the first cell for which it does not.
     pub(super) fn all_cells(&self, mut wanted: impl FnMut(Cell) -> bool) -> bool {
         let [x, y, z] = self.low;
         (x..self.high(0)).all(|i| (y..self.high(1)).all(|j| (z..self.high(2)).all(|k| wanted([i, j, k]))))
@@ -54,7 +54,7 @@ impl Brick {
         (0..3).all(|k| self.low[k] < other.high(k) && other.low[k] < self.high(k))
     }
 
-    /// The axis along which two faces touch, and the positions of the shared magnets in half units.
+    /// Returns the axis along which two faces touch, and the positions of the shared magnets in half units.
     pub(super) fn contact(&self, other: &Self) -> Option<(usize, Vec<[i32; 3]>)> {
         let axis = (0..3).find(|&k| self.high(k) == other.low[k] || other.high(k) == self.low[k])?;
         let low: [i32; 3] = std::array::from_fn(|k| self.low[k].max(other.low[k]));
@@ -75,7 +75,7 @@ impl Brick {
         Some((axis, places))
     }
 
-    /// The mirror image of the box: `plane` is the sum of a cell's and its image's coordinate along `axis`.
+    /// Returns the mirror image of the box. `plane` is the sum of the coordinates of a cell and its image along `axis`.
     pub(super) fn mirrored(&self, axis: usize, plane: i32) -> Self {
         let mut mirrored = *self;
         mirrored.low[axis] = plane + 1 - self.high(axis);
@@ -83,7 +83,7 @@ impl Brick {
     }
 }
 
-/// All pairs of bricks that touch, with the axis of contact.
+/// Returns all pairs of bricks that touch, with the axis of contact.
 pub(super) fn joints(bricks: &[Brick]) -> Vec<(usize, Joint)> {
     let mut joints = Vec::new();
     for (a, brick) in bricks.iter().enumerate() {
@@ -94,7 +94,7 @@ pub(super) fn joints(bricks: &[Brick]) -> Vec<(usize, Joint)> {
     joints
 }
 
-/// The bricks as placements sorted by type, height, and position; blocks of each type are numbered from its first one.
+/// Returns the bricks as placements sorted by type, height, and position, which use the blocks of each type in order.
 ///
 /// `rotations[i]` belongs to `bricks[i]`. The stock never provides more blocks than the inventory has.
 pub(super) fn placements(bricks: &[Brick], rotations: &[CubeRotation]) -> Vec<Placement> {
@@ -137,7 +137,7 @@ impl Stock {
         self.types[type_idx].1 += n;
     }
 
-    /// Minimum and maximum volume of `n` of the remaining blocks, in cells.
+    /// Returns the minimum and maximum volume of `n` of the remaining blocks, in cells.
     pub(super) fn volume_range(&self, n: usize) -> (i32, i32) {
         let sum = |order: &mut dyn Iterator<Item = &usize>| {
             let mut wanted = n;

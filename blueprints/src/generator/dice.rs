@@ -11,23 +11,23 @@ impl Dice {
         Self(ChaCha8Rng::from_seed(seed))
     }
 
-    /// A number in `0..n`; 0 if `n` is 0.
+    /// Draws a number in `0..n`; 0 if `n` is 0.
     pub(super) fn below(&mut self, n: usize) -> usize {
         // The bias of 2⁻⁶⁴·n is negligible, and the simple rule can stay unchanged in all releases.
         ((u128::from(self.0.next_u64()) * n as u128) >> 64) as usize
     }
 
-    /// A number in `low..=high`; `low` if `high` is less.
+    /// Draws a number in `low..=high`; `low` if `high` is less.
     pub(super) fn between(&mut self, low: i32, high: i32) -> i32 {
         low + self.below(usize::try_from(high - low + 1).unwrap_or(0)) as i32
     }
 
-    /// True with a probability of `percent` %.
+    /// Returns `true` with a probability of `percent` %.
     pub(super) fn chance(&mut self, percent: usize) -> bool {
         self.below(100) < percent
     }
 
-    /// One of the items, which must not be empty.
+    /// Draws one of the items, which must not be empty.
     pub(super) fn pick<T: Copy>(&mut self, items: &[T]) -> T {
         items[self.below(items.len())]
     }

@@ -15,12 +15,12 @@ pub struct Draws {
 }
 
 impl Draws {
-    /// Structures of these styles and numbers of blocks, limited to the sizes that each style supports.
+    /// Creates draws of these styles and numbers of blocks; each style is drawn only in the sizes that it supports.
     pub fn new(styles: impl IntoIterator<Item = Style>, sizes: impl IntoIterator<Item = usize>) -> Self {
         Self { styles: styles.into_iter().collect(), sizes: sizes.into_iter().collect() }
     }
 
-    /// Whether such a structure can be drawn. This only checks the request and generates nothing. Whether the structure
+    /// Returns whether the request can be drawn. Checks only the request and generates nothing; whether the structure
     /// has the outline of a held-out one is known only after generation.
     pub fn admit(&self, request: &Request) -> bool {
         self.styles.contains(&request.style)

@@ -2,7 +2,7 @@
 
 use crate::{Blueprint, Inventory};
 
-/// Features of a structure's composition and appearance, each of about the same scale.
+/// Returns features of a structure's composition and appearance, all on about the same scale.
 fn features(blueprint: &Blueprint) -> Vec<f64> {
     let inventory = Inventory::standard();
     let n_blocks = blueprint.n_blocks() as f64;

@@ -55,7 +55,7 @@ pub(super) fn grow(n_blocks: usize, dice: &mut Dice) -> Option<Vec<Brick>> {
     Some(bricks)
 }
 
-/// A random block on a face of another one, above the ground and without overlap.
+/// Draws a block on a face of another one; `None` if it is below the ground or overlaps.
 fn candidate(bricks: &[Brick], dice: &mut Dice) -> Option<Brick> {
     let &(type_idx, size) = &shapes()[dice.below(shapes().len())];
     let anchor = bricks[dice.below(bricks.len())];

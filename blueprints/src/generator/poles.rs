@@ -12,7 +12,7 @@ use super::dice::Dice;
 use crate::strength::Joint;
 use crate::{CubeRotation, Inventory};
 
-/// A rotation for every brick, or `None` if the equations contradict each other.
+/// Returns a rotation for every brick, or `None` if the equations contradict each other.
 pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dice) -> Option<Vec<CubeRotation>> {
     let pieces: [Vec<usize>; 3] = std::array::from_fn(|axis| {
         let along = joints.iter().filter(|(k, _)| *k == axis).map(|(_, joint)| (joint.a, joint.b));
@@ -36,7 +36,7 @@ pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dic
     bricks.iter().enumerate().map(|(i, brick)| rotation(brick, sign(i), dice)).collect()
 }
 
-/// The lowest node of its connected component, for each of `n` nodes.
+/// Returns the lowest node of its connected component, for each of `n` nodes.
 fn pieces(n: usize, edges: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
     let mut piece: Vec<usize> = (0..n).collect();
     for (a, b) in edges {
@@ -50,7 +50,7 @@ fn own_size(brick: &Brick) -> Cell {
     Inventory::standard().types()[brick.type_idx].cells.map(i32::from)
 }
 
-/// The product of the three signs if it is fixed: the determinant of the permutation of three different sides.
+/// Returns the product of the three signs if it is fixed: the determinant of the permutation of three different sides.
 fn parity(brick: &Brick) -> Option<i32> {
     let own = own_size(brick);
     if own[0] == own[1] || own[1] == own[2] || own[0] == own[2] {
@@ -61,7 +61,7 @@ fn parity(brick: &Brick) -> Option<i32> {
     Some(if is_cyclic { 1 } else { -1 })
 }
 
-/// A random rotation among those that give the brick's size and signs.
+/// Draws a rotation among those that give the brick's size and signs.
 fn rotation(brick: &Brick, signs: [i32; 3], dice: &mut Dice) -> Option<CubeRotation> {
     let own = own_size(brick);
     let fits = |rotation: &CubeRotation| {

@@ -45,7 +45,7 @@ pub(super) struct Effort {
 }
 
 impl Found {
-    /// Size along an axis in units.
+    /// Returns the size along an axis in units.
     pub(super) fn extent(&self, axis: usize) -> i32 {
         let inventory = Inventory::standard();
         let along = || self.placements.iter().map(|p| (p.center_half_units[axis], p.size_cells(inventory)[axis]));
@@ -54,7 +54,7 @@ impl Found {
     }
 }
 
-/// The most appealing of the first few valid structures; `None` if there was none.
+/// Returns the most appealing of the first few valid structures; `None` if there was none.
 pub(super) fn search(style: Style, n_blocks: usize, dice: &mut Dice) -> (Option<Found>, Effort) {
     let mut best: Option<Found> = None;
     let mut effort = Effort::default();
@@ -135,7 +135,7 @@ fn check_bricks(bricks: &[Brick], words: &str, dice: &mut Dice) -> Option<Found>
     Some(Found { placements, words: words.to_owned(), appeal })
 }
 
-/// Whether the structure has an assembly order.
+/// Returns whether the structure has an assembly order.
 fn assemblable(placements: &[Placement]) -> bool {
     Assembly::is_possible(placements)
 }

@@ -34,7 +34,7 @@ impl Sketch {
         along().max().unwrap_or(0) - along().min().unwrap_or(0) + 1
     }
 
-    /// The sketch if it has exactly that volume, otherwise `None`.
+    /// Returns the sketch if it has exactly that volume, otherwise `None`.
     fn of_volume(self, volume: i32) -> Option<Self> {
         (self.cells.len() as i32 == volume).then_some(self)
     }

@@ -14,9 +14,9 @@ use crate::N_BLOCKS;
 pub enum Style {
     /// Grown block by block, often mirrored.
     Any,
-    /// A tapering tower, higher than wide.
+    /// A tapering tower, taller than wide.
     Tower,
-    /// A thin wall, longer than high, with battlements or a gate.
+    /// A thin wall, longer than tall, with battlements or a gate.
     Wall,
     /// Piers under a lintel.
     Arch,
@@ -26,7 +26,7 @@ pub enum Style {
     Stairs,
     /// Layers that get smaller.
     Pyramid,
-    /// Tables, benches and shelves.
+    /// A table, bench, or shelf.
     Table,
     /// A closed frame, lying or standing.
     Ring,
@@ -34,11 +34,11 @@ pub enum Style {
     Cross,
     /// A capital letter.
     Letter,
-    /// A long row with arms, shorter than the longest.
+    /// A long row with ribs, shorter than style `longest`.
     Spine,
     /// As long as the stock and the checks allow.
     Longest,
-    /// As high as the stock and the checks allow.
+    /// As tall as the stock and the checks allow.
     Tallest,
 }
 
@@ -66,7 +66,7 @@ impl Style {
         Self::Tallest,
     ];
 
-    /// The styles of training goals by default: all but the longest and the tallest, which are held out.
+    /// The default styles of training goals: all but the longest and the tallest, which are held out.
     pub const TRAINING: [Self; 12] = [
         Self::Any,
         Self::Tower,
@@ -82,7 +82,7 @@ impl Style {
         Self::Spine,
     ];
 
-    /// The name used in ids and flags.
+    /// Returns the name used in ids and flags.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Any => "any",
@@ -102,7 +102,7 @@ impl Style {
         }
     }
 
-    /// The numbers of blocks for which the style is recognizable.
+    /// Returns the numbers of blocks for which the style is recognizable.
     pub fn sizes(self) -> RangeInclusive<usize> {
         let least = match self {
             Self::Any | Self::Tower | Self::Wall | Self::Stairs | Self::Pyramid | Self::Table => 2,

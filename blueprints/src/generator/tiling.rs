@@ -6,7 +6,7 @@ use super::brick::{Brick, Cell, Stock};
 use super::dice::Dice;
 use crate::Inventory;
 
-/// Maximum number of pieces that a search places; more searches find more than longer ones.
+/// Maximum number of pieces that a search places; many short searches find more than a few long ones.
 const MAX_NODES: usize = 600;
 /// Number of places tried for a broad block before the search.
 const TRIES_PER_PLATE: usize = 24;
@@ -14,7 +14,7 @@ const TRIES_PER_PLATE: usize = 24;
 /// A plane that maps a shape onto itself: an axis, and the sum of a cell's and its image's coordinate along it.
 pub(super) type Mirror = (usize, i32);
 
-/// The mirror plane across `axis`, if there is one.
+/// Returns the mirror plane across `axis`, if there is one.
 pub(super) fn mirror(cells: &BTreeSet<Cell>, axis: usize) -> Option<Mirror> {
     let low = cells.iter().map(|cell| cell[axis]).min()?;
     let plane = low + cells.iter().map(|cell| cell[axis]).max()?;
@@ -25,17 +25,17 @@ pub(super) fn mirror(cells: &BTreeSet<Cell>, axis: usize) -> Option<Mirror> {
     cells.iter().all(|&cell| cells.contains(&image(cell))).then_some((axis, plane))
 }
 
-/// `n_blocks` blocks that fill `cells` exactly, in mirrored pairs if there is a mirror.
+/// Returns `n_blocks` blocks that fill `cells` exactly, in mirrored pairs if there is a mirror.
 ///
-/// `None` means that this search found none, not that there is none.
+/// `None` means that this search found no solution, not that none exists.
 pub(super) fn fill(
     cells: &BTreeSet<Cell>,
     n_blocks: usize,
     mirror: Option<Mirror>,
     dice: &mut Dice,
 ) -> Option<Vec<Brick>> {
-    // The piece at the first free cell has its lowest corner there for any order of the axes; each order gives another
-    // bond.
+    // The piece at the first free cell has its lowest corner there for any order of the axes; each order gives a
+    // different bond.
     let mut axes = [0, 1, 2];
     dice.shuffle(&mut axes);
     let mut order: Vec<Cell> = cells.iter().copied().collect();
@@ -110,7 +110,7 @@ struct Search {
 }
 
 impl Search {
-    /// Places blocks that are broad along two axes before others take their places: a thin shape has few.
+    /// Places blocks that are broad along two axes before others take up their room, which is scarce in a thin shape.
     fn place_plates(&mut self, dice: &mut Dice) {
         for type_idx in (0..Inventory::standard().types().len()).rev() {
             let ways: Vec<[i32; 3]> = shapes().iter().filter(|(t, _)| *t == type_idx).map(|(_, size)| *size).collect();
@@ -156,7 +156,7 @@ impl Search {
         false
     }
 
-    /// The groups that can be placed at a cell, in random order with pieces of about the mean volume first.
+    /// Returns the groups that can be placed at a cell, in random order with pieces of about the mean volume first.
     fn groups(&self, first: usize, mean: f64, dice: &mut Dice) -> Vec<Vec<Brick>> {
         let mut groups: Vec<(f64, Vec<Brick>)> = Vec::new();
         for &(type_idx, size) in shapes() {
@@ -174,7 +174,7 @@ impl Search {
         groups.into_iter().map(|(_, group)| group).collect()
     }
 
-    /// A brick and its image, or the brick alone if it is its own image; `None` if they partly overlap.
+    /// Returns a brick and its image, or the brick alone if it is its own image; `None` if they partly overlap.
     fn group(&self, brick: Brick) -> Option<Vec<Brick>> {
         let Some((axis, plane)) = self.mirror else { return Some(vec![brick]) };
         let image = brick.mirrored(axis, plane);
@@ -197,7 +197,7 @@ impl Search {
     }
 }
 
-/// Every type in every axis-aligned orientation.
+/// Returns every type in every axis-aligned orientation.
 pub(super) fn shapes() -> &'static [(usize, [i32; 3])] {
     static SHAPES: std::sync::LazyLock<Vec<(usize, [i32; 3])>> = std::sync::LazyLock::new(|| {
         let mut shapes = BTreeSet::new();

@@ -1,12 +1,12 @@
-//! Linear equations over two values: which signs of magnets fit together.
+//! Linear equations modulo 2, which decide which signs of magnets are compatible.
 
-/// Most unknowns: one bit of a mask each.
+/// Maximum number of unknowns, each one bit of a mask.
 const N_UNKNOWNS: usize = 64;
 
-/// Equations `sum of some unknowns = 0 or 1` modulo 2 that do not contradict each other.
+/// Consistent equations `sum of some unknowns = 0 or 1` modulo 2.
 #[derive(Clone, Debug)]
 pub(super) struct Parities {
-    /// The equation whose highest unknown is this one.
+    /// For each unknown, the equation in which it is the highest.
     rows: [Option<(u64, bool)>; N_UNKNOWNS],
 }
 
@@ -15,8 +15,8 @@ impl Parities {
         Self { rows: [None; N_UNKNOWNS] }
     }
 
-    /// Adds the equation that the unknowns in `mask` sum to `value`; false, and nothing is added, if it contradicts the
-    /// others.
+    /// Adds the equation that the unknowns in `mask` sum to `value`. Returns `false` and adds nothing if it contradicts
+    /// the others.
     pub(super) fn add(&mut self, mask: u64, value: bool) -> bool {
         let (mask, value) = self.reduced(mask, value);
         match highest(mask) {
@@ -28,21 +28,21 @@ impl Parities {
         }
     }
 
-    /// Whether the equations leave one value for the sum of the unknowns in `mask`.
+    /// Returns whether the equations determine the sum of the unknowns in `mask`.
     pub(super) fn determine(&self, mask: u64) -> bool {
         self.reduced(mask, false).0 == 0
     }
 
-    /// Values that solve the equations, as a mask; an unknown that is free is 0.
+    /// Returns values that solve the equations, as a mask; free unknowns are 0.
     pub(super) fn solution(&self) -> u64 {
-        // An equation's other unknowns are lower, so they have their values already.
+        // An equation's other unknowns are lower, so their values are already known.
         self.rows.iter().enumerate().fold(0, |solved, (at, row)| match row {
             Some((mask, value)) if *value != ((mask & solved).count_ones() % 2 == 1) => solved | 1 << at,
             _ => solved,
         })
     }
 
-    /// The equation without the unknowns that lead others, from the highest down.
+    /// Eliminates the unknowns that lead other equations, from the highest down.
     fn reduced(&self, mut mask: u64, mut value: bool) -> (u64, bool) {
         for at in (0..N_UNKNOWNS).rev() {
             if let Some((row, sum)) = self.rows[at].filter(|_| mask >> at & 1 == 1) {

@@ -1,4 +1,4 @@
-//! Tests of what is found for drawings made for them.
+//! Tests of inference on handmade drawings.
 
 use proptest::prelude::*;
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::checks::{Check, Inferred, Outcome, Report, check_text};
 use crate::{Blueprint, Catalog, Link, Split};
 
-/// A report of a file with these lines for its blocks.
+/// Checks a file with these lines for its blocks.
 fn check(blocks: &str) -> Report {
     check_text("folder/my tower.toml", &format!("blocks = [\n{blocks}\n]"))
 }
@@ -33,8 +33,8 @@ fn type_and_at_are_enough() {
 
 #[test]
 fn of_several_ways_the_one_with_the_most_magnets_is_taken_and_said() {
-    // The upper bar could lie along x, y, or stand; along x all three of its cells meet the lower one. Along y it would tip
-    // over, which counts as a way.
+    // The upper bar could lie along x or y, or stand. Along x, all three of its cells meet the lower bar. Along y, it
+    // would tip over, which still counts as a way.
     let blocks = "{ name = \"low\", type = \"3x1x1\", at = [0, 0, 0], size = [3, 1, 1] },\n\
                   { name = \"top\", type = \"3x1x1\", at = [0, 0, 1] }";
     let report = check(blocks);
@@ -47,7 +47,7 @@ fn of_several_ways_the_one_with_the_most_magnets_is_taken_and_said() {
     assert_eq!(stands.blueprint.unwrap().extent_u(), [3, 1, 4]);
 }
 
-/// What is said of the first block of a valid drawing.
+/// Returns what is inferred about the first block of a valid drawing.
 fn said_of_the_first(up: &str, blocks: &[(&str, [i32; 3])]) -> Inferred {
     let line = |(kind, at): &(&str, [i32; 3])| format!("{{ type = \"{kind}\", at = {at:?} }},\n");
     let lines: String = blocks.iter().map(line).collect();
@@ -84,14 +84,14 @@ fn a_way_taken_because_the_others_tip_over_is_a_choice_with_that_reason() {
 
 #[test]
 fn a_way_before_which_others_were_dropped_is_not_said_to_have_the_most_magnets_of_all() {
-    // With more magnets, some drawings tip over.
+    // Some drawings with more magnets tip over.
     let stands = said_of_the_first("+z", &[("3x2x1", [3, 1, 1]), ("1x1x1", [2, 0, 2]), ("4x1x1", [3, 0, 2])]);
     assert_eq!(
         stands.to_string(),
         "block \"block-1\" is turned \"+y -x\": of 6 ways it fills [2, 3, 1] cells, where the structure stands and the \
          most magnets meet"
     );
-    // With more magnets, some drawings stand and are too weak.
+    // Some drawings with more magnets stand but are too weak.
     let blocks = [("3x2x1", [2, 0, 2]), ("2x1x1", [2, 1, 0]), ("3x2x1", [1, 0, 1]), ("4x1x1", [2, 0, 1])];
     assert_eq!(
         said_of_the_first("+z", &blocks).to_string(),
@@ -102,7 +102,7 @@ fn a_way_before_which_others_were_dropped_is_not_said_to_have_the_most_magnets_o
 
 #[test]
 fn given_turns_decide_the_poles_of_their_neighbors() {
-    // The low brick's −x points along +x and its −z up, so the brick on it has to be turned over too.
+    // The low brick's −x points along +x and its −z up, so the brick on it has to be flipped too.
     let report = check(
         "{ name = \"low\", type = \"2x1x1\", at = [0, 0, 0], axes = \"-x +y\" },\n\
          { name = \"top\", type = \"2x1x1\", at = [0, 0, 1], size = [2, 1, 1] },\n\
@@ -147,8 +147,8 @@ fn what_cannot_be_is_refused_by_name() {
 
 #[test]
 fn slabs_whose_poles_contradict_their_neighbors_are_refused() {
-    // A 3x2x1 that lies across another one has an odd permutation of its axes and needs one other sign, but the two meet
-    // a third block along every axis.
+    // A 3x2x1 that lies across another one has an odd permutation of its axes and needs one different sign, but along
+    // every axis the two touch each other or a third block, and so share the sign.
     let report = check(
         "{ name = \"a\", type = \"3x2x1\", at = [0, 0, 0], size = [3, 2, 1] },\n\
          { name = \"b\", type = \"3x2x1\", at = [0, 2, 0], size = [2, 3, 1] },\n\
@@ -159,7 +159,7 @@ fn slabs_whose_poles_contradict_their_neighbors_are_refused() {
     assert!(error.contains("like poles meet"), "{error}");
 }
 
-/// Many blocks with many ways, none of which excludes another: a search of all would not end.
+/// Many blocks with many ways, none of which exclude each other: an exhaustive search would not end.
 #[test]
 fn a_search_is_bounded() {
     let all: Vec<(&str, usize)> =
@@ -172,7 +172,7 @@ fn a_search_is_bounded() {
     assert!(error.contains("is not connected to"), "{error}");
 }
 
-/// The blueprint's file without what the pattern's lines have, by key.
+/// Returns the blueprint's file without `axes`, without `connections`, or without both.
 fn without(blueprint: &Blueprint, axes: bool, connections: bool) -> String {
     let mut table: toml::Table = blueprint.to_toml("a test").parse().unwrap();
     if connections {
@@ -210,7 +210,7 @@ fn all_of_the_catalog_stands_without_its_axes() {
 }
 
 proptest! {
-    /// Whatever a file has, an answer comes, and what passes can be written and read again.
+    /// Every file gets a verdict, and a blueprint that passes can be written and read back.
     #[test]
     fn any_drawing_gets_an_answer(
         blocks in prop::collection::vec((0_usize..6, prop::array::uniform3(0..3)), 2..8),

@@ -1,4 +1,5 @@
-//! Towers, walls, arches, bridges, stairs, and pyramids. Each takes the volume in cells and draws the rest.
+//! Towers, walls, arches, bridges, stairs, and pyramids. Each function accepts the volume in cells and draws the other
+//! dimensions.
 
 use super::Sketch;
 use crate::generator::dice::Dice;
@@ -21,7 +22,7 @@ const TIERS: [&[[i32; 2]]; 14] = [
     &[[4, 3], [2, 3], [2, 1]],
 ];
 
-/// Narrowing tiers, with a spire from the remaining volume.
+/// Draws narrowing tiers, with a spire from the remaining volume.
 pub(super) fn tower(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let tiers = dice.pick(&TIERS);
     let mut sketch = Sketch::new("tower");
@@ -45,12 +46,12 @@ pub(super) fn tower(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     (sketch.extent(2) > broad && left <= 3).then_some(sketch)?.of_volume(volume)
 }
 
-/// Columns of a wall's top that carry a merlon: every second one, symmetric.
+/// Returns the columns of a wall's top that carry a merlon: every other one, symmetric.
 fn merlons(length: i32) -> impl Iterator<Item = i32> {
     (0..length).filter(move |&x| x.min(length - 1 - x) % 2 == 0)
 }
 
-/// A straight or winged wall, with battlements and a door if the volume allows.
+/// Draws a straight or winged wall, with battlements and a door if the volume allows.
 pub(super) fn wall(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let height = dice.between(2, 5);
     let (battlements, door, wing) = (dice.chance(50), dice.chance(40), dice.pick(&[0, 0, 0, 1, 2, 3]));
@@ -87,7 +88,7 @@ pub(super) fn wall(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     })
 }
 
-/// Piers under a lintel, one gate or a row of them, with turrets, feet or a crest.
+/// Draws piers under a lintel, one gate or a row of them, with turrets, feet, or a crest.
 pub(super) fn arch(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (wide, deep) = (dice.pick(&[1, 1, 1, 2]), dice.pick(&[1, 1, 2, 2, 3]));
     let (gap, thick) = (dice.pick(&[1, 2, 2, 3]), dice.pick(&[1, 1, 1, 2]));
@@ -122,7 +123,7 @@ pub(super) fn arch(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     })
 }
 
-/// A deck on piers, with ramps or posts.
+/// Draws a deck on piers, with ramps or posts.
 pub(super) fn bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (height, deep) = (dice.pick(&[1, 1, 2, 2, 3]), dice.pick(&[1, 1, 2, 2, 3]));
     let (ramps, posts) = (dice.chance(50), dice.pick(&[0, 0, 1, 2, 3]));
@@ -155,7 +156,7 @@ pub(super) fn bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     })
 }
 
-/// Solid steps: straight, up and down again, or winding.
+/// Draws solid steps: straight, up and down again, or winding.
 pub(super) fn stairs(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     match dice.below(5) {
         0 => winding_stairs(volume, dice),
@@ -208,7 +209,7 @@ fn winding_stairs(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     (1..=3).contains(&first).then_some(sketch)?.of_volume(volume)
 }
 
-/// Layers that shrink on two or four sides.
+/// Draws layers that shrink on two or four sides.
 pub(super) fn pyramid(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let [mut a, mut b] = dice.pick(&[[1, 1], [1, 1], [2, 1], [2, 2], [3, 1], [2, 3], [1, 3]]);
     let growth = dice.pick(&[[2, 2], [2, 2], [2, 0], [2, 1]]);

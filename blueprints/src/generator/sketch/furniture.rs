@@ -1,9 +1,10 @@
-//! Tables, rings, and crosses. Each takes the volume in cells and draws the rest.
+//! Tables, rings, and crosses. Each function accepts the volume in cells and draws the other dimensions.
 
 use super::Sketch;
 use crate::generator::dice::Dice;
 
-/// A plate on legs, walls, or a pedestal; two plates form a shelf, a back makes a bench, the rest goes on top.
+/// Draws a plate on legs, walls, or a pedestal. Two plates form a shelf, a back makes a bench, and any remaining volume
+/// goes on top.
 pub(super) fn table(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (wide, deep) = (dice.between(2, 6), dice.between(1, 4));
     let levels = dice.pick(&[1, 1, 1, 2]);
@@ -24,7 +25,7 @@ pub(super) fn table(volume: i32, dice: &mut Dice) -> Option<Sketch> {
                 }
                 1 => [0, wide - 1].into_iter().for_each(|x| sketch.add([x, 0, z], [1, deep, height])),
                 _ => {
-                    // A pedestal with the plate's parity stands in its middle.
+                    // A pedestal with sides of the plate's parity can stand in its middle.
                     let (foot_a, foot_b) = (2 - wide % 2, 2 - deep % 2);
                     sketch.add([(wide - foot_a) / 2, (deep - foot_b) / 2, z], [foot_a, foot_b, height]);
                 }
@@ -51,7 +52,7 @@ pub(super) fn table(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     })
 }
 
-/// A closed frame, lying with corner posts or upright on feet.
+/// Draws a closed frame, lying with corner posts or upright on feet.
 pub(super) fn ring(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (a, b, layers) = (dice.between(3, 8), dice.between(3, 8), dice.pick(&[1, 1, 2, 3]));
     let frame = 2 * (a + b) - 4;
@@ -90,7 +91,7 @@ pub(super) fn ring(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     (left / 4 <= 3).then_some(sketch)?.of_volume(volume)
 }
 
-/// Four arms on the ground with something in the middle, or an upright cross on a foot.
+/// Draws four arms on the ground with something in the middle, or an upright cross on a foot.
 pub(super) fn cross(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let wide = dice.pick(&[1, 1, 2]);
     if dice.chance(50) {

@@ -21,7 +21,7 @@ const OUTER: [(&str, [&str; 5]); 11] = [
 const MIDDLE: [(&str, [&str; 5]); 2] =
     [("I", ["###", ".#.", ".#.", ".#.", "###"]), ("T", ["###", ".#.", ".#.", ".#.", ".#."])];
 
-/// A letter with exactly that volume.
+/// Draws a letter with exactly that volume.
 pub(super) fn letter(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let middle = dice.chance(20);
     let (name, rows) = if middle { dice.pick(&MIDDLE) } else { dice.pick(&OUTER) };

@@ -1,18 +1,18 @@
-//! Structures that are as long or as high as the stock and the checks allow: one or two cells wide, with plates where a
+//! Structures that are as long or as tall as the stock and the checks allow: one or two cells wide, with plates where a
 //! line has room for them.
 
 use super::Sketch;
 use crate::generator::brick::Stock;
 use crate::generator::dice::Dice;
 
-/// A long symmetric row with widened places, called bays.
+/// A long, symmetric row with wider sections, called bays.
 struct Row {
     length: i32,
     /// First cell and width of each bay.
     bays: Vec<[i32; 2]>,
 }
 
-/// A line of blocks whose bays are a wall's turrets, a viaduct's piers, the laps of a zigzag, and so on.
+/// Draws a line of blocks whose bays are a wall's turrets, a viaduct's piers, the laps of a zigzag, and so on.
 pub(super) fn longest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<Sketch> {
     let (least, most) = Stock::full().volume_range(n_blocks);
     let volume = dice.between((most - 4).max(least), most);
@@ -63,7 +63,7 @@ pub(super) fn longest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
 }
 
 impl Row {
-    /// A row whose length and bays together fill the volume.
+    /// Draws a row whose length and bays together fill the volume.
     fn draw(volume: i32, halves: &[[i32; 2]], dice: &mut Dice) -> Option<Self> {
         let half = dice.pick(halves);
         // With few blocks, use at most one pair of plates.
@@ -90,7 +90,7 @@ impl Row {
     }
 }
 
-/// A deck two up, on piers of two by two, with a pylon over each.
+/// Draws a deck two cells up, on two-by-two piers, with a pylon over each.
 fn suspension_bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (pylon, ends) = (dice.pick(&[2, 3, 3]), dice.pick(&[0, 2]));
     let length = volume - 2 * 4 - 2 * 2 * pylon - 2 * ends;
@@ -108,7 +108,7 @@ fn suspension_bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     (length >= 12 && (3..=12).contains(&span)).then_some(sketch)?.of_volume(volume)
 }
 
-/// A beam that balances on one foot, thicker in the middle.
+/// Draws a beam that balances on one foot, thicker in the middle.
 fn balance(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (foot_height, foot_wide) = (dice.between(1, 2), dice.between(3, 5));
     let tip = dice.between(2, 3);
@@ -123,7 +123,8 @@ fn balance(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     ((length - foot_wide) % 2 == 0 && length >= 10).then_some(sketch)?.of_volume(volume)
 }
 
-/// A wide base, a shaft two cells wide, and a thin mast; the base is plates, crossed feet, legs, tiers, or a ladder.
+/// Draws a wide base, a shaft two cells wide, and a thin mast. The base is plates, crossed feet, legs, tiers, or a
+/// ladder.
 pub(super) fn tallest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<Sketch> {
     let (least, most) = Stock::full().volume_range(n_blocks);
     let volume = dice.between((most - 4).max(least), most);
@@ -143,7 +144,7 @@ pub(super) fn tallest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
     (shaft >= 2).then_some(sketch)?.of_volume(volume)
 }
 
-/// One or two plates with the shaft in the middle.
+/// Draws one or two plates with the shaft in the middle.
 fn plates(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     let [a, b] = dice.pick(&[[4, 3], [4, 3], [4, 2]]);
     let mut sketch = Sketch::new("needle");
@@ -151,7 +152,7 @@ fn plates(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     (sketch, 1, [(a - 2) / 2, (b - 1) / 2])
 }
 
-/// Four long feet.
+/// Draws four long feet.
 fn crossed_feet(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     let (along, across) = (dice.between(1, 3), dice.between(1, 3));
     let mut sketch = Sketch::new("radio mast");
@@ -160,7 +161,7 @@ fn crossed_feet(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     (sketch, 1, [0, 0])
 }
 
-/// Two legs on crossed feet, under a beam.
+/// Draws two legs on crossed feet, under a beam.
 fn legs(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     let height = dice.between(4, 6);
     let mut sketch = Sketch::new("tower on two legs");
@@ -173,7 +174,7 @@ fn legs(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     (sketch, height + 1, [0, 0])
 }
 
-/// Two tiers below the shaft.
+/// Draws two tiers below the shaft.
 fn tiers(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     let (low, high) = (dice.between(1, 2), dice.between(2, 4));
     let mut sketch = Sketch::new("skyscraper");
@@ -182,7 +183,7 @@ fn tiers(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     (sketch, low + high, [0, 0])
 }
 
-/// Two posts with rungs between them.
+/// Draws two posts with rungs between them.
 fn ladder(dice: &mut Dice) -> (Sketch, i32, [i32; 2]) {
     let n_rungs = dice.between(2, 4);
     let mut sketch = Sketch::new("ladder tower");

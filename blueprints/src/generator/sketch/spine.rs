@@ -1,13 +1,13 @@
-//! A long row with ribs, shorter than the records: blocks far apart, without the shapes that are held out.
+//! A long row with ribs, shorter than the record styles: it puts blocks far apart without the held-out shapes.
 
 use super::Sketch;
 use crate::generator::dice::Dice;
 
-/// Longest row in cells. The shortest structure of the style `longest` in the catalog has 25.
+/// Maximum length of a row in cells. The shortest structure of style `longest` in the catalog has 25.
 const MAX_LENGTH: i32 = 22;
 
-/// A row one cell wide and high, sometimes doubled for a part of its length, with ribs of one to three by one or two cells
-/// to the left, to the right, and on top.
+/// Draws a row one cell wide and high, sometimes doubled for part of its length. Ribs of one to three by one or two
+/// cells extend to the left, to the right, and upward.
 pub(super) fn spine(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let length = dice.between((volume / 3).max(3), (volume - 1).clamp(3, MAX_LENGTH));
     let mut sketch = Sketch::new("spine with ribs");
@@ -22,7 +22,7 @@ pub(super) fn spine(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     dice.shuffle(&mut places);
     for [x, side] in places {
         let reach = dice.between(1, 2).min(left);
-        // Plates find room only in broad ribs.
+        // Only broad ribs have room for plates.
         let width = dice.between(1, 3).min(length - x).min(left / reach.max(1));
         if left == 0 {
             break;
@@ -32,7 +32,7 @@ pub(super) fn spine(volume: i32, dice: &mut Dice) -> Option<Sketch> {
             1 => ([x, -reach, 0], [width, reach, 1]),
             _ => ([x, 0, 1], [width, 1, reach]),
         };
-        // Ribs side by side would make a plate of the whole.
+        // Adjacent ribs would merge into one plate.
         let root = [x, [1, -1, 0][side as usize], i32::from(side == 2)];
         if (-1..=width).any(|dx| sketch.cells.contains(&[root[0] + dx, root[1], root[2]])) {
             continue;
