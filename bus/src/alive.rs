@@ -14,13 +14,13 @@ use proto::keys::{self, Role};
 /// Maximum number of names followed per role; more than a router has sessions.
 const MAX_NAMES: usize = 16_384;
 
-/// Interval between checks whether a name is still alive.
+/// Interval between checks of whether a name is still alive.
 const LOOK_PERIOD: Duration = Duration::from_millis(250);
 
 /// Timeout of one check.
 const LOOK_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Declares that a process is alive until it is dropped, the session closes, or the process ends.
+/// Declares a process alive until the token is dropped, the session closes, or the process ends.
 #[derive(Debug)]
 pub struct AliveToken {
     _token: LivelinessToken,
@@ -79,7 +79,7 @@ impl Bus {
         self.declare_alive(role, id).await
     }
 
-    /// Whether a process of this name is alive.
+    /// Returns whether a process with this name is alive.
     async fn is_alive(&self, role: Role, id: &str) -> Result<bool, BusError> {
         if !keys::is_valid_run(id) {
             return Err(BusError::Name(id.to_owned()));
@@ -130,7 +130,7 @@ impl Bus {
 }
 
 impl AliveWatch {
-    /// The names alive now, and every change.
+    /// Returns a receiver of the live names and of every change.
     pub fn watch(&self) -> watch::Receiver<BTreeSet<String>> {
         self.names.clone()
     }

@@ -18,27 +18,27 @@ settings! {
         /// Name of the run; runs on one router do not see each other.
         pub run: String = "default".to_owned(),
             where |c| keys::is_valid_run(&c.run) => "1 to 64 characters of a-z, 0-9 and -";
-        /// Role in the network. As a router the process needs no other.
+        /// Role in the network. A router needs no other process.
         pub mode: BusMode = BusMode::Router;
         /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with
         /// keys, `quic/0.0.0.0:7447`. Without any, no other process can join.
         pub listen: Vec<String> = Vec::new(),
             where |c| c.mode == BusMode::Router || c.listen.is_empty() => "none for a client";
-        /// Endpoints to connect to: of the router for a client, of other routers for a router.
+        /// Endpoints to connect to: the router for a client, other routers for a router.
         pub connect: Vec<String> = Vec::new(),
             where |c| c.mode == BusMode::Router || !c.connect.is_empty() => "a router's endpoint for a client, such as tcp/HOST:7447 with --connect";
-        /// Timeout of the learner's answer to a trajectory, in milliseconds.
+        /// Timeout for the learner's answer to a trajectory, in milliseconds.
         pub ack_timeout_ms: u64 = 10_000, in 100..=600_000;
-        /// Timeout of a pull of the weights, in milliseconds.
+        /// Timeout for a pull of the weights, in milliseconds.
         pub pull_timeout_ms: u64 = 60_000, in 100..=600_000;
-        /// Rate at which the learner answers pulls of the weights, in 10^6 bytes per second. Pulls that come at the
-        /// same moment wait for their turn, so that thousands do not fill all buffers at once. The bytes of one second
-        /// go out at once.
+        /// Rate at which the learner answers pulls of the weights, in 10^6 bytes per second. Simultaneous pulls take
+        /// turns, so that thousands of them do not fill all buffers at once. The bytes of one second may go out at
+        /// once.
         pub weights_mb_per_s: u64 = 1000, in 1..=1_000_000;
-        /// Trajectories that may wait to be decoded at the learner; more are refused as `Full`.
+        /// Maximum number of trajectories that wait to be decoded at the learner; more are refused as `Full`.
         pub ingest_queue: usize = 256, in 1..=65_536;
-        /// Largest message that this process receives, in bytes; by default, more than the codec allows. Runs of earlier
-        /// versions have 72 MiB, which is enough for networks of 18 million parameters.
+        /// Largest message that this process receives, in bytes; by default, more than the codec allows. Runs of
+        /// earlier versions use 72 MiB, which is enough for networks of 18 million parameters.
         pub max_message_bytes: usize = MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES) + (7 << 20), in 65 << 20..=1 << 30;
         /// Credentials of this process. Listening where other machines can connect needs keys.
         pub security: SecurityConfig;
@@ -72,7 +72,7 @@ pub enum BusConfigError {
         /// The given text.
         endpoint: String,
     },
-    /// The system would choose the port of a listener, and nobody could know where to connect.
+    /// The system would choose the port of a listener, so no other process would know where to connect.
     #[error("bus.listen: nobody could know the port of {0}, which the system would choose; name one from 1 to 65535")]
     NoPort(String),
     /// Other machines could reach a listener that has no access control.
@@ -113,7 +113,7 @@ impl BusConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// Names the first setting that is refused, its value and what is expected.
+    /// If a setting is invalid. The error names the first one, its value, and what is expected.
     pub fn validate(&self) -> Result<(), BusConfigError> {
         self.validate_at("bus")?;
         let has_keys = self.security.keys.is_some();
@@ -141,7 +141,7 @@ impl BusConfig {
         Ok(())
     }
 
-    /// Whether other processes connect to this one.
+    /// Returns whether other processes connect to this one.
     fn is_listening(&self) -> bool {
         !self.listen.is_empty()
     }
@@ -149,12 +149,12 @@ impl BusConfig {
     /// Reads and checks the keys of this process.
     ///
     /// # Errors
-    /// Names the file that is missing, malformed, or expired.
+    /// If a file is missing, malformed, or expired. The error names it.
     pub(super) fn read_keys(&self) -> Result<Option<Keys>, KeysError> {
         self.security.keys.as_deref().map(|folder| Keys::read(folder, self.is_listening())).transpose()
     }
 
-    /// Converts the configuration to zenoh's, for a session with this prefix of all keys.
+    /// Converts to zenoh's configuration, for a session in which all keys have the prefix `namespace`.
     pub(super) fn to_zenoh(&self, namespace: &str, keys: Option<&Keys>) -> Result<zenoh::Config, zenoh::Error> {
         let retry = json!({ "period_init_ms": 500, "period_max_ms": 8000, "period_increase_factor": 2 });
         let mut config = json!({
@@ -164,7 +164,7 @@ impl BusConfig {
             "connect": { "endpoints": self.connect, "timeout_ms": -1, "exit_on_failure": false, "retry": retry },
             // Report a port that is in use at once.
             "listen": { "endpoints": self.listen, "timeout_ms": 0, "exit_on_failure": true },
-            // Peers are configured, never discovered: any process in the network could overwrite any key.
+            // Peers are configured, never discovered, because any discovered process could overwrite any key.
             "scouting": { "delay": 0, "multicast": { "enabled": false }, "gossip": { "enabled": false } },
             "transport": {
                 "unicast": { "max_sessions": 8192, "accept_pending": 1024 },

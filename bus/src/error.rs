@@ -17,7 +17,7 @@ pub enum BusError {
     Zenoh {
         /// The failed operation.
         action: String,
-        /// Zenoh's error. Not a source, or its places in zenoh's code would be printed after the reason.
+        /// Zenoh's error. It is not a source, because its source locations would then be printed after the reason.
         error: zenoh::Error,
     },
     /// A name is not valid in a key.
@@ -59,13 +59,13 @@ impl BusError {
     }
 }
 
-/// What zenoh says, without the places in its code that it appends to every error: ` at /…/unicast.rs:338.`
+/// Returns zenoh's message without the source locations that it appends to every error: ` at /…/unicast.rs:338.`
 fn reason(error: &zenoh::Error) -> String {
     without_places(&error.to_string())
 }
 
 fn without_places(text: &str) -> String {
-    /// Before a path; the path itself begins at the slash.
+    /// Precedes a path; the path itself begins at the slash.
     const AT: &str = " at /";
     let mut plain = String::new();
     let mut rest = text;
@@ -92,10 +92,10 @@ pub enum SendError {
     /// No learner is present; wait for one.
     #[error("no learner is there")]
     NoLearner,
-    /// A learner gave no answer in time and may or may not have the trajectory. Sending the same one again is safe.
+    /// The learner did not answer in time and may or may not have the trajectory. Sending the same one again is safe.
     #[error("the learner gave no answer")]
     NoReply,
-    /// It exceeds the size that the learner accepts.
+    /// The trajectory exceeds the size that the learner accepts.
     #[error("a trajectory of {bytes} bytes is larger than the limit of {limit} bytes")]
     TooLarge {
         /// Encoded size.

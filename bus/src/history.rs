@@ -12,7 +12,7 @@ use proto::keys;
 pub struct HistoryAnswer(Latest);
 
 impl Bus {
-    /// Answers queries for the history from now on; gives no reply before the first [`HistoryAnswer::set`].
+    /// Answers queries for the history from now on. Sends no reply before the first [`HistoryAnswer::set`].
     ///
     /// # Errors
     /// If the session is closed.

@@ -30,10 +30,10 @@ pub struct TrajectoryServer {
 }
 
 impl Bus {
-    /// Serves trajectories from now on. A name belongs to the process whose trajectory is taken first, for as long as a
-    /// liveliness token of the name exists; other processes with the name are refused. `handler` is called once for
-    /// each valid trajectory. It must not block, because all actors wait for it (use `try_send` on a bounded mailbox).
-    /// Each answer contains `current_version`.
+    /// Serves trajectories from now on. A name belongs to the process whose trajectory is accepted first, for as long
+    /// as a liveliness token of the name exists; other processes with the name are refused. `handler` is called once
+    /// for each valid trajectory. It must not block, because all actors wait for it (use `try_send` on a bounded
+    /// mailbox). Each answer contains `current_version`.
     ///
     /// # Errors
     /// If the session is closed.
@@ -77,7 +77,7 @@ impl Bus {
 }
 
 impl TrajectoryServer {
-    /// Trajectories so far, by result.
+    /// Returns the number of trajectories so far, by result.
     pub fn counts(&self) -> IngestCounts {
         self.counters.counts()
     }
@@ -149,7 +149,7 @@ enum Taken {
     Before,
 }
 
-/// Sends the answer. Nothing happens if the actor is gone.
+/// Sends the answer. Does nothing if the actor is gone.
 fn answer(query: &Query, decision: Result<(), Refusal>, weights_version: WeightsVersion) {
     let protobuf = |schema: &str| Encoding::APPLICATION_PROTOBUF.with_schema(schema);
     let sent = match decision {

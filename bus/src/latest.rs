@@ -18,10 +18,10 @@ use tokio_util::task::AbortOnDropHandle;
 /// Maximum number of waiting queries: as many as a router has sessions.
 const QUEUE: usize = 8192;
 
-/// Answers can be ahead of their rate by this time.
+/// How far answers may run ahead of the rate.
 const BURST: Duration = Duration::from_secs(1);
 
-/// Answers queries on one key with the newest value; gives no reply before there is one.
+/// Answers queries on one key with the newest value. Sends no reply before there is one.
 #[derive(Debug)]
 pub(super) struct Latest {
     value: Arc<Mutex<Option<ZBytes>>>,
@@ -80,7 +80,7 @@ impl Latest {
 #[derive(Debug)]
 struct Pace {
     bytes_per_s: f64,
-    /// When all answers so far are sent at the rate.
+    /// Time at which all answers so far have been sent at the rate.
     end: Instant,
 }
 
@@ -89,12 +89,12 @@ impl Pace {
         Self { bytes_per_s: mb_per_s as f64 * 1e6, end: now }
     }
 
-    /// When the next answer may be sent.
+    /// Returns when the next answer may be sent.
     fn free_at(&self) -> Instant {
         self.end.checked_sub(BURST).unwrap_or(self.end)
     }
 
-    /// Counts an answer that is sent now.
+    /// Counts an answer that is being sent now.
     fn add(&mut self, n_bytes: usize, now: Instant) {
         self.end = self.end.max(now) + Duration::from_secs_f64(n_bytes as f64 / self.bytes_per_s);
     }

@@ -30,7 +30,7 @@ pub struct MetricsPublisher {
 pub struct MetricsSubscriber {
     samples: mpsc::Receiver<MetricsSample>,
     key: String,
-    /// Weak, because the queue ends when the session has dropped its callbacks.
+    /// Weak, so that the queue ends once the session has dropped its callbacks.
     inbox: Weak<Inbox>,
     _subscriber: Subscriber<()>,
     bus: Bus,
@@ -103,7 +103,8 @@ impl MetricsPublisher {
 }
 
 impl MetricsSubscriber {
-    /// Asks for the latest of each key again: whoever has come back to the bus may have nothing new to say for long.
+    /// Asks for the latest value of each key again. A publisher that has reconnected may have nothing new for a long
+    /// time.
     ///
     /// # Errors
     /// If the session is closed.
@@ -122,7 +123,7 @@ impl MetricsSubscriber {
             .map_err(BusError::during(format!("asking for {}", self.key)))
     }
 
-    /// The next value; `None` after the session is closed.
+    /// Returns the next value; `None` after the session is closed.
     pub async fn recv(&mut self) -> Option<MetricsSample> {
         self.samples.recv().await
     }

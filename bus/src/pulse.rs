@@ -40,7 +40,7 @@ impl Pulse {
         Waiting(self.clone())
     }
 
-    /// Time since the last beat; zero while the loop waits for others.
+    /// Returns the time since the last beat; zero while the loop waits for others.
     pub fn age(&self) -> Duration {
         if self.0.n_waiting.load(Ordering::Relaxed) > 0 { Duration::ZERO } else { self.last().elapsed() }
     }

@@ -1,4 +1,4 @@
-//! Which runs a router carries.
+//! Lists the runs on a router.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -6,15 +6,15 @@ use std::time::Duration;
 use super::{Bus, BusConfig, BusError};
 use proto::keys;
 
-/// Names that are told at most.
+/// Maximum number of names returned.
 const MAX_RUNS: usize = 100;
 
-/// Timeout of the question.
+/// Timeout of the query.
 const ASK_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// The names of the runs, without that of `config`, in which any process is alive; of many, the first hundred that answer.
+/// Returns the names of all runs with a live process, except that of `config`; at most the first hundred that answer.
 ///
-/// This takes a session of its own, because those of a run see nothing else.
+/// This opens a separate session, because the sessions of a run see no other run.
 ///
 /// # Errors
 /// Those of [`Bus::open`], or if the session fails.
@@ -31,7 +31,7 @@ async fn ask(bus: &Bus) -> Result<BTreeSet<String>, BusError> {
     let mut names = BTreeSet::new();
     while let Ok(reply) = replies.recv_async().await {
         let name = reply.result().ok().and_then(|sample| sample.key_expr().as_str().split('/').next());
-        // Anybody may have declared the key.
+        // Any process may have declared the key.
         names.extend(name.filter(|name| keys::is_valid_run(name) && names.len() < MAX_RUNS).map(str::to_owned));
     }
     Ok(names)

@@ -32,8 +32,8 @@ settings! {
     /// Keys of a process on the bus.
     #[derive(Eq)]
     pub struct SecurityConfig {
-        /// Folder with the keys of this process's role, as `lodestone keys new` makes it. Without keys the process
-        /// joins without credentials and may listen on loopback addresses and unix sockets only.
+        /// Folder with the keys of this process's role, as `lodestone keys new` creates it. Without keys, the process
+        /// joins without credentials and may listen on loopback addresses and Unix sockets only.
         pub keys: Option<PathBuf> = None;
     }
 }
@@ -102,13 +102,14 @@ impl Keys {
         self.folder.join(name).display().to_string()
     }
 
-    /// Zenoh's settings in `transport.link.tls`, which also apply to QUIC.
+    /// Returns zenoh's settings for `transport.link.tls`, which also apply to QUIC.
     pub(super) fn tls(&self) -> Value {
         let (certificate, key) = (self.path(CERTIFICATE_FILE), self.path(KEY_FILE));
         json!({
             "root_ca_certificate": self.path(AUTHORITY_FILE),
             "enable_mtls": true,
-            // Zenoh also trusts public authorities, so only the name distinguishes our router from any other server.
+            // Zenoh also trusts public authorities, so only the name distinguishes the run's router from any other
+            // server.
             "verify_name_on_connect": true,
             "close_link_on_expiration": true,
             "listen_certificate": certificate,
@@ -118,14 +119,14 @@ impl Keys {
         })
     }
 
-    /// Zenoh's settings in `transport.auth.usrpwd`; a router has the passwords of all roles.
+    /// Returns zenoh's settings for `transport.auth.usrpwd`; a router has the passwords of all roles.
     pub(super) fn passwords(&self, listens: bool) -> Value {
         let users = listens.then(|| self.path(USERS_FILE));
         json!({ "user": self.user, "password": self.password, "dictionary_file": users })
     }
 }
 
-/// Whether other machines can reach the endpoint, for example `tcp/0.0.0.0:7447`.
+/// Returns whether other machines can reach the endpoint, for example `tcp/0.0.0.0:7447`.
 pub(super) fn is_reachable(endpoint: &str) -> bool {
     let (protocol, address) = endpoint.split_once('/').unwrap_or((endpoint, ""));
     if protocol == "unixsock-stream" {
@@ -138,7 +139,7 @@ pub(super) fn is_reachable(endpoint: &str) -> bool {
     !is_loopback
 }
 
-/// Whether the text is an endpoint with a supported protocol.
+/// Returns whether the text is an endpoint with a supported protocol.
 pub(super) fn is_endpoint(text: &str) -> bool {
     match text.split_once('/') {
         Some(("tcp" | "quic", address)) => {
@@ -150,13 +151,13 @@ pub(super) fn is_endpoint(text: &str) -> bool {
     }
 }
 
-/// Whether the system chooses the endpoint's port.
+/// Returns whether the system chooses the endpoint's port.
 pub(super) fn has_any_port(endpoint: &str) -> bool {
     let address = endpoint.split(['?', '#']).next().unwrap_or_default();
     is_endpoint(endpoint) && address.rsplit_once(':').is_some_and(|(_, port)| port.parse() == Ok(0_u16))
 }
 
-/// Whether the endpoint is encrypted.
+/// Returns whether the endpoint is encrypted.
 ///
 /// Zenoh's TLS over TCP is excluded: it reads and writes one stream from two tasks at once (zenoh issue 2557), and
 /// under load connections broke every few seconds.

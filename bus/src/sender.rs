@@ -110,12 +110,12 @@ impl TrajectorySender {
         }
     }
 
-    /// Whether a learner is present.
+    /// Returns whether a learner is present.
     pub fn learner_is_there(&self) -> bool {
         self.0.learner_there.is_matching()
     }
 
-    /// Watches whether a learner is present.
+    /// Returns a receiver of whether a learner is present.
     pub fn watch_learner(&self) -> watch::Receiver<bool> {
         self.0.learner_there.watch()
     }
@@ -126,7 +126,7 @@ impl TrajectorySender {
         wait_for(self.0.learner_there.watch()).await;
     }
 
-    /// Whether the actor's trajectories have viewers.
+    /// Returns whether the actor's trajectories have viewers.
     pub fn viewers_are_there(&self) -> bool {
         self.0.viewers_there.is_matching()
     }

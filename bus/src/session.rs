@@ -35,7 +35,7 @@ impl Bus {
         Self::open_within(&keys::namespace(&config.run), config).await
     }
 
-    /// Like [`Self::open`], with this prefix of all keys instead of the run's.
+    /// Like [`Self::open`], but all keys have the prefix `namespace` instead of the run's.
     pub(super) async fn open_within(namespace: &str, config: &BusConfig) -> Result<Self, BusError> {
         config.validate()?;
         let credentials = config.read_keys()?;
@@ -60,32 +60,32 @@ impl Bus {
         Self::open(&BusConfig::isolated_router(dir)).await
     }
 
-    /// Messages that this session dropped so far, by reason.
+    /// Returns the number of messages that this session has dropped so far, by reason.
     pub fn counts(&self) -> BusCounts {
         self.counters.counts()
     }
 
-    /// The role of this process in the network.
+    /// Returns the role of this process in the network.
     pub fn mode(&self) -> BusMode {
         self.config.mode
     }
 
-    /// The name of the run.
+    /// Returns the name of the run.
     pub fn run(&self) -> &str {
         &self.config.run
     }
 
-    /// The heartbeat of the service on this session.
+    /// Returns the heartbeat of the service on this session.
     pub fn pulse(&self) -> &Pulse {
         &self.pulse
     }
 
-    /// Counts weights that were received but that this process cannot use; call it once for each.
+    /// Counts weights that this process received but cannot use. Call it once for each.
     pub fn count_refused_weights(&self) {
         self.counters.weights_refused.add_one();
     }
 
-    /// Whether this process reaches the others now: a router always, a client while it has its router.
+    /// Returns whether this process reaches the others now: a router always does, a client while it has its router.
     pub async fn is_connected(&self) -> bool {
         self.mode() == BusMode::Router || self.session.info().routers_zid().await.next().is_some()
     }
@@ -106,7 +106,7 @@ impl Bus {
     }
 }
 
-/// The current time in milliseconds since 1970, which distinguishes a restarted process from its predecessor.
+/// Returns the current time in milliseconds since 1970, which distinguishes a restarted process from its predecessor.
 pub fn process_epoch_ms() -> u64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since_1970.as_millis()).unwrap_or(u64::MAX)

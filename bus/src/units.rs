@@ -117,7 +117,7 @@ impl WorkerCaller {
 }
 
 impl UnitServer {
-    /// The next unit; `None` after the session is closed. Invalid units are refused and counted.
+    /// Returns the next unit; `None` after the session is closed. Invalid units are refused and counted.
     pub async fn recv(&mut self) -> Option<UnitCall> {
         loop {
             let query = self.calls.recv().await?;
@@ -135,7 +135,7 @@ impl UnitServer {
 }
 
 impl UnitCall {
-    /// Sends the answer. Nothing happens if the evaluator is gone.
+    /// Sends the answer. Does nothing if the evaluator is gone.
     pub async fn answer(self, reply: EvalAnswer) {
         let query = self.query;
         let sent = tokio::task::spawn_blocking(move || answer(&query, &reply)).await;

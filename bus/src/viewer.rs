@@ -19,7 +19,7 @@ pub struct TrajectoryViewer {
 }
 
 impl Bus {
-    /// Views the trajectories of one actor, or of all. Actors send copies only while there are viewers.
+    /// Receives the trajectories of one actor, or of all. Actors send copies only while there are viewers.
     ///
     /// # Errors
     /// If the session is closed.
@@ -45,7 +45,7 @@ impl Bus {
 }
 
 impl TrajectoryViewer {
-    /// The next trajectory; `None` after the session is closed.
+    /// Returns the next trajectory; `None` after the session is closed.
     pub async fn recv(&mut self) -> Option<Trajectory> {
         self.trajectories.recv().await
     }

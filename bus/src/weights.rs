@@ -27,8 +27,8 @@ const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
 /// Pause before a failed pull is retried.
 const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
-/// Time between two pulls while nobody replies. A learner that gets its first weights gives notice, so this matters only for
-/// a pull that was lost; thousands of actors may wait like this.
+/// Pause between pulls while there is no reply. A learner sends a notice when it gets its first weights, so this
+/// matters only for a lost pull; thousands of actors may be waiting like this.
 const NOTHING_PAUSE: Duration = Duration::from_secs(2);
 
 /// The learner's side: holds the newest weights and answers pulls.
@@ -128,7 +128,7 @@ impl WeightsPublisher {
 }
 
 impl<T> WeightsSubscriber<T> {
-    /// The newest weights that were pulled, `None` before the first.
+    /// Returns a receiver of the newest weights that were pulled, `None` before the first.
     pub fn watch(&self) -> watch::Receiver<Option<Arc<T>>> {
         self.weights.clone()
     }
@@ -136,15 +136,15 @@ impl<T> WeightsSubscriber<T> {
 
 /// How a pull ended.
 enum Pulled {
-    /// The newest weights are here, or cannot be used and would come again.
+    /// The newest weights are here, or are invalid and would be the same after a retry.
     Done,
-    /// Nobody replied: the learner has no weights yet, or a router on the way did not know it yet.
+    /// There was no reply: the learner has no weights yet, or a router on the way does not know the learner yet.
     Nothing,
     /// The session or the reply failed.
     Failed,
 }
 
-/// Pulls in the background.
+/// Pulls weights in the background.
 struct Puller<T> {
     learner: Arc<Querier<'static>>,
     learner_there: Matching,
@@ -184,7 +184,8 @@ impl<T: Send + Sync + 'static> Puller<T> {
         }
     }
 
-    /// Within an epoch the version must grow; another epoch is another learner process and always counts as newer.
+    /// Returns whether the notice announces newer weights. Within an epoch, the version must grow; another epoch is
+    /// another learner process and always counts as newer.
     fn is_newer(&self, notice: &Sample) -> bool {
         match decode_notice(&notice.payload().to_bytes()) {
             Ok(notice) => self.held.is_none_or(|held| held.epoch != notice.epoch || held.version < notice.version),

@@ -1,4 +1,5 @@
-//! Ownership of actor names: of two live processes with one name, the one whose trajectory was taken first.
+//! Ownership of actor names: if two live processes share a name, it belongs to the one whose trajectory was taken
+//! first.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::{BTreeMap, BTreeSet};
@@ -49,7 +50,7 @@ impl Names {
         Ok(Self { register, _subscriber: subscriber })
     }
 
-    /// Whether another live process owns the name.
+    /// Returns whether another live process owns the name.
     pub(super) fn is_taken(&self, actor: &ActorId, epoch: u64) -> bool {
         lock(&self.register).is_taken(actor, epoch)
     }
@@ -84,7 +85,7 @@ impl Register {
 }
 
 fn lock(register: &Mutex<Register>) -> MutexGuard<'_, Register> {
-    // Every statement leaves it consistent, so a panic elsewhere does no harm.
+    // Every statement leaves the register consistent, so a panic elsewhere does no harm.
     register.lock()
 }
 

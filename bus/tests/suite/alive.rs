@@ -19,7 +19,7 @@ async fn alive_watch_follows_tokens() {
     let token = second.declare_alive(Role::Actor, "a-2").await.unwrap();
     let _learner = second.declare_alive(Role::Learner, "main").await.unwrap();
 
-    // The watch begins after two of them are declared, and sees them.
+    // The watch starts after both actors are declared, and sees them.
     let watch = cluster.client().await.alive(Role::Actor).await.unwrap();
     let mut alive = watch.watch();
     until("both actors", &mut alive, |a| *a == names(&["a-1", "a-2"])).await;
@@ -52,7 +52,7 @@ async fn second_process_of_a_name_waits_and_then_fails() {
     // The same name in another role, and another name.
     let _learner = second.declare_alive_alone(Role::Learner, "a", Duration::ZERO).await.unwrap();
     let _other = second.declare_alive_alone(Role::Actor, "b", Duration::ZERO).await.unwrap();
-    // A waiting process succeeds when the first has gone.
+    // A waiting process succeeds once the first is gone.
     let waiting = tokio::spawn({
         let second = second.clone();
         async move { second.declare_alive_alone(Role::Actor, "a", Duration::from_secs(60)).await }
@@ -81,7 +81,7 @@ async fn other_runs_of_a_router_are_listed() {
         paper.declare_alive(Role::Learner, "learner").await.unwrap(),
         cluster.router.declare_alive(Role::Evaluator, "e").await.unwrap(),
     );
-    // One of one's own is not another.
+    // A run is not listed for itself.
     assert_eq!(listed("paper").await, names(&["default"]));
     assert_eq!(listed("nobody").await, names(&["default", "paper"]));
 }

@@ -85,7 +85,7 @@ async fn invalid_notices_and_weights_are_ignored() {
 async fn invalid_answers_are_errors_at_the_sender() {
     let cluster = Cluster::start().await;
     let script = cluster.script().await;
-    // Answers the first query with garbage, the second with an error that it made up, and the third not at all.
+    // Answers the first query with garbage and the second with a made-up error. Does not answer the third.
     let n = std::sync::atomic::AtomicU8::new(0);
     let impostor = script.declare_queryable("lodestone/default/ingest/*").complete(true).callback(move |query| {
         let key = query.key_expr().clone();

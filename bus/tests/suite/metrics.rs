@@ -19,7 +19,7 @@ async fn plain_zenoh_session_reads_metrics() {
 
     // A query returns the latest value, although there was no subscriber when it was published.
     let script = cluster.script().await;
-    // It reaches whom the router knows by then, and nobody else, so it is asked until there is an answer.
+    // A query reaches only the processes that the router knows by then, so it is repeated until there is an answer.
     let answer = async {
         loop {
             let replies = script.get("lodestone/default/metrics/**").await.unwrap();
@@ -62,7 +62,7 @@ async fn metrics_subscriber_gets_the_latest_and_then_new_values() {
         assert!(in_flight.contains(&next), "{next:?}");
         next = within("the next", reader.recv()).await.unwrap();
     }
-    // Whoever asks again gets the latest again, though nothing new was put.
+    // Asking again returns the latest value again, although nothing new was published.
     reader.ask_latest().await.unwrap();
     let mut again = within("the latest again", reader.recv()).await.unwrap();
     while again != sample(3) {

@@ -34,7 +34,7 @@ async fn garbage_unit_is_refused_and_counted() {
     let bytes = encode_unit(&samples::unit());
     let serving = tokio::spawn(async move { server.recv().await.map(|call| call.unit) });
     for payload in [b"".as_slice(), b"\xff\xff", &bytes[..bytes.len() / 2]] {
-        // There is no answer before the router knows of the worker.
+        // There is no answer before the router knows the worker.
         let asked = async {
             loop {
                 let replies = script.get("lodestone/default/worker/helper").payload(payload).await.unwrap();
