@@ -1,4 +1,4 @@
-//! Settings of the dashboard: where the page is served, and who may see it.
+//! Dashboard settings: where the page is served and who may see it.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -6,50 +6,52 @@ use std::net::SocketAddr;
 use proto::settings;
 use serde::{Deserialize, Serialize};
 
-/// Fewest and most characters of a token. Sixteen letters and digits are 95 bits.
+/// Minimum and maximum length of a token in characters. Sixteen letters and digits hold 95 bits.
 const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=128;
 
 settings! {
-    /// What a run is shown on.
+    /// How a run is shown.
     #[derive(Eq)]
     pub struct DashboardConfig {
-        /// A page about the training, served beside the evaluator; absent means none.
+        /// Web page about the training, served by the evaluator process. Absent: no page.
         pub web: Option<WebConfig> = None;
     }
 
-    /// Where the page is served, and who may see it.
+    /// Where the page is served and who may see it.
     #[derive(Eq)]
     pub struct WebConfig {
-        /// Address and port; port 0 lets the system choose one. Any other than a loopback address needs a token or
-        /// `hosts`. There is no encryption: beyond one's own network, put it behind a proxy that has it.
+        /// Address and port. Port 0 lets the system choose one. An address other than loopback requires `token` or
+        /// `hosts`. The connection is unencrypted: outside a trusted network, put a TLS proxy in front of it.
         pub listen: SocketAddr = SocketAddr::from(([127, 0, 0, 1], 0));
-        /// What a browser must know: 16 to 128 characters of `A-Z`, `a-z`, `0-9`, `-` and `_`. Like every setting it is
-        /// written into the run's `config.toml`. Only loopback addresses allow that it is absent.
+        /// Secret that a browser must present: 16 to 128 characters of `A-Z`, `a-z`, `0-9`, `-` and `_`. Like every
+        /// setting, it is written to the run's `config.toml`. It may be absent only if `listen` is a loopback address
+        /// or `hosts` is not empty.
         pub token: Option<Token> = None;
-        /// Without a token the page answers requests to these names only, besides those of its own machine. For a
-        /// container, whose port is published on loopback addresses alone: whoever else reaches it can say any name.
+        /// Without a token, host names for which the page answers requests, in addition to the names of its own
+        /// machine. Meant for a container whose port is published on loopback only: any other client that reaches it
+        /// can forge the name.
         pub hosts: Vec<String> = Vec::new();
     }
 }
 
-/// A shared secret. Its `Debug` shows nothing of it.
+/// A shared secret. `Debug` does not reveal it.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Token(String);
 
-/// A setting of the page that cannot be used.
+/// An invalid page setting.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WebConfigError {
-    /// Others could reach the page, and nothing keeps them out.
+    /// Other machines can reach the page, and no token or host list restricts access.
     #[error(
         "dashboard.web.listen = {0}, which others can reach: set dashboard.web.token, listen on 127.0.0.1, or, in a network of its own, name in \
          dashboard.web.hosts how it is reached"
     )]
     NoToken(SocketAddr),
-    /// A token that is too short, too long or has other characters. The token itself is not named.
+    /// The token is too short, too long, or contains other characters. The error does not include the token.
     #[error("dashboard.web.token has {n_characters} characters: expected 16 to 128 of A-Z, a-z, 0-9, - and _")]
     Token {
-        /// Its length.
+        /// Length of the token.
         n_characters: usize,
     },
 }
@@ -58,17 +60,18 @@ impl DashboardConfig {
     /// Checks every field.
     ///
     /// # Errors
-    /// When others could reach the page and nothing keeps them out, or its token is unusable.
+    /// Returns an error if other machines can reach the page and neither `token` nor `hosts` is set, or if the token is
+    /// invalid.
     pub fn validate(&self) -> Result<(), WebConfigError> {
         self.web.as_ref().map_or(Ok(()), WebConfig::validate)
     }
 }
 
 impl WebConfig {
-    /// Checks that whoever can reach the page must know a token.
+    /// Checks that a page that other machines can reach requires a token or restricts its host names.
     ///
     /// # Errors
-    /// When a token is missing or unusable.
+    /// Returns an error if a required token is missing or the token is invalid.
     pub fn validate(&self) -> Result<(), WebConfigError> {
         match &self.token {
             None if !self.listen.ip().is_loopback() && self.hosts.is_empty() => {
@@ -81,19 +84,20 @@ impl WebConfig {
 }
 
 impl Token {
-    /// Whether it goes into an address, a cookie and a header as it is, and is long enough not to be guessed.
+    /// Returns whether the token is valid in a URL, a cookie and a header without escaping, and is long enough not to
+    /// be guessed.
     fn is_usable(&self) -> bool {
         let allowed = |c: u8| c.is_ascii_alphanumeric() || c == b'-' || c == b'_';
         TOKEN_LENGTHS.contains(&self.0.len()) && self.0.bytes().all(allowed)
     }
 
-    /// Whether `guess` is the token, in a time that does not tell how much of it is right.
+    /// Returns whether `guess` equals the token. The comparison takes constant time for guesses of the right length.
     pub(crate) fn is(&self, guess: &str) -> bool {
         let same_length = self.0.len() == guess.len();
         same_length && self.0.bytes().zip(guess.bytes()).fold(0, |diff, (a, b)| diff | (a ^ b)) == 0
     }
 
-    /// The token itself, for the cookie.
+    /// Returns the token in plain text, for the cookie.
     pub(crate) fn reveal(&self) -> &str {
         &self.0
     }

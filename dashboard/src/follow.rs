@@ -1,4 +1,4 @@
-//! From the bus to whoever shows a run.
+//! Forwards messages from the bus to a view of a run.
 
 use std::time::{Duration, Instant};
 
@@ -8,24 +8,24 @@ use tokio_util::sync::CancellationToken;
 
 use crate::run_view::{Roster, SessionState};
 
-/// How often the router and the session's own counts are looked at.
+/// How often the router connection and the session's own counters are polled.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// Samples that are told at most at a time.
+/// Maximum number of samples per [`News::Metrics`].
 const BATCH: usize = 256;
 
-/// What the bus has to say.
+/// An update from the bus.
 pub(crate) enum News {
-    /// Metrics that came, in this order; at least one.
+    /// Metrics in order of arrival; at least one.
     Metrics(Vec<MetricsSample>),
-    /// How the session stands now, told whenever that may have changed and once in each period.
+    /// State of the session, sent whenever it may have changed and at least once per `PERIOD`.
     Session(SessionState),
 }
 
-/// Tells all news, each with the time since `start`, until `shutdown` or until the bus is closed.
+/// Passes every update to `tell`, with the time since `start`, until `shutdown` or until the bus closes.
 ///
 /// # Errors
-/// If the session fails. A router that is not there yet, or no longer, is waited for.
+/// Returns an error if the session fails. If the router is unreachable, waits for it instead.
 pub(crate) async fn follow(
     bus: &Bus,
     start: Instant,
@@ -62,7 +62,7 @@ pub(crate) async fn follow(
         let (had, n_had) = (was_connected, n_services);
         (was_connected, n_services) = (is_connected, (roster.learners.len(), roster.evaluators.len()));
         if is_connected && (!had || n_services.0 > n_had.0 || n_services.1 > n_had.1) {
-            // Whoever has come back may have nothing new to say for long.
+            // A service that has just reconnected may not publish for a long time.
             metrics.ask_latest().await?;
         }
         let counts = bus.counts();

@@ -1,8 +1,8 @@
-//! A running training, to look at: as a web page and as a view in the terminal.
+//! Views of a running training: a web page and a terminal view.
 //!
-//! Reading order: `follow` (what comes from the bus) → `run_view` (what is known) → [`web`], which is served beside an
-//! evaluator, and [`terminal`], which is drawn wherever the bus can be reached. Neither holds up what it shows: both
-//! follow the bus as any client does.
+//! Reading order: `follow` (messages from the bus) → `run_view` (the known state of a run) → [`web`], served by the
+//! evaluator process, and [`terminal`], which runs anywhere that can reach the bus. Neither slows down the run: both
+//! follow the bus like any other client.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

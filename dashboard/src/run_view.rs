@@ -1,4 +1,5 @@
-//! What is known of a run: the newest metrics of each part, and who is alive. Page and terminal both show it.
+//! The known state of a run: the newest metrics of each part and which processes are alive. Shown by the page and the
+//! terminal.
 
 mod trends;
 
@@ -18,13 +19,13 @@ use serde_json::{Value, json};
 
 pub(crate) use trends::Trends;
 
-/// Actors that are remembered, the lost ones included; whoever invents names must not fill the memory.
+/// Maximum number of remembered actors, including lost ones, so that invented names cannot exhaust memory.
 pub(crate) const MAX_ACTORS: usize = 10_000;
 
-/// Blueprints that are remembered.
+/// Maximum number of remembered blueprints.
 pub(crate) const MAX_BLUEPRINTS: usize = 10_000;
 
-/// A run as its messages tell it. It reads no clock: times are given by the caller, as the time since the watch began.
+/// State of a run, built from its messages. Reads no clock: callers pass times, measured from the start of the watch.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct RunView {
     link: Link,
@@ -40,50 +41,50 @@ pub(crate) struct RunView {
     others: BTreeSet<String>,
 }
 
-/// How the watch stands to the bus.
+/// State of the connection to the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Link {
-    /// No router was reached so far.
+    /// No router has been reached yet.
     #[default]
     Joining,
-    /// The others are reached.
+    /// A router is connected.
     Connected,
-    /// They were reached once, and are not now, for lack of a router.
+    /// A router was connected before but is not now.
     Lost,
 }
 
-/// A value and when it came.
+/// A value and its time of arrival.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Newest<T> {
-    /// What was said.
+    /// The value.
     pub(crate) value: T,
-    /// When it came, time since the watch began.
+    /// Time of arrival since the watch began.
     pub(crate) at: Duration,
 }
 
-/// One actor of the roster.
+/// A known actor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Actor {
-    /// Whether its liveliness token is there; once known and not alive is lost.
+    /// Whether its liveliness token exists. A known actor that is not alive is lost.
     pub(crate) is_alive: bool,
     /// Its newest metrics.
     pub(crate) metrics: Option<Newest<ActorMetrics>>,
 }
 
-/// Metrics that came and are not shown, by reason. What was not even JSON is counted by the bus.
+/// Counts of received metrics that are not shown, by reason. The bus counts messages that are not JSON.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct Unread {
-    /// Of another schema version, or without any.
+    /// The schema version is missing or different.
     pub(crate) schema_unknown_total: u64,
-    /// Not what their key promises.
+    /// The content does not match the key.
     pub(crate) metrics_unreadable_total: u64,
-    /// Under a key that this version does not know.
+    /// The key is unknown to this version.
     pub(crate) keys_unknown_total: u64,
-    /// Of one more actor or blueprint than are remembered.
+    /// The limit on remembered actors or blueprints was reached.
     pub(crate) over_limit_total: u64,
 }
 
-/// Who is alive, by the names of the liveliness tokens.
+/// Processes that are alive, by the names of their liveliness tokens.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct Roster {
     /// Names of the actors.
@@ -94,18 +95,18 @@ pub(crate) struct Roster {
     pub(crate) evaluators: BTreeSet<String>,
 }
 
-/// What the watch's own session knows at some time.
+/// State of the watch's own session at one point in time.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SessionState {
-    /// Whether it reaches the others.
+    /// Whether a router is connected.
     pub(crate) is_connected: bool,
-    /// Who is alive, if it does.
+    /// Processes that are alive, if connected.
     pub(crate) roster: Roster,
-    /// What it dropped so far.
+    /// Messages that the session has dropped so far.
     pub(crate) counts: BusCounts,
 }
 
-/// Why a sample is not shown.
+/// Why a sample is rejected.
 enum Refusal {
     Schema,
     Unreadable,
@@ -114,8 +115,8 @@ enum Refusal {
 }
 
 impl RunView {
-    /// Takes one sample of metrics; what cannot be shown is counted and changes nothing else. Returns whether it is news:
-    /// shown now, and not as it was before.
+    /// Processes one metrics sample. Samples that cannot be shown are counted and change nothing else. Returns whether
+    /// the shown state changed.
     pub(crate) fn take(&mut self, sample: &MetricsSample, now: Duration) -> bool {
         let refusal = match self.read(&sample.suffix, &sample.value, now) {
             Ok(is_news) => return is_news,
@@ -132,7 +133,7 @@ impl RunView {
         false
     }
 
-    /// Takes what the session knows now. Returns whether that changed anything.
+    /// Updates the state of the session. Returns whether anything changed.
     pub(crate) fn set_session(&mut self, session: &SessionState, now: Duration) -> bool {
         let link = match (session.is_connected, self.link) {
             (true, _) => Link::Connected,
@@ -144,7 +145,7 @@ impl RunView {
             (self.link, self.link_since) = (link, now);
         }
         self.bus = session.counts;
-        // All tokens vanish with the router; that says nothing about who is alive.
+        // All tokens vanish along with the router, so the roster is kept while disconnected.
         if session.is_connected {
             has_changed |= self.set_roster(&session.roster);
         }
@@ -168,23 +169,23 @@ impl RunView {
         has_changed
     }
 
-    /// How the watch stands to the bus, and since when.
+    /// Returns the state of the connection to the bus, and since when.
     pub(crate) fn link(&self) -> (Link, Duration) {
         (self.link, self.link_since)
     }
 
-    /// The learner's newest metrics.
+    /// Returns the learner's newest metrics.
     pub(crate) fn learner(&self) -> Option<&Newest<LearnerMetrics>> {
         self.learner.as_ref()
     }
 
-    /// The newest evaluation.
+    /// Returns the newest evaluation.
     pub(crate) fn evaluation(&self) -> Option<&Newest<EvalSummary>> {
         self.evaluation.as_ref()
     }
 
-    /// The newest result of each blueprint with the weights of the newest evaluation; without an evaluation, with the
-    /// newest weights that any blueprint was judged with.
+    /// Returns the newest result of each blueprint for the weights of the newest evaluation. Before the first
+    /// evaluation, for the newest weights that any blueprint was evaluated with.
     pub(crate) fn judged_blueprints(&self) -> Vec<&EvalBlueprint> {
         let newest = || self.blueprints.values().map(|blueprint| blueprint.weights_version).max();
         let version: Option<WeightsVersion> =
@@ -192,49 +193,49 @@ impl RunView {
         self.blueprints.values().filter(|blueprint| Some(blueprint.weights_version) == version).collect()
     }
 
-    /// All actors that were seen, by name.
+    /// Returns all actors seen so far, by name.
     pub(crate) fn actors(&self) -> &BTreeMap<ActorId, Actor> {
         &self.actors
     }
 
-    /// Who is alive; while the link is lost, who was.
+    /// Returns the processes that are alive; while the connection is lost, those that were alive before.
     pub(crate) fn roster(&self) -> &Roster {
         &self.roster
     }
 
-    /// What came and is not shown.
+    /// Returns the counts of received metrics that are not shown.
     pub(crate) fn unread(&self) -> Unread {
         self.unread
     }
 
-    /// What the watch's own session dropped.
+    /// Returns the counts of messages dropped by the watch's own session.
     pub(crate) fn bus(&self) -> BusCounts {
         self.bus
     }
 
-    /// How numbers went since the watch began.
+    /// Returns the trends of the metrics since the watch began.
     pub(crate) fn trends(&self) -> &Trends {
         &self.trends
     }
 
-    /// Takes the names of the other runs on the router.
+    /// Sets the names of the other runs on the router.
     pub(crate) fn set_others(&mut self, others: BTreeSet<String>) {
         self.others = others;
     }
 
-    /// The other runs on the router, as far as somebody has looked.
+    /// Returns the other runs on the router, as of the last lookup.
     pub(crate) fn others(&self) -> &BTreeSet<String> {
         &self.others
     }
 
-    /// Whether nobody is there and nothing was said.
+    /// Returns whether no process is alive and no metrics have arrived.
     pub(crate) fn is_empty(&self) -> bool {
         let Roster { actors, learners, evaluators } = &self.roster;
         let is_nobody = learners.is_empty() && evaluators.is_empty() && actors.is_empty();
         !self.has_summary() && is_nobody && self.actors.is_empty()
     }
 
-    /// All that is known of the run of this name, for programs.
+    /// Returns the full known state of the run named `run`, for programs.
     pub(crate) fn to_json(&self, run: &str) -> Value {
         json!({
             "run": run,
@@ -247,7 +248,7 @@ impl RunView {
         })
     }
 
-    /// Whether the learner or the evaluator has said anything.
+    /// Returns whether metrics from the learner or the evaluator have arrived.
     pub(crate) fn has_summary(&self) -> bool {
         self.learner.is_some() || self.evaluation.is_some()
     }
@@ -281,7 +282,8 @@ impl RunView {
                 if !self.actors.contains_key(&value.actor) && !self.make_room_for_actor() {
                     return Err(Refusal::Limit);
                 }
-                // Alive or not is for the tokens to say; metrics may overtake theirs, and the next roster corrects it.
+                // The tokens decide whether an actor is alive. Metrics may arrive before its token; the next roster
+                // corrects this.
                 let actor = self.actors.entry(value.actor.clone()).or_insert(Actor { is_alive: true, metrics: None });
                 update(&mut actor.metrics, value, at)
             }
@@ -300,8 +302,7 @@ impl RunView {
         })
     }
 
-    /// Forgets the lost actor that was heard longest ago if there are as many as are remembered. Returns whether there
-    /// is room.
+    /// At the limit, forgets the lost actor with the oldest metrics. Returns whether there is room for another actor.
     fn make_room_for_actor(&mut self) -> bool {
         if self.actors.len() < MAX_ACTORS {
             return true;
@@ -313,7 +314,7 @@ impl RunView {
     }
 }
 
-/// Keeps `value`; one that comes a second time stays as old as it is. Returns whether it is another.
+/// Stores `value` unless it equals the current value, which then keeps its time. Returns whether the value changed.
 fn update<T: PartialEq>(slot: &mut Option<Newest<T>>, value: T, at: Duration) -> bool {
     let is_news = slot.as_ref().is_none_or(|heard| heard.value != value);
     if is_news {
@@ -337,7 +338,7 @@ fn rates(outcome: &EvalOutcome) -> [&SuccessRate; 2] {
     [&outcome.success, &outcome.stable_success]
 }
 
-/// Refuses rates that no counts can have.
+/// Rejects rates that no counts can produce.
 fn believe<'a>(rates: impl IntoIterator<Item = &'a SuccessRate>) -> Result<(), Refusal> {
     let is_share = |share: f64| (0.0..=1.0).contains(&share);
     let are_fine = rates.into_iter().all(|success| {
@@ -347,7 +348,7 @@ fn believe<'a>(rates: impl IntoIterator<Item = &'a SuccessRate>) -> Result<(), R
     if are_fine { Ok(()) } else { Err(Refusal::Unreadable) }
 }
 
-/// The numbers of a struct of counters under the names of its fields, so that one that is added later is shown too.
+/// Returns the counters of a struct by field name. Going through serde includes fields that are added later.
 pub(crate) fn counters(counters: &impl Serialize) -> Vec<(String, u64)> {
     let Ok(Value::Object(fields)) = serde_json::to_value(counters) else { return Vec::new() };
     fields.into_iter().filter_map(|(name, n)| Some((name, n.as_u64()?))).collect()

@@ -1,4 +1,4 @@
-//! What comes from the bus, for the tests of what is watched.
+//! Sample bus messages for tests.
 
 use bus::MetricsSample;
 use serde_json::Value;
@@ -15,14 +15,14 @@ pub(crate) fn evaluation() -> MetricsSample {
     sample("eval/summary", include_str!("../tests/metrics/eval-summary.json"))
 }
 
-/// An actor's metrics under this name.
+/// Metrics of the actor named `id`.
 pub(crate) fn actor(id: &str) -> MetricsSample {
     let mut actor = sample(&format!("actor/{id}"), include_str!("../tests/metrics/actor.json"));
     actor.value["actor"] = id.into();
     actor
 }
 
-/// A result of one training blueprint: `n_successes` of 40 episodes with mode actions.
+/// A result of one training blueprint: `n_successes` of 40 episodes with greedy actions.
 pub(crate) fn blueprint(id: &str, n_successes: u64) -> MetricsSample {
     let mut blueprint = sample(&format!("eval/train/{id}"), include_str!("../tests/metrics/eval-blueprint.json"));
     blueprint.value["blueprint"] = id.into();
@@ -32,14 +32,14 @@ pub(crate) fn blueprint(id: &str, n_successes: u64) -> MetricsSample {
     blueprint
 }
 
-/// A session that reaches a learner, an evaluator and these actors.
+/// A session connected to a learner, an evaluator and these actors.
 pub(crate) fn session(actors: &[&str]) -> SessionState {
     let names = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
     let roster = Roster { actors: names(actors), learners: names(&["learner"]), evaluators: names(&["evaluator"]) };
     SessionState { is_connected: true, roster, ..SessionState::default() }
 }
 
-/// A session that reaches nobody.
+/// A session without a connection.
 pub(crate) fn cut_off() -> SessionState {
     SessionState::default()
 }

@@ -1,9 +1,10 @@
-//! One web page about a running training: success over training, who is there, how learning goes.
+//! A web page about a running training: success over time, live processes, and learning metrics.
 //!
-//! Reading order: `about` (which run) → `board` (what is known) → `events` (browsers that listen) → `replay`, `attention` and
-//! `films` → `stage` and `gallery` (episodes on demand) → `drawing` (goals of one's own) → `prometheus` → `routes` (what can be
-//! asked, and by whom) → `server` (connections) → `export` (a copy in files). The page never holds up an evaluator: whoever writes to the board takes a
-//! lock for a moment, and what a browser does not take in time is dropped and counted.
+//! Reading order: `about` (which run) → `board` (the known state) → `events` (connected browsers) → `replay`,
+//! `attention` and `films` → `stage` and `gallery` (episodes on demand) → `drawing` (user-drawn goals) → `prometheus` →
+//! `routes` (endpoints and access control) → `server` (connections) → `export` (a static copy). The page never slows
+//! down the evaluator: writers to the board hold a lock only briefly, and events that a browser does not read in time
+//! are dropped and counted.
 
 mod about;
 mod attention;
@@ -48,25 +49,25 @@ use routes::Shown;
 use runlog::{Pass, RunPaths};
 pub use stage::{Builder, Order, Stage, StageError};
 
-/// Longest silence that a browser sees.
+/// Longest time between two events sent to a browser.
 const BEAT: Duration = Duration::from_secs(15);
 
-/// Why the page cannot be served.
+/// An error that prevents serving the page.
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
-    /// The address is taken, or not one of this machine.
+    /// The address is in use or does not belong to this machine.
     #[error(
         "the page cannot be served at {address}: {source}; choose another address with --web, or port 0 for a free one"
     )]
     Bind {
-        /// The address of the configuration.
+        /// The configured address.
         address: SocketAddr,
-        /// What the system says.
+        /// The operating system's error.
         source: std::io::Error,
     },
 }
 
-/// A page that has its address and waits to be opened.
+/// A page that is bound to its address but not yet served.
 #[derive(Debug)]
 pub struct Page {
     listener: TcpListener,
@@ -74,47 +75,47 @@ pub struct Page {
     config: WebConfig,
 }
 
-/// What a page shows besides what the bus tells.
+/// Data sources of a page, in addition to the bus.
 #[derive(Debug)]
 pub struct Source {
-    /// Every evaluation, those of the history first. The page ends with it.
+    /// All evaluations, starting with those of the history. The page stops when the channel closes.
     pub passes: mpsc::UnboundedReceiver<Pass>,
-    /// The newest weights, whose attention is shown, and the policy that they are for.
+    /// The newest weights. The page shows their attention.
     pub weights: watch::Receiver<Option<Arc<Weights>>>,
-    /// The policy.
+    /// Configuration of the policy that the weights belong to.
     pub policy: PolicyConfig,
-    /// The run whose video clips are shown; none shows none.
+    /// The run whose video clips are shown; `None` for no clips.
     pub run: Option<RunPaths>,
-    /// The run in a few words.
+    /// Summary of the run.
     pub about: About,
-    /// Where episodes are played on demand, if they are.
+    /// Plays episodes on demand; `None` if the page offers none.
     pub stage: Option<Stage>,
 }
 
-/// A run that has ended, as its files tell it.
+/// A finished run, read from its files.
 #[derive(Debug)]
 pub struct FinishedRun {
-    /// The run in a few words.
+    /// Summary of the run.
     pub about: About,
     /// Its evaluations in order.
     pub passes: Vec<Pass>,
-    /// What its learner said of its updates, in order.
+    /// The learner's metrics of its updates, in order.
     pub learner: Vec<LearnerMetrics>,
-    /// Its folder, for its video clips.
+    /// Its directory, for its video clips.
     pub run: RunPaths,
-    /// The policy, and its newest weights if they can be read.
+    /// Configuration of the policy.
     pub policy: PolicyConfig,
-    /// As above.
+    /// The newest weights, if they can be read.
     pub weights: Option<Arc<Weights>>,
-    /// Where episodes are played on demand, if they are.
+    /// Plays episodes on demand; `None` if the page offers none.
     pub stage: Option<Stage>,
 }
 
 impl Page {
-    /// Takes the address; browsers that come before the evaluator runs wait.
+    /// Binds the address. Browsers that connect before [`Page::serve`] is called wait.
     ///
     /// # Errors
-    /// When the address is taken or not one of this machine.
+    /// Returns an error if the address is in use or does not belong to this machine.
     pub async fn bind(config: &WebConfig) -> Result<Self, WebError> {
         let failed = |source| WebError::Bind { address: config.listen, source };
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
@@ -122,15 +123,15 @@ impl Page {
         Ok(Self { listener, address, config: config.clone() })
     }
 
-    /// The address with the port that the system has chosen for port 0.
+    /// Returns the bound address, with the port chosen by the system if port 0 was configured.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Serves until no more evaluations can come; then all connections are closed.
+    /// Serves until the evaluation channel closes, then closes all connections.
     ///
     /// # Errors
-    /// When the session fails, or a task of the page panicked.
+    /// Returns an error if the session fails or a task of the page panics.
     pub async fn serve(self, bus: &Bus, mut source: Source) -> anyhow::Result<()> {
         let board = Arc::new(Board::default());
         let shutdown = CancellationToken::new();
@@ -175,10 +176,10 @@ impl Page {
         Ok(())
     }
 
-    /// Serves runs that have ended, the first at the root and the others beside it, until `shutdown`.
+    /// Serves finished runs until `shutdown`: the first at the root, the others under `/runs/`.
     ///
     /// # Errors
-    /// When a task of the page panicked.
+    /// Returns an error if a task of the page panics.
     pub async fn show(
         self,
         first: FinishedRun,
@@ -202,11 +203,12 @@ impl Page {
     }
 }
 
-/// Writes the page of runs that have ended into `folder`, which must not be there yet, for any web server to serve: with
-/// an episode of each of `goals` by policy and expert where the run has weights. Returns the number of files.
+/// Writes the page of finished runs to `folder`, which must not exist yet, for any web server to serve. If the run has
+/// weights, the copy includes an episode for each of `goals` by the policy and by the expert. Returns the number of
+/// files.
 ///
 /// # Errors
-/// When the folder cannot be made or written.
+/// Returns an error if the folder cannot be created or written.
 pub async fn export(
     first: FinishedRun,
     others: Vec<FinishedRun>,

@@ -1,4 +1,4 @@
-//! What the view keeps of what comes, and what it counts instead.
+//! Tests of what the view keeps, and what it only counts.
 
 use bus::MetricsSample;
 use serde_json::{Value, json};
@@ -25,14 +25,14 @@ fn the_newest_of_each_part_is_kept_with_its_time() {
     run.take(&newer, 3 * SECOND);
     let learner = run.learner().unwrap();
     assert_eq!((learner.value.weights_version.0, learner.at), (813, 3 * SECOND));
-    // The same again, as the answer to a question, is no news.
+    // Receiving the same sample again, as the reply to a query, changes nothing.
     assert!(!run.take(&samples::evaluation(), 3 * SECOND));
     assert_eq!(run.evaluation().unwrap().at, 2 * SECOND);
     assert_eq!(run.actors().values().next().unwrap().metrics.as_ref().unwrap().value.policy_lag, 1);
     assert_eq!(run.unread(), Unread::default());
 }
 
-/// Takes a changed sample and expects that it is counted as `expected` and shown nowhere.
+/// Checks that a modified sample is counted as `expected` and not shown.
 #[track_caller]
 fn check_refused(mut sample: MetricsSample, change: impl Fn(&mut MetricsSample), expected: Unread) {
     change(&mut sample);
@@ -53,7 +53,7 @@ fn what_cannot_be_shown_is_counted_by_reason() {
     }
     check_refused(samples::learner(), |s| s.value["ppo"] = Value::Null, unreadable);
     check_refused(samples::learner(), |s| s.value["n_env_steps"] = (-1).into(), unreadable);
-    // More successes than episodes, and a rate that is no share.
+    // More successes than episodes, and a rate above 1.
     check_refused(samples::evaluation(), |s| s.value["all"]["mode"]["success"]["n_episodes"] = 59.into(), unreadable);
     check_refused(
         samples::evaluation(),

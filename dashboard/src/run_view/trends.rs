@@ -1,13 +1,13 @@
-//! How the numbers of a run went while it was watched, for small pictures.
+//! Recent history of a run's metrics, for sparklines.
 
 use std::collections::VecDeque;
 
 use proto::metrics::{EvalSummary, LearnerMetrics};
 
-/// Values of a trend that are kept, the newest.
+/// Number of newest values kept per trend.
 const MAX_VALUES: usize = 200;
 
-/// What is followed in the learner's metrics, under its name on the page; nothing where it does not apply.
+/// Learner metrics that are tracked, by their name on the page; `None` where a metric does not apply.
 type Look = fn(&LearnerMetrics) -> Option<f64>;
 const FOLLOWED: [(&str, Look); 12] = [
     ("success of episodes", |learner| {
@@ -27,7 +27,7 @@ const FOLLOWED: [(&str, Look); 12] = [
     ("gradient norm", |learner| of_rewards(learner.ppo.grad_norm)),
 ];
 
-/// The newest values of everything that is followed.
+/// The newest values of all tracked metrics.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Trends {
     evaluated: VecDeque<f64>,
@@ -35,14 +35,14 @@ pub(crate) struct Trends {
 }
 
 impl Trends {
-    /// Takes an update of the learner.
+    /// Records a learner update.
     pub(super) fn learned(&mut self, learner: &LearnerMetrics) {
         for (values, (_, look)) in self.learned.iter_mut().zip(FOLLOWED) {
             push(values, look(learner));
         }
     }
 
-    /// Takes an evaluation.
+    /// Records an evaluation.
     pub(super) fn evaluated(&mut self, summary: &EvalSummary) {
         let success = [&summary.all.mode.success, &summary.all.sampled.success];
         push(
@@ -51,19 +51,19 @@ impl Trends {
         );
     }
 
-    /// Names and values, the oldest first, of everything that has any.
+    /// Returns the names and values, oldest first, of all trends that have values.
     pub(crate) fn all(&self) -> impl Iterator<Item = (&'static str, &VecDeque<f64>)> {
         let learned = FOLLOWED.iter().zip(&self.learned).map(|((name, _), values)| (*name, values));
         [("success, evaluated", &self.evaluated)].into_iter().chain(learned).filter(|(_, values)| !values.is_empty())
     }
 }
 
-/// Imitation, where labels teach.
+/// Returns the imitation metrics, if the imitation loss is active.
 fn labels(learner: &LearnerMetrics) -> Option<&proto::metrics::ImitationMetrics> {
     learner.imitation.as_ref().filter(|imitation| imitation.weight > 0.0)
 }
 
-/// A number of PPO's, which is exactly zero only where rewards teach nothing.
+/// Returns a PPO metric, or `None` if it is zero, which happens only if training uses no rewards.
 fn of_rewards(value: f64) -> Option<f64> {
     (value != 0.0).then_some(value)
 }

@@ -1,6 +1,6 @@
-//! `watch`: a run as it is now, on a screen or as one text.
+//! The `watch` command: shows the current state of a run on screen or as text.
 //!
-//! Reading order: `view` (what is known as lines) → `screen` (the terminal).
+//! Reading order: `view` (formats the state as lines) → `screen` (the terminal).
 
 mod screen;
 mod view;
@@ -21,67 +21,67 @@ use self::view::Source;
 use crate::follow::{News, follow};
 use crate::run_view::{Link, RunView};
 
-/// With `--once`, what is known is printed when nothing has come for this time after the first summary.
+/// With `--once`, how long no message must arrive after the first summary before the state is printed.
 const QUIET: Duration = Duration::from_millis(300);
 
-/// With `--once`, the longest time that is given to what comes with the first summary.
+/// With `--once`, the longest time to wait for further messages after the first summary.
 const LONGEST_SETTLING: Duration = Duration::from_secs(3);
 
 /// Shortest time between two lines of a stream.
 const STREAM_PERIOD: Duration = Duration::from_secs(1);
 
-/// How often the router is asked for other runs while nobody is in this one.
+/// How often the router is queried for other runs while this one is empty.
 const SEEK_PERIOD: Duration = Duration::from_secs(2);
 
-/// What [`once`] gives.
+/// Output format of [`once`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// The lines of the live view.
     Text,
-    /// One object, as in a [`stream`]: `run`, `is_connected`, `learner`, `evaluation`, `blueprints`, `actors` and `alive`, with the metrics as
-    /// they are on the bus and `null` for what was not said.
+    /// One object, as in a [`stream`]: `run`, `is_connected`, `learner`, `evaluation`, `blueprints`, `actors` and
+    /// `alive`, with the metrics as they are on the bus and `null` for metrics that have not arrived.
     Json,
 }
 
 /// Why a run cannot be shown in the terminal.
 #[derive(Debug, thiserror::Error)]
 pub enum WatchError {
-    /// There is no screen to draw on.
+    /// Stdout is not a terminal.
     #[error("watch needs a terminal on stdout; --once prints what is known as text, --json prints lines for programs")]
     NoTerminal,
-    /// The bus is there, but nobody on it says anything.
+    /// The router is connected, but the run's learner and evaluator are silent.
     #[error("no learner and no evaluator of run `{run}` said anything in {seconds} s; {}", elsewhere(others))]
     Silent {
         /// Name of the run.
         run: String,
-        /// How long was waited.
+        /// How long the command waited.
         seconds: u64,
         /// Other runs on the router.
         others: Vec<String>,
     },
-    /// No router is there.
+    /// No router is reachable.
     #[error("no router answers at {endpoints} after {seconds} s")]
     NoRouter {
-        /// Where one was looked for.
+        /// The endpoints that were tried.
         endpoints: String,
-        /// How long was waited.
+        /// How long the command waited.
         seconds: u64,
     },
     /// The bus cannot be opened, or the session fails.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The terminal cannot be taken, read or drawn on.
+    /// The terminal cannot be set up, read from or drawn to.
     #[error(transparent)]
     Terminal(#[from] io::Error),
-    /// What follows the bus panicked.
+    /// The task that follows the bus panicked.
     #[error(transparent)]
     Panic(#[from] JoinError),
 }
 
-/// Shows the run on the screen until a key or `shutdown` ends it.
+/// Shows the run on the screen until a key press or `shutdown` ends it.
 ///
 /// # Errors
-/// If stdout is no terminal, the bus cannot be opened, or the terminal fails.
+/// Returns an error if stdout is not a terminal, the bus cannot be opened, or the terminal fails.
 pub async fn live(config: BusConfig, shutdown: CancellationToken) -> Result<(), WatchError> {
     if !io::stdout().is_terminal() {
         return Err(WatchError::NoTerminal);
@@ -91,10 +91,11 @@ pub async fn live(config: BusConfig, shutdown: CancellationToken) -> Result<(), 
         .await
 }
 
-/// What is known as soon as the learner or the evaluator has said something; nothing after `shutdown`.
+/// Returns the known state once metrics from the learner or the evaluator have arrived; an empty string after
+/// `shutdown`.
 ///
 /// # Errors
-/// If that takes longer than `patience`, or the bus cannot be opened.
+/// Returns an error if no metrics arrive within `patience`, or the bus cannot be opened.
 pub async fn once(
     config: BusConfig,
     format: Format,
@@ -110,7 +111,7 @@ pub async fn once(
         };
         match arrived {
             Ok(true) => {}
-            // The bus has failed; why is told by what follows it.
+            // The bus failed. `following` returns the error.
             Ok(false) => return Ok(String::new()),
             Err(_) => {
                 let link = run.borrow().link().0;
@@ -128,11 +129,11 @@ pub async fn once(
     .await
 }
 
-/// Hands out what is known, as in [`Format::Json`], whenever something of it is new and a second has passed, until
-/// `shutdown` or until `print` finds that nobody reads any more.
+/// Passes the known state to `print`, as in [`Format::Json`], whenever it changes but at most once a second, until
+/// `shutdown` or until `print` reports a broken pipe.
 ///
 /// # Errors
-/// If the bus cannot be opened, or `print` fails for another reason.
+/// Returns an error if the bus cannot be opened, or `print` fails for another reason.
 pub async fn stream(
     config: BusConfig,
     shutdown: CancellationToken,
@@ -158,7 +159,7 @@ pub async fn stream(
             }
             tokio::select! {
                 () = shutdown.cancelled() => return Ok(()),
-                // The bus has failed; why is told by what follows it.
+                // The bus failed. `following` returns the error.
                 changed = run.changed() => if changed.is_err() { return Ok(()) },
             }
         }
@@ -166,7 +167,7 @@ pub async fn stream(
     .await
 }
 
-/// Runs `show` beside a task that keeps its view of the run up to date.
+/// Runs `show` alongside a task that keeps its view of the run up to date.
 async fn following<T>(
     config: BusConfig,
     start: Instant,
@@ -181,7 +182,7 @@ async fn following<T>(
     shown
 }
 
-/// Keeps `run` up to date until `shutdown`; times on it count from `start`.
+/// Keeps `run` up to date until `shutdown`. Its times count from `start`.
 async fn keep(
     run: watch::Sender<RunView>,
     config: BusConfig,
@@ -198,7 +199,7 @@ async fn keep(
                 for sample in samples {
                     run.take(&sample, now);
                 }
-                // What is no news may still be counted.
+                // A rejected sample still changes a counter.
                 true
             }
             News::Session(session) => run.set_session(&session, now),
@@ -212,7 +213,7 @@ async fn keep(
     ended
 }
 
-/// While nobody is in the run, looks which others the router has: the name may be wrong.
+/// While the run is empty, looks up the other runs on the router, because the run name may be wrong.
 async fn seek_others(run: &watch::Sender<RunView>, config: &BusConfig) -> Infallible {
     let mut period = tokio::time::interval(SEEK_PERIOD);
     loop {
@@ -228,7 +229,7 @@ async fn seek_others(run: &watch::Sender<RunView>, config: &BusConfig) -> Infall
     }
 }
 
-/// What to do when a run says nothing.
+/// Returns a hint for the user when a run is silent.
 fn elsewhere(others: &[String]) -> String {
     match others {
         [] => "--run NAME chooses another run".to_owned(),
@@ -236,7 +237,7 @@ fn elsewhere(others: &[String]) -> String {
     }
 }
 
-/// Why there is nothing to print.
+/// Returns the error for a run that sent no metrics within `patience`.
 async fn silent(link: Link, config: &BusConfig, patience: Duration) -> WatchError {
     let seconds = patience.as_secs();
     if link != Link::Connected {

@@ -1,4 +1,4 @@
-//! The terminal as a screen: taken and given back, keys, and when to draw.
+//! The terminal: setup, restore, key events, and redraw timing.
 
 use std::io::{self, Stdout, stdout};
 use std::panic;
@@ -17,25 +17,25 @@ use tokio_util::sync::CancellationToken;
 use super::view::{self, Controls, Source};
 use crate::run_view::RunView;
 
-/// Ages are shown in seconds.
+/// Redraw period. Ages are shown in seconds.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Least time between two drawings that metrics ask for.
+/// Shortest time between two redraws caused by metrics.
 const FRAME: Duration = Duration::from_millis(50);
 
-/// How often the thread that waits for keys looks whether it shall end.
+/// How often the key-reading thread checks for cancellation.
 const KEYS_PERIOD: Duration = Duration::from_millis(100);
 
-/// The terminal in raw mode on its alternate screen, until it is dropped or the program panics.
+/// The terminal in raw mode on its alternate screen, until dropped or until the program panics.
 struct Screen {
     terminal: Terminal<CrosstermBackend<Stdout>>,
     is_taken: Arc<AtomicBool>,
 }
 
-/// Draws the run as it changes until a key asks for the end, `shutdown`, or nobody follows it any more.
+/// Draws the run as it changes until the user quits, `shutdown` is cancelled, or the task that follows the bus ends.
 ///
 /// # Errors
-/// If the terminal cannot be taken, read or drawn on; it is given back all the same.
+/// Returns an error if the terminal cannot be set up, read from or drawn to. The terminal is restored in any case.
 pub(super) async fn show(
     mut run: watch::Receiver<RunView>,
     source: &Source,
@@ -46,7 +46,7 @@ pub(super) async fn show(
     let (keys, mut events) = mpsc::channel(16);
     let end = shutdown.child_token();
     let _end_of_keys = end.clone().drop_guard();
-    // A thread of its own, because waiting for keys blocks. It is not waited for: it ends within its period.
+    // A separate thread, because waiting for keys blocks. It is not joined: it ends within `KEYS_PERIOD`.
     std::thread::Builder::new().name("keys".to_owned()).spawn(move || read_events(&keys, &end))?;
     let mut controls = Controls::default();
     loop {
@@ -63,7 +63,7 @@ pub(super) async fn show(
                 Some(Ok(Event::Key(key))) => if controls.press(key) {
                     return Ok(());
                 },
-                // A resize needs no more than the next drawing.
+                // A resize only requires a redraw.
                 Some(Ok(_)) => {}
                 Some(Err(error)) => return Err(error),
                 None => return Ok(()),
@@ -77,7 +77,7 @@ pub(super) async fn show(
 }
 
 impl Screen {
-    /// Takes the terminal; a panic anywhere gives it back before it prints its message, and cancels `shutdown`.
+    /// Sets up the terminal. A panic on any thread restores it before printing its message, and cancels `shutdown`.
     fn take(shutdown: CancellationToken) -> io::Result<Self> {
         let is_taken = Arc::new(AtomicBool::new(true));
         let (before, was_taken) = (panic::take_hook(), is_taken.clone());
@@ -86,7 +86,7 @@ impl Screen {
             shutdown.cancel();
             before(panic);
         }));
-        // From here on it is given back even if taking it fails halfway.
+        // From here on, dropping `screen` restores the terminal even if the setup fails halfway.
         let mut screen = Self { terminal: Terminal::new(CrosstermBackend::new(stdout()))?, is_taken };
         enable_raw_mode()?;
         execute!(stdout(), EnterAlternateScreen, cursor::Hide)?;
@@ -101,10 +101,10 @@ impl Drop for Screen {
     }
 }
 
-/// Leaves the terminal as it was found, once.
+/// Restores the terminal, once.
 fn give_back(is_taken: &AtomicBool) {
     if is_taken.swap(false, Ordering::SeqCst) {
-        // Each is tried: a terminal that refuses one may still take the other.
+        // Try both: if one fails, the other may still succeed.
         let shown = execute!(stdout(), LeaveAlternateScreen, cursor::Show);
         if let Err(error) = disable_raw_mode().and(shown) {
             tracing::debug!(%error, "the terminal is gone");
@@ -120,7 +120,7 @@ fn read_events(events: &mpsc::Sender<io::Result<Event>>, end: &CancellationToken
             Err(error) => Err(error),
         };
         let is_last = match &event {
-            // The shell's keys are left unread.
+            // Stop before reading keys meant for the shell.
             Ok(Event::Key(key)) => view::ends(*key),
             Ok(_) => false,
             Err(_) => true,

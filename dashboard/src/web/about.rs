@@ -1,51 +1,51 @@
-//! What the page is about: which run, how far it is to go, and what can be asked.
+//! Summary of the shown run: its name, target, and what the page offers.
 
 use blueprints::{BlueprintId, Catalog};
 use render::picture::GRIPPER_COLORS;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-/// Why there is a page.
+/// The kind of page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// A run that goes on.
+    /// A run in progress.
     Training,
-    /// A policy is shown at work. There is no learner and no actor.
+    /// A policy playing episodes, without a learner or actors.
     Play,
-    /// A run that has ended, as its files tell it.
+    /// A finished run, read from its files.
     Finished,
 }
 
-/// A run in a few words.
+/// Summary of a run.
 #[derive(Clone, Debug)]
 pub struct About {
-    /// Why there is a page.
+    /// The kind of page.
     pub kind: Kind,
     /// Name of the run.
     pub run: String,
-    /// The preset that it was started with, if any.
+    /// The preset that the run was started with, if any.
     pub preset: Option<String>,
-    /// Environment steps after which it ends, if that is known.
+    /// Environment steps after which the run ends, if known.
     pub n_env_steps: Option<u64>,
-    /// The goals that are shown first; empty for the whole catalog.
+    /// The goals shown first; empty for the whole catalog.
     pub blueprints: Vec<BlueprintId>,
-    /// All goals that can be chosen.
+    /// All goals available for selection.
     pub catalog: Catalog,
 }
 
-/// What is built first where nobody has named a goal: sixteen blocks.
+/// The first goal of a playing policy if none is configured: sixteen blocks.
 const FIRST: &str = "16_002";
 
 impl About {
-    /// What a policy that is shown at work builds first.
+    /// Returns the first goal of a playing policy.
     pub(super) fn first(&self) -> BlueprintId {
         let first = || FIRST.parse().expect("the catalog has it");
         self.blueprints.first().cloned().unwrap_or_else(first)
     }
 }
 
-/// The answer to `/api/about`; `runs` are the names of all runs of the page.
+/// Returns the response to `/api/about`; `runs` are the names of all runs of the page.
 pub(super) fn about(about: &About, can_play: bool, runs: &[String]) -> Value {
     let base = |place: usize| if place == 0 { String::new() } else { format!("/runs/{place}") };
     let runs: Vec<Value> =

@@ -1,4 +1,4 @@
-//! What the newest weights attend to in an episode that somebody looks at.
+//! The attention of the newest weights over a replayed episode.
 
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -10,33 +10,35 @@ use tokio::sync::watch;
 
 use render::video::{Episode, EpisodeAttention};
 
-/// Computes attention with the weights that are the newest when it is asked.
+/// Computes attention with the newest weights at the time of the request.
 #[derive(Debug)]
 pub(super) struct Onlooker {
     config: PolicyConfig,
     weights: watch::Receiver<Option<Arc<Weights>>>,
-    /// With the weights that it was asked for last.
+    /// The policy with the most recently used weights.
     policy: Mutex<Option<Policy>>,
 }
 
-/// Attention through an episode as it is sent.
+/// Attention over an episode, as sent to the browser.
 #[derive(Debug, Serialize)]
 pub(super) struct AttentionView {
-    /// Of the weights that attend, whoever acted.
+    /// Version of the weights that attend; other weights or the expert may have acted.
     weights_version: u64,
-    /// What attends: `gripper 1`, …, and `layer 1, head 1`, ….
+    /// Names of the attention sources: `gripper 1`, …, and `layer 1, head 1`, ….
     sources: Vec<String>,
-    /// By source and scene, what each of the 16 blocks gets, percent: of a gripper's choice, or of what the goal's blocks gather.
+    /// Attention on each of the 16 blocks in percent, by source and scene: that of a gripper, or the mean over the
+    /// goal's blocks.
     percent: Vec<Vec<Vec<u8>>>,
 }
 
 impl Onlooker {
-    /// For weights of this configuration, as they come.
+    /// Creates an onlooker for a stream of weights of this configuration.
     pub(super) fn new(config: PolicyConfig, weights: watch::Receiver<Option<Arc<Weights>>>) -> Self {
         Self { config, weights, policy: Mutex::default() }
     }
 
-    /// `None` before the first weights, and for a network without attention. Takes some ten milliseconds.
+    /// Returns the attention over `episode`; `None` before the first weights arrive or for a network without attention.
+    /// Takes around ten milliseconds.
     pub(super) fn look(&self, episode: &Episode) -> Option<AttentionView> {
         let weights = self.weights.borrow().clone()?;
         let mut kept = self.policy.lock();

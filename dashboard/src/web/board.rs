@@ -1,4 +1,4 @@
-//! What the page knows: the run as the bus tells it, what else it is given, and the browsers that listen.
+//! State of the page: the run as seen on the bus, its evaluations, and the connected browsers.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
@@ -18,20 +18,20 @@ use crate::run_view::{Link, Roster, RunView, SessionState};
 use runlog::Pass;
 use runlog::overview::{Passes, PassesView, SCHEMA_VERSION};
 
-/// Most keys of metrics that are remembered; the whole catalog and hundreds of actors fit.
+/// Maximum number of remembered metrics keys; enough for the whole catalog and hundreds of actors.
 const MAX_KEYS: usize = 1024;
 
-/// Largest value of metrics that is passed on, bytes. A learner's is below 20 KB.
+/// Maximum size of a forwarded metrics sample in bytes. A learner's is below 20 KB.
 const MAX_SAMPLE_BYTES: usize = 256 << 10;
 
-/// Most points of learning that are kept; beyond, every second one goes.
+/// Maximum number of kept learning points. Beyond it, every second one is removed.
 const MAX_POINTS: usize = 600;
 
-/// Shared by the evaluator, the bus and all connections. Every method returns at once.
+/// State shared by the evaluator, the bus and all connections. No method blocks for long.
 #[derive(Debug, Default)]
 pub(super) struct Board(Mutex<State>);
 
-/// What a board knows.
+/// Contents of a [`Board`].
 #[derive(Debug, Default)]
 pub(super) struct State {
     pub(super) run: RunView,
@@ -43,31 +43,31 @@ pub(super) struct State {
     pub(super) counts: PageCounts,
 }
 
-/// What the page dropped or refused so far.
+/// Counts of what the page has dropped or refused so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct PageCounts {
-    /// Metrics that were too large, or one key too many.
+    /// Metrics samples that were too large or exceeded the limit on keys.
     pub(super) samples_dropped_total: u64,
-    /// Browsers that did not take events in time.
+    /// Browsers that were too slow to read their events.
     pub(super) viewers_dropped_total: u64,
-    /// Connections closed at once because there were too many, or that failed to be accepted.
+    /// Connections closed at once because there were too many, or that could not be accepted.
     pub(super) connections_refused_total: u64,
-    /// Connections that were not done in time.
+    /// Connections that exceeded their time limit.
     pub(super) connections_expired_total: u64,
-    /// Requests without the token, or to a name that is not this machine's.
+    /// Requests without the token or with a foreign host name.
     pub(super) requests_refused_total: u64,
 }
 
-/// Learning over time, thinned out.
+/// Learning metrics over time, thinned out.
 #[derive(Debug, Default)]
 struct Points {
     kept: Vec<Point>,
-    /// One of how many is kept, less one.
+    /// Number of updates skipped between two kept ones.
     n_skipped: usize,
     n_seen: usize,
 }
 
-/// One update of the learner, as far as it is drawn.
+/// The charted values of one learner update.
 #[derive(Clone, Debug, Serialize)]
 struct Point {
     elapsed_s: f64,
@@ -80,12 +80,12 @@ struct Point {
     entropy: f64,
     approx_kl: f64,
     explained_variance: f64,
-    /// What labels teach; nothing where they do not.
+    /// Imitation metrics; absent if the imitation loss is inactive.
     #[serde(flatten)]
     labels: Option<Labels>,
 }
 
-/// What the expert's labels teach.
+/// Imitation metrics of an update.
 #[derive(Clone, Debug, Serialize)]
 struct Labels {
     block_accuracy: f64,
@@ -93,7 +93,7 @@ struct Labels {
     move_loss: f64,
 }
 
-/// The answer to `/api/history`.
+/// The response to `/api/history`.
 #[derive(Debug, Serialize)]
 struct HistoryView<'b> {
     schema_version: u32,
@@ -103,12 +103,12 @@ struct HistoryView<'b> {
 }
 
 impl Board {
-    /// What is known, for a short look.
+    /// Locks the state. Callers hold the lock only briefly.
     pub(super) fn state(&self) -> MutexGuard<'_, State> {
         self.0.lock()
     }
 
-    /// Remembers a pass and tells browsers to ask for it.
+    /// Records an evaluation and notifies browsers to fetch it.
     pub(super) fn judged(&self, pass: &Pass) {
         let mut state = self.state();
         state.passes.push(pass);
@@ -116,12 +116,12 @@ impl Board {
         state.publish(&event("pass", &news));
     }
 
-    /// Remembers an update of a learner that has ended.
+    /// Records a learner update of a finished run.
     pub(super) fn learned(&self, learner: &LearnerMetrics) {
         self.state().points.push(learner);
     }
 
-    /// Remembers what the bus tells and passes it on.
+    /// Records news from the bus and forwards it to browsers.
     pub(super) fn told(&self, news: News, now: Duration) {
         match news {
             News::Metrics(samples) => samples.into_iter().for_each(|sample| self.measured(sample, now)),
@@ -129,7 +129,8 @@ impl Board {
         }
     }
 
-    /// What the run's view refuses is still passed on; it only does not get into the page's own numbers.
+    /// Records a metrics sample. Samples that the run view rejects are still forwarded to browsers, but do not enter
+    /// the page's own numbers.
     fn measured(&self, sample: MetricsSample, now: Duration) {
         let text = event("metrics", &json!({ "key": sample.suffix, "payload": sample.value }));
         let state = &mut *self.state();
@@ -148,7 +149,7 @@ impl Board {
         state.latest.insert(sample.suffix, text);
     }
 
-    /// Tells who is alive if that has changed; the events of actors that have gone are forgotten.
+    /// Publishes the roster if it changed and forgets the events of actors that disconnected.
     fn joined(&self, session: &SessionState, now: Duration) {
         let mut state = self.state();
         let before = state.roster();
@@ -163,29 +164,30 @@ impl Board {
         state.publish(&event("roster", &json!(roster)));
     }
 
-    /// Sends what keeps proxies from closing a quiet connection, and finds those that have gone.
+    /// Sends a heartbeat, which keeps proxies from closing quiet connections and detects closed ones.
     pub(super) fn beat(&self) {
         self.state().publish(&axum::body::Bytes::from_static(b": still here\n\n"));
     }
 
-    /// A new listener, who gets what is known first; `None` if there are too many. `close` ends its connection.
+    /// Adds a listener, which first receives the known state. Returns `None` if there are too many. `close` ends its
+    /// connection.
     pub(super) fn listen(&self, close: CancellationToken) -> Option<Events> {
         let mut state = self.state();
         let mut first = b"retry: 2000\n\n".to_vec();
         first.extend_from_slice(&event("roster", &json!(state.roster())));
-        // Blueprints are in the history that the page asks for.
+        // Omit results by blueprint: they are part of the history that the page requests.
         let latest = state.latest.iter().filter(|(key, _)| !key.starts_with("eval/"));
         latest.for_each(|(_, text)| first.extend_from_slice(text));
         state.viewers.add(first.into(), close)
     }
 
-    /// Whether there is anything to see.
+    /// Returns whether there is anything to show.
     pub(super) fn is_ready(&self) -> bool {
         let state = self.state();
         state.passes.last().is_some() || !state.latest.is_empty()
     }
 
-    /// The answer to `/api/history`.
+    /// Returns the response to `/api/history`.
     pub(super) fn history(&self) -> serde_json::Result<Vec<u8>> {
         let state = self.state();
         serde_json::to_vec(&HistoryView {
@@ -201,7 +203,7 @@ impl State {
         self.counts.viewers_dropped_total += self.viewers.send(text);
     }
 
-    /// Who is alive, as far as can be seen: nobody while the router is gone.
+    /// Returns the visible processes that are alive; none while the router is gone.
     pub(super) fn roster(&self) -> Roster {
         match self.run.link().0 {
             Link::Connected => self.run.roster().clone(),
@@ -209,8 +211,8 @@ impl State {
         }
     }
 
-    /// The newest metrics of the actors that are alive, as far as can be seen; unlike the terminal, the page shows no
-    /// lost ones.
+    /// Returns the newest metrics of the visible actors that are alive. Unlike the terminal, the page omits lost
+    /// actors.
     pub(super) fn actors(&self) -> impl Iterator<Item = (&ActorId, &ActorMetrics)> {
         let is_connected = self.run.link().0 == Link::Connected;
         let alive = self.run.actors().iter().filter(move |(_, actor)| is_connected && actor.is_alive);
@@ -220,7 +222,7 @@ impl State {
 
 impl Points {
     fn push(&mut self, learner: &LearnerMetrics) {
-        // A learner that began anew, from an older checkpoint or nothing: what came of the other is left out.
+        // After a restart from an older checkpoint or from scratch, drop the points that the learner repeats.
         self.kept.retain(|point| point.n_env_steps < learner.n_env_steps);
         self.n_seen += 1;
         if !self.n_seen.is_multiple_of(self.n_skipped + 1) {

@@ -1,4 +1,4 @@
-//! What somebody draws on the page: its blocks are checked and turned, and come back with what is wrong and as a file.
+//! User-drawn structures: checks and rotates their blocks, and returns the problems or a blueprint file.
 
 use std::sync::Arc;
 
@@ -17,10 +17,10 @@ use tokio::sync::Semaphore;
 
 use super::query::id_of;
 
-/// Most bytes of a drawing, as JSON or as a file. Sixteen blocks take two thousand.
+/// Maximum size of a drawing in bytes, as JSON or as a file. Sixteen blocks take about two thousand.
 pub(super) const MAX_BYTES: usize = 64 << 10;
 
-/// Lets drawings be checked one at a time: a search for an order of assembly can take a second.
+/// Runs checks one at a time: the search for an assembly order can take a second.
 #[derive(Clone, Debug)]
 pub(super) struct OneCheck(Arc<Semaphore>);
 
@@ -30,7 +30,7 @@ impl Default for OneCheck {
     }
 }
 
-/// A drawing as the page sends it, and, with what was found, as it gets it back.
+/// A drawing as sent by the page and, with the findings, returned to it.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DrawingView {
@@ -43,16 +43,16 @@ struct DrawingView {
 struct BlockView {
     #[serde(rename = "type")]
     type_name: String,
-    /// The lowest-numbered corner cell that it fills.
+    /// The lowest-numbered corner cell that the block fills.
     at: [i32; 3],
-    /// Directions of its own x and y axes.
+    /// Directions of the block's own x and y axes.
     axes: String,
-    /// Whether another turn that fills the same cells may take the place of this one.
+    /// Whether the block may be rotated into another orientation that fills the same cells.
     #[serde(default)]
     is_free: bool,
 }
 
-/// What there is to say about a drawing.
+/// Results of checking a drawing.
 #[derive(Debug, Serialize)]
 struct Findings {
     schema_version: u32,
@@ -60,14 +60,14 @@ struct Findings {
     drawing: DrawingView,
     problems: Vec<ProblemView>,
     connections: Vec<ConnectionView>,
-    /// The file of the blueprint, if there are no problems and at least two blocks.
+    /// Text of the blueprint file, if there are no problems and at least two blocks.
     toml: Option<String>,
 }
 
 #[derive(Debug, Serialize)]
 struct ProblemView {
     check: Check,
-    /// Places in `blocks`; none if it is about the whole.
+    /// Indices into `blocks`; empty if the problem concerns the whole drawing.
     blocks: Vec<usize>,
     text: String,
 }
@@ -79,7 +79,7 @@ struct ConnectionView {
     n_magnet_pairs: usize,
 }
 
-/// Reads a drawing: JSON begins with a brace, and no blueprint file does.
+/// Parses a drawing. JSON starts with a brace, which no blueprint file does.
 fn read(body: &[u8]) -> Result<Drawing, String> {
     let text = std::str::from_utf8(body).map_err(|_| "the drawing is not text".to_owned())?;
     if !text.trim_start().starts_with('{') {
@@ -91,7 +91,7 @@ fn read(body: &[u8]) -> Result<Drawing, String> {
     Ok(Drawing { title, blocks })
 }
 
-/// Reads a drawing, turns its free blocks and says what there is to say.
+/// Parses a drawing, rotates its free blocks and checks it.
 fn look(body: &[u8]) -> Result<Findings, String> {
     let mut drawing = read(body)?;
     drawing.turn_free_blocks().map_err(|error| error.to_string())?;
@@ -121,11 +121,11 @@ fn look(body: &[u8]) -> Result<Findings, String> {
     })
 }
 
-/// Checks the drawing of the body, which is JSON or the text of a blueprint file.
+/// Checks the drawing in the request body, which is JSON or the text of a blueprint file.
 pub(super) async fn check(Extension(one_check): Extension<OneCheck>, body: Bytes) -> Response {
     let Ok(turn) = one_check.0.acquire_owned().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
     let looked = tokio::task::spawn_blocking(move || {
-        // A check goes on when its browser leaves, and the next one waits for it.
+        // A check continues after its browser disconnects, and the next one waits for it.
         let _turn = turn;
         look(&body).map(|found| serde_json::to_vec(&found))
     });
@@ -136,7 +136,7 @@ pub(super) async fn check(Extension(one_check): Extension<OneCheck>, body: Bytes
     }
 }
 
-/// The blocks that can be drawn with.
+/// Returns the types of blocks available for drawing.
 pub(super) async fn inventory() -> Response {
     let kind = |(i, of): (usize, &blueprints::BlockType)| {
         let color = TYPE_COLORS[i % TYPE_COLORS.len()];
@@ -147,7 +147,7 @@ pub(super) async fn inventory() -> Response {
     ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
 }
 
-/// The file of the blueprint that the query names.
+/// Returns the file of the blueprint named in the query.
 pub(super) async fn file(Extension(catalog): Extension<Arc<Catalog>>, RawQuery(query): RawQuery) -> Response {
     let id = id_of(query).parse::<BlueprintId>().ok();
     match id.and_then(|id| catalog.find(&id).map(|blueprint| blueprint.to_toml(&format!("a copy of {id}")))) {

@@ -1,4 +1,4 @@
-//! Browsers that listen: server-sent events through bounded queues.
+//! Server-sent events to browsers, through bounded queues.
 
 use std::convert::Infallible;
 use std::pin::Pin;
@@ -9,13 +9,13 @@ use futures_core::Stream;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-/// Events that a browser may leave waiting; a pass over the whole catalog is a burst of 167.
+/// Capacity of a browser's event queue. A pass over the whole catalog is a burst of 167.
 const QUEUE: usize = 1024;
 
-/// Browsers that may listen at a time.
+/// Maximum number of browsers listening at a time.
 pub(super) const MAX_VIEWERS: usize = 32;
 
-/// All who listen.
+/// All listening browsers.
 #[derive(Debug, Default)]
 pub(super) struct Viewers(Vec<Viewer>);
 
@@ -25,20 +25,20 @@ struct Viewer {
     close: CancellationToken,
 }
 
-/// What one browser is sent.
+/// The stream of events to one browser.
 #[derive(Debug)]
 pub(super) struct Events {
     first: Option<Bytes>,
     queue: mpsc::Receiver<Bytes>,
 }
 
-/// An event as it is sent. JSON holds no line break, so `data` is one line.
+/// Formats an event. JSON contains no line breaks, so `data` is one line.
 pub(super) fn event(name: &'static str, data: &serde_json::Value) -> Bytes {
     format!("event: {name}\ndata: {data}\n\n").into()
 }
 
 impl Viewers {
-    /// Adds one that gets `first` before all else; `None` if there are too many.
+    /// Adds a listener that receives `first` before everything else. Returns `None` if there are too many.
     pub(super) fn add(&mut self, first: Bytes, close: CancellationToken) -> Option<Events> {
         self.0.retain(|viewer| !viewer.queue.is_closed());
         if self.0.len() >= MAX_VIEWERS {
@@ -49,14 +49,14 @@ impl Viewers {
         Some(Events { first: Some(first), queue })
     }
 
-    /// Sends to all; ends the connections of those with a full queue and returns how many.
+    /// Sends to all listeners. Closes the connections of those with a full queue and returns their number.
     pub(super) fn send(&mut self, text: &Bytes) -> u64 {
         let mut n_dropped = 0;
         self.0.retain(|viewer| match viewer.queue.try_send(text.clone()) {
             Ok(()) => true,
             Err(mpsc::error::TrySendError::Closed(_)) => false,
             Err(mpsc::error::TrySendError::Full(_)) => {
-                // Ending the queue is not enough: a connection that cannot write would never look at it.
+                // Closing the queue is not enough: a blocked connection would not notice.
                 viewer.close.cancel();
                 n_dropped += 1;
                 false
@@ -65,7 +65,7 @@ impl Viewers {
         n_dropped
     }
 
-    /// How many listen.
+    /// Returns the number of listeners.
     pub(super) fn len(&self) -> usize {
         self.0.len()
     }

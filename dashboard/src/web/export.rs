@@ -1,4 +1,4 @@
-//! A copy of the page for any web server: what a browser would ask for is asked once, and each answer becomes a file.
+//! A static copy of the page for any web server: every response that a browser could request becomes a file.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -15,21 +15,21 @@ use serde_json::{Value, json};
 use super::routes::{self, ASSETS, Shown};
 use crate::config::WebConfig;
 
-/// Largest answer. A film has a few hundred kilobytes, an episode less.
+/// Maximum size of a response. A video clip has a few hundred kilobytes, an episode less.
 const MAX_ANSWER_BYTES: usize = 64 << 20;
 
-/// Who builds what is recorded, by the name in a query.
+/// Agents that play the recorded episodes, by their names in a query.
 const AGENTS: [&str; 2] = ["policy", "expert"];
 
-/// The routes to ask, and the folder to write to.
+/// The routes to copy and the target folder.
 struct Copy<'d> {
     routes: TowerToHyperService<Router>,
     folder: &'d Path,
     n_files: usize,
 }
 
-/// Writes the page of these runs into `folder`, which is made, with an episode of each of `goals` by policy and expert. Returns
-/// the number of files.
+/// Writes the page of these runs to `folder`, which it creates, with an episode for each of `goals` by the policy and
+/// by the expert. Returns the number of files.
 pub(super) async fn export(
     first: Shown,
     others: Vec<Shown>,
@@ -56,7 +56,7 @@ pub(super) async fn export(
 }
 
 impl Copy<'_> {
-    /// Copies what there is of one run.
+    /// Copies all responses of one run.
     async fn run(&mut self, base: &str, goals: &[BlueprintId]) -> anyhow::Result<()> {
         let mut about: Value = serde_json::from_slice(&self.ask(&format!("{base}/api/about")).await?.1)?;
         let mut recorded = Vec::new();
@@ -84,7 +84,7 @@ impl Copy<'_> {
         Ok(())
     }
 
-    /// Writes the answer to a question into a file; says whether there was one.
+    /// Writes a response to a file. Returns false unless its status is 200.
     async fn take(&mut self, question: &str, file: &str) -> anyhow::Result<bool> {
         let (status, answer) = self.ask(question).await?;
         if status != StatusCode::OK {

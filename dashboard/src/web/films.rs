@@ -1,4 +1,4 @@
-//! Video clips of evaluations: which there are, and their bytes.
+//! Video clips of evaluations: their list and their contents.
 
 use std::fs;
 use std::path::Path;
@@ -12,26 +12,26 @@ use runlog::RunPaths;
 use runlog::clips::{Clip, RECORDING, clips};
 use serde::Serialize;
 
-/// Most films that are told of.
+/// Maximum number of listed clips.
 const MAX_LISTED: usize = 60;
 
-/// Largest film that is sent, bytes; one of 100 steps is below 2 MB.
+/// Maximum size of a served clip in bytes. A clip of 100 steps is below 2 MB.
 const MAX_BYTES: u64 = 32 << 20;
 
-/// Width of the still picture of a film.
+/// Width of a clip's still image in pixels.
 const POSTER_PX: usize = MIN_WIDTH;
 
-/// Colors of that picture.
+/// Number of colors in that image.
 const N_COLORS: usize = 96;
 
-/// Clips and recordings of a run, read from their folders whenever somebody asks.
+/// Clips and recordings of a run, read from their folders on every request.
 #[derive(Clone, Debug)]
 pub(super) struct Films(Option<RunPaths>);
 
-/// A film as it is told.
+/// A clip as sent to the browser.
 #[derive(Debug, Serialize)]
 pub(super) struct FilmView {
-    /// What `/api/film?id=` takes.
+    /// Value of `id` in `/api/film?id=`.
     id: String,
     blueprint: String,
     weights_version: WeightsVersion,
@@ -39,12 +39,12 @@ pub(super) struct FilmView {
 }
 
 impl Films {
-    /// Those of this run, if its evaluator keeps any.
+    /// Creates a view of the clips of `run`; `None` has no clips.
     pub(super) fn new(run: Option<RunPaths>) -> Self {
         Self(run)
     }
 
-    /// The newest ones, newest first.
+    /// Returns the newest clips, newest first.
     pub(super) fn list(&self) -> Vec<FilmView> {
         let view = |film: &Clip| FilmView {
             id: id(film),
@@ -55,14 +55,14 @@ impl Films {
         self.all().iter().take(MAX_LISTED).map(view).collect()
     }
 
-    /// The bytes of the film of this id. What is asked for is compared with what is there and is never a path.
+    /// Returns the bytes of the clip with this id. The id is compared with the existing clips and never used as a path.
     pub(super) fn bytes(&self, asked: &str) -> Option<Vec<u8>> {
         let film = self.all().into_iter().find(|film| id(film) == asked)?;
         let small = fs::metadata(&film.path).ok()?.len() <= MAX_BYTES;
         small.then(|| fs::read(&film.path).ok()).flatten()
     }
 
-    /// The recorded episode that the film of this id shows.
+    /// Returns the recorded episode of the clip with this id.
     pub(super) fn recording(&self, asked: &str) -> Option<Trajectory> {
         let film = self.all().into_iter().find(|film| id(film) == asked)?;
         let name = Path::new(film.path.file_name()?).with_extension(RECORDING);
@@ -70,7 +70,7 @@ impl Films {
         decode_trajectory(&fs::read(path).ok()?).ok()
     }
 
-    /// A PNG of the last scene of the film of this id; `None` without a recording of a goal that is known.
+    /// Returns a PNG of the last scene of the clip with this id; `None` without a recording or if the goal is unknown.
     pub(super) fn poster(&self, catalog: &Catalog, asked: &str) -> Option<Vec<u8>> {
         let recording = self.recording(asked)?;
         let goal = catalog.find(&recording.task.blueprint)?;

@@ -1,4 +1,4 @@
-//! The gallery: which blueprints there are, and a small picture of each.
+//! The gallery: the list of blueprints and a small picture of each.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,22 +15,22 @@ use serde::Serialize;
 
 use super::query::id_of;
 
-/// Width and height of a picture, pixels.
+/// Width and height of a picture in pixels.
 const SIZE_PX: [usize; 2] = [200, 150];
 
-/// Empty space around a structure, pixels.
+/// Margin around a structure in pixels.
 const MARGIN_PX: f32 = 12.0;
 
-/// Shortest length that fills a picture, meters, so that two blocks look small.
+/// Minimum length in meters that fills a picture, so that small structures look small.
 const MIN_SHOWN_M: f32 = 4.0 * UNIT_M;
 
-/// Colors of a picture.
+/// Number of colors in a picture.
 const N_COLORS: usize = 96;
 
-/// How long a browser may keep a picture: a program's blueprints never change.
+/// How long browsers may cache a picture. Built-in blueprints never change within a version.
 const KEPT: &str = "private, max-age=86400";
 
-/// Pictures that somebody has asked for; at most as many as the catalog has blueprints.
+/// Cache of requested pictures; at most as many as the catalog has blueprints.
 #[derive(Debug, Default)]
 pub(super) struct Gallery(Mutex<BTreeMap<BlueprintId, Bytes>>);
 
@@ -49,7 +49,7 @@ struct Entry<'c> {
 }
 
 impl Gallery {
-    /// The PNG of a blueprint of the catalog. Drawn one at a time, in some ten milliseconds.
+    /// Returns the PNG of a blueprint in the catalog. Draws one at a time, each in around ten milliseconds.
     fn picture(&self, catalog: &Catalog, id: &str) -> Option<Bytes> {
         let blueprint = catalog.get(&id.parse().ok()?)?;
         let mut drawn = self.0.lock();
@@ -69,7 +69,7 @@ fn draw(blueprint: &Blueprint) -> Option<Vec<u8>> {
     encode(&Painter::default().paint(&blocks, &camera, Ground::under(&blocks)), N_COLORS).ok()
 }
 
-/// Every blueprint of the catalog, in its order.
+/// Returns all blueprints of the catalog, in its order.
 pub(super) async fn list(Extension(catalog): Extension<Arc<Catalog>>) -> Response {
     let blueprints = catalog.iter().map(entry).collect();
     match serde_json::to_vec(&GalleryView { schema_version: 1, blueprints }) {
@@ -87,14 +87,14 @@ fn entry(blueprint: &Blueprint) -> Entry<'_> {
     }
 }
 
-/// The picture of the blueprint that the query names.
+/// Returns the picture of the blueprint named in the query.
 pub(super) async fn picture(
     Extension(gallery): Extension<Arc<Gallery>>,
     Extension(catalog): Extension<Arc<Catalog>>,
     RawQuery(query): RawQuery,
 ) -> Response {
     let asked = id_of(query);
-    // A file of one's own may have changed before the next start.
+    // A user's own blueprint file may change before the next start.
     let is_ours = asked.parse().is_ok_and(|id| Catalog::builtin().get(&id) == catalog.get(&id));
     let kept = if is_ours { KEPT } else { "no-store" };
     match tokio::task::spawn_blocking(move || gallery.picture(&catalog, &asked)).await {

@@ -1,6 +1,6 @@
-//! The board as text that Prometheus scrapes.
+//! Exports the board as metrics for Prometheus.
 //!
-//! A registry is filled anew for each scrape, so that blueprints and actors that have gone are gone here too.
+//! Each scrape fills a new registry, so that it omits blueprints and actors that are gone.
 
 use std::borrow::Cow;
 use std::sync::atomic::AtomicU64;
@@ -18,15 +18,15 @@ use serde::Serialize;
 use super::board::State;
 use crate::run_view::counters;
 
-/// The format of [`text`].
+/// The content type of [`text`].
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 type Labels = Vec<(&'static str, String)>;
 
-/// All numbers of the board, each with the name of its `run`.
+/// Returns all metrics of the board, each labeled with the name of its `run`.
 ///
 /// # Errors
-/// Never for the names and labels used here; the encoder's own type.
+/// Never fails for the names and labels used here; this is the encoder's error type.
 pub(super) fn text(state: &State, run: &str) -> Result<String, std::fmt::Error> {
     let run = (Cow::Borrowed("run"), Cow::Owned(run.to_owned()));
     let mut page = Scrape(Registry::with_prefix_and_labels("lodestone", std::iter::once(run)));
@@ -59,7 +59,7 @@ impl Scrape {
         }
     }
 
-    /// The encoder puts `_total` after `name`, here and in `counters`.
+    /// Adds a counter. The encoder appends `_total` to `name`, here and in `counters`.
     fn counter(&mut self, name: &str, help: &str, value: Option<u64>) {
         if let Some(value) = value {
             let counter: Counter = Counter::default();
@@ -81,13 +81,13 @@ fn label(name: &'static str, value: &str) -> (&'static str, String) {
     (name, value.to_owned())
 }
 
-/// The counts of a struct under the names of its fields.
+/// Returns the counters of a struct, labeled by field name.
 fn by_reason(counts: &impl Serialize) -> Vec<(Labels, u64)> {
     let reason = |name: String| vec![label("reason", name.strip_suffix("_total").unwrap_or(&name))];
     counters(counts).into_iter().map(|(name, n)| (reason(name), n)).collect()
 }
 
-/// A constant whose label says which program answers.
+/// Adds a constant whose label has the version of the program.
 fn build(page: &mut Scrape) {
     let labels = vec![label("version", env!("CARGO_PKG_VERSION"))];
     page.gauges("build_info", "Always 1; the label has the version of the program", [(labels, 1.0)]);
@@ -179,7 +179,8 @@ fn roster(page: &mut Scrape, state: &State) {
     });
     page.counters("actor_trajectories_dropped", "Trajectories that an actor dropped, by reason", drops);
     let of_bus = actors().flat_map(|(labels, actor)| {
-        // Thousands of actors with a dozen reasons each are too many for a scrape; most are 0 forever.
+        // Omit zeros, which most counters stay at: thousands of actors with a dozen reasons each are too many for a
+        // scrape.
         let some = by_reason(&actor.bus).into_iter().filter(|(_, n)| *n > 0);
         some.map(move |(reason, n)| ([&labels[..], &reason[..]].concat(), n))
     });
@@ -248,7 +249,8 @@ mod tests {
     use crate::web::board::Board;
     use crate::web::tests::samples::pass;
 
-    /// Samples by name and labels but that of the run; every one must have a type and a help text before it.
+    /// Parses samples by name and labels, without the `run` label. Checks that each is preceded by a type and a help
+    /// text.
     fn parse(text: &str) -> BTreeMap<String, f64> {
         let (mut helped, mut typed, mut samples) = (BTreeSet::new(), BTreeSet::new(), BTreeMap::new());
         assert!(text.ends_with("# EOF\n"));
@@ -325,10 +327,10 @@ mod tests {
         ] {
             assert_eq!(samples.get(sample), Some(&value), "{sample} in {samples:#?}");
         }
-        // Nothing was measured yet, which is not the same as 0.
+        // No measurements yet, which is different from 0.
         assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_learner_")), "{samples:#?}");
         assert!(!samples.keys().any(|sample| sample.contains("gone")), "{samples:#?}");
-        // Who is alive cannot be seen without a router.
+        // Without a router, live processes are unknown.
         board.told(News::Session(samples::cut_off()), now);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         assert_eq!(samples.get("lodestone_alive_processes{role=\"learner\"}"), Some(&0.0), "{samples:#?}");

@@ -1,6 +1,7 @@
-//! An episode to look at: recorded from the actors when a browser asks for one, and only then.
+//! Episode replays, recorded from the actors on request.
 //!
-//! Actors make copies of their trajectories only while somebody watches, so nobody watches longer than it takes.
+//! Actors publish copies of their trajectories only while someone subscribes, so a subscription lasts for one episode
+//! only.
 
 use parking_lot::Mutex;
 use std::sync::Arc;
@@ -19,13 +20,13 @@ use super::attention::{AttentionView, Onlooker};
 use render::picture::{GRIPPER_COLORS, TYPE_COLORS};
 use render::video::{Collector, Episode, STEP_S};
 
-/// Version of `/api/replay`.
+/// Schema version of `/api/replay`.
 const SCHEMA_VERSION: u32 = 1;
 
-/// Longest time that the actors are watched for one episode.
+/// Longest time to wait for one episode from the actors.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The newest episode, and whether another is wanted.
+/// The newest episode, and whether another one is requested.
 #[derive(Debug)]
 pub(super) struct Replays {
     onlooker: Onlooker,
@@ -33,7 +34,7 @@ pub(super) struct Replays {
     newest: Mutex<Option<Bytes>>,
 }
 
-/// An episode as it is sent.
+/// An episode as sent to the browser.
 #[derive(Debug, Serialize)]
 struct ReplayView {
     schema_version: u32,
@@ -45,13 +46,14 @@ struct ReplayView {
     end: &'static str,
     /// Time between two scenes in seconds.
     step_s: f32,
-    /// Edge of a unit cell, meters. In the middle of each on a block's sides is a magnet, positive on the sides +x, +y, +z.
+    /// Edge of a unit cell, meters. Each cell face on a block's surface has a magnet in its center, positive on the
+    /// sides +x, +y, +z.
     unit_m: f32,
     /// Half the length of each block along its axes, meters.
     half_extents_m: Vec<[f32; 3]>,
     /// Color of each block's type.
     colors: Vec<[u8; 3]>,
-    /// Color of each gripper, as in films.
+    /// Color of each gripper, as in the video clips.
     gripper_colors: Vec<[u8; 3]>,
     /// The goal's blocks: index, position in meters in the goal's frame, quaternion x, y, z, w.
     goal: Vec<(usize, [f32; 7])>,
@@ -63,30 +65,31 @@ struct ReplayView {
 struct SceneView {
     /// Position in meters and quaternion x, y, z, w of each block, world frame, z up.
     blocks: Vec<[f32; 7]>,
-    /// What each gripper holds.
+    /// The block held by each gripper.
     held: Vec<Option<usize>>,
-    /// Where the goal's frame is in the largest piece of it that stands, as a block's pose.
+    /// Pose of the goal's frame, according to the largest correctly assembled piece of the goal.
     goal_frame: [f32; 7],
-    /// The goal's connections that are there.
+    /// Number of the goal's connections that are made.
     n_connected: usize,
     /// Undiscounted reward so far.
     reward: f32,
-    /// The same by term.
+    /// The reward so far by term.
     reward_terms: RewardTerms,
 }
 
 impl Replays {
-    /// None so far.
+    /// Creates an empty recorder.
     pub(super) fn new(onlooker: Onlooker) -> Self {
         Self { onlooker, wanted: Notify::default(), newest: Mutex::default() }
     }
 
-    /// The JSON of a recorded episode whose goal is in the catalog; `None` if it cannot be shown.
+    /// Returns the JSON of a recorded episode whose goal is in the catalog; `None` if it cannot be shown.
     pub(super) fn show_known(&self, segments: &[Trajectory]) -> Option<Bytes> {
         self.show(segments, Catalog::builtin().find(&segments.first()?.task.blueprint)?.as_ref())
     }
 
-    /// The JSON of a recorded episode with this goal; `None` if it cannot be shown. It takes some ten milliseconds.
+    /// Returns the JSON of a recorded episode with this goal; `None` if it cannot be shown. Takes around ten
+    /// milliseconds.
     pub(super) fn show(&self, segments: &[Trajectory], goal: &Blueprint) -> Option<Bytes> {
         let view = view(segments, goal, |episode| self.onlooker.look(episode))?;
         match serde_json::to_vec(&view) {
@@ -98,13 +101,13 @@ impl Replays {
         }
     }
 
-    /// The newest episode, if any; a newer one will be recorded.
+    /// Returns the newest episode, if any, and requests the recording of a newer one.
     pub(super) fn ask(&self) -> Option<Bytes> {
         self.wanted.notify_one();
         self.newest.lock().clone()
     }
 
-    /// Records whenever it was asked for, one episode at a time, until `shutdown`.
+    /// Records an episode on request, one at a time, until `shutdown`.
     pub(super) async fn run(self: Arc<Self>, bus: Bus, shutdown: CancellationToken) {
         loop {
             tokio::select! {
@@ -136,7 +139,7 @@ impl Replays {
     }
 }
 
-/// `None` for an episode that has another goal or gaps.
+/// Returns `None` for an episode that has another goal or gaps.
 fn view(
     segments: &[Trajectory],
     goal: &Blueprint,
@@ -168,7 +171,8 @@ fn view(
     })
 }
 
-/// The goal's frame as the block has it that the plan places first, of those in the largest piece that is right.
+/// Returns the pose of the goal's frame according to one block: of those in the largest correct piece, the one that the
+/// plan places first.
 fn goal_frame(goal: &Blueprint, scene: &Scene) -> [f32; 7] {
     let pieces = scene.pieces(goal);
     let size = |block: BlockIdx| pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
@@ -182,7 +186,7 @@ fn goal_frame(goal: &Blueprint, scene: &Scene) -> [f32; 7] {
     pose(frame.translation.vector.into(), frame.rotation.coords.into())
 }
 
-/// Rounded to a tenth of a millimeter, for a third of the length.
+/// Rounds to a tenth of a millimeter, which cuts the JSON to a third of its length.
 fn pose(position: [f32; 3], orientation: [f32; 4]) -> [f32; 7] {
     let round = |x: f32| (x * 1e4).round() / 1e4;
     let ([x, y, z], [qx, qy, qz, qw]) = (position, orientation);
@@ -209,7 +213,7 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// `n_steps` steps of an episode; the last segment of it if `ends`.
+    /// `n_steps` steps of an episode; its last segment if `ends`.
     pub(crate) fn segment(seed: u64, first_step: u16, n_steps: usize, ends: bool) -> Trajectory {
         let gripper = |held| Gripper {
             held,
@@ -268,13 +272,14 @@ pub(super) mod tests {
             (&"2_000".into(), &"success".into(), &7.into())
         );
         assert_eq!(json["goal"].as_array().unwrap().len(), 2);
-        // Three steps are four scenes, each step worth 0.5.
+        // Three steps make four scenes; each step is worth 0.5.
         let scenes = json["scenes"].as_array().unwrap();
         let rewards: Vec<f64> = scenes.iter().map(|scene| scene["reward"].as_f64().unwrap()).collect();
         assert_eq!(rewards, [0.0, 0.5, 1.0, 1.5]);
         assert_eq!(scenes[3]["reward_terms"]["connected"], 1.5);
         assert_eq!(scenes[3]["reward_terms"]["wrong"], 0.0);
-        // Nothing is connected, so the first block of the plan says where the goal is: here it stands as in the goal.
+        // Nothing is connected, so the first block of the plan determines the goal's frame; here it stands as in the
+        // goal.
         let frame = goal_frame(goal, &segments[0].transitions[0].scene);
         let first = goal.placements().iter().find(|p| goal.plan_step(goal.plan().unwrap(), p.block).unwrap().rank == 0);
         let placement = first.unwrap();

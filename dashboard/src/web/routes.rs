@@ -1,4 +1,4 @@
-//! What can be asked, and by whom. Every route is fixed: no part of a request is ever a path of a file.
+//! Endpoints and access control. Every route is fixed: no part of a request is ever used as a file path.
 
 use std::sync::Arc;
 
@@ -31,8 +31,8 @@ use crate::config::{Token, WebConfig};
 /// Name of the cookie that holds the token.
 const COOKIE_NAME: &str = "lodestone_token";
 
-/// Headers of every answer. Nothing but the page's own files is loaded or run, and nobody else may frame it or see where
-/// a reader came from, which could hold a token.
+/// Headers of every response. Only the page's own files are loaded or run, no other site may frame the page, and links
+/// do not send a referrer, which could contain a token.
 const HEADERS: [(HeaderName, &str); 5] = [
     (CONTENT_SECURITY_POLICY, "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"),
     (X_CONTENT_TYPE_OPTIONS, "nosniff"),
@@ -41,10 +41,10 @@ const HEADERS: [(HeaderName, &str); 5] = [
     (CACHE_CONTROL, "no-store"),
 ];
 
-/// A file of the page: path, type and text.
+/// A file of the page: path, content type and text.
 type Asset = (&'static str, &'static str, &'static str);
 
-/// The page's files, which are part of the program.
+/// The page's files, which are embedded in the binary.
 pub(super) const ASSETS: [Asset; 7] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/page.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("assets/style.css")),
@@ -67,17 +67,17 @@ pub(super) const ASSETS: [Asset; 7] = [
             include_str!("assets/app.js"),
         ),
     ),
-    // Loaded when the first episode is shown, and when somebody draws.
+    // Loaded when the first episode is shown or the user starts to draw.
     ("/space.js", "text/javascript; charset=utf-8", include_str!("assets/space.js")),
     ("/draw.js", "text/javascript; charset=utf-8", include_str!("assets/draw.js")),
     ("/three.js", "text/javascript; charset=utf-8", include_str!("assets/vendor/three.min.js")),
 ];
 
-/// What a page loads at once if it opens with an episode.
+/// Modules to load early if the page opens with an episode.
 const PRELOADS: &str =
     "<link rel=\"modulepreload\" href=\"/space.js\"><link rel=\"modulepreload\" href=\"/three.js\">\n";
 
-/// A run as the page shows it.
+/// A run shown on the page.
 pub(super) struct Shown {
     pub(super) about: About,
     pub(super) board: Arc<Board>,
@@ -86,8 +86,8 @@ pub(super) struct Shown {
     pub(super) stage: Option<Stage>,
 }
 
-/// The routes; all but the two for probes ask for the token of `config`, or, if there is none, for a name of this machine or one
-/// of its hosts. Of several runs the first is at the root and run `i` below `/runs/<i>`.
+/// Builds the routes. All but the two for probes require the token of `config` or, without a token, a host name that is
+/// this machine's or in `hosts`. Of several runs, the first is at the root and run `i` is below `/runs/<i>`.
 pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Router {
     let board = first.board.clone();
     let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
@@ -129,7 +129,7 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Rou
         .layer(from_fn(set_headers))
 }
 
-/// Where the paths of the run at such a place begin.
+/// Returns the path prefix of the run with index `place`.
 pub(super) fn base(place: usize) -> String {
     if place == 0 { String::new() } else { format!("/runs/{place}") }
 }
@@ -138,7 +138,7 @@ pub(super) fn base(place: usize) -> String {
 #[derive(Clone)]
 struct Name(String);
 
-/// What can be asked about one run.
+/// Builds the endpoints of one run.
 fn of_run(run: Shown, names: &[String]) -> Router {
     let name = Name(run.about.run.clone());
     let answer = Bytes::from(about(&run.about, run.stage.is_some(), names).to_string());
@@ -176,7 +176,7 @@ async fn history(State(board): State<Arc<Board>>) -> Response {
     }
 }
 
-/// The newest films.
+/// The newest clips.
 #[derive(Serialize)]
 struct FilmsView {
     schema_version: u32,
@@ -184,7 +184,7 @@ struct FilmsView {
 }
 
 async fn list_films(Extension(films): Extension<Films>) -> Response {
-    // Off the runtime, because it waits for the disk; so below.
+    // Off the runtime, because this blocks on disk reads. The same applies below.
     let answer =
         tokio::task::spawn_blocking(move || serde_json::to_vec(&FilmsView { schema_version: 1, films: films.list() }));
     match answer.await {
@@ -194,7 +194,7 @@ async fn list_films(Extension(films): Extension<Films>) -> Response {
     }
 }
 
-/// The film that the query names.
+/// Returns the clip named in the query.
 async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> Response {
     let asked = id_of(query);
     match tokio::task::spawn_blocking(move || films.bytes(&asked)).await {
@@ -204,7 +204,7 @@ async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> 
     }
 }
 
-/// The last scene of the film that the query names.
+/// Returns the last scene of the clip named in the query.
 async fn poster(
     Extension(films): Extension<Films>,
     Extension(catalog): Extension<Arc<Catalog>>,
@@ -218,7 +218,7 @@ async fn poster(
     }
 }
 
-/// The episode that a film shows, in the form of [`replay`]; the query names the film.
+/// Returns the episode of the clip named in the query, in the format of [`replay`].
 async fn recording(
     Extension(films): Extension<Films>,
     Extension(replays): Extension<Arc<Replays>>,
@@ -251,7 +251,7 @@ async fn events(State(board): State<Arc<Board>>, Extension(connection): Extensio
     }
 }
 
-/// The newest episode; 202 while there is none yet. Each question lets a newer one be recorded.
+/// Returns the newest episode, or 202 while there is none. Each request also triggers the recording of a newer one.
 async fn replay(Extension(replays): Extension<Arc<Replays>>) -> Response {
     match replays.ask() {
         Some(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
@@ -264,10 +264,10 @@ fn failed(error: &dyn std::error::Error) -> Response {
     StatusCode::INTERNAL_SERVER_ERROR.into_response()
 }
 
-/// What reads a body: a drawing.
+/// Paths of endpoints that read a body: a drawing.
 const WITH_BODY: [&str; 2] = ["/api/check", "/api/play"];
 
-/// Puts on the headers of every answer; refuses requests with a body that nothing reads.
+/// Sets the headers of every response. Rejects requests with a body that no endpoint reads.
 async fn set_headers(request: Request, next: Next) -> Response {
     let headers = request.headers();
     let has_body = headers.contains_key(TRANSFER_ENCODING)
@@ -276,7 +276,7 @@ async fn set_headers(request: Request, next: Next) -> Response {
     let mut response =
         if has_body && !is_read { StatusCode::PAYLOAD_TOO_LARGE.into_response() } else { next.run(request).await };
     for (name, value) in HEADERS {
-        // What never changes says itself how long it may be kept.
+        // Immutable responses have set their own cache lifetime.
         response.headers_mut().entry(name).or_insert(HeaderValue::from_static(value));
     }
     response
@@ -290,7 +290,8 @@ struct Guard {
 
 async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let Some(token) = &guard.token else {
-        // A page of somebody else can make a browser resolve its own name to 127.0.0.1; the name then gives it away.
+        // Protects against DNS rebinding: a foreign site may resolve its own name to 127.0.0.1, but the `Host` header
+        // reveals it.
         if is_for_us(request.headers(), &guard.hosts) {
             return next.run(request).await;
         }
@@ -313,11 +314,11 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
     (StatusCode::UNAUTHORIZED, "open the page with ?token=…, or send Authorization: Bearer …\n").into_response()
 }
 
-/// Sends the browser to the same path without the token, which would stay in its history.
+/// Redirects to the same path without the token, which would otherwise stay in the browser's history.
 fn keep_in_cookie(token: &Token, path: &str) -> Response {
-    // `Lax`, because with `Strict` the first visit by a link from elsewhere would be refused.
+    // `Lax`, because `Strict` would reject a first visit through a link from another site.
     let cookie = format!("{COOKIE_NAME}={}; Path=/; HttpOnly; SameSite=Lax", token.reveal());
-    // One slash only: with two, the path would be the name of another machine.
+    // Keep one leading slash: with two, the path would name another host.
     let path = format!("/{}", path.trim_start_matches('/'));
     match (HeaderValue::from_str(&path), HeaderValue::from_str(&cookie)) {
         (Ok(path), Ok(cookie)) => (StatusCode::SEE_OTHER, [(LOCATION, path), (SET_COOKIE, cookie)]).into_response(),
@@ -336,7 +337,7 @@ fn in_headers(token: &Token, headers: &HeaderMap) -> bool {
     bearer || headers.get_all(COOKIE).iter().map(text).any(in_cookie)
 }
 
-/// Whether the request is to `localhost`, a loopback address or one of `hosts`, with any port.
+/// Returns whether the request addresses `localhost`, a loopback address or one of `hosts`, with any port.
 fn is_for_us(headers: &HeaderMap, hosts: &[String]) -> bool {
     let Some(host) = headers.get(HOST).and_then(|host| host.to_str().ok()) else { return false };
     let name = match host.rsplit_once(':') {

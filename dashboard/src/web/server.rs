@@ -1,4 +1,4 @@
-//! Connections: how many, how long, and how much of a request is read.
+//! HTTP connections, with limits on their number, their duration and the size of a request.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -18,38 +18,38 @@ use tokio_util::sync::CancellationToken;
 
 use super::board::Board;
 
-/// Open connections; of these, [`MAX_VIEWERS`](super::events::MAX_VIEWERS) may last.
+/// Maximum number of open connections; up to [`MAX_VIEWERS`](super::events::MAX_VIEWERS) of them may be event streams.
 pub(super) const MAX_CONNECTIONS: usize = 64;
 
-/// Time to send the head of a request.
+/// Time limit for sending the head of a request.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Time that a request may take in all, but for streams of events.
+/// Time limit for a whole request, except for event streams.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Bytes and headers of a request's head; more is answered with 431.
+/// Maximum size in bytes and number of headers of a request head. Larger requests receive a 431 response.
 const MAX_HEAD_BYTES: usize = 16 << 10;
 const MAX_HEADERS: usize = 64;
 
-/// Rest after a connection that could not be accepted, for example because the process has no file handle left.
+/// Pause after a failed `accept`, for example because the process has run out of file descriptors.
 const ACCEPT_REST: Duration = Duration::from_millis(200);
 
 /// The connection of a request.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Connection {
-    /// Ends it.
+    /// Closes the connection.
     pub(super) close: CancellationToken,
     is_lasting: Arc<AtomicBool>,
 }
 
 impl Connection {
-    /// Says that it is a stream without an end.
+    /// Marks the connection as an endless stream, exempt from [`REQUEST_TIMEOUT`].
     pub(super) fn lasts(&self) {
         self.is_lasting.store(true, Ordering::Relaxed);
     }
 }
 
-/// Answers requests until `shutdown`, then ends all connections.
+/// Serves requests until `shutdown`, then closes all connections.
 pub(super) async fn serve(listener: TcpListener, routes: Router, board: Arc<Board>, shutdown: CancellationToken) {
     let mut connections = JoinSet::new();
     loop {
@@ -73,7 +73,7 @@ pub(super) async fn serve(listener: TcpListener, routes: Router, board: Arc<Boar
     connections.shutdown().await;
 }
 
-/// One connection, and one request on it: it is then either over soon or a stream of events.
+/// Serves one request on a connection, which then either ends soon or is an event stream.
 async fn answer(stream: TcpStream, routes: Router, board: Arc<Board>) {
     let connection = Connection::default();
     let (routes, of_request) = (TowerToHyperService::new(routes), connection.clone());

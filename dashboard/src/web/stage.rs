@@ -1,4 +1,5 @@
-//! Episodes on demand: a browser names or draws a goal, says who builds it and how, and gets the whole episode.
+//! Episodes on demand: a browser names or draws a goal, chooses the agent and the action mode, and receives the whole
+//! episode.
 
 use std::fmt;
 use std::sync::Arc;
@@ -17,10 +18,10 @@ use tokio_util::sync::CancellationToken;
 
 use super::replay::Replays;
 
-/// Most goals of one world in a row, as in the evaluation without resets.
+/// Maximum number of goals in a row in one world, as in the evaluation without resets.
 const MAX_IN_A_ROW: usize = 10;
 
-/// Who builds.
+/// The agent that builds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Builder {
     /// The policy of the run, with its newest weights.
@@ -30,44 +31,44 @@ pub enum Builder {
     Expert,
 }
 
-/// The episode that somebody wants to see.
+/// A requested episode.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Order {
     /// The goal.
     pub blueprint: Blueprint,
-    /// Goals built before it without a reset.
+    /// Goals to build first, without a reset in between.
     pub before: Vec<Blueprint>,
-    /// Who builds it.
+    /// The agent that builds it.
     pub builder: Builder,
-    /// How a policy acts.
+    /// Action mode of the policy.
     pub acting: ActionMode,
-    /// Seed of the start and of sampled actions.
+    /// Seed of the initial state and of sampled actions.
     pub seed: u64,
 }
 
-/// Why there is no episode.
+/// Why no episode is returned.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StageError {
-    /// The first weights are still under way.
+    /// No weights have arrived yet.
     #[error("no weights came yet; ask again in a moment, or let the expert build")]
     NoWeights,
-    /// Nobody waits for it any more.
+    /// The requester has disconnected.
     #[error("the episode is no longer wanted")]
     Unwanted,
-    /// It cannot be played.
+    /// The episode cannot be played.
     #[error("the episode cannot be played: {0}")]
     Failed(String),
 }
 
-/// Plays an episode; the second argument is asked at every step whether somebody still waits for it.
+/// Plays an episode. The second argument is called at every step and returns whether the episode is still wanted.
 type Play = dyn Fn(&Order, &(dyn Fn() -> bool + Sync)) -> Result<Trajectory, StageError> + Send + Sync;
 
-/// Where episodes are played, one at a time.
+/// Plays episodes, one at a time.
 #[derive(Clone)]
 pub struct Stage {
     play: Arc<Play>,
     turn: Arc<Semaphore>,
-    /// What every browser asks for first, and the answer.
+    /// The episode that every browser requests first, and its response.
     opening: Arc<Mutex<Option<(Order, Bytes)>>>,
 }
 
@@ -78,14 +79,14 @@ impl fmt::Debug for Stage {
 }
 
 impl Stage {
-    /// A stage whose episodes `play` plays. It is called on threads that may block.
+    /// Creates a stage that plays episodes with `play`, which is called on blocking threads.
     pub fn new(
         play: impl Fn(&Order, &(dyn Fn() -> bool + Sync)) -> Result<Trajectory, StageError> + Send + Sync + 'static,
     ) -> Self {
         Self { play: Arc::new(play), turn: Arc::new(Semaphore::new(1)), opening: Arc::default() }
     }
 
-    /// Plays the episode that a page opens with, so that it is there when a browser asks.
+    /// Plays the episode that the page opens with, so that it is ready when a browser requests it.
     pub(super) async fn open_with(&self, blueprint: Blueprint, replays: Arc<Replays>) {
         let order = Wishes::default().of(blueprint, Vec::new());
         let answer = perform(self.clone(), replays, order, true).await;
@@ -93,7 +94,7 @@ impl Stage {
     }
 }
 
-/// The part of an order that is not its goal.
+/// Parameters of a request: everything about an order but its goals.
 #[derive(Debug, Default)]
 struct Wishes<'q> {
     id: Option<&'q str>,
@@ -104,7 +105,7 @@ struct Wishes<'q> {
 }
 
 impl<'q> Wishes<'q> {
-    /// Reads `blueprint=…&after=…,…&agent=policy|expert&mode=greedy|sampled&seed=…`, of which none is needed.
+    /// Parses `blueprint=…&after=…,…&agent=policy|expert&mode=greedy|sampled&seed=…`. All parameters are optional.
     fn parse(query: &'q str) -> Result<Self, String> {
         let mut wishes = Self::default();
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
@@ -124,7 +125,7 @@ impl<'q> Wishes<'q> {
         Ok(wishes)
     }
 
-    /// The goals before this one, of the catalog.
+    /// Looks up the goals before this one in the catalog.
     fn before(&self, catalog: &Catalog) -> Result<Vec<Blueprint>, String> {
         if self.before.len() >= MAX_IN_A_ROW {
             return Err(format!("after={} names more than {} goals", self.before.join(","), MAX_IN_A_ROW - 1));
@@ -137,7 +138,7 @@ impl<'q> Wishes<'q> {
     }
 }
 
-/// The blueprint, or what is wrong with its name.
+/// Returns the blueprint, or an error message about its id.
 fn known(id: &str, catalog: &Catalog) -> Result<Blueprint, String> {
     let unknown = || format!("there is no blueprint `{id}`: /api/blueprints lists them");
     let id: BlueprintId = id.parse().map_err(|_| unknown())?;
@@ -145,7 +146,7 @@ fn known(id: &str, catalog: &Catalog) -> Result<Blueprint, String> {
 }
 
 impl Order {
-    /// What a query asks for, with a goal of the catalog.
+    /// Parses a query whose goal is in the catalog.
     fn named(query: &str, catalog: &Catalog) -> Result<Self, String> {
         let wishes = Wishes::parse(query)?;
         let id = wishes.id.ok_or_else(|| "blueprint=… is missing".to_owned())?;
@@ -153,7 +154,7 @@ impl Order {
         Ok(wishes.of(blueprint, before))
     }
 
-    /// What a query asks for, with the goal of a blueprint file. It takes up to a second.
+    /// Parses a query whose goal is a blueprint file. Takes up to a second.
     fn drawn(query: &str, file: &[u8]) -> Result<Self, String> {
         let wishes = Wishes::parse(query)?;
         if wishes.id.is_some() {
@@ -170,7 +171,7 @@ impl Order {
     }
 }
 
-/// The episode that the query names, in the form of `/api/replay`.
+/// Plays the episode given by the query and returns it in the format of `/api/replay`.
 pub(super) async fn play(
     Extension(stage): Extension<Option<Stage>>,
     Extension(replays): Extension<Arc<Replays>>,
@@ -184,7 +185,7 @@ pub(super) async fn play(
     }
 }
 
-/// The same for the blueprint file in the body.
+/// Like [`play`], for the blueprint file in the body.
 pub(super) async fn play_drawn(
     Extension(stage): Extension<Option<Stage>>,
     Extension(replays): Extension<Arc<Replays>>,
@@ -192,7 +193,7 @@ pub(super) async fn play_drawn(
     file: Bytes,
 ) -> Response {
     let Some(stage) = stage else { return nothing_is_played() };
-    // A check takes its turn as an episode does, and keeps it when its browser leaves.
+    // A check waits for its turn like an episode, and finishes even if its browser disconnects.
     let Ok(turn) = stage.turn.clone().acquire_owned().await else {
         return StatusCode::INTERNAL_SERVER_ERROR.into_response();
     };
@@ -215,7 +216,8 @@ fn refused(reason: String) -> Response {
     (StatusCode::BAD_REQUEST, reason + "\n").into_response()
 }
 
-/// Waits for its turn, and gives up when the browser does. The answer is kept if it `opens` the page.
+/// Waits for the stage and plays the order; stops if the browser disconnects. Keeps the response if it `opens` the
+/// page.
 async fn perform(stage: Stage, replays: Arc<Replays>, order: Order, opens: bool) -> Response {
     let Ok(_turn) = stage.turn.acquire().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
     let shown = |json: Bytes| ([(CONTENT_TYPE, "application/json")], json).into_response();

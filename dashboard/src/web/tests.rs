@@ -1,4 +1,4 @@
-//! The page as browsers and probes see it: a real bus, and requests written by hand.
+//! Tests of the page from the perspective of browsers and probes, with a real bus and hand-written requests.
 
 use std::path::Path;
 use std::time::Duration;
@@ -23,7 +23,7 @@ pub(super) mod samples;
 
 const TOKEN: &str = "0123456789abcdef";
 
-/// Ends a test that waits for what does not come.
+/// Fails a test that waits for something that never happens.
 async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(60), future).await.expect("it takes a moment only")
 }
@@ -35,7 +35,7 @@ struct Served {
     task: tokio::task::JoinHandle<anyhow::Result<()>>,
 }
 
-/// A page beside a bus; films and recordings are those in `dir`, attention is that of an untrained network.
+/// A page connected to a bus. Clips and recordings are read from `dir`; attention is that of an untrained network.
 async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let bus = Bus::isolated(dir).await.unwrap();
     let token = token.map(|token| Token::from(token.to_owned()));
@@ -59,7 +59,7 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     Served { bus, address, passes, task }
 }
 
-/// A network small enough for tests, and weights for it.
+/// A network small enough for tests, with its weights.
 fn untrained() -> (PolicyConfig, Weights) {
     let gat = GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() };
     let network =
@@ -79,10 +79,10 @@ fn untrained() -> (PolicyConfig, Weights) {
 }
 
 impl Served {
-    /// The whole answer to some bytes.
+    /// Sends bytes and returns the whole response.
     async fn send(&self, bytes: &[u8]) -> String {
         let mut stream = TcpStream::connect(self.address).await.unwrap();
-        // The server may close before it has read all of a request that is too large.
+        // The server may close the connection before it has read all of a request that is too large.
         let _ = stream.write_all(bytes).await;
         let mut answer = Vec::new();
         let _ = within(stream.read_to_end(&mut answer)).await;
@@ -112,7 +112,7 @@ fn status(answer: &str) -> u16 {
     answer.split(' ').nth(1).unwrap_or_else(|| panic!("no status: {answer:?}")).parse().unwrap()
 }
 
-/// Reads events until one is as wanted; returns its data.
+/// Reads events until one matches, and returns its data.
 async fn event_with(lines: &mut BufReader<TcpStream>, name: &str, wanted: impl Fn(&Value) -> bool) -> Value {
     let (mut line, mut found) = (String::new(), String::new());
     loop {
@@ -232,7 +232,7 @@ async fn a_token_keeps_others_out_but_not_probes() {
     assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Lax"), "{cookie}");
     let cookie = cookie.split(';').next().unwrap();
     assert_eq!(served.status("/", &format!("Cookie: {cookie}\r\n")).await, 200);
-    // Two slashes would lead to a machine of that name.
+    // Two slashes would redirect to a host of that name.
     assert!(served.get(&format!("//evil.example?token={TOKEN}")).await.contains("location: /evil.example\r\n"));
     let metrics = served.get_with("/metrics", &format!("Authorization: Bearer {TOKEN}\r\n")).await;
     assert!(metrics.contains("lodestone_page_dropped_total{run=\"r\",reason=\"request_refused\"} 9\n"), "{metrics}");
@@ -249,7 +249,7 @@ async fn too_many_browsers_leave_room_for_probes() {
         let request = format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address);
         stream.write_all(request.as_bytes()).await.unwrap();
         let mut lines = BufReader::new(stream);
-        // Only one that is answered holds a place.
+        // Only a connection with a response occupies a slot.
         within(event_with(&mut lines, "roster", |_| true)).await;
         listeners.push(lines);
     }
@@ -270,13 +270,13 @@ async fn connections_that_say_nothing_are_few_and_short() {
         stream.write_all(b"GET / HTTP/1.1\r\n").await.unwrap();
         silent.push(stream);
     }
-    // Accepted in order, so this one is too many: it is closed without a word.
+    // Connections are accepted in order, so this one exceeds the limit and is closed without a response.
     assert_eq!(served.get("/healthz").await, "");
-    // Nobody waits for the rest of a head forever.
+    // The server drops connections with an incomplete head.
     for mut stream in silent {
         within(stream.read_to_end(&mut Vec::new())).await.unwrap();
     }
-    // The last one may still be counted when its end is seen here.
+    // The last connection may still be counted when its end is seen here.
     let answer = within(async {
         loop {
             match served.get("/metrics").await {
@@ -301,7 +301,7 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     let mut stream = TcpStream::connect(served.address).await.unwrap();
     stream.write_all(format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address).as_bytes()).await.unwrap();
     let mut lines = BufReader::new(stream);
-    // Whoever comes late sees the newest value first; a sample still under way comes as an event.
+    // A late subscriber first receives the newest value. A sample still in flight arrives as an event.
     let first = within(event_with(&mut lines, "metrics", |data| data["key"] == "custom/first")).await;
     assert_eq!(first["payload"], json!({ "x": 1 }));
     let alive = served.bus.declare_alive(Role::Actor, "a-1").await.unwrap();
@@ -314,7 +314,7 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     assert_eq!(served.status("/readyz", "").await, 200);
     let metrics = served.get("/metrics").await;
     assert!(metrics.contains("lodestone_page_viewers{run=\"r\"} 1.0\n"), "{metrics}");
-    // The end of the evaluator is the end of the stream.
+    // The stream ends with the evaluator.
     drop(served.passes);
     within(served.task).await.unwrap().unwrap();
     let mut rest = String::new();
@@ -337,7 +337,7 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
     assert_eq!(answer, json!({ "schema_version": 1, "films": [film] }));
     let answer = served.get("/api/film?id=2_000.7.success.1").await;
     assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the film"), "{answer}");
-    // The recording beside it: three steps, and what attends in each scene.
+    // The matching recording: three steps, with the attention in each scene.
     let recordings = dir.path().join("replays").join("2_000");
     std::fs::create_dir_all(&recordings).unwrap();
     assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
@@ -352,7 +352,7 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
     let percent: Vec<Vec<Vec<f64>>> = serde_json::from_value(attention["percent"].clone()).unwrap();
     assert_eq!(percent.len(), attention["sources"].as_array().unwrap().len());
     for shares in percent.iter().flatten() {
-        // Each of 16 was rounded by at most a half.
+        // Each of the 16 values is rounded by at most one half.
         assert!(shares.len() == 16 && (shares.iter().sum::<f64>() - 100.0).abs() <= 8.0, "{shares:?}");
     }
     for id in
@@ -374,10 +374,10 @@ async fn an_episode_is_played_when_somebody_asks_for_it() {
     let episode: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
     assert_eq!((&episode["blueprint"], &episode["end"]), (&json!("2_000"), &json!("success")));
     assert_eq!(episode["scenes"].as_array().unwrap().len(), 4);
-    // No weights came yet, so a policy has to wait; and what is no order is refused.
+    // No weights have arrived, so the policy is unavailable. Invalid orders are rejected.
     assert_eq!(served.status("/api/play?blueprint=2_000", "").await, 503);
     assert_eq!(served.status("/api/play?blueprint=99_999", "").await, 400);
-    // What was played has another goal than what was asked for: nothing is shown.
+    // The played episode has a different goal than the requested one, so it is not shown.
     assert_eq!(served.status("/api/play?blueprint=2_001&agent=expert", "").await, 500);
     served.end().await;
 }

@@ -1,4 +1,4 @@
-//! The roster: who steps worlds, how fast, and who is lost.
+//! The actor table: which actors are alive, their throughput, and which are lost.
 
 use std::time::Duration;
 
@@ -11,14 +11,14 @@ use super::format::{age, count, rate};
 use super::{alarm, columns, heading, plain};
 use crate::run_view::{Actor, Link, RunView};
 
-/// Width of an actor's name, characters.
+/// Width of an actor's name in characters.
 const NAME_WIDTH: usize = 20;
 
-/// Heading, columns and as many actors as fit into `height` lines: those alive before those lost.
+/// Returns the heading, column names and as many actors as fit into `height` lines, live actors before lost ones.
 pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'static>> {
     let (mut lines, rows) = table(run, now, Order::default());
     if rows.is_empty() {
-        // Columns of nothing.
+        // No rows: omit the column names.
         lines.truncate(1);
         return lines;
     }
@@ -32,10 +32,10 @@ pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'st
     lines
 }
 
-/// Every actor: heading and columns, and the rows in this order, those alive before those lost.
+/// Returns the heading and column names, and the rows of all actors in this order, live actors before lost ones.
 pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
     let mut rows: Vec<(&ActorId, &Actor)> = run.actors().iter().collect();
-    // Those that say nothing come last, and the largest number first.
+    // Actors without metrics come last; the largest number comes first.
     let number = |actor: &Actor| -> f64 {
         let Some(heard) = &actor.metrics else { return f64::NEG_INFINITY };
         match order.by {

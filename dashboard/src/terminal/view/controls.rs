@@ -1,44 +1,44 @@
-//! What somebody who watches has chosen: which part, in which order, scrolled how far; and the keys for that.
+//! The state of the interactive controls: selected part, row order, scroll position; and the key bindings.
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::text::Line;
 
 use super::{columns, heading, plain};
 
-/// Lines that stay when a page is turned.
+/// Lines of the previous page that stay visible after paging.
 const KEPT_LINES: usize = 1;
 
-/// A part of what is known, one on the screen at a time.
+/// A part of the view; the screen shows one at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Part {
-    /// The newest of everything.
+    /// Summary of the whole run.
     #[default]
     Overview,
-    /// Every blueprint that was evaluated.
+    /// All evaluated blueprints.
     Blueprints,
-    /// Every actor.
+    /// All actors.
     Actors,
-    /// Numbers over time.
+    /// Metrics over time.
     Learning,
 }
 
-/// An order of rows: by one of the names that [`Part::orders`] lists, turned around or not.
+/// A row order: by one of the columns in [`Part::orders`], optionally reversed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Order {
-    /// Index of the name.
+    /// Index of the column.
     pub(super) by: usize,
-    /// Whether the last comes first.
+    /// Whether the order is reversed.
     pub(super) is_reversed: bool,
 }
 
-/// What is chosen now.
+/// The current state of the controls.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Controls {
     part: Part,
     orders: [Order; Part::ALL.len()],
-    /// Lines scrolled past, kept within what there is by [`Self::visible`].
+    /// Number of lines scrolled past, clamped to the available lines by [`Self::visible`].
     scroll: usize,
-    /// Lines that a page had when it was last drawn.
+    /// Number of lines per page at the last redraw.
     n_page: usize,
     is_helping: bool,
 }
@@ -55,7 +55,7 @@ impl Part {
         }
     }
 
-    /// By what its rows can be sorted.
+    /// Returns the columns that its rows can be sorted by.
     fn orders(self) -> &'static [&'static str] {
         match self {
             Self::Overview | Self::Learning => &[],
@@ -66,7 +66,7 @@ impl Part {
 }
 
 impl Controls {
-    /// Does what a key asks for; returns whether that is to end.
+    /// Handles a key press. Returns whether to quit.
     pub(crate) fn press(&mut self, key: KeyEvent) -> bool {
         if key.kind == KeyEventKind::Release {
             return false;
@@ -94,7 +94,7 @@ impl Controls {
             KeyCode::PageDown | KeyCode::Char(' ') => self.scroll += n_turned,
             KeyCode::PageUp => self.scroll = self.scroll.saturating_sub(n_turned),
             KeyCode::Home | KeyCode::Char('g') => self.scroll = 0,
-            // As far as there is anything, which the next drawing knows.
+            // To the last page; the next redraw clamps the value.
             KeyCode::End | KeyCode::Char('G') => self.scroll = usize::MAX / 2,
             _ => {}
         }
@@ -109,24 +109,24 @@ impl Controls {
         Part::ALL[(self.part as usize + n) % Part::ALL.len()]
     }
 
-    /// The part on the screen; `None` while that is the help.
+    /// Returns the part on the screen, or `None` while the help is shown.
     pub(super) fn part(&self) -> Option<Part> {
         (!self.is_helping).then_some(self.part)
     }
 
-    /// The order of the rows of the part on the screen.
+    /// Returns the row order of the part on the screen.
     pub(super) fn order(&self) -> Order {
         self.orders[self.part as usize]
     }
 
-    /// Those of `lines` that are on a screen with room for `n_page`.
+    /// Returns the part of `lines` that fits on a page of `n_page` lines at the current scroll position.
     pub(super) fn visible(&mut self, lines: Vec<Line<'static>>, n_page: usize) -> Vec<Line<'static>> {
         self.n_page = n_page;
         self.scroll = self.scroll.min(lines.len().saturating_sub(n_page));
         lines.into_iter().skip(self.scroll).take(n_page).collect()
     }
 
-    /// The last line of the screen: what can be chosen, and which of `n_lines` are shown.
+    /// Returns the bottom line of the screen: the parts to choose from, and which of `n_lines` are visible.
     pub(super) fn footer(&self, n_lines: usize) -> Line<'static> {
         let parts = Part::ALL.map(|part| match self.part() == Some(part) {
             true => format!("[{}]", part.name()),
@@ -143,19 +143,19 @@ impl Controls {
     }
 }
 
-/// Whether a key ends the watch wherever it is pressed.
+/// Returns whether a key quits from any part of the view.
 pub(crate) fn ends(key: KeyEvent) -> bool {
     let with_control = key.modifiers.contains(KeyModifiers::CONTROL);
     key.kind != KeyEventKind::Release
         && match key.code {
             KeyCode::Char('q' | 'Q') => !with_control,
-            // Raw mode makes no signal of it.
+            // Raw mode delivers Ctrl-C as a key instead of a signal.
             KeyCode::Char('c') => with_control,
             _ => false,
         }
 }
 
-/// What the keys do, and what the words mean.
+/// Returns the key bindings and a glossary.
 pub(super) fn help() -> Vec<Line<'static>> {
     let keys = [
         ("1 2 3 4, Tab, ← →", "overview, blueprints, actors, learning"),

@@ -1,4 +1,4 @@
-//! Everything that was dropped, by who counted it and why.
+//! Everything that was dropped, by counting process and reason.
 
 use std::collections::BTreeMap;
 
@@ -10,17 +10,17 @@ use super::format::count;
 use super::{heading, plain};
 use crate::run_view::{RunView, counters};
 
-/// Counts of trajectories that the learner received and did not drop.
+/// Counters of trajectories that the learner received but did not drop.
 const NOT_DROPPED: [&str; 3] = ["received_total", "accepted_total", "duplicates_total"];
 
-/// All counters of drops that are not zero, under their names on the page, in lines of `width` characters.
+/// Returns all nonzero drop counters, under their names on the page, in lines of `width` characters.
 pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     let mut drops = Drops::default();
     if let Some(learner) = run.learner().map(|heard| &heard.value) {
         drops.add("learner", "expired", learner.expired_total);
         drops.add("learner", "goal not made", learner.unmade_total);
         drops.add("learner", "gradient steps skipped", learner.ppo.n_skipped_steps);
-        // These come again and are shown apart.
+        // Refused segments are sent again; `back_pressure` shows them separately.
         drops.add_all("learner", &IngestCounts { full_total: 0, ..learner.ingest });
         drops.add_all("learner's bus", &learner.bus);
     }
@@ -40,13 +40,13 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     lines
 }
 
-/// Segments that came while the mailbox was full: actors wait and send them again.
+/// Formats the number of segments that arrived while the mailbox was full. Actors wait and send them again.
 fn back_pressure(run: &RunView) -> Option<Line<'static>> {
     let n_refused = run.learner().map(|heard| heard.value.ingest.full_total).filter(|n| *n > 0)?;
     Some(plain(format!("  back-pressure {}: came while the mailbox was full, sent again", count(n_refused))))
 }
 
-/// Sum of all counters of a struct of counters.
+/// Returns the sum of all counters in a struct.
 pub(super) fn total(counts: &impl Serialize) -> u64 {
     counters(counts).into_iter().fold(0, |sum, (_, n)| sum.saturating_add(n))
 }

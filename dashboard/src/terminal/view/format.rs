@@ -4,15 +4,15 @@ use std::time::Duration;
 
 use proto::wilson::SuccessRate;
 
-/// Longest name that is shown, characters.
+/// Longest name shown, in characters.
 const NAME_LEN: usize = 40;
 
-/// How long ago something came that came `at`, as both count from the start of the watch.
+/// Formats how long before `now` something happened. Both times count from the start of the watch.
 pub(super) fn age(now: Duration, at: Duration) -> String {
     format!("{} ago", span(now.saturating_sub(at)))
 }
 
-/// A time in its largest unit that it fills twice.
+/// Formats a duration in the largest unit of which it has at least two.
 pub(super) fn span(time: Duration) -> String {
     match time.as_secs() {
         seconds @ 0..120 => format!("{seconds} s"),
@@ -21,24 +21,24 @@ pub(super) fn span(time: Duration) -> String {
     }
 }
 
-/// Seconds from a message, however odd, as a time.
+/// Formats seconds from a message as a duration; any `f64` is accepted.
 pub(super) fn seconds(seconds: f64) -> String {
     Duration::try_from_secs_f64(seconds).map_or_else(|_| format!("{seconds:e} s"), span)
 }
 
-/// With a space before each group of three digits.
+/// Formats an integer with a space before each group of three digits.
 pub(super) fn count(n: u64) -> String {
     grouped(&n.to_string())
 }
 
-/// A rate per second without its fraction; beyond a million million in powers of ten.
+/// Formats a rate per second without a fraction; in scientific notation from 10¹² on.
 pub(super) fn rate(per_s: f64) -> String {
-    // A sum of no rates is −0.
+    // The sum of no rates is −0.
     let per_s = per_s.round() + 0.0;
     if per_s.abs() < 1e12 { grouped(&format!("{per_s:.0}")) } else { format!("{per_s:.1e}") }
 }
 
-/// A measure with some digits: as it is where that is short, in powers of ten elsewhere.
+/// Formats a measurement with a few digits: plain where that is short, in scientific notation elsewhere.
 pub(super) fn number(value: f64) -> String {
     match value.abs() {
         0.0 => "0".to_owned(),
@@ -47,7 +47,7 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
-/// A rate in percent with its interval, 23 characters; `-` without episodes.
+/// Formats a success rate in percent with its confidence interval, 23 characters; `-` without episodes.
 pub(super) fn success(success: &SuccessRate) -> String {
     if success.n_episodes == 0 {
         return "-".to_owned();
@@ -56,7 +56,7 @@ pub(super) fn success(success: &SuccessRate) -> String {
     format!("{rate:5.1} ({low:5.1} to {high:5.1})")
 }
 
-/// A name from outside, made harmless for a terminal: printable ASCII of limited length, all else as `?`.
+/// Makes an untrusted name safe for a terminal: printable ASCII of limited length, anything else as `?`.
 pub(super) fn name(text: &str) -> String {
     let is_harmless = |c: char| c == ' ' || c.is_ascii_graphic();
     text.chars().take(NAME_LEN).map(|c| if is_harmless(c) { c } else { '?' }).collect()
@@ -83,7 +83,7 @@ mod tests {
         for (seconds, text) in [(0, "0 s ago"), (119, "119 s ago"), (120, "2 min ago"), (7200, "2 h ago")] {
             assert_eq!(age(Duration::from_secs(seconds + 5), Duration::from_secs(5)), text);
         }
-        // What came after the drawing began is as young as can be.
+        // Messages that arrived after the redraw began have age zero.
         assert_eq!(age(Duration::ZERO, Duration::from_secs(1)), "0 s ago");
         assert_eq!(super::seconds(-1.0), "-1e0 s");
         assert_eq!(super::seconds(f64::MAX), format!("{:e} s", f64::MAX));

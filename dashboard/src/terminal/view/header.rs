@@ -1,4 +1,4 @@
-//! What is watched, and how old what is shown is.
+//! Header: the watched run and the age of its data.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use super::format::{age, span};
 use super::{Source, alarm, heading, plain};
 use crate::run_view::{Link, RunView};
 
-/// Two lines, and one with the other runs of the router if nobody is in this one.
+/// Returns two lines, and a third with the other runs on the router if this run is empty.
 pub(super) fn lines(run: &RunView, source: &Source, now: Duration) -> Vec<Line<'static>> {
     let title = heading(format!("Run {} at {}", source.run, source.endpoints.join(", ")));
     let mut lines = vec![title, state(run, now)];
@@ -41,7 +41,7 @@ fn state(run: &RunView, now: Duration) -> Line<'static> {
     }
 }
 
-/// Whether a service is there and how long ago it was heard.
+/// Describes whether a service is alive and how long ago its last message arrived.
 fn member(role: &str, n_alive: usize, heard_at: Option<Duration>, now: Duration) -> String {
     match (n_alive, heard_at) {
         (0, None) => format!("no {role}"),

@@ -1,4 +1,4 @@
-//! A run as lines: on a screen of any size, or as plain text.
+//! Formats a run as lines, for a screen of any size or as plain text.
 
 mod actors;
 mod controls;
@@ -21,16 +21,16 @@ pub(crate) use controls::{Controls, ends};
 
 use controls::Part;
 
-/// Width of plain text, characters.
+/// Width of plain text in characters.
 const TEXT_WIDTH: usize = 100;
 
-/// Lines that the drops may take on a screen while actors want room too.
+/// Maximum height of the drops section on a screen where the actors need room.
 const DROPS_HEIGHT: usize = 3;
 
-/// Least lines of the actors' section: its heading, the columns and one actor.
+/// Minimum height of the actors section: heading, column names and one actor.
 const ACTORS_HEIGHT: usize = 3;
 
-/// What is watched, as the command line named it.
+/// The watched run, as named on the command line.
 #[derive(Clone, Debug)]
 pub(crate) struct Source {
     /// Name of the run.
@@ -39,11 +39,11 @@ pub(crate) struct Source {
     pub(crate) endpoints: Vec<String>,
 }
 
-/// Least height of a screen on which a line tells what can be chosen.
+/// Minimum screen height for which the footer is drawn.
 const FOOTER_FROM: usize = 8;
 
-/// Draws the part of what is known `now`, the time since the watch began, that is chosen. What does not fit can be scrolled
-/// to.
+/// Draws the selected part of the state as of `now`, the time since the watch began. Rows that do not fit can be
+/// scrolled to.
 pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, source: &Source, controls: &mut Controls, now: Duration) {
     let area = frame.area();
     let (width, height) = (usize::from(area.width), usize::from(area.height));
@@ -69,7 +69,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, source: &Source, contro
     frame.render_widget(Text::from(lines), area);
 }
 
-/// All that is known `now`, the time since the watch began, as plain text.
+/// Formats the full known state as of `now`, the time since the watch began, as plain text.
 pub(crate) fn text(run: &RunView, source: &Source, now: Duration) -> String {
     let sections = [
         header::lines(run, source, now),
@@ -82,7 +82,7 @@ pub(crate) fn text(run: &RunView, source: &Source, now: Duration) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// The sections one below the other; the actors' takes what the others leave.
+/// Stacks all sections; the actors section gets the height that the others leave.
 fn overview(run: &RunView, now: Duration, width: usize, height: usize) -> Vec<Line<'static>> {
     let mut lines = success::lines(run, now, width);
     lines.extend(training::lines(run, width));

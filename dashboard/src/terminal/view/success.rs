@@ -11,7 +11,7 @@ use super::format::{age, count, name, success};
 use super::{columns, heading, plain};
 use crate::run_view::RunView;
 
-/// The newest evaluation in lines of `width` characters.
+/// Formats the newest evaluation in lines of `width` characters.
 pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'static>> {
     let Some(heard) = run.evaluation() else {
         return vec![heading("Success: no evaluation so far".to_owned())];
@@ -43,13 +43,13 @@ fn group(group: &EvalGroup) -> Line<'static> {
     ))
 }
 
-/// Every blueprint of the newest evaluation: the columns, and the rows in this order.
+/// Lists all blueprints of the newest evaluation: heading and column names, and the rows in this order.
 pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
     let mut blueprints = run.judged_blueprints();
     let judged = run.evaluation().map_or_else(String::new, |heard| {
         format!(": weights {}, evaluated {}", heard.value.weights_version.0, age(now, heard.at))
     });
-    // What was not judged in one way has no rate in it.
+    // Blueprints without episodes sort last.
     let rate = |blueprint: &EvalBlueprint| {
         let ways = [&blueprint.mode.success, &blueprint.sampled.success];
         ways.into_iter().find(|success| success.n_episodes > 0).map_or(f64::INFINITY, |success| success.rate)
@@ -85,8 +85,8 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
     (vec![title, heads], blueprints.iter().map(row).collect())
 }
 
-/// The worst and the best blueprints with greedy actions, or with sampled ones where only those were judged: as many as fit
-/// in a line, none in both, and none that never succeeds among the best.
+/// Lists the worst and the best blueprints with greedy actions, or with sampled actions if no greedy episodes were run.
+/// Each line lists as many as fit. No blueprint is in both lines, and the best have at least one success.
 fn extremes(blueprints: &[&EvalBlueprint], summary: &EvalSummary, width: usize) -> Vec<Line<'static>> {
     let is_mode = summary.all.mode.success.n_episodes > 0;
     let rate = |blueprint: &EvalBlueprint| -> SuccessRate {

@@ -1,4 +1,4 @@
-//! Views made by hand, and exactly what a screen shows of them.
+//! Hand-made views and the exact screen contents that they produce.
 
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -16,7 +16,7 @@ fn seconds(seconds: u64) -> Duration {
     Duration::from_secs(seconds)
 }
 
-/// A run with two actors, one of them lost: the learner was heard at 30 s, the evaluator at 20 s.
+/// A run with three actors, one of them lost. The learner last reported at 30 s, the evaluator at 20 s.
 fn busy() -> RunView {
     let mut run = RunView::default();
     run.set_session(&samples::session(&["actor-1", "actor-2", "quiet"]), seconds(1));
@@ -31,12 +31,12 @@ fn busy() -> RunView {
     run
 }
 
-/// What a screen shows, line by line without the spaces at the ends.
+/// The screen contents, line by line without trailing spaces.
 fn screen(run: &RunView, now: Duration, width: u16, height: u16) -> Vec<String> {
     screen_of(run, &mut Controls::default(), now, width, height)
 }
 
-/// The same with what somebody has chosen.
+/// Like [`screen`], with the state of the controls.
 fn screen_of(run: &RunView, controls: &mut Controls, now: Duration, width: u16, height: u16) -> Vec<String> {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
     terminal.draw(|frame| draw(frame, run, &source(), controls, now)).unwrap();
@@ -46,7 +46,7 @@ fn screen_of(run: &RunView, controls: &mut Controls, now: Duration, width: u16, 
     (0..height).map(line).collect()
 }
 
-/// The choices after these keys, none of which ends the watch.
+/// The controls after these key presses, none of which quits.
 fn pressed(keys: &[KeyCode]) -> Controls {
     let mut controls = Controls::default();
     for key in keys {
@@ -217,10 +217,10 @@ fn many_actors_can_be_scrolled_to_and_sorted() {
     run.take(&samples::actor("actor-400"), seconds(2));
     let mut controls = pressed(&[KeyCode::Char('3'), KeyCode::End]);
     let lines = screen_of(&run, &mut controls, seconds(3), 80, 24);
-    // 24 lines without 2 of the header, 2 of the table and the last one.
+    // 24 lines minus 2 of the header, 2 of the table and the footer.
     assert!(lines[4].starts_with("  actor-481 ") && lines[22].starts_with("  actor-499 "), "{lines:#?}");
     assert!(lines[23].ends_with("by name  482 to 500 of 500"), "{lines:#?}");
-    // A page keeps a line of the one before.
+    // Paging keeps one line of the previous page.
     controls.press(KeyEvent::new(KeyCode::PageUp, KeyModifiers::NONE));
     assert!(screen_of(&run, &mut controls, seconds(3), 80, 24)[22].starts_with("  actor-481 "));
     let lines = screen_of(&run, &mut pressed(&[KeyCode::Char('3'), KeyCode::Char('s')]), seconds(3), 80, 24);
@@ -238,7 +238,7 @@ fn help_comes_and_goes() {
     let mut controls = pressed(&[KeyCode::Char('4'), KeyCode::Char('?')]);
     let lines = screen_of(&busy(), &mut controls, seconds(42), 80, 24);
     assert_eq!((lines[2].as_str(), controls.part()), ("Keys", None));
-    // Escape leads back step by step, and from the overview out.
+    // Escape goes back step by step, and quits from the overview.
     for (part, ends) in [(Some(Part::Learning), false), (Some(Part::Overview), false), (Some(Part::Overview), true)] {
         assert_eq!(controls.press(KeyEvent::new(KeyCode::Esc, KeyModifiers::NONE)), ends);
         assert_eq!(controls.part(), part);

@@ -6,7 +6,7 @@ use super::format::{count, number, rate, seconds, success};
 use super::{heading, plain, trends};
 use crate::run_view::RunView;
 
-/// The learner's newest metrics, in lines of `width` characters where that matters.
+/// Formats the learner's newest metrics, fitted to `width` characters where lines can get long.
 pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     let Some(heard) = run.learner() else {
         return vec![heading("Learning: no update so far".to_owned())];
@@ -39,7 +39,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
             learner.policy_lag_max,
         )),
     ];
-    // Zero throughout while only labels teach.
+    // All zero while only the imitation loss is active.
     if [ppo.policy_loss, ppo.value_loss, ppo.entropy, ppo.approx_kl].iter().any(|number| *number != 0.0) {
         lines.push(plain(format!(
             "  loss        total {}, policy {}, value {}, gradient norm {}",

@@ -1,4 +1,4 @@
-//! Numbers over time as lines of small bars.
+//! Metrics over time as sparklines.
 
 use std::collections::VecDeque;
 
@@ -8,19 +8,19 @@ use super::format::number;
 use super::{columns, heading, plain};
 use crate::run_view::RunView;
 
-/// Bars from the lowest to the highest value.
+/// Bars, lowest to highest.
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Width of a number's name, characters.
+/// Width of a metric's name in characters.
 const NAME_WIDTH: usize = 21;
 
-/// Least bars beside the overview that are worth their room.
+/// Minimum number of bars per sparkline in the overview; with less room, the line is omitted.
 const MIN_BARS: usize = 6;
 
-/// What the overview has bars of.
+/// Metrics with a sparkline in the overview.
 const OVERVIEW: [&str; 3] = ["success, evaluated", "steps per second", "block accuracy"];
 
-/// Everything that is followed: its newest value, between which values it was, and how it went.
+/// Lists all tracked metrics: newest value, range and sparkline.
 pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
     let before = format!("  {:<NAME_WIDTH$} {:>9} {:>9} {:>9}  ", "", "now", "least", "most");
     let room = width.saturating_sub(before.len());
@@ -35,7 +35,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Lin
     (vec![heading(title.to_owned()), columns(before + "newest on the right")], rows)
 }
 
-/// The most telling ones in one line of `width` characters; none before there are two values of any.
+/// Formats the main metrics in one line of `width` characters; `None` until one of them has two values.
 pub(super) fn overview(run: &RunView, width: usize) -> Option<Line<'static>> {
     let told: Vec<_> =
         run.trends().all().filter(|(name, values)| OVERVIEW.contains(name) && values.len() > 1).collect();
@@ -49,7 +49,7 @@ pub(super) fn overview(run: &RunView, width: usize) -> Option<Line<'static>> {
     Some(plain(title.to_owned() + &parts.collect::<Vec<_>>().join(" ")))
 }
 
-/// The newest values as at most `width` bars.
+/// Draws the newest values as at most `width` bars.
 fn bars(values: &VecDeque<f64>, width: usize) -> String {
     let (least, most) = range(values);
     let bar = |value: f64| {
