@@ -1,12 +1,12 @@
-//! A trajectory as columns, one row for each scene.
+//! A trajectory as columns, one row per scene.
 //!
 //! | column | meaning |
 //! |---|---|
 //! | `observations` | `nodes`, `edges`, and `globals` of the scene |
-//! | `actions` | `choices` and `moves`; those of the last row are 0 and mean nothing |
+//! | `actions` | `choices` and `moves`; the last row is padded with 0 |
 //! | `rewards` | the sum of the terms; 0 in the last row |
-//! | `terminations`, `truncations` | whether the step ended the episode: the blueprint stands, or the time is over |
-//! | `infos` | `is_success`, the five `reward_terms`, and `blueprint`: of the step that led to the scene, as the environment says them |
+//! | `terminations`, `truncations` | whether the step ended the episode, by success or by the time limit |
+//! | `infos` | `is_success`, five `reward_terms`, and `blueprint`, as in the infos of the step that led to the scene |
 
 use std::sync::Arc;
 
@@ -21,13 +21,13 @@ use proto::{Observation, RewardTerms, Scene, Status, Trajectory};
 
 use crate::spaces::{N_MOVES, Spaces};
 
-/// Terms of a reward, in the order of `REWARD_TERMS` in the package for Python.
+/// Number of reward terms, in the order of `REWARD_TERMS` in the Python package.
 const N_TERMS: usize = 5;
 
-/// Why an episode cannot be written.
+/// Reasons why an episode cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum EpisodeError {
-    /// The goal is another blueprint's.
+    /// The given blueprint is not the trajectory's goal.
     #[error("the goal is {expected}, not {given}")]
     OtherGoal {
         /// The trajectory's goal.
@@ -35,18 +35,18 @@ pub enum EpisodeError {
         /// The given blueprint.
         given: BlueprintId,
     },
-    /// Only a part of an episode, or a diverged one.
+    /// The trajectory is only part of an episode, or it diverged.
     #[error("the trajectory of {0} is no whole episode")]
     Part(BlueprintId),
-    /// Too many numbers for a column.
+    /// A column has too many numbers.
     #[error(transparent)]
     Arrow(#[from] ArrowError),
 }
 
-/// The rows of an episode.
+/// Converts an episode to rows.
 ///
 /// # Errors
-/// When the trajectory is not all of a sound episode, or `goal` is not its blueprint.
+/// If the trajectory is not a complete, valid episode, or `goal` is not its blueprint.
 pub fn columns(spaces: &Spaces, trajectory: &Trajectory, goal: &Blueprint) -> Result<RecordBatch, EpisodeError> {
     if *goal.id() != trajectory.task.blueprint {
         let (expected, given) = (trajectory.task.blueprint.clone(), goal.id().clone());
@@ -92,7 +92,7 @@ fn observations(spaces: &Spaces, trajectory: &Trajectory, goal: &Blueprint) -> R
     ])
 }
 
-/// All scenes, of which there is one more than steps.
+/// Returns all scenes, one more than there are steps.
 fn scenes(trajectory: &Trajectory) -> impl Iterator<Item = &Scene> {
     trajectory.transitions.iter().map(|step| &step.scene).chain([&trajectory.last_scene])
 }
@@ -101,7 +101,7 @@ fn actions(spaces: &Spaces, trajectory: &Trajectory) -> Result<ArrayRef, Episode
     let n_grippers = spaces.n_grippers();
     let (mut choices, mut moves) = (Vec::new(), Vec::new());
     for step in &trajectory.transitions {
-        // As in the package for Python: a gripper that is idle chooses block 0.
+        // As in the Python package, an idle gripper chooses block 0.
         let number = |gripper: usize| step.action.choices[gripper].map_or(0, |block| i64::from(u8::from(block)));
         choices.extend((0..n_grippers).map(number));
         moves.extend(step.action.moves.as_flattened().iter().map(|x| x.clamp(-1.0, 1.0)));
@@ -123,7 +123,7 @@ fn infos(trajectory: &Trajectory) -> Result<ArrayRef, EpisodeError> {
     let rewards: Vec<f32> = [&RewardTerms::default()].into_iter().chain(rewards).flat_map(terms).collect();
     let goals = (0..=n_steps).map(|_| Some(trajectory.task.blueprint.as_str()));
     let (terms, rewards) = listed("reward_terms", N_TERMS, Float32Array::from(rewards))?;
-    // How Minari knows an array from a list.
+    // Minari uses this to distinguish an array from a list.
     let shape = [("shape", N_TERMS.to_string())];
     table(vec![
         named("blueprint", Arc::new(goals.collect::<StringArray>())),
@@ -136,7 +136,7 @@ fn named(name: &str, column: ArrayRef) -> (FieldRef, ArrayRef) {
     (Arc::new(Field::new(name, column.data_type().clone(), true)), column)
 }
 
-/// A column with `n` numbers in each row.
+/// Builds a column with `n` numbers in each row.
 fn listed<T: arrow_array::types::ArrowPrimitiveType>(
     name: &str,
     n: usize,

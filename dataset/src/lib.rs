@@ -1,9 +1,9 @@
-//! Episodes as datasets for offline learning: folders that [Minari](https://minari.farama.org) reads.
+//! Records episodes as datasets for offline learning, in folders that [Minari](https://minari.farama.org) reads.
 //!
-//! Observations and actions are those of the environment `Lodestone/Assembly-v0` of the package for Python, so that what learns
-//! from a dataset can act there.
+//! Observations and actions are those of the environment `Lodestone/Assembly-v0` of the Python package, so that a
+//! policy trained on a dataset can act there.
 //!
-//! Reading order: [`spaces`] (what an observation and an action are) → [`episode`] (a trajectory as columns) → [`writer`] (the
+//! Reading order: [`spaces`] (observation and action spaces) → [`episode`] (a trajectory as columns) → [`writer`] (the
 //! folder).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]

@@ -1,42 +1,42 @@
-//! What an observation and an action are, in the words of Gymnasium and as Minari writes them.
+//! Observation and action spaces in Gymnasium's terms, serialized in Minari's format.
 //!
-//! The package for Python says the same (`python/lodestone/batch.py`); a test there compares the two.
+//! The Python package defines the same spaces (`python/lodestone/batch.py`), and a test there compares the two.
 
 use blueprints::N_BLOCKS;
 use policy::features::N_EDGES;
 use policy::{FeatureConfig, FeatureSizes};
 use serde_json::{Value, json};
 
-/// Entries of the move of a block.
+/// Number of entries in a block's move.
 pub(crate) const N_MOVES: usize = 6;
-/// Bound of the observations: no feature of a sound world is beyond.
+/// Bound of the observations, which no feature of a valid world exceeds.
 const MAX_FEATURE: f32 = 256.0;
 
-/// The spaces of a world that is seen through some features.
+/// The spaces of a world observed with some features.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spaces {
-    /// What is seen.
+    /// Configuration of the features.
     pub features: FeatureConfig,
     pub(crate) sizes: FeatureSizes,
 }
 
 impl Spaces {
-    /// The spaces that a configuration gives.
+    /// Creates the spaces of a feature configuration.
     pub fn new(features: &FeatureConfig) -> Self {
         Self { features: *features, sizes: FeatureSizes::new(features) }
     }
 
-    /// Number of grippers.
+    /// Returns the number of grippers.
     pub fn n_grippers(&self) -> usize {
         usize::from(self.features.n_grippers)
     }
 
-    /// Numbers of an observation: of its nodes, its edges, and its globals.
+    /// Returns how many numbers an observation's nodes, edges, and globals have.
     pub fn lengths(&self) -> [usize; 3] {
         [N_BLOCKS * self.sizes.node, N_EDGES * self.sizes.edge, self.sizes.global]
     }
 
-    /// A dictionary of `nodes`, 16 × nd, `edges`, 240 × ed, and `globals`, gd.
+    /// Returns a dictionary of `nodes`, 16 × nd, `edges`, 240 × ed, and `globals`, gd.
     pub(crate) fn observations(&self) -> Value {
         let FeatureSizes { node, edge, global } = self.sizes;
         dictionary(&[
@@ -46,7 +46,7 @@ impl Spaces {
         ])
     }
 
-    /// A dictionary of `choices`, one for each gripper, and `moves`, 16 × 6.
+    /// Returns a dictionary of `choices`, one for each gripper, and `moves`, 16 × 6.
     pub(crate) fn actions(&self) -> Value {
         let n = self.n_grippers();
         let choices = json!({
@@ -62,7 +62,7 @@ fn dictionary(subspaces: &[(&str, Value)]) -> Value {
     json!({ "type": "Dict", "subspaces": subspaces })
 }
 
-/// Numbers from `-limit` to `limit`.
+/// Returns a space of numbers from `-limit` to `limit`.
 fn bounded(limit: f32, shape: &[usize]) -> Value {
     let filled = |bound: f32| shape.iter().rev().fold(json!(bound), |inner, &n| Value::Array(vec![inner; n]));
     json!({ "type": "Box", "dtype": "float32", "shape": shape, "low": filled(-limit), "high": filled(limit) })
@@ -76,7 +76,7 @@ mod tests {
     fn spaces_are_written_as_minari_writes_them() {
         let features = FeatureConfig { n_grippers: 1, ..FeatureConfig::default() };
         let spaces = Spaces::new(&features);
-        // 10 for a node, 36 for an edge, 25 for a gripper.
+        // 10 per node, 36 per edge, 25 per gripper.
         assert_eq!(spaces.lengths(), [160, 8640, 25]);
         let seen = spaces.observations();
         assert_eq!(seen["subspaces"]["edges"]["shape"], json!([240, 36]));

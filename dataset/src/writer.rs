@@ -1,4 +1,4 @@
-//! A dataset in a folder, whole after every episode.
+//! Writes a dataset to a folder that is complete after every episode.
 //!
 //! ```text
 //! <root>/<namespace>/<name>-v<version>/data/
@@ -27,43 +27,44 @@ use serde_json::json;
 use crate::episode::{EpisodeError, columns};
 use crate::spaces::Spaces;
 
-/// Version of Minari whose format this is.
+/// Version of Minari that defines the format.
 const MINARI_VERSION: &str = "0.5.4";
-/// Name of the files with metadata.
+/// Name of the metadata files.
 const METADATA: &str = "metadata.json";
 
-/// Name of a dataset: `NAMESPACE/NAME-vVERSION`, the namespace of several parts or none, of letters, digits, `-`, and `_`.
+/// Name of a dataset: `NAMESPACE/NAME-vVERSION`. The namespace is optional and may have several parts; parts and names
+/// consist of letters, digits, `-`, and `_`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DatasetId(String);
 
-/// A text that is no name of a dataset.
+/// A string that is not a dataset name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is no name of a dataset: expected, for example, lodestone/expert-v0")]
 pub struct InvalidDatasetId(pub String);
 
-/// What a dataset says of itself.
+/// The description of a dataset in its metadata.
 #[derive(Clone, Debug)]
 pub struct About {
-    /// Its name.
+    /// Name of the dataset.
     pub id: DatasetId,
-    /// Who acted.
+    /// The algorithm that acted.
     pub algorithm: String,
-    /// A sentence.
+    /// Description in one sentence.
     pub description: String,
-    /// Address of the code that made it.
+    /// URL of the code that generated the dataset.
     pub code_permalink: Option<String>,
-    /// Where the episodes are from.
+    /// Origin of the episodes.
     pub origin: Origin,
 }
 
-/// Where the episodes of a dataset are from.
+/// Origin of the episodes of a dataset.
 #[derive(Clone, Debug, Serialize)]
 pub struct Origin {
     /// Version of the program.
     pub lodestone_version: &'static str,
     /// Version of the weights that acted; 0 for the expert.
     pub weights_version: u64,
-    /// Environment steps that these weights had learned from; 0 for the expert.
+    /// Environment steps that these weights were trained on; 0 for the expert.
     pub n_env_steps: u64,
     /// `mode` or `sampled`.
     pub acting: &'static str,
@@ -71,40 +72,40 @@ pub struct Origin {
     pub seed: u64,
 }
 
-/// The arguments of the environment, besides those that have a default.
+/// The arguments of the environment, except those that have a default.
 #[derive(Debug, Serialize)]
 pub struct World<'a, S> {
-    /// Ids of blueprints, or their texts where the package for Python does not know the id.
+    /// Blueprint ids, or TOML texts of blueprints that the Python package does not have.
     pub blueprint: Vec<String>,
-    /// How episodes begin, with weights.
+    /// Kinds of starts, with weights.
     pub starts: BTreeMap<&'static str, f64>,
-    /// The section `[environment]`.
+    /// The configuration section `[environment]`.
     pub settings: &'a S,
-    /// The section `[policy.features]`.
+    /// The configuration section `[policy.features]`.
     pub features: &'a FeatureConfig,
 }
 
-/// Why a dataset cannot be written.
+/// Reasons why a dataset cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
-    /// The folder is there.
+    /// The folder already exists.
     #[error("{} exists already; choose another --out or --name, or delete it", .0.display())]
     Exists(PathBuf),
     /// A file or folder cannot be written.
     #[error("cannot write {}: {error}", path.display())]
     Io {
-        /// Which.
+        /// The file or folder.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         #[source]
         error: io::Error,
     },
-    /// An episode is not to be written.
+    /// An episode cannot be written.
     #[error(transparent)]
     Episode(#[from] EpisodeError),
 }
 
-/// Writes the episodes of a dataset. Who stops in between leaves a dataset of those so far.
+/// Writes the episodes of a dataset. Stopping early leaves a valid dataset of the episodes so far.
 #[derive(Debug)]
 pub struct Writer {
     data: PathBuf,
@@ -118,7 +119,7 @@ struct Head {
     dataset_id: String,
     total_episodes: u64,
     total_steps: u64,
-    /// MB.
+    /// Size in MB.
     dataset_size: f64,
     #[serde(skip)]
     n_bytes: u64,
@@ -135,7 +136,7 @@ struct Head {
     action_space: String,
 }
 
-/// What Gymnasium makes an environment from.
+/// The specification from which Gymnasium creates an environment.
 #[derive(Debug, Serialize)]
 struct EnvSpec<'a, S> {
     id: &'static str,
@@ -160,7 +161,7 @@ impl FromStr for DatasetId {
         let versioned = name.rsplit_once("-v").is_some_and(|(name, version)| {
             is_word(name) && version.parse::<u32>().is_ok() && version.bytes().all(|c| c.is_ascii_digit())
         });
-        // Minari takes no namespace of one letter.
+        // Minari rejects namespaces of one letter.
         let spaced = namespace.is_none_or(|space| space.len() > 1 && space.split('/').all(is_word));
         if versioned && spaced { Ok(Self(text.to_owned())) } else { Err(InvalidDatasetId(text.to_owned())) }
     }
@@ -173,10 +174,10 @@ impl fmt::Display for DatasetId {
 }
 
 impl Writer {
-    /// Begins a dataset without episodes below `root`, which is what `MINARI_DATASETS_PATH` names.
+    /// Creates a dataset without episodes below `root`, the folder that `MINARI_DATASETS_PATH` names.
     ///
     /// # Errors
-    /// When the dataset's folder is there or cannot be made.
+    /// If the dataset's folder already exists or cannot be created.
     pub fn create<S: Serialize>(
         root: &Path,
         about: About,
@@ -227,10 +228,10 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Adds an episode; `seed` is what the environment draws it with.
+    /// Appends an episode; `seed` is the seed from which the environment draws it.
     ///
     /// # Errors
-    /// When the trajectory is not all of a sound episode, `goal` is not its blueprint, or a file cannot be written.
+    /// If the trajectory is not a complete, valid episode, `goal` is not its blueprint, or a file cannot be written.
     pub fn write(&mut self, trajectory: &Trajectory, goal: &Blueprint, seed: u64) -> Result<(), DatasetError> {
         let rows = encoded(&columns(&self.spaces, trajectory, goal)?).map_err(EpisodeError::from)?;
         let n_steps = trajectory.transitions.len();
@@ -261,22 +262,22 @@ impl Writer {
         self.write_head()
     }
 
-    /// Name of the dataset.
+    /// Returns the name of the dataset.
     pub fn id(&self) -> &str {
         &self.head.dataset_id
     }
 
-    /// Episodes so far.
+    /// Returns the number of episodes so far.
     pub fn n_episodes(&self) -> u64 {
         self.head.total_episodes
     }
 
-    /// Steps so far.
+    /// Returns the number of steps so far.
     pub fn n_steps(&self) -> u64 {
         self.head.total_steps
     }
 
-    /// Bytes of the episodes so far.
+    /// Returns the number of bytes of the episodes so far.
     pub fn n_bytes(&self) -> u64 {
         self.head.n_bytes
     }
@@ -289,7 +290,7 @@ impl Writer {
     }
 }
 
-/// An Arrow IPC file.
+/// Encodes rows as an Arrow IPC file.
 fn encoded(rows: &RecordBatch) -> Result<Vec<u8>, ArrowError> {
     let mut writer = FileWriter::try_new(Vec::new(), &rows.schema())?;
     writer.write(rows)?;

@@ -1,4 +1,4 @@
-//! Datasets read back, by the crate that wrote them; `python/tests/test_recording.py` reads them with Minari.
+//! Reads datasets back with the Arrow crates that wrote them; `python/tests/test_recording.py` reads them with Minari.
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, Int64Type};
@@ -20,7 +20,7 @@ fn goal() -> &'static Blueprint {
     Catalog::builtin().get(&"3_000".parse().unwrap()).unwrap()
 }
 
-/// An episode of the expert.
+/// Runs an episode of the expert.
 fn played(environment: &EnvironmentConfig, seed: u64) -> Trajectory {
     let performance = Performance { environment, blueprint: goal(), before: &[], acting: ActionMode::Greedy, seed };
     perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
@@ -48,7 +48,7 @@ fn part<'a>(rows: &'a StructArray, name: &str) -> &'a StructArray {
     rows.column_by_name(name).unwrap().as_struct()
 }
 
-/// The numbers of a row.
+/// Returns the numbers of a row.
 fn floats(table: &StructArray, name: &str, row: usize) -> Vec<f32> {
     let list = table.column_by_name(name).unwrap().as_fixed_size_list().value(row);
     list.as_primitive::<Float32Type>().values().to_vec()
