@@ -1,4 +1,4 @@
-//! Evaluates the policy that comes with the program on goals of two and three blocks.
+//! Evaluates the shipped policy on blueprints of two and three blocks.
 //!
 //! ```sh
 //! cargo run --release --example evaluate_a_policy
@@ -15,10 +15,11 @@ use learner::Model;
 fn main() -> anyhow::Result<()> {
     let pretrained = concat!(env!("CARGO_MANIFEST_DIR"), "/pretrained/model.safetensors");
     let path = std::env::args().nth(1).map_or_else(|| PathBuf::from(pretrained), PathBuf::from);
-    // A model holds its weights and the configuration of its network, so it cannot be loaded into another one.
+    // A model file holds the weights and the network's configuration, so the weights cannot end up in a different
+    // network.
     let model = Model::from_bytes(&std::fs::read(&path)?, &path)?;
 
-    // The world should be the one that the policy was trained in.
+    // Evaluate in the world that the policy was trained in.
     let preset = Preset::find("laptop")?;
     let config = Config::parse(preset.text, preset.name)?;
 
@@ -34,7 +35,7 @@ fn main() -> anyhow::Result<()> {
         // The same seed gives the same start states, so two policies can be compared episode by episode.
         seed: 1,
     };
-    // The closure is asked now and then; when it returns false, the evaluation stops.
+    // The closure is called regularly; when it returns false, the evaluation stops.
     let report = evaluate(&setup, &model.policy, &model.weights, &goals, &|| true)?;
     println!("{}", render(&report, Detail::Blueprints));
     Ok(())

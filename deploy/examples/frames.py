@@ -1,4 +1,4 @@
-"""Decodes a film with ffmpeg and prints as JSON what is in it: frames, width and height, frames per second.
+"""Decodes a film with ffmpeg and prints its frame count, width and height, and frames per second as JSON.
 
 Usage: pip install imageio-ffmpeg; python frames.py films/<film>.mp4
 """

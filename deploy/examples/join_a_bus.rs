@@ -11,18 +11,19 @@ use bus::{Bus, BusConfig, BusMode};
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
     let config = match std::env::args().nth(1) {
-        // A client talks to one router. Everything else about it has a default.
+        // A client connects to one router. Every other setting has a default.
         Some(router) => BusConfig { mode: BusMode::Client, connect: vec![router], ..BusConfig::default() },
-        // A router that listens nowhere: nobody can join, but its own process can use it.
+        // A router without a listen endpoint: other processes cannot join, but this process can use the bus.
         None => BusConfig::default(),
     };
     let bus = Bus::open(&config).await?;
 
-    // A subscriber first gets the latest value of each key, then every new one. `**` stands for all keys; try `actor/*`.
+    // A subscriber first receives the latest value of each key, then every new one. `**` matches all keys; try
+    // `actor/*`.
     let mut metrics = bus.metrics_subscriber("**").await?;
 
     if config.mode == BusMode::Router {
-        // Metrics are JSON, so that a script needs no schema of ours. Any type that serializes will do.
+        // Metrics are JSON, so scripts need no schema. Any serializable type works.
         let publisher = bus.metrics_publisher("actor/example").await?;
         publisher.put(&serde_json::json!({ "episodes_total": 1 })).await?;
         publisher.put(&serde_json::json!({ "episodes_total": 2 })).await?;
@@ -31,7 +32,7 @@ async fn main() -> anyhow::Result<()> {
         print_next(&mut metrics, 20).await;
     }
 
-    // Whatever is queued is sent before the session closes, and the others see at once that we left.
+    // Sends everything that is queued, then closes the session; the other processes see at once that this one left.
     bus.close().await;
     Ok(())
 }

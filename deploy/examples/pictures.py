@@ -1,4 +1,4 @@
-"""Prints what moving pictures TensorBoard's event files hold as JSON: tag -> list of pictures with step and size.
+"""Prints the animated images in TensorBoard event files as JSON: tag -> list of images with step and size.
 
 Usage: pip install tensorboard; python pictures.py runs/<run>/tb/evaluator/films
 """
@@ -10,9 +10,9 @@ from tensorboard.backend.event_processing.event_accumulator import IMAGES, Event
 
 
 def about(event):
-    """Of a picture: the format is what browsers go by, the size is as the event has it."""
+    """Describes an image: the format from the signature that browsers check, the size from the event."""
     picture = event.encoded_image_string
-    # The logical screen of a GIF: width and height, little-endian, behind its six letters.
+    # The logical screen of a GIF: width and height, little-endian, after the six-byte signature.
     screen = [int.from_bytes(picture[at : at + 2], "little") for at in (6, 8)]
     return {
         "step": event.step,
@@ -23,7 +23,7 @@ def about(event):
     }
 
 
-# 0 keeps all of them.
+# 0 keeps all events.
 events = EventAccumulator(sys.argv[1], size_guidance={IMAGES: 0})
 events.Reload()
 print(json.dumps({tag: [about(event) for event in events.Images(tag)] for tag in events.Tags()["images"]}))

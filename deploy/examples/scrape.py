@@ -1,8 +1,8 @@
-"""Prints what the page offers to Prometheus as JSON: name -> {"type": ..., "samples": [[name, labels, value], ...]}.
+"""Prints the dashboard's Prometheus metrics as JSON: name -> {"type": ..., "samples": [[name, labels, value], ...]}.
 
 Usage: pip install prometheus-client; python scrape.py http://127.0.0.1:8080/metrics [TOKEN]
 
-The parser is the one of Prometheus's own Python client, and refuses what the OpenMetrics format does not allow.
+It uses the parser of the official Prometheus Python client, which rejects anything that OpenMetrics does not allow.
 """
 
 import json

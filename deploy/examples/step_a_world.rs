@@ -14,7 +14,7 @@ fn main() -> anyhow::Result<()> {
     let id = std::env::args().nth(1).unwrap_or_else(|| "4_000".to_owned());
     let blueprint = BlueprintId::try_from(id)?;
 
-    // The task and the seed determine the episode: run it twice and every number is the same.
+    // The task and its seed determine the episode: every run prints the same numbers.
     let blocks: Vec<BlockIdx> = BlockIdx::all().collect();
     let assignment: [BlockIdx; N_BLOCKS] = blocks.try_into().ok().context("the inventory has 16 blocks")?;
     let task = Task { blueprint, assignment, start: Start::Scattered, seed: 1 };
@@ -23,7 +23,7 @@ fn main() -> anyhow::Result<()> {
     let mut world = World::new(&config)?;
     world.reset(&task, Catalog::builtin())?;
 
-    // The expert sees the scene and nothing else, just as a policy does. Replace it with your own controller.
+    // Like a policy, the expert sees only the scene. Replace it with your own controller.
     let mut expert = Expert::new(&config, world.blueprint())?;
     let mut total = 0.0;
     for step in 1.. {
@@ -34,7 +34,7 @@ fn main() -> anyhow::Result<()> {
             let n_joints = world.scene().joints.len();
             println!("step {step}: {:?}, {n_joints} connections, return {total:.2}", result.status);
         }
-        // There is no bare `done`: success, the time limit, and a world that diverged are different ends.
+        // There is no single `done` flag: success, the time limit, and divergence of the simulation are distinct ends.
         if result.status != Status::Running {
             break;
         }

@@ -1,10 +1,11 @@
-"""Follows a run's success from Python: the latest numbers at once, then every new one.
+"""Follows a run's success rates from Python: prints the latest summary at once, then every new one.
 
 Usage: pip install eclipse-zenoh; python success.py tcp/127.0.0.1:7447 [--run NAME] [--once | --history]
        python success.py quic/127.0.0.1:7447 --keys KEYS [--run NAME] [--once | --history]
 
-Needs a router (`lodestone router --listen tcp/127.0.0.1:7447`) and, for numbers to come, an evaluator. Prints one line per
-group and pass; the fields of the JSON are described in docs/metrics.md.
+Requires a router (`lodestone router --listen tcp/127.0.0.1:7447`) and an evaluator that publishes summaries. For each
+summary, prints one line per group for greedy ("mode") and one for sampled actions. docs/metrics.md describes the JSON
+fields.
 """
 
 import argparse
@@ -18,7 +19,7 @@ SCHEMA_VERSION = 1
 
 
 def lines(summary):
-    """One line per group of a summary that this program understands."""
+    """Yields lines per group for greedy ("mode") and sampled actions, or a warning if the schema is not supported."""
     if summary["schema_version"] != SCHEMA_VERSION:
         yield f"schema version {summary['schema_version']} is not {SCHEMA_VERSION}; fetch a newer success.py"
         return
@@ -35,7 +36,7 @@ def lines(summary):
 
 
 def show_keys(config, folder):
-    """Lets the router know us by the keys in `folder`, and us the router."""
+    """Configures mutual TLS and the password with the keys in `folder`."""
     if (folder / "viewer").is_dir():
         folder /= "viewer"
     config.insert_json5("transport/link/tls/root_ca_certificate", json.dumps(str(folder / "ca.pem")))
@@ -69,7 +70,7 @@ def main():
                 if reply.ok:
                     print(reply.ok.payload.to_string())
             return
-        # Subscribed before it asks, so that nothing falls between the two; a value may then come twice.
+        # Subscribe before the query so that no update is missed in between. The same value may then arrive twice.
         session.declare_subscriber(key, lambda sample: samples.put(sample.payload.to_string()))
         session.get(key, lambda reply: reply.ok and samples.put(reply.ok.payload.to_string()))
         while True:

@@ -1,13 +1,13 @@
-"""Follows a run into Weights & Biases or MLflow: each update of the learner, and success per group of each evaluation.
+"""Logs a run to Weights & Biases or MLflow: every learner update, and the success per group of every evaluation.
 
 Usage: pip install eclipse-zenoh wandb; python track.py tcp/127.0.0.1:7447 --to wandb [--run NAME] [--config runs/RUN/config.toml]
        pip install eclipse-zenoh mlflow; python track.py quic/127.0.0.1:7447 --keys KEYS --to mlflow
        python track.py runs/RUN --to mlflow
 
-With an endpoint it logs what comes over the bus until Ctrl-C or SIGTERM; with the folder of a run, what is in its metrics.jsonl, and ends. The
-step of everything is the number of environment steps. Where it goes is for the other program's own variables to say:
-WANDB_MODE=offline keeps it in ./wandb, MLFLOW_TRACKING_URI names a server or a database. The fields are described in
-docs/metrics.md.
+With an endpoint, it logs messages from the bus until Ctrl-C or SIGTERM. With a run folder, it logs the contents of
+metrics.jsonl and exits. The step of every value is the number of environment steps. The tracker's own environment
+variables choose the destination: WANDB_MODE=offline writes to ./wandb, MLFLOW_TRACKING_URI names a server or a
+database. docs/metrics.md describes the fields.
 """
 
 import argparse
@@ -18,12 +18,12 @@ import signal
 import tomllib
 
 SCHEMA_VERSION = 1
-# Beside the numbers of each blueprint, which would be hundreds of curves.
+# Not logged. The values per blueprint would make hundreds of curves.
 LEFT_OUT = {"schema_version", "weights_version", "n_env_steps", "task_probabilities", "reverse_reach"}
 
 
 def flat(tree, prefix=""):
-    """The leaves of nested dictionaries, with names such as ppo/entropy."""
+    """Yields the leaves of nested dictionaries, with names such as ppo/entropy."""
     for name, value in tree.items():
         if isinstance(value, dict):
             yield from flat(value, f"{prefix}{name}/")
@@ -32,7 +32,7 @@ def flat(tree, prefix=""):
 
 
 def learner_values(update):
-    """The numbers of an update."""
+    """Yields the numeric values of a learner update."""
     tree = {name: value for name, value in update.items() if name not in LEFT_OUT}
     for name, value in flat(tree, "learner/"):
         if isinstance(value, (int, float)) and not isinstance(value, bool):
@@ -40,7 +40,7 @@ def learner_values(update):
 
 
 def eval_values(summary):
-    """Success per group and way of acting, named as in TensorBoard."""
+    """Yields the success per group for greedy ("mode") and sampled actions, named as in TensorBoard."""
     for group in [*summary["groups"], summary["all"]]:
         name = group["name"].replace(" ", "-")
         for acting in ("mode", "sampled"):
@@ -52,13 +52,13 @@ def eval_values(summary):
 
 
 def points(messages):
-    """What to log of messages `(key, value)`: environment steps and numbers by name, nothing twice."""
+    """Yields the key, environment steps, and values by name of each `(key, value)` message, without duplicates."""
     known = set()
     for key, value in messages:
         if value["schema_version"] != SCHEMA_VERSION:
             print(f"{key}: schema version {value['schema_version']} is not {SCHEMA_VERSION}; fetch a newer track.py", flush=True)
             continue
-        # An evaluation is published while it runs as well.
+        # Evaluations are also published while they are still in progress.
         if key == "eval/summary" and not value["is_complete"]:
             continue
         step = value["n_env_steps"]
@@ -68,7 +68,7 @@ def points(messages):
 
 
 def recorded(folder):
-    """The messages in the folder of a run."""
+    """Yields the messages recorded in a run folder."""
     for line in (folder / "metrics.jsonl").read_text().splitlines(keepends=True):
         if not line.endswith("\n"):
             return  # The run goes on and writes it.
@@ -79,7 +79,7 @@ def recorded(folder):
 
 
 def live(endpoint, run, keys):
-    """The messages on the bus, the latest ones at once and then every new one, without end."""
+    """Yields the messages on the bus: the latest ones at once, then every new one. Never ends."""
     import zenoh
     from success import show_keys
 
@@ -95,7 +95,7 @@ def live(endpoint, run, keys):
             def put(sample, key=key):
                 samples.put((key, json.loads(sample.payload.to_string())))
 
-            # Subscribed before it asks, so that nothing falls between the two.
+            # Subscribe before the query so that no update is missed in between.
             session.declare_subscriber(f"lodestone/{run}/metrics/{key}", put)
             session.get(f"lodestone/{run}/metrics/{key}", lambda reply, put=put: reply.ok and put(reply.ok))
         print("listening", flush=True)
@@ -104,13 +104,13 @@ def live(endpoint, run, keys):
 
 
 class Wandb:
-    """A run of Weights & Biases."""
+    """A Weights & Biases run."""
 
     def __init__(self, project, name, config):
         import wandb
 
         self.run = wandb.init(project=project, name=name, config=config)
-        # Not W&B's own step, which must not fall: an evaluation ends after later updates.
+        # W&B's own step must not decrease, but an evaluation may finish after later updates have been logged.
         self.run.define_metric("n_env_steps")
         self.run.define_metric("*", step_metric="n_env_steps")
 
@@ -122,7 +122,7 @@ class Wandb:
 
 
 class MLflow:
-    """A run of MLflow."""
+    """An MLflow run."""
 
     def __init__(self, project, name, config):
         import mlflow
@@ -155,7 +155,7 @@ def main():
     else:
         name, messages, file = args.run, live(args.source, args.run or "*", args.keys), args.config
     config = tomllib.loads(file.read_text()) if file else {}
-    # What stops a job or a container ends it as Ctrl-C does.
+    # Schedulers and container runtimes stop processes with SIGTERM. Handle it like Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     tracker = (Wandb if args.to == "wandb" else MLflow)(args.project, name, config)
     try:

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# One actor of a run: waits for the learner's endpoint, follows it when it moves, ends when the run ends.
+# Runs one actor: waits for the learner's endpoint, reconnects when it moves, and exits when the run ends.
 #
 # usage: actor.sh FOLDER (from actors.sbatch, or as a task of hetjob.sbatch)
 set -euo pipefail
@@ -11,16 +11,16 @@ source "$folder/launch.env"
 source "$LODESTONE_SLURM_HOME/common.sh"
 forget_variables
 
-# The batch step of a job with a GPU hands this on to tasks that have none.
+# The batch step of a job with a GPU passes this variable on to tasks without one.
 unset CUDA_VISIBLE_DEVICES
 
-# Why this task ends: `term` when Slurm has told all its processes, `limit` when its time is almost over.
+# Why this task ends: `term` if Slurm sent SIGTERM to all its processes, `limit` if its time is almost up.
 stopping=
 trap 'stopping=term' TERM INT
 trap 'stopping=limit' USR1
 
-# Unique among all that may be connected at once. A requeued task gets a new name, because what it left on the bus may
-# outlive it by some seconds when its node was lost.
+# Prints an id that is unique among all actors connected at the same time. A requeued task gets a new id, because its
+# old bus session may outlive it by some seconds if its node was lost.
 actor_id() {
     local id
     if [[ -n ${SLURM_ARRAY_JOB_ID:-} ]]; then
@@ -43,7 +43,7 @@ say "$id on ${SLURMD_NODENAME:-$(hostname)} waits for the learner's endpoint in 
 
 while ! is_over; do
     endpoint=$(endpoint_of "$folder")
-    # The learner writes its whole configuration, so that the actors need no preset of their own.
+    # The learner writes its full configuration, so the actors need no preset.
     if [[ -z $endpoint || ! -e $config ]]; then
         nap "$poll_s"
         continue
@@ -56,11 +56,11 @@ while ! is_over; do
         nap "$poll_s"
     done
     if ! is_over && is_alive "$actor"; then
-        # The router is gone, and with it all that the actor could still deliver.
+        # The router is gone, so the actor cannot deliver anything anymore.
         end "$actor" 3
         continue
     fi
-    # Slurm has sent SIGTERM to the actor too; a second one would end it before it is done.
+    # On `term`, Slurm has sent SIGTERM to the actor too, and a second one would stop it before it is done.
     [[ $stopping == term ]] || kill -TERM "$actor" 2>/dev/null || true
     code=0
     reap "$actor" || code=$?

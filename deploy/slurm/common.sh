@@ -1,18 +1,18 @@
 # shellcheck shell=bash
-# What the jobs of a run share: names in the run's folder, and how to wait for processes while signals come.
+# Shared by the jobs of a run: names in the run's folder, and functions that wait for processes while handling signals.
 #
-# A run's folder lies on a file system that every node sees:
-#   launch.env   what `lodestone-slurm launch` was told, for the jobs to read
+# A run's folder is on a file system that all nodes share:
+#   launch.env   options of `lodestone-slurm launch`, read by the jobs
 #   jobs         ids of the submitted jobs, one line each: `learner ID`, `actors ID`, `hetjob ID`
-#   keys/        who may do what on the bus, from `lodestone keys new`
-#   endpoint     where the router is now and who says so; appears and changes as a whole
+#   keys/        the bus keys of each role, from `lodestone keys new`
+#   endpoint     the router's current endpoint and the job that wrote it; replaced atomically
 #   run/         the learner's and evaluator's run folder
-#   health/      what `lodestone healthcheck` reads
+#   health/      the files that `lodestone healthcheck` reads
 #   logs/        output of the jobs
-#   stop         there when the run is to save and end
-#   finished     there when the run's steps are reached
+#   stop         exists when the run should save and end
+#   finished     exists when the run's steps are reached
 
-# Forgets variables that would change what the flags of `lodestone` say, wherever they come from.
+# Unsets the environment variables that `lodestone` reads like flags, whatever set them.
 forget_variables() {
     unset LODESTONE_PRESET LODESTONE_CONFIG LODESTONE_RUN LODESTONE_RUN_DIR LODESTONE_SEED LODESTONE_STEPS \
         LODESTONE_CONNECT LODESTONE_LISTEN LODESTONE_ID LODESTONE_KEYS LODESTONE_AUTO_RESUME LODESTONE_HEALTH_FILE
@@ -22,7 +22,7 @@ say() {
     printf '%s %s\n' "$(date -u +%Y-%m-%dT%H:%M:%SZ)" "$*"
 }
 
-# Writes standard input to FILE so that a reader sees the old text or the new.
+# Writes standard input to FILE atomically: a reader sees either the old text or the new.
 write_whole() {
     local file=$1 part
     part="$file.part-$$-$RANDOM"
@@ -30,21 +30,21 @@ write_whole() {
     mv -f "$part" "$file"
 }
 
-# Endpoint of the router that FOLDER names, or nothing.
+# Prints the router's endpoint from FOLDER, or nothing.
 endpoint_of() {
     local endpoint=''
     { read -r endpoint <"$1/endpoint"; } 2>/dev/null || true
     printf '%s' "$endpoint"
 }
 
-# Who wrote the endpoint that FOLDER names, or nothing.
+# Prints the owner of the endpoint in FOLDER, or nothing.
 owner_of() {
     local owner=''
     { { read -r _ && read -r owner; } <"$1/endpoint"; } 2>/dev/null || true
     printf '%s' "$owner"
 }
 
-# Environment steps of the newest checkpoint in RUN, or nothing.
+# Prints the environment steps of the newest checkpoint in RUN, or nothing.
 newest_step() {
     local checkpoint newest=''
     for checkpoint in "$1"/checkpoints/step-*; do
@@ -58,7 +58,7 @@ is_alive() {
     [[ -n $1 ]] && kill -0 "$1" 2>/dev/null
 }
 
-# Sleeps for N seconds, or until a signal comes: bash runs a trap only between commands, and `wait` is one that ends early.
+# Sleeps for N seconds or until a signal arrives. Bash runs traps only between commands, but a signal interrupts `wait`.
 nap() {
     local sleeper
     sleep "$1" &
@@ -67,19 +67,19 @@ nap() {
     kill "$sleeper" 2>/dev/null || true
 }
 
-# Waits until the child PID has ended, whatever signals come meanwhile. Its exit code.
+# Waits until the child PID has exited, regardless of signals. Returns its exit code.
 reap() {
     local code
     while true; do
         code=0
         wait "$1" || code=$?
-        # `wait` ends early for a trap; then the child is still there.
+        # If a trap interrupted `wait`, the child is still running.
         is_alive "$1" || break
     done
     return "$code"
 }
 
-# Ends the child PID: SIGTERM, and after N seconds SIGKILL.
+# Ends the child PID with SIGTERM, and with SIGKILL after N seconds.
 end() {
     local pid=$1 limit_s=$2 began=$SECONDS
     kill -TERM "$pid" 2>/dev/null || true

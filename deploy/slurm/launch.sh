@@ -1,5 +1,5 @@
 # shellcheck shell=bash disable=SC2154 # the options are lodestone-slurm's
-# `lodestone-slurm launch`: keys, what the jobs are told, and the jobs.
+# `lodestone-slurm launch`: creates the keys and the jobs' settings, and submits the jobs.
 
 launch() {
     find_binary
@@ -12,7 +12,7 @@ launch() {
     [[ -z $seed ]] || learner_args+=(--seed "$seed")
     [[ -z $steps ]] || learner_args+=(--steps "$steps")
     [[ -z $gpu ]] || learner_args+=(--device gpu)
-    # A misspelt setting is found now and not when the job starts. Where the router is makes no difference to that.
+    # Catch a misspelled setting now rather than when the job starts. The router's address does not matter for that.
     "$binary" learner "${learner_args[@]}" --connect tcp/127.0.0.1:1 --print-config >/dev/null || die 64 "nothing was submitted"
 
     if [[ -e $folder/run/config.toml ]]; then
@@ -63,11 +63,11 @@ refuse_if_active() {
     done
 }
 
-# Makes the folder, the keys and what the jobs read.
+# Creates the folder, the keys, and the jobs' settings.
 prepare() {
     act mkdir -p "$folder/logs" "$folder/health"
     if [[ ! -e $folder/keys/ca/cert.pem ]]; then
-        # What it says of where to put them does not hold here, where all processes read them from one folder.
+        # Hide its advice on distributing the keys. It does not apply here, where all processes read one shared folder.
         show "$binary" keys new "$folder/keys" --keep
         [[ -n $dry_run ]] || "$binary" keys new "$folder/keys" --keep >/dev/null
     fi
@@ -94,7 +94,7 @@ submit_jobs() {
     submit "$name-learner" "$folder/logs/learner-%j.log" "${learner_sbatch[@]}" "${both_sbatch[@]}" "$home/learner.sbatch"
     ids=("$submitted")
     [[ -n $dry_run ]] || echo "learner $submitted" | write_whole "$folder/jobs"
-    # A cluster limits the size of an array, so many actors are several arrays.
+    # Clusters limit the array size, so a large number of actors is split into several arrays.
     local most
     most=$(scontrol show config 2>/dev/null | sed -n 's/^MaxArraySize *= *//p' || true)
     most=${most:-1001}
@@ -118,7 +118,7 @@ submit_hetjob() {
     [[ -n $dry_run ]] || echo "submitted learner and $n_actors actors as job $submitted"
 }
 
-# Submits a job of the run's folder; its id is then in `submitted`.
+# Submits a job for the run's folder and stores its id in `submitted`.
 submit() {
     local name=$1 log=$2 line
     shift 2

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The learner's node of a run: router, learner, evaluator, and in a heterogeneous job the actors' step.
+# Runs the processes of the learner's node: router, learner, evaluator, and, in a heterogeneous job, the actors' step.
 #
 # usage: learner.sh FOLDER (from learner.sbatch or hetjob.sbatch)
 set -euo pipefail
@@ -15,12 +15,12 @@ job=${SLURM_JOB_ID:?this script runs in a job}
 owner="job $job restart ${SLURM_RESTART_COUNT:-0} on ${SLURMD_NODENAME:-$(hostname)}"
 run=$folder/run
 
-# Why this job ends: `term` when Slurm has told all its processes (requeued, cancelled, preempted), `limit` when its time is
-# almost over, `stop` when a person wants it, `fenced` when Slurm has given the run to another node.
+# Why this job ends: `term` if Slurm sent SIGTERM to all its processes (requeued, canceled, preempted), `limit` if its
+# time is almost up, `stop` if a user requested it, `fenced` if Slurm moved the run to another node.
 stopping=
 trap 'stopping=term' TERM INT
-# Not SIGTERM, which Slurm sends to every process of a job: then the learner has it already, and a second one half a second
-# later would end it before it has saved.
+# Not SIGTERM, because Slurm sends that to every process of a job: the learner would already have received it, and a
+# second one half a second later would end it before it has saved.
 trap 'stopping=${stopping:-limit}' USR1
 
 router=
@@ -28,7 +28,7 @@ learner=
 evaluator=
 actors=
 
-# Address of this node for the other nodes: of the interface that was asked for, or as Slurm itself reaches the node.
+# Prints the address at which other nodes reach this one: that of the requested interface, or the one that Slurm uses.
 address() {
     local found
     if [[ -n ${LODESTONE_SLURM_INTERFACE:-} ]]; then
@@ -47,12 +47,12 @@ is_healthy() {
     "$LODESTONE_SLURM_BINARY" healthcheck --file "$folder/health/$1" >/dev/null 2>&1
 }
 
-# Starts a router on a free port and says to all where it is.
+# Starts a router on a free port and publishes its endpoint.
 start_router() {
     local host port code n
-    # `set -e` does not count in a function that is called with `||`, so each command says for itself that it failed.
+    # `set -e` has no effect in a function called with `||`, so each command handles its own failure.
     host=$(address) || return
-    # The router's certificate names the node on which the job has landed.
+    # The router's certificate must name the node that the job runs on.
     "$LODESTONE_SLURM_BINARY" keys router "$folder/keys" --host "$host" >/dev/null || return
     for ((n = 0; n < 20; n++)); do
         port=$((20000 + RANDOM % 12000))
@@ -73,14 +73,14 @@ start_router() {
         code=0
         reap "$router" || code=$?
         router=
-        # Only a port that is taken is worth another try.
+        # Retry only if the port was taken.
         ((code == 65)) || return "$code"
     done
     say "no free port found for the router" >&2
     return 65
 }
 
-# Whether nobody else learns in the run's folder, by the lock that a learner holds.
+# Checks by the learner's lock file that no other learner is using the run's folder.
 is_free() {
     [[ ! -e $run/run.lock ]] || flock --nonblock "$run/run.lock" true
 }
@@ -98,7 +98,7 @@ start_evaluator() {
     evaluator=$!
 }
 
-# In a heterogeneous job the actors are a step of it.
+# In a heterogeneous job, the actors are a step of the job.
 start_actors() {
     [[ -n ${LODESTONE_SLURM_HETJOB:-} ]] || return 0
     srun --het-group=1 --ntasks="$LODESTONE_SLURM_ACTORS" --cpus-per-task="$LODESTONE_SLURM_ACTOR_CPUS" \
@@ -107,7 +107,7 @@ start_actors() {
     actors=$!
 }
 
-# Ends what is left; the learner first, because it has something to save.
+# Ends the remaining processes, the learner first because it has to save.
 end_all() {
     if [[ -n $learner ]]; then
         [[ $stopping == term ]] || kill -TERM "$learner" 2>/dev/null || true
@@ -121,7 +121,7 @@ end_all() {
     router=
 }
 
-# Whether the run's steps are reached.
+# Checks whether the run has reached its steps.
 is_finished() {
     local wanted saved
     wanted=$(sed -n 's/^n_env_steps *= *//p' "$run/config.toml" | tr -d _)
@@ -129,15 +129,16 @@ is_finished() {
     [[ -n $wanted && -n $saved ]] && ((saved >= wanted))
 }
 
-# Whether another node serves the run now: Slurm lost sight of this one and started the job again elsewhere. The job there
-# waits until the learner here has saved and ended.
+# Checks whether another node now serves the run, because Slurm lost contact with this one and restarted the job
+# elsewhere. The job there waits until the learner here has saved and exited.
 is_fenced() {
     local now
     now=$(owner_of "$folder")
     [[ -n $now && $now != "$owner" ]]
 }
 
-# Watches until something ends or is to end. 0: the learner has ended, and its code is in `code`. 1: all else.
+# Watches until a process exits or the job should end. Returns 0 if the learner has exited, with its exit code in
+# `code`, and 1 otherwise.
 watch_over() {
     local next_evaluator_s=0
     while [[ -z $stopping ]]; do
@@ -164,7 +165,7 @@ watch_over() {
     return 1
 }
 
-# Runs router, learner and evaluator until the run is finished, cannot go on, or this job is to end.
+# Runs router, learner, and evaluator until the run is finished, cannot continue, or this job should end.
 serve() {
     local code n_failures=0 began
     while [[ -z $stopping ]]; do
@@ -240,7 +241,7 @@ limit)
 *) say "ended by ${stopping}; saved at ${saved:-0} steps" ;;
 esac
 if [[ -n $actors ]]; then
-    # The actors' step ends by itself when the run is over or Slurm ends the job; SIGTERM to `srun` would kill them.
+    # The actors' step exits on its own when the run is over or Slurm ends the job. SIGTERM to `srun` would kill them.
     deadline=$((SECONDS + (failed == 0 ? 60 : 0)))
     while is_alive "$actors" && ((SECONDS < deadline)); do
         nap 1

@@ -1,7 +1,7 @@
 # shellcheck shell=bash disable=SC2154 # the options are lodestone-slurm's
 # `lodestone-slurm status` and `stop`.
 
-# Fails when there is no run to speak of.
+# Fails if no run was launched in the folder.
 need_run() {
     [[ -e $folder/jobs ]] || die 1 "$folder holds no run that was launched: name it with --run or --dir"
 }
@@ -36,7 +36,7 @@ status_of_learner() {
     printf '%-10s %s\n' health "${why#error: }"
 }
 
-# `3 RUNNING, 1 PENDING`, or that the job has ended.
+# Prints a job's state counts, such as `3 RUNNING, 1 PENDING`, or `ended`.
 count_states() {
     local states counted
     states=$(states_of "$1")
@@ -56,7 +56,7 @@ status_of_training() {
     [[ -z $line ]] || status_of_success "$line"
 }
 
-# Success over all blueprints, of each way of acting that was judged, from a LINE of the evaluator's.
+# Prints the success over all blueprints from a LINE of the evaluator, for greedy and sampled actions if evaluated.
 status_of_success() {
     local way rest
     for way in mode sampled; do
@@ -67,7 +67,7 @@ status_of_success() {
     done
 }
 
-# The first number called KEY in a line of JSON, or 0.
+# Prints the first number with the name KEY in a line of JSON, or 0.
 number() {
     local pattern="\"$1\":([0-9.eE+-]+)"
     if [[ $2 =~ $pattern ]]; then printf '%s' "${BASH_REMATCH[1]}"; else printf 0; fi
@@ -78,13 +78,13 @@ stop() {
     local learners actors states began=$SECONDS
     learners=$(ids_of learner)$(ids_of hetjob)
     actors=$(ids_of actors)
-    # The learner's job looks for this file every second, wherever it is and however often it was requeued.
+    # The learner's job checks for this file every second, wherever it runs and however often it was requeued.
     act touch "$folder/stop"
     [[ -n $dry_run ]] || echo "waits for the learner to save, job $learners"
     while [[ -z $dry_run ]]; do
         states=$(states_of "$learners")
         [[ -n $states ]] || break
-        # Nothing runs that could save: what is saved is all there is.
+        # No learner is running that could save anything more.
         [[ $states != PENDING* ]] || act scancel "$learners"
         ((SECONDS - began < wait_s)) || die 1 "job $learners has not ended in $wait_s s: see $folder/logs; \`scancel $learners\` ends it"
         sleep 1
@@ -96,7 +96,8 @@ stop() {
     echo "stopped; the newest checkpoint holds $(newest_step "$folder/run" | grep . || echo 0) steps"
 }
 
-# Waits until Slurm has ended the canceled actors, because `launch` refuses while any is left. BEGAN is when `stop` began.
+# Waits until Slurm has ended the canceled actors, because `launch` refuses to start while any is left. BEGAN is when
+# `stop` began.
 await_actors() {
     local id
     for id in $(ids_of actors); do

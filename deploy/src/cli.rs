@@ -1,4 +1,4 @@
-//! The command line.
+//! The command-line interface.
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -39,10 +39,10 @@ use crate::telemetry::LogFormat;
 #[derive(Debug, Parser)]
 #[command(name = "lodestone", version, max_term_width = 100, arg_required_else_help = true)]
 pub struct Cli {
-    /// What to do.
+    /// The subcommand.
     #[command(subcommand)]
     pub command: Command,
-    /// How log lines look; RUST_LOG says which there are.
+    /// Format of log lines; RUST_LOG selects what is logged.
     #[arg(long, global = true, value_enum, default_value_t, env = "LODESTONE_LOG_FORMAT")]
     pub log_format: LogFormat,
 }
@@ -51,10 +51,11 @@ impl Cli {
     /// Parses the arguments of this process.
     ///
     /// # Errors
-    /// With the exit code of the process, after printing help, the version, or an error that names the culprit.
+    /// Returns the exit code of the process after printing the help text, the version, or an error that names the
+    /// argument.
     pub fn of_process() -> Result<Self, ExitCode> {
         Self::try_parse().map_err(|error| {
-            // If nobody reads stderr, only the exit code is left.
+            // If stderr is closed, only the exit code is left.
             drop(error.print());
             if let Some(variable) = variable(&error) {
                 drop(writeln!(io::stderr(), "\nThe value comes from the environment variable {variable}."));
@@ -64,7 +65,7 @@ impl Cli {
     }
 }
 
-/// The variable that a refused value came from, if it did not come from an argument.
+/// The environment variable that an invalid value came from, if it did not come from an argument.
 fn variable(error: &clap::Error) -> Option<String> {
     if !matches!(error.kind(), ErrorKind::ValueValidation | ErrorKind::InvalidValue) {
         return None;
@@ -85,56 +86,56 @@ fn variable(error: &clap::Error) -> Option<String> {
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Train with everything in this one process.
+    /// Train in one process: learner, actors, and evaluator.
     Train(TrainArgs),
     /// Step worlds and send trajectories to the learner of a run.
     Actor(MemberArgs),
     /// Train on the trajectories of a run's actors.
     Learner(LearnerArgs),
-    /// Evaluate the weights of a run as they come.
+    /// Evaluate a run's weights as they are published.
     Evaluator(EvaluatorArgs),
-    /// Connect the processes of runs, and nothing else.
+    /// Route messages between the processes of runs.
     Router(RouterArgs),
-    /// Make keys, without which nobody joins a router that other machines can reach.
+    /// Create keys, which processes need to join a router that other machines can reach.
     #[command(subcommand)]
     Keys(KeysCommand),
-    /// Ask a service on this machine whether it is well: exit code 0, or 1 and the reason.
+    /// Check the health of a service on this machine: exit code 0 if it is healthy, else 1 and the reason.
     Healthcheck(HealthcheckArgs),
-    /// Watch a run: success, throughput, losses, actors and drops as they come.
+    /// Watch a run live: success, throughput, losses, actors, and drops.
     Watch(WatchArgs),
-    /// Evaluate a checkpoint, or the policy that comes with the program.
+    /// Evaluate a checkpoint or the shipped policy.
     Eval(EvalArgs),
-    /// Watch a policy build, on a page of its own: any blueprint, from any start, to turn and step through.
+    /// Watch a policy build on a web page: any blueprint, from any start, to rotate and step through.
     Play(PlayArgs),
-    /// Show runs that have ended on a page, several side by side.
+    /// Show finished runs on a web page, several side by side.
     Serve(ServeArgs),
-    /// Write the policy of a checkpoint into one file, for others to act with.
+    /// Export the policy of a checkpoint to a single file, for acting only.
     Export(ExportArgs),
-    /// Draw how success grew in a run: heat map of blueprints, curves and table of groups.
+    /// Plot how success grew during a run: a heat map of blueprints, curves, and a table of groups.
     Report(ReportArgs),
-    /// Let the scripted expert build.
+    /// Run the scripted expert.
     #[command(subcommand)]
     Expert(ExpertCommand),
-    /// Play episodes and keep them: as a dataset that Minari reads, for offline learning, or for `render`.
+    /// Record episodes: as a Minari dataset for offline learning, or as trajectories for `render`.
     Record(RecordArgs),
-    /// Make films of recorded episodes.
+    /// Render recorded or live episodes as films.
     Render(RenderArgs),
-    /// Look at blueprints.
+    /// List, check, generate, and draw blueprints.
     #[command(subcommand)]
     Blueprints(BlueprintsCommand),
-    /// Measure what this machine's processes and their connections can carry.
+    /// Measure the throughput of this machine's processes and of their connections.
     #[command(subcommand)]
     Bench(BenchCommand),
-    /// Print completions for a shell; `source <(lodestone completions bash)` loads them.
+    /// Print shell completions; load them with `source <(lodestone completions bash)`.
     Completions(CompletionsArgs),
-    /// Write man pages, one for each command.
+    /// Write man pages, one per command.
     Man(ManArgs),
 }
 
 /// Arguments of `completions`.
 #[derive(Debug, Args)]
 pub struct CompletionsArgs {
-    /// Which shell.
+    /// The shell.
     #[arg(value_name = "SHELL", value_enum)]
     pub shell: Shell,
 }
@@ -142,7 +143,7 @@ pub struct CompletionsArgs {
 /// Arguments of `man`.
 #[derive(Debug, Args)]
 pub struct ManArgs {
-    /// Folder for the pages, for example ~/.local/share/man/man1; made if it is not there.
+    /// Folder for the pages, for example ~/.local/share/man/man1; created if it does not exist.
     #[arg(value_name = "DIR")]
     pub dir: PathBuf,
 }
@@ -156,58 +157,59 @@ pub struct TrainArgs {
     /// The run.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Learn and evaluate this blueprint only: an id, also of a generated one, a file, or a folder of files; may be
+    /// Train and evaluate on this blueprint only: an id, generated ones included, a file, or a folder of files; may be
     /// repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<String>,
-    /// Train so many times, one after the other: with the configured seed and those after it, each in a folder `seed-S`
-    /// of the run's folder. Mean and deviation of the last evaluations are printed at the end; `report` prints them again.
+    /// Train this many times in sequence, with the configured seed and the seeds after it, each in a folder `seed-S`
+    /// inside the run's folder. The mean and standard deviation of the last evaluations are printed at the end;
+    /// `report` prints them again.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=100), allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["resume", "auto_resume", "listen"])]
     pub seeds: Option<u64>,
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
     pub actors: Option<i64>,
-    /// Step worlds and learn in turns: slower, but equal seeds give equal bytes, also in a run that is resumed
-    /// from one of its periodic checkpoints.
+    /// Alternate between stepping worlds and learning. This is slower, but equal seeds produce equal bytes, even in a
+    /// run that is resumed from one of its periodic checkpoints.
     #[arg(long)]
     pub lockstep: bool,
-    /// Print every blueprint after an evaluation, not only the groups and the worst.
+    /// Print every blueprint after an evaluation, not only the groups and the worst blueprints.
     #[arg(long)]
     pub verbose: bool,
-    /// Print what came of the training as JSON at the end; everything else goes to stderr.
+    /// Print a summary of the training as JSON at the end; everything else goes to stderr.
     #[arg(long)]
     pub json: bool,
-    /// Let other processes join here, for example tcp/127.0.0.1:7447; may be repeated.
+    /// Let other processes join at this endpoint, for example tcp/127.0.0.1:7447; may be repeated.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = values::endpoint)]
     pub listen: Vec<String>,
-    /// Keys of those who join.
+    /// Keys for the processes that join.
     #[command(flatten)]
     pub keys: KeysArgs,
-    /// Health.
+    /// Health reporting.
     #[command(flatten)]
     pub health: HealthArgs,
-    /// The page [default: at 127.0.0.1 with a free port].
+    /// The web page [default: at 127.0.0.1 with a free port].
     #[command(flatten)]
     pub page: PageArgs,
-    /// Serve no page.
+    /// Do not serve a web page.
     #[arg(long, conflicts_with = "web")]
     pub no_web: bool,
 }
 
-/// Where the evaluator's page is.
+/// Where the evaluator's web page is served.
 #[derive(Clone, Debug, Default, Args)]
 pub struct PageArgs {
-    /// Serve a page about the training here, for example 8080, or 127.0.0.1:0 for a free port; an address that others can
-    /// reach needs dashboard.web.token.
+    /// Serve a web page about the training here, for example 8080, or 127.0.0.1:0 for a free port; an address that
+    /// other machines can reach needs dashboard.web.token.
     #[arg(long, value_name = "ADDRESS:PORT", env = "LODESTONE_WEB", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
 }
 
-/// What a learner writes and how long it goes on.
+/// Where a learner starts, what it writes, and when it stops.
 #[derive(Clone, Debug, Default, Args)]
 pub struct RunArgs {
-    /// End after this many environment steps, for example 1e6 or 1_000_000, those before a resume included.
+    /// Stop after this many environment steps, for example 1e6 or 1_000_000; steps before a resume count.
     #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = values::steps, allow_negative_numbers = true)]
     pub steps: Option<i64>,
     /// Folder for checkpoints and metrics [default: runs/DATE-NAME].
@@ -216,13 +218,13 @@ pub struct RunArgs {
     /// Continue the run in this folder, with its configuration.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["config", "preset"])]
     pub resume: Option<PathBuf>,
-    /// Continue the run in --run-dir, with its configuration, if there is one, and start it there otherwise: whoever
-    /// restarts this process need not know which.
+    /// Continue the run in --run-dir, with its configuration, or start it there if it does not exist yet: a supervisor
+    /// can use the same command every time.
     #[arg(long, env = "LODESTONE_AUTO_RESUME", requires = "run_dir", conflicts_with = "resume")]
     pub auto_resume: bool,
-    /// Start from this policy, with a fresh optimizer: a file that `export` wrote, the folder of a run for its newest
-    /// checkpoint, or `pretrained` for the policy that comes with the program. The network must be the same; the settings
-    /// of its standard deviations (policy.network.scale) may differ.
+    /// Start from this policy, with a fresh optimizer: a file written by `export`, the folder of a run for its newest
+    /// checkpoint, or `pretrained` for the shipped policy. The network must be the same, but the settings of its
+    /// standard deviations (policy.network.scale) may differ.
     #[arg(long, value_name = "MODEL", conflicts_with = "resume")]
     pub init_from: Option<PathBuf>,
 }
@@ -230,16 +232,17 @@ pub struct RunArgs {
 /// Arguments of a process that joins a run.
 #[derive(Debug, Args)]
 pub struct MemberArgs {
-    /// The configuration, which must be that of the learner.
+    /// The configuration, which must match the learner's.
     #[command(flatten)]
     pub config: ConfigArgs,
     /// The bus.
     #[command(flatten)]
     pub endpoints: EndpointArgs,
-    /// Name among its kind: 1 to 64 characters of a-z, 0-9 and -, which nobody else of the run has [default: a random one].
+    /// Name of this process: 1 to 64 characters of a-z, 0-9, and -, unique among the run's processes of this kind
+    /// [default: random].
     #[arg(long, value_name = "ID", env = "LODESTONE_ID")]
     pub id: Option<String>,
-    /// Health.
+    /// Health reporting.
     #[command(flatten)]
     pub health: HealthArgs,
 }
@@ -247,7 +250,7 @@ pub struct MemberArgs {
 /// Arguments of `learner`.
 #[derive(Debug, Args)]
 pub struct LearnerArgs {
-    /// As for all members of a run.
+    /// Arguments that all members of a run have.
     #[command(flatten)]
     pub member: MemberArgs,
     /// The run.
@@ -258,31 +261,31 @@ pub struct LearnerArgs {
 /// Arguments of `evaluator`.
 #[derive(Debug, Args)]
 pub struct EvaluatorArgs {
-    /// As for all members of a run.
+    /// Arguments that all members of a run have.
     #[command(flatten)]
     pub member: MemberArgs,
-    /// Keep reports in this folder: in metrics.jsonl and eval.db.
+    /// Keep reports in this folder, in metrics.jsonl and eval.db.
     #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR", conflicts_with = "worker")]
     pub run_dir: Option<PathBuf>,
-    /// Run episodes on behalf of the run's evaluator. Start as many as you like.
+    /// Run episodes for the run's evaluator; start as many workers as you like.
     #[arg(long, alias = "assist")]
     pub worker: bool,
-    /// Print every blueprint after an evaluation, not only the groups and the worst.
+    /// Print every blueprint after an evaluation, not only the groups and the worst blueprints.
     #[arg(long)]
     pub verbose: bool,
-    /// The page.
+    /// The web page.
     #[command(flatten)]
     pub page: PageArgs,
 }
 
-/// Which policy.
+/// The policy to load.
 #[derive(Clone, Debug, Default, Args)]
 #[group(required = true, multiple = false)]
 pub struct ModelArgs {
-    /// Folder of a run, for its newest checkpoint, or of one checkpoint, or a file that `export` wrote.
+    /// Folder of a run (for its newest checkpoint) or of one checkpoint, or a file written by `export`.
     #[arg(long, value_name = "DIR_OR_FILE")]
     pub checkpoint: Option<PathBuf>,
-    /// The policy that comes with the program.
+    /// The shipped policy.
     #[arg(long)]
     pub pretrained: bool,
 }
@@ -290,10 +293,10 @@ pub struct ModelArgs {
 /// Arguments of `export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
-    /// Folder of a run, for its newest checkpoint, or of one checkpoint.
+    /// Folder of a run (for its newest checkpoint) or of one checkpoint.
     #[arg(long, value_name = "DIR")]
     pub checkpoint: PathBuf,
-    /// The file, which must not be there yet.
+    /// Output file, which must not exist.
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
 }
@@ -301,29 +304,29 @@ pub struct ExportArgs {
 /// Arguments of `play`.
 #[derive(Debug, Args)]
 pub struct PlayArgs {
-    /// Folder of a run, for its newest checkpoint, or of one checkpoint, or a file that `export` wrote [default: the policy
-    /// that comes with the program].
+    /// Folder of a run (for its newest checkpoint) or of one checkpoint, or a file written by `export` [default: the
+    /// shipped policy].
     #[arg(long, value_name = "DIR_OR_FILE")]
     pub checkpoint: Option<PathBuf>,
-    /// The policy that comes with the program, as without --checkpoint.
+    /// The shipped policy, as without --checkpoint.
     #[arg(long, conflicts_with = "checkpoint")]
     pub pretrained: bool,
-    /// Only these blueprints: ids, also of generated ones, files, or folders of files [default: the whole catalog].
+    /// Only these blueprints: ids, generated ones included, files, or folders of files [default: the whole catalog].
     #[arg(value_name = "FILE|ID")]
     pub ids: Vec<String>,
-    /// The same; may be repeated.
+    /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<String>,
     /// Episodes per blueprint.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
-    /// Where the page is [default: 127.0.0.1 with a free port].
+    /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
     /// Folder for episodes and films [default: runs/DATE-play].
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
-    /// Set one key of the configuration, for example evaluator.episodes.starts=scattered; may be repeated.
+    /// Set one configuration key, for example evaluator.episodes.starts=scattered; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 }
@@ -334,17 +337,18 @@ pub struct EvalArgs {
     /// The policy.
     #[command(flatten)]
     pub model: ModelArgs,
-    /// This blueprint only: an id, also of a generated one, a file, or a folder of files; may be repeated.
+    /// Only this blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
     pub blueprint: Vec<String>,
-    /// All of this part of the catalog: train, test, test-literal, test-longest, test-tallest or validation [default: what
-    /// the run's evaluator evaluates at last, without validation if there is more].
+    /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation [default: the
+    /// splits of the run's last evaluation, without validation unless it is the only one].
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,
-    /// Episodes per blueprint and way of acting.
+    /// Episodes per blueprint and action mode.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
-    /// Then 50 runs over 10 goals of at least 12 blocks in a world that is never reset, or as many as the run's evaluator has.
+    /// Also run reset-free sequences: 50 runs over 10 goals of at least 12 blocks, or as many as the run's evaluator is
+    /// configured for.
     #[arg(long)]
     pub reset_free: bool,
     /// Threads [default: one per core].
@@ -353,7 +357,7 @@ pub struct EvalArgs {
     /// Set one key of the run's configuration, for example evaluator.episodes.starts=mixed; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Print every blueprint, not only the groups and the worst.
+    /// Print every blueprint, not only the groups and the worst blueprints.
     #[arg(long)]
     pub verbose: bool,
     /// Print the report as JSON.
@@ -362,14 +366,14 @@ pub struct EvalArgs {
 }
 
 impl RunArgs {
-    /// The flags that change the configuration.
+    /// The configuration overrides of these flags.
     pub fn overrides(&self) -> Vec<Override> {
         self.steps.map(|steps| Override::flag("--steps", "n_env_steps", steps)).into_iter().collect()
     }
 }
 
 impl PageArgs {
-    /// The flag that changes the configuration.
+    /// The configuration override of this flag.
     pub fn overrides(&self) -> Option<Override> {
         self.web.map(|address| Override::flag("--web", "dashboard.web.listen", address.to_string()))
     }
@@ -393,7 +397,7 @@ mod tests {
             &["expert", "eval"],
             &["record", "--pretrained", "--blueprint", "2_000", "--out", "played"],
         ] {
-            // The type behind a flag is checked when it is read.
+            // Clap checks an argument's type only when it reads the argument.
             let words = ["lodestone"].iter().chain(command).chain(&["--threads", "2"]);
             assert!(Cli::try_parse_from(words).is_ok(), "{command:?}");
         }

@@ -1,4 +1,4 @@
-//! How a command fails, and with which exit code.
+//! Errors of commands and their exit codes.
 
 use std::io;
 use std::path::PathBuf;
@@ -15,42 +15,42 @@ use runlog::HistoryError;
 use crate::config::{ConfigError, suggestion_or};
 use crate::keys::MakeKeysError;
 
-/// Exit code of what a signal ended before it was done, as shells report it.
+/// Exit code of a command that a signal ended early, as shells report it.
 pub const INTERRUPTED: u8 = 130;
 
 /// A failed command.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// The command line contradicts itself in a way that the parser cannot see; code 2.
+    /// The command line contradicts itself in a way that the parser cannot detect; code 2.
     #[error("{0}")]
     Usage(String),
     /// The configuration cannot be used; code 64.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The page cannot be served where the configuration says; code 64.
+    /// The page cannot be served at the configured address; code 64.
     #[error(transparent)]
     Page(#[from] WebError),
-    /// Keys cannot be made; code 64, or 2 when keys are there already.
+    /// Keys cannot be made; code 64, or 2 if keys already exist.
     #[error(transparent)]
     Keys(#[from] MakeKeysError),
-    /// A service is not well; code 1.
+    /// A service is unhealthy; code 1.
     #[error("{0}")]
     Unhealthy(String),
-    /// The bus cannot be opened, or was lost; code 65.
+    /// The bus cannot be opened, or the connection was lost; code 65.
     #[error("{0:#}")]
     Bus(anyhow::Error),
-    /// Blueprint files cannot be read or make no catalog; code 64.
+    /// Blueprint files cannot be read or do not form a catalog; code 64.
     #[error(transparent)]
     Catalog(#[from] blueprints::CatalogError),
-    /// Blueprint files failed a check that was asked for; code 64.
+    /// Blueprint files failed a requested check; code 64.
     #[error("{n_failed} of {n_files} blueprints failed a check")]
     Blueprints {
-        /// Files with a failed check.
+        /// Number of files with a failed check.
         n_failed: usize,
-        /// Files checked.
+        /// Number of files checked.
         n_files: usize,
     },
-    /// No such blueprints can be generated; code 64.
+    /// No blueprints of this kind can be generated; code 64.
     #[error(transparent)]
     Generate(#[from] blueprints::generator::GenerateError),
     /// A generated blueprint would replace a file; code 64.
@@ -61,16 +61,16 @@ pub enum Failure {
     BlueprintFile {
         /// The file or folder.
         path: PathBuf,
-        /// Why not.
+        /// The cause.
         #[source]
         error: io::Error,
     },
-    /// An id that the catalog does not have; code 64.
+    /// An unknown blueprint id; code 64.
     #[error("there is no blueprint `{id}`{}", suggestion_or(nearest, "; `lodestone blueprints list` lists them"))]
     UnknownBlueprint {
         /// The id given.
         id: String,
-        /// The existing id that looks most like it.
+        /// The most similar existing id.
         nearest: Option<String>,
     },
     /// A recorded episode cannot be shown; code 64.
@@ -81,30 +81,30 @@ pub enum Failure {
         /// What is wrong with them.
         reason: String,
     },
-    /// Recorded episodes cannot be written, or are there already; code 64.
+    /// Recorded episodes cannot be written, or already exist; code 64.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// A part of the catalog without blueprints; code 64.
+    /// A split of the catalog without blueprints; code 64.
     #[error("the catalog has no blueprints of the split {0}")]
     EmptySplit(Split),
     /// A checkpoint or run directory cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
-    /// The history of a run's evaluations cannot be read; code 66.
+    /// The evaluation history of a run cannot be read; code 66.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// A history or run without what is to be shown; code 66.
+    /// A history or run has nothing to show; code 66.
     #[error("{0}")]
     NothingToShow(String),
-    /// A signal ended an evaluation or a recording; what there was has been printed or kept; code 130.
+    /// A signal ended an evaluation or a recording; partial results have been printed or kept; code 130.
     #[error("interrupted after {n_ended} of {n_planned} episodes")]
     Interrupted {
         /// Episodes that had ended.
         n_ended: u64,
-        /// Episodes that were to be run.
+        /// Episodes that were planned.
         n_planned: u64,
     },
-    /// A service failed while it ran; code 1.
+    /// A service failed while running; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
 }
@@ -133,7 +133,7 @@ impl From<WatchError> for Failure {
 }
 
 impl From<anyhow::Error> for Failure {
-    /// Finds out from the causes what kind of failure a service's error is.
+    /// Determines the kind of failure from the error's causes.
     fn from(error: anyhow::Error) -> Self {
         let is_checkpoint = |cause: &(dyn std::error::Error + 'static)| {
             let of_learner = cause.downcast_ref::<LearnerError>();

@@ -1,6 +1,6 @@
-//! The health of a service: it writes its state into a file, and `healthcheck` reads it.
+//! Health of services: a service writes its state to a file, and `healthcheck` reads it.
 //!
-//! A file needs no port, no credentials and no shell, so containers, batch jobs and people ask in the same way.
+//! A file needs no port, no credentials, and no shell, so it works for containers, batch jobs, and people alike.
 
 use std::fs;
 use std::io;
@@ -14,31 +14,31 @@ use tokio::task::JoinHandle;
 
 use crate::exit::Failure;
 
-/// Time between two states in the file.
+/// Time between writes of the state.
 const PERIOD: Duration = Duration::from_secs(2);
 
-/// A state older than this is that of a process that hangs or is gone.
+/// A state older than this means that the process hangs or is gone.
 const MAX_AGE: Duration = Duration::from_secs(15);
 
-/// A main loop that has not turned for this long hangs. The largest updates on slow machines take a minute.
+/// A main loop that makes no progress for this long hangs. The largest updates on slow machines take a minute.
 const MAX_IDLE: Duration = Duration::from_secs(300);
 
-/// What a service says of itself.
+/// State of a service.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct State {
-    /// Its role, for example `actor`.
+    /// Role of the service, for example `actor`.
     pub role: String,
     /// Process id.
     pub pid: u32,
-    /// When this was written, milliseconds since 1970.
+    /// When this state was written, in milliseconds since 1970.
     pub unix_ms: u64,
-    /// Whether it reaches a router, or is one.
+    /// Whether the process reaches a router, or is one.
     pub connected: bool,
-    /// Seconds since its main loop turned; 0 while it waits for others.
+    /// Seconds since the main loop last made progress; 0 while it waits for other processes.
     pub idle_s: f64,
 }
 
-/// Writes the state of this process until it is dropped; then the file goes.
+/// Writes the state of this process to a file, and removes the file when dropped.
 #[derive(Debug)]
 pub struct Reporter {
     file: Option<PathBuf>,
@@ -47,7 +47,7 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// Begins to write, if there is a file to write to.
+    /// Starts writing, if a file is given.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -74,7 +74,7 @@ impl Reporter {
         Ok(Self { file: Some(path), bus: sender, task: Some(task) })
     }
 
-    /// Reports from now on on the service that works on this session.
+    /// Reports on the service of this bus session from now on.
     pub fn joined(&self, bus: &Bus) {
         self.bus.send_replace(Some(bus.clone()));
     }
@@ -86,14 +86,14 @@ impl Drop for Reporter {
             task.abort();
         }
         if let Some(file) = &self.file {
-            // Without it the process counts as gone, which it is soon.
+            // Without the file, the process counts as gone, which it soon is.
             let _ = fs::remove_file(file);
         }
     }
 }
 
-/// Whether the service that writes `file` is well: it lives, its main loop turns and, unless only `alive` is asked, it reaches
-/// a router.
+/// Checks that the service that writes `file` is healthy: that its process is alive, its main loop makes progress, and,
+/// unless `alive` is set, it reaches a router.
 ///
 /// # Errors
 /// [`Failure::Unhealthy`] with the reason.
@@ -125,7 +125,7 @@ fn state(role: &str, connected: bool, idle: Duration) -> State {
     State { role: role.to_owned(), pid: std::process::id(), unix_ms: unix_ms(), connected, idle_s: idle.as_secs_f64() }
 }
 
-/// Replaces the file at once, so that nobody reads half a state.
+/// Replaces the file atomically, so that no reader sees a partial state.
 fn write(path: &Path, state: &State) -> io::Result<()> {
     let new = path.with_extension("new");
     fs::write(&new, serde_json::to_vec(state)?)?;

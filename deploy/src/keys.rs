@@ -1,4 +1,4 @@
-//! Keys of a run: an authority of its own, and for each role a certificate and a password.
+//! Keys of a run: its own certificate authority, and a certificate and a password for each role.
 
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::{self, Write};
@@ -15,44 +15,44 @@ use rcgen::{
 };
 use time::{Duration, OffsetDateTime};
 
-/// Folder of the authority, whose key signs certificates. No process of a run needs it.
+/// Folder of the authority, whose key signs certificates. The processes of a run do not need it.
 pub const AUTHORITY: &str = "ca";
 
 /// The role whose certificate may act as a server.
 const ROUTER: &str = "router";
 
-/// Certificates count from this much before they are made, because clocks of machines differ.
+/// Certificates are valid from this long before they are made, because clocks differ between machines.
 const CLOCK_SLACK: Duration = Duration::hours(1);
 
-/// Characters of a password: 32 of 62 are 190 bits.
+/// Length of a password: 32 characters out of 62 carry 190 bits.
 const N_PASSWORD_CHARACTERS: usize = 32;
 
-/// Keys that could not be made.
+/// Reasons why keys cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum MakeKeysError {
-    /// Keys are there already.
+    /// The folder already holds keys.
     #[error("{} holds keys already; remove it, or choose another folder", .0.display())]
     Exists(PathBuf),
-    /// There is no authority to sign with.
+    /// There is no authority that can sign.
     #[error("{} holds no authority that could sign: {reason}", folder.display())]
     NoAuthority {
-        /// Where one was looked for.
+        /// Where the authority was expected.
         folder: PathBuf,
         /// What is wrong.
         reason: String,
     },
-    /// A host that nobody could connect to.
+    /// A host name that is not valid.
     #[error("`{0}` is neither an address nor a name of letters, digits, hyphens and dots")]
     Host(String),
-    /// The system's random numbers or the cryptography failed.
+    /// The system's random number generator or the cryptography failed.
     #[error("making a key: {0}")]
     Crypto(String),
-    /// The file system refused.
+    /// A file or folder cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the file system.
         source: io::Error,
     },
 }
@@ -68,14 +68,14 @@ pub fn exist(folder: &Path) -> bool {
     ROLES.iter().all(|role| folder.join(role).join(PASSWORD_FILE).is_file())
 }
 
-/// Makes the authority and the folders of all roles, which are valid for `n_days`.
+/// Creates the authority and the folders of all roles, valid for `n_days`.
 ///
-/// The router's certificate is for the names and addresses `hosts`; clients refuse a router that they reach under another one.
-/// Folders are for their owner only. The router's list of users and its password come last, so that what was cut short is
-/// not taken for keys.
+/// The router's certificate covers the names and addresses in `hosts`; clients reject a router that they reach under
+/// any other. Folders are accessible to their owner only. The router's list of users and its password are written last,
+/// so that an interrupted call does not leave a folder that passes for complete.
 ///
 /// # Errors
-/// When `folder` holds keys, a host makes no sense, or nothing can be written.
+/// When `folder` already holds keys, a host is not valid, or nothing can be written.
 pub fn create(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKeysError> {
     if folder.join(AUTHORITY).exists() || ROLES.iter().any(|role| folder.join(role).join(CERTIFICATE_FILE).exists()) {
         return Err(MakeKeysError::Exists(folder.to_owned()));
@@ -111,16 +111,16 @@ pub fn create(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKe
     make_folder(&into)?;
     write(&into.join(CERTIFICATE_FILE), &authority_pem)?;
     write(&into.join(KEY_FILE), &authority_key_pem)?;
-    // Last, and of all roles: without it nothing works, so half a folder is never used.
+    // Written last and with all roles: without it nothing works, so an incomplete folder is never used.
     write(&folder.join(ROUTER).join(USERS_FILE), &users)?;
     let own = users.lines().find(|line| line.starts_with(ROUTER)).unwrap_or_default();
     write(&folder.join(ROUTER).join(PASSWORD_FILE), &format!("{own}\n"))
 }
 
-/// Gives the router of `folder` a new certificate for `hosts`, signed by the same authority.
+/// Issues a new certificate for the router in `folder` and for `hosts`, signed by the same authority.
 ///
 /// # Errors
-/// When there is no authority, a host makes no sense, or nothing can be written; the old certificate then stays.
+/// When there is no authority, a host is not valid, or nothing can be written; the old certificate then stays.
 pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKeysError> {
     check_hosts(hosts)?;
     let authority = folder.join(AUTHORITY);
@@ -142,7 +142,7 @@ pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), 
     Ok(())
 }
 
-/// Refuses what rcgen would take and no client would ever match.
+/// Rejects hosts that rcgen accepts but that no client would ever match.
 fn check_hosts(hosts: &[String]) -> Result<(), MakeKeysError> {
     let is_label =
         |label: &str| !label.is_empty() && label.bytes().all(|c| c.is_ascii_alphanumeric() || c == b'-' || c == b'_');
@@ -169,7 +169,7 @@ impl Validity {
     }
 }
 
-/// A certificate that names a role, and its key, both as PEM.
+/// Issues a certificate that names a role; returns it and its key, both as PEM.
 fn certificate(
     role: &str,
     hosts: &[String],
@@ -196,7 +196,7 @@ fn password() -> Result<String, MakeKeysError> {
     let mut password = String::new();
     while password.len() < N_PASSWORD_CHARACTERS {
         let word = SysRng.try_next_u32().map_err(|error| MakeKeysError::Crypto(error.to_string()))?;
-        // Six bits at a time; the two values beyond the table are drawn again, so that all characters are equally likely.
+        // Six bits at a time. The two values beyond the table are redrawn, so that all characters are equally likely.
         password.extend(CHARACTERS.get((word & 63) as usize).map(|&character| char::from(character)));
     }
     Ok(password)

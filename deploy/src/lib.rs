@@ -1,6 +1,6 @@
-//! The program `lodestone`: command line, configuration, signals, logs and terminal around the services.
+//! The `lodestone` program: command line, configuration, signals, logs, and terminal output around the services.
 //!
-//! Reading order: [`cli`] → [`config`] → [`commands`] → [`live`] and the small parts.
+//! Reading order: [`cli`] → [`config`] → [`commands`] → [`live`], then the smaller modules.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

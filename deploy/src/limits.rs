@@ -1,9 +1,9 @@
-//! What the system allows this process.
+//! Limits that the system sets on this process.
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Allows as many open files as the system lets this process have: every process that joins a router costs it one, and the
-/// usual limit of 1024 is less than a router's sessions.
+/// Raises the limit on open files as far as the system allows: each process that joins a router costs the router one
+/// file, and the usual limit of 1024 is less than the number of sessions that a router may have.
 pub fn allow_many_files() {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     if current == maximum {
@@ -14,13 +14,13 @@ pub fn allow_many_files() {
     }
 }
 
-/// Threads that step worlds: as many as asked for, otherwise as many as the cores that this process may use.
+/// Threads that step worlds: as many as requested, or one per core available to this process.
 pub fn n_threads(asked: Option<u16>) -> usize {
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or_else(n_cores, usize::from)
 }
 
-/// Open files that this process may have; `None` for any number.
+/// The limit on open files of this process; `None` means unlimited.
 pub fn max_files() -> Option<u64> {
     getrlimit(Resource::Nofile).maximum
 }

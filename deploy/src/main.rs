@@ -1,4 +1,4 @@
-//! Entry point of the program `lodestone`.
+//! Entry point of the `lodestone` program.
 
 use std::process::ExitCode;
 

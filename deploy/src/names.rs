@@ -1,24 +1,25 @@
-//! Names of processes that nobody gave one.
+//! Random names for processes that were not given one.
 
 use rand::TryRng;
 use rand::rngs::{SysError, SysRng};
 
-/// What a random name is made of.
+/// Characters of a random name.
 const LETTERS: &[u8; 36] = b"abcdefghijklmnopqrstuvwxyz0123456789";
 
-/// Letters after the role: 36^10 names, of which ten thousand processes share one with a probability of 1 in 70 million.
+/// Characters after the role: 36^10 names, so two of ten thousand processes share one with a probability of 1 in 70
+/// million.
 const N_LETTERS: usize = 10;
 
-/// `<role>-<10 letters and digits>`, from the operating system's randomness: process ids and times are the same in
-/// containers that start alike.
+/// Returns `<role>-<10 letters and digits>`. The randomness comes from the operating system, because process ids and
+/// times are the same in containers that start alike.
 ///
 /// # Errors
-/// When the operating system has none.
+/// When the operating system provides no randomness.
 pub fn random_name(role: &str) -> Result<String, SysError> {
     let mut name = format!("{role}-");
     let length = name.len() + N_LETTERS;
     while name.len() < length {
-        // Of a byte's 256 values 252 are 7 times 36; the others would favor the first letters.
+        // 252 of a byte's 256 values are a multiple of 36; the rest would favor the first letters.
         let [byte, ..] = SysRng.try_next_u32()?.to_le_bytes();
         if byte < 252 {
             name.push(LETTERS[usize::from(byte % 36)].into());

@@ -1,4 +1,4 @@
-//! The folder that a run leaves behind.
+//! The folder of a run.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -14,30 +14,30 @@ use crate::cli::RunArgs;
 use crate::config::{Config, Preset};
 use crate::exit::Failure;
 
-/// A run's folder, which exists and in which no other process learns until this is dropped.
+/// The existing folder of a run; no other process learns in it until this is dropped.
 #[derive(Debug)]
 pub struct RunDir {
     paths: RunPaths,
     is_new: bool,
     preset: Option<String>,
-    /// The system gives the lock back when the process ends, however it ends.
+    /// The operating system releases the lock when the process ends, for whatever reason.
     _lock: File,
 }
 
-/// Where a run begins.
+/// Where a run starts from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Origin {
-    /// The folder whose configuration is used, if it is that of an earlier start.
+    /// The folder whose configuration is used, if the run was started before.
     pub config: Option<PathBuf>,
     /// The folder whose checkpoints are used, if any.
     pub checkpoint: Option<PathBuf>,
 }
 
 impl Origin {
-    /// The run to continue, if it is named, or is there already and may be continued.
+    /// Finds the run to continue: the one named with `--resume`, or an existing one with `--auto-resume`.
     pub fn find(args: &RunArgs) -> Self {
         if let Some(resume) = &args.resume {
-            // A run that has saved nothing begins again; whatever else is wrong is for the learner to say.
+            // A run without a checkpoint starts over. The learner reports any other problem.
             let paths = RunPaths::new(resume);
             let continues = learner::checkpoint::exists(&paths.checkpoints()) || !paths.config().exists();
             return Self { config: Some(resume.clone()), checkpoint: continues.then(|| resume.clone()) };
@@ -47,7 +47,7 @@ impl Origin {
         else {
             return Self::default();
         };
-        // One that was ended before its first checkpoint begins again.
+        // A run that was stopped before its first checkpoint starts over.
         let has_checkpoint = learner::checkpoint::exists(&RunPaths::new(folder).checkpoints());
         Self { config: Some(folder.clone()), checkpoint: has_checkpoint.then(|| folder.clone()) }
     }
@@ -59,13 +59,13 @@ fn has_learned(paths: &RunPaths) -> bool {
     has_metrics || learner::checkpoint::exists(&paths.checkpoints())
 }
 
-/// Whether there is more in the folder than what a run writes before its services start. A history alone is of an evaluator
-/// that was there before the learner.
+/// Whether the folder holds more than what a run writes before its services start. A history alone comes from an
+/// evaluator that started before the learner.
 fn has_begun(paths: &RunPaths) -> bool {
     has_learned(paths) || (paths.config().exists() && paths.history().exists())
 }
 
-/// What produced a run, beside its configuration.
+/// What produced a run, in addition to its configuration.
 #[derive(Debug, Serialize)]
 struct Meta<'a> {
     lodestone_version: &'static str,
@@ -76,15 +76,15 @@ struct Meta<'a> {
     resumed_from: Option<&'a Path>,
 }
 
-/// The preset that a run was started with, if it says so. Runs of earlier versions do not.
+/// The preset that a run was started with, if it is recorded. Earlier versions did not record it.
 pub fn preset_of(paths: &RunPaths) -> Option<String> {
     let meta: Value = serde_json::from_slice(&fs::read(paths.meta()).ok()?).ok()?;
     Some(meta["preset"].as_str()?.to_owned())
 }
 
-/// What a message about a folder that is no run's adds: the runs in it, the newest first, or nothing.
+/// What to add to a message about a folder that is not a run's: the newest runs in it, or nothing.
 pub fn runs_in(folder: &Path) -> String {
-    /// More would hide the message.
+    /// More names would hide the message.
     const N_NAMED: usize = 3;
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut runs: Vec<(SystemTime, PathBuf)> = entries
@@ -103,22 +103,22 @@ pub fn runs_in(folder: &Path) -> String {
     format!("; the newest runs in it: {}{more}", named.join(", "))
 }
 
-/// Makes the folder of a run that names none: `runs/<date>-<name>`, and a number if there is one of this minute already.
+/// Creates the default folder of a run, `runs/<date>-<name>`, with a number appended if one exists for this minute.
 ///
 /// # Errors
-/// When the folder cannot be made.
+/// When the folder cannot be created.
 pub fn default_folder(config: &Config) -> Result<PathBuf, Failure> {
     let stamp = utc(SystemTime::now()).replace(':', "");
     make_new(Path::new("runs"), &format!("{stamp}-{}", config.bus.run))
         .map_err(|error| Failure::Checkpoint(anyhow::Error::new(error).context("making a folder in runs")))
 }
 
-/// Makes `name` in `folder`, or `name-2`, `name-3`, and so on if that exists.
+/// Creates `name` in `folder`, or `name-2`, `name-3`, and so on if it exists.
 fn make_new(folder: &Path, name: &str) -> io::Result<PathBuf> {
     fs::create_dir_all(folder)?;
     let mut path = folder.join(name);
     let mut n = 1;
-    // Made at once, so that two processes of one minute never get the same.
+    // Creating the folder is the test, so that two processes started in the same minute never get the same one.
     while let Err(error) = fs::create_dir(&path) {
         if error.kind() != io::ErrorKind::AlreadyExists {
             return Err(error);
@@ -130,10 +130,10 @@ fn make_new(folder: &Path, name: &str) -> io::Result<PathBuf> {
 }
 
 impl RunDir {
-    /// Makes the folder and describes the run in it: [`Self::claim`] and [`Self::describe`].
+    /// Creates the folder and describes the run in it: [`Self::claim`], then [`Self::describe`].
     ///
     /// # Errors
-    /// Those of both.
+    /// As for [`Self::claim`] and [`Self::describe`].
     pub fn create(
         path: Option<&Path>,
         config: &Config,
@@ -145,11 +145,11 @@ impl RunDir {
         Ok(claimed)
     }
 
-    /// Makes the folder, `runs/<date>-<name>` unless a path is given, and takes its lock.
+    /// Creates the folder, `runs/<date>-<name>` unless a path is given, and takes its lock.
     ///
     /// # Errors
-    /// When the folder holds another run than `origin` that has begun to learn, a process learns in it, or it cannot be
-    /// written. Nothing has been changed then.
+    /// When the folder holds a run other than `origin` that has started learning, another process learns in it, or it
+    /// cannot be written. Existing files are then unchanged.
     pub fn claim(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let path =
             path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), |path| Ok(path.to_owned()))?;
@@ -166,7 +166,7 @@ impl RunDir {
             }
             Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
-        // Looked at under the lock, so that of two processes that start at once only one finds the folder empty.
+        // Checked under the lock, so that only one of two processes that start at once finds the folder empty.
         let is_new = !paths.config().exists();
         if has_begun(&paths) && origin.config.as_ref() != Some(&path) {
             return Err(Failure::Usage(format!(
@@ -176,7 +176,7 @@ impl RunDir {
         Ok(Self { paths, is_new, preset: None, _lock: lock })
     }
 
-    /// Writes `config.toml` and `meta.json`. The `preset` of a run that goes on is the one that it was started with.
+    /// Writes `config.toml` and `meta.json`. A resumed run keeps the `preset` that it was started with.
     ///
     /// # Errors
     /// When they cannot be written.
@@ -199,45 +199,45 @@ impl RunDir {
         Ok(())
     }
 
-    /// Takes back what was written of a new run that could not be started.
+    /// Removes what was written for a new run that could not start.
     pub fn abandon(&self) {
         if self.is_new {
             let files = [self.paths.config(), self.paths.meta(), self.paths.lock()];
             let remove = |file| match fs::remove_file(file) {
-                // It was claimed and not described yet.
+                // The folder was claimed but not described yet.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
                 removed => removed,
             };
             let removed = files.iter().try_for_each(remove);
-            // A folder that holds something else stays.
+            // A folder with other content stays.
             if let Err(error) = removed.and_then(|()| fs::remove_dir(self.path())) {
                 tracing::debug!(%error, "the folder of the run stays");
             }
         }
     }
 
-    /// Where it is.
+    /// The path of the folder.
     pub fn path(&self) -> &Path {
         self.paths.folder()
     }
 
-    /// The preset that the run was started with, if it was one alone.
+    /// The preset that the run was started with, if it used a preset alone.
     pub fn preset(&self) -> Option<&str> {
         self.preset.as_deref()
     }
 
-    /// Where the files in it are.
+    /// The paths of the files in the folder.
     pub fn paths(&self) -> &RunPaths {
         &self.paths
     }
 }
 
-/// For `map_err`: names the folder.
+/// For `map_err`: adds the name of the folder.
 fn unwritable(folder: &Path) -> impl Fn(io::Error) -> Failure {
     move |error| Failure::Checkpoint(anyhow::Error::new(error).context(format!("writing to {}", folder.display())))
 }
 
-/// `2026-01-31T08:05` of a time after 1970, in UTC.
+/// Formats a time after 1970 in UTC, for example `2026-01-31T08:05`.
 fn utc(time: SystemTime) -> String {
     let time = OffsetDateTime::from(time);
     let (month, day) = (u8::from(time.month()), time.day());
@@ -268,7 +268,7 @@ mod tests {
         let path = folder.path().join("run");
         start(&path, &Origin::default()).unwrap().abandon();
         assert!(!path.exists());
-        // Not taken back, as after a kill: it may be started again, or resumed.
+        // Not abandoned, as after a kill: the run can be started again, or resumed.
         drop(start(&path, &Origin::default()).unwrap());
         drop(start(&path, &Origin::default()).unwrap());
         let resumed = Origin::find(&RunArgs { resume: Some(path.clone()), ..RunArgs::default() });
@@ -298,7 +298,7 @@ mod tests {
         let resumed = Origin::find(&RunArgs { resume: Some(path.clone()), ..RunArgs::default() });
         assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: None }, "it was killed before it saved");
         drop(start(&path, &resumed).unwrap());
-        // A folder without the run's configuration is for the learner to refuse.
+        // The learner rejects a folder without a run's configuration.
         let elsewhere = folder.path().join("elsewhere");
         let wrong = Origin::find(&RunArgs { resume: Some(elsewhere.clone()), ..RunArgs::default() });
         assert_eq!(wrong.checkpoint, Some(elsewhere));

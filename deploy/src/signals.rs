@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM: the first drains, the second ends at once.
+//! SIGINT and SIGTERM: the first signal shuts down gracefully, the second exits at once.
 
 use std::time::Duration;
 
@@ -7,14 +7,14 @@ use tokio_util::sync::CancellationToken;
 
 use crate::exit::{Failure, INTERRUPTED};
 
-/// Signals that come this soon after the first one belong to it: `timeout` and others send theirs to the process and again
-/// to its group.
+/// Signals that arrive this soon after the first belong to it: programs such as `timeout` signal the process and then
+/// its process group.
 const ECHO: Duration = Duration::from_millis(500);
 
 /// Cancels `shutdown` at the first signal from now on, and exits at the second.
 ///
 /// # Errors
-/// When the process may not handle signals.
+/// When a signal handler cannot be installed.
 pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
     let handler = |kind| signal(kind).map_err(|error| Failure::Service(anyhow::Error::from(error)));
     let (mut interrupt, mut terminate) = (handler(SignalKind::interrupt())?, handler(SignalKind::terminate())?);

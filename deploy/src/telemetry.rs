@@ -6,25 +6,25 @@ use tracing_subscriber::EnvFilter;
 
 use crate::live::Terminal;
 
-/// How log lines look.
+/// Format of log lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogFormat {
-    /// `pretty` on a terminal, plain lines elsewhere.
+    /// Like `pretty` on a terminal, plain lines elsewhere.
     #[default]
     Auto,
     /// Colored lines.
     Pretty,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
-/// zenoh logs each lost connection at several levels; its own errors are enough. That an answer came when nobody waited for it
-/// any more, as when a process ends, is an error to its handlers and none to us.
+/// zenoh logs each lost connection at several levels, of which errors are enough. Its handlers also log an error for
+/// each reply that arrives after its receiver is gone, for example when a process ends; that is harmless here.
 const DEFAULT_FILTER: &str = "info,zenoh=error,zenoh::api::handlers=off";
 
-/// Installs the logger; `RUST_LOG` overrides what is logged.
+/// Installs the logger; `RUST_LOG` overrides the default filter.
 ///
-/// A second call in one process changes nothing.
+/// Further calls in one process do nothing.
 pub fn init(format: LogFormat, terminal: &Terminal) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(terminal.clone()).with_target(false);

@@ -1,24 +1,25 @@
-//! `bench …`.
+//! Arguments of `bench`.
 
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::ConfigArgs;
 
-/// What is to be measured.
+/// What to measure.
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
-    /// Simulated actors send recorded segments over a router to a learner's ingest and pull weights.
+    /// Send recorded segments from simulated actors through a router to a learner's ingest, and pull weights.
     ///
-    /// Router, ingest and actors are processes of their own on this machine. The ingest is a learner's without its arithmetic.
-    /// At the end both ends' counts are compared; the exit code is 1 if an acknowledged segment was lost.
+    /// The router, the ingest, and the actors are separate processes on this machine. The ingest is a learner's,
+    /// without the training. At the end, the counts of both ends are compared; the exit code is 1 if an acknowledged
+    /// segment was lost.
     Actors(Box<BenchActorsArgs>),
-    /// A router of `bench actors`, told on stdin.
+    /// A router process of `bench actors`, configured on stdin.
     #[command(hide = true)]
     Router,
-    /// The ingest of `bench actors`, told on stdin.
+    /// The ingest process of `bench actors`, configured on stdin.
     #[command(hide = true)]
     Ingest,
-    /// Some of the actors of `bench actors`, told on stdin.
+    /// A process with some of the actors of `bench actors`, configured on stdin.
     #[command(hide = true)]
     Load,
 }
@@ -26,42 +27,43 @@ pub enum BenchCommand {
 /// Arguments of `bench actors`.
 #[derive(Debug, Args)]
 pub struct BenchActorsArgs {
-    /// Whose segments are recorded, and the sizes of mailbox, update and network.
+    /// The configuration that segments are recorded with; it also sets the sizes of the mailbox, the update, and the
+    /// network.
     #[command(flatten)]
     pub config: ConfigArgs,
-    /// Actors, each with a session of its own.
+    /// Actors, each with its own bus session.
     #[arg(long, value_name = "N", default_value_t = 3000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub actors: u32,
-    /// Steps per second of each actor, as in the paper by default; 0 sends as fast as answers come.
+    /// Steps per second of each actor, by default as in the paper; 0 sends as fast as acknowledgments arrive.
     #[arg(long, value_name = "R", default_value_t = 1.9, value_parser = steps_rate)]
     pub rate: f64,
-    /// Seconds to send.
+    /// How long to send, in seconds.
     #[arg(long = "for", value_name = "S", default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub seconds: u64,
-    /// Bytes of the weights' parameters [default: those of the network].
+    /// Size of the weights' parameters in bytes [default: that of the network].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(4..=67_108_864))]
     pub weights_bytes: Option<u64>,
-    /// Seconds between two publications of weights; 0 publishes once, at the start.
+    /// Seconds between publications of weights; 0 publishes once, at the start.
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = rate)]
     pub weights_every: f64,
-    /// Processes that the actors share [default: one per 1000 actors, and at least one per leaf].
+    /// Processes that the actors are spread over [default: one per 1000 actors, and at least one per leaf].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub processes: Option<u32>,
-    /// Routers below the first, which the actors share; 0 connects actors to the first.
+    /// Leaf routers that the actors are spread over; 0 connects the actors to the root router.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=100))]
     pub leaves: u32,
-    /// How the processes are connected.
+    /// Transport between the processes.
     #[arg(long, value_enum, default_value_t = Transport::Tcp)]
     pub transport: Transport,
-    /// Use the router that listens here instead of one's own, whose processor time and memory then stay unknown.
+    /// Use the router at this endpoint instead of starting one; its CPU time and memory are then not measured.
     #[arg(long, value_name = "ENDPOINT", conflicts_with_all = ["leaves", "transport"])]
     pub connect: Option<String>,
-    /// Print the result as JSON.
+    /// Print the report as JSON.
     #[arg(long)]
     pub json: bool,
 }
 
-/// How processes of one machine are connected.
+/// Transport between processes on one machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Transport {
     /// TCP on 127.0.0.1.
@@ -70,7 +72,8 @@ pub enum Transport {
     Unix,
 }
 
-/// Slower than once in a quarter of an hour is a mistake, and times that no clock can express.
+/// Rejects nonzero rates below one step in 1000 s: they are typos, and the interval may be longer than a clock can
+/// express.
 fn steps_rate(text: &str) -> Result<f64, String> {
     let rate = rate(text)?;
     if rate == 0.0 || rate >= 1e-3 { Ok(rate) } else { Err("expected 0, or 0.001 to 1000000".to_owned()) }

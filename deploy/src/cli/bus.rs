@@ -1,4 +1,4 @@
-//! Arguments of whoever joins a bus: endpoints, keys, health.
+//! Arguments of processes that join a bus: endpoints, keys, health.
 
 use std::path::{Path, PathBuf};
 
@@ -7,14 +7,14 @@ use clap::{Args, Subcommand};
 use super::values::endpoint;
 use crate::config::Override;
 
-/// Endpoints of a process that joins others.
+/// Endpoints of a process that joins a run.
 #[derive(Clone, Debug, Default, Args)]
 pub struct EndpointArgs {
-    /// Endpoint of the router, for example tcp/127.0.0.1:7447, quic/HOST:7447 or unixsock-stream//tmp/bus.sock; may be
-    /// repeated.
+    /// Endpoint of the router, for example tcp/127.0.0.1:7447, quic/HOST:7447, or unixsock-stream//tmp/bus.sock; may
+    /// be repeated.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
     pub connect: Vec<String>,
-    /// Be a router as well and listen here; may be repeated. An address that other machines reach needs --keys.
+    /// Act as a router too, and listen here; may be repeated. An address that other machines can reach needs --keys.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = endpoint)]
     pub listen: Vec<String>,
     /// Keys.
@@ -22,10 +22,10 @@ pub struct EndpointArgs {
     pub keys: KeysArgs,
 }
 
-/// Which keys a process shows.
+/// The keys that a process authenticates with.
 #[derive(Clone, Debug, Default, Args)]
 pub struct KeysArgs {
-    /// Folder of keys made by `lodestone keys new`: all of them, or those of this process's role.
+    /// Folder of keys made by `lodestone keys new`: the whole folder, or that of this process's role.
     #[arg(long, value_name = "DIR", env = "LODESTONE_KEYS")]
     pub keys: Option<PathBuf>,
 }
@@ -33,16 +33,16 @@ pub struct KeysArgs {
 /// Arguments of `router`.
 #[derive(Debug, Args)]
 pub struct RouterArgs {
-    /// Where processes find it, for example tcp/127.0.0.1:7447, or quic/0.0.0.0:7447 with --keys; may be repeated.
+    /// Endpoint to listen on, for example tcp/127.0.0.1:7447, or quic/0.0.0.0:7447 with --keys; may be repeated.
     #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = endpoint)]
     pub listen: Vec<String>,
-    /// Other routers to connect to; may be repeated.
+    /// Endpoint of another router to connect to; may be repeated.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
     pub connect: Vec<String>,
     /// Keys.
     #[command(flatten)]
     pub keys: KeysArgs,
-    /// Health.
+    /// Health reporting.
     #[command(flatten)]
     pub health: HealthArgs,
 }
@@ -50,7 +50,7 @@ pub struct RouterArgs {
 /// Where a service reports its health.
 #[derive(Clone, Debug, Default, Args)]
 pub struct HealthArgs {
-    /// Write the state of this process here every 2 s, for `lodestone healthcheck`.
+    /// Write this process's state to this file every 2 s, for `lodestone healthcheck`.
     #[arg(long, value_name = "FILE", env = "LODESTONE_HEALTH_FILE")]
     pub health_file: Option<PathBuf>,
 }
@@ -58,10 +58,10 @@ pub struct HealthArgs {
 /// Arguments of `healthcheck`.
 #[derive(Debug, Args)]
 pub struct HealthcheckArgs {
-    /// The file that the service was given with --health-file.
+    /// The file that the service writes with --health-file.
     #[arg(long, value_name = "FILE", env = "LODESTONE_HEALTH_FILE")]
     pub file: PathBuf,
-    /// Ask only whether the process lives and its work goes on, not whether it reaches a router.
+    /// Check only that the process is alive and making progress, not that it reaches a router.
     #[arg(long)]
     pub alive: bool,
 }
@@ -69,9 +69,9 @@ pub struct HealthcheckArgs {
 /// Subcommands of `keys`.
 #[derive(Debug, Subcommand)]
 pub enum KeysCommand {
-    /// Make an authority, and for each role a certificate and a password.
+    /// Create a certificate authority, and a certificate and password for each role.
     New(KeysNewArgs),
-    /// Give the router a new certificate, for other hosts or a longer time. Everybody else's keys stay as they are.
+    /// Issue a new certificate for the router, for other hosts or a later expiry. All other keys stay valid.
     Router(KeysRouterArgs),
 }
 
@@ -81,10 +81,10 @@ pub struct KeysNewArgs {
     /// Folder for the keys.
     #[arg(value_name = "DIR")]
     pub dir: PathBuf,
-    /// What the certificate is for.
+    /// Hosts and lifetime of the certificate.
     #[command(flatten)]
     pub certificate: CertificateArgs,
-    /// Do nothing when the folder holds keys already.
+    /// Do nothing if the folder already holds keys.
     #[arg(long)]
     pub keep: bool,
 }
@@ -92,22 +92,22 @@ pub struct KeysNewArgs {
 /// Arguments of `keys router`.
 #[derive(Debug, Args)]
 pub struct KeysRouterArgs {
-    /// Folder that `keys new` made, with the authority in it.
+    /// Folder made by `keys new`, with the authority in it.
     #[arg(value_name = "DIR")]
     pub dir: PathBuf,
-    /// What the certificate is for.
+    /// Hosts and lifetime of the certificate.
     #[command(flatten)]
     pub certificate: CertificateArgs,
 }
 
-/// What the router's certificate is for.
+/// Hosts and lifetime of the router's certificate.
 #[derive(Clone, Debug, Args)]
 pub struct CertificateArgs {
-    /// Name or address under which processes reach the router; may be repeated. Always among them: localhost, 127.0.0.1
-    /// and ::1.
+    /// Name or address at which processes reach the router; may be repeated. localhost, 127.0.0.1, and ::1 are always
+    /// included.
     #[arg(long, value_name = "HOST", value_delimiter = ',')]
     pub host: Vec<String>,
-    /// Days until the keys expire.
+    /// Days until expiry.
     #[arg(long, value_name = "N", default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=3650))]
     pub days: u32,
 }
@@ -121,7 +121,7 @@ impl CertificateArgs {
 }
 
 impl KeysArgs {
-    /// The folder of `role`, which may lie in the folder given.
+    /// The key folder of `role`: a subfolder of the given folder, or the given folder itself.
     pub fn folder(&self, role: &str) -> Option<PathBuf> {
         let of_role = |keys: &Path| {
             let inside = keys.join(role);
@@ -130,7 +130,7 @@ impl KeysArgs {
         self.keys.as_deref().map(of_role)
     }
 
-    /// The flag that changes the configuration.
+    /// The configuration override of this flag.
     pub fn overrides(&self, role: &str) -> Option<Override> {
         let folder = self.folder(role)?;
         Some(Override::flag("--keys", "bus.security.keys", folder.display().to_string()))
@@ -138,14 +138,15 @@ impl KeysArgs {
 }
 
 impl EndpointArgs {
-    /// The flags that change the configuration: whoever listens is a router, everyone else a client in `role`.
+    /// The configuration overrides of these flags: a process that listens is a router, any other a client with the role
+    /// `role`.
     pub fn overrides(&self, role: &str) -> Vec<Override> {
         let (mode, role) = if self.listen.is_empty() { ("client", role) } else { ("router", "router") };
         let mut overrides = vec![Override::flag("--listen", "bus.mode", mode)];
         if !self.connect.is_empty() {
             overrides.push(Override::flag("--connect", "bus.connect", self.connect.clone()));
         }
-        // Also where there are none: the run that goes on may have listened itself.
+        // Even if there are none, because a resumed run's own configuration may listen.
         overrides.push(Override::flag("--listen", "bus.listen", self.listen.clone()));
         overrides.extend(self.keys.overrides(role));
         overrides

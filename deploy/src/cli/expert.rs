@@ -1,4 +1,4 @@
-//! `expert …`.
+//! Arguments of `expert`.
 
 use std::path::PathBuf;
 
@@ -6,36 +6,36 @@ use blueprints::Split;
 use clap::{Args, Subcommand, ValueEnum};
 use evaluator::Starts;
 
-/// What the scripted expert is to do.
+/// Subcommands of `expert`.
 #[derive(Debug, Subcommand)]
 pub enum ExpertCommand {
-    /// Evaluate it on blueprints, as a policy is evaluated.
+    /// Evaluate the expert on blueprints, as policies are evaluated.
     Eval(ExpertEvalArgs),
 }
 
 /// Arguments of `expert eval`.
 #[derive(Debug, Args)]
 pub struct ExpertEvalArgs {
-    /// These blueprints of the catalog only; generated ones by their id as well.
+    /// Only these blueprints, by id: from the catalog, or generated.
     #[arg(value_name = "ID")]
     pub ids: Vec<String>,
-    /// This blueprint only: an id, a file, or a folder of files; may be repeated.
+    /// Only this blueprint: an id, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<String>,
-    /// This part of the catalog: train, test, test-literal, test-longest, test-tallest or validation; may be repeated
-    /// [default: all but validation].
+    /// Only this split of the catalog: train, test, test-literal, test-longest, test-tallest, or validation; may be
+    /// repeated [default: all but validation].
     #[arg(long, value_name = "S", conflicts_with_all = ["ids", "blueprint"])]
     pub split: Vec<Split>,
     /// Episodes per blueprint.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
-    /// How they begin; mixed: every fifth with another blueprint built.
+    /// How episodes begin; mixed: every fifth with another blueprint already built.
     #[arg(long, value_enum, default_value_t = StartArg::Mixed)]
     pub start: StartArg,
-    /// Grippers of the world [default: as configured].
+    /// Grippers in the world [default: as configured].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
     pub grippers: Option<u8>,
-    /// Then 50 runs over 10 goals of at least 12 blocks in a world that is never reset.
+    /// Also run reset-free sequences: 50 runs over 10 goals of at least 12 blocks.
     #[arg(long)]
     pub reset_free: bool,
     /// Seed of the start states.
@@ -44,17 +44,17 @@ pub struct ExpertEvalArgs {
     /// Threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     pub threads: Option<u16>,
-    /// Write the cause of each failure (failures.json) and a replay of it into this new folder.
+    /// Write the cause of each failure (failures.json) and a replay of it to this new folder.
     #[arg(long, value_name = "DIR")]
     pub explain: Option<PathBuf>,
-    /// Write a replay of the first success and of the first failure of each group into this new folder, for
-    /// `lodestone render`.
+    /// Write replays of the first success and the first failure of each group to this new folder, for `lodestone
+    /// render`.
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,
-    /// Set one key of the configuration, for example environment.max_speed_mps=2; may be repeated.
+    /// Set one configuration key, for example environment.max_speed_mps=2; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Print every blueprint, not only the groups and the worst.
+    /// Print every blueprint, not only the groups and the worst blueprints.
     #[arg(long)]
     pub verbose: bool,
     /// Print the report as JSON.
@@ -67,9 +67,9 @@ pub struct ExpertEvalArgs {
 pub enum StartArg {
     /// All blocks scattered.
     Scattered,
-    /// Another training blueprint stands.
+    /// Another training blueprint is already built.
     Prebuilt,
-    /// Every fifth prebuilt, the others scattered.
+    /// Every fifth episode prebuilt, the others scattered.
     Mixed,
 }
 

@@ -1,4 +1,4 @@
-//! `record`.
+//! Arguments of `record`.
 
 use std::path::PathBuf;
 
@@ -11,75 +11,77 @@ use super::StartArg;
 /// Arguments of `record`.
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// Who acts.
+    /// The policy or expert that acts.
     #[command(flatten)]
     pub performer: PerformerArgs,
-    /// What is built.
+    /// The blueprints to build.
     #[command(flatten)]
     pub goals: GoalArgs,
     /// Episodes per blueprint.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
-    /// How they begin; mixed: every fifth with another blueprint built.
+    /// How episodes begin; mixed: every fifth with another blueprint already built.
     #[arg(long, value_enum, default_value_t = StartArg::Scattered)]
     pub start: StartArg,
     /// Seed of the start states and of sampled actions.
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
-    /// What is written.
+    /// Output format.
     #[arg(long, value_enum, default_value_t = RecordFormat::Minari)]
     pub format: RecordFormat,
-    /// Folder: with `minari` of all datasets, as in MINARI_DATASETS_PATH, with `trajectory` a new one for the files.
+    /// Output folder: with `minari`, the root of all datasets, as in MINARI_DATASETS_PATH; with `trajectory`, a new
+    /// folder for the files.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Name of the dataset [default: lodestone/POLICY-v0, for example lodestone/pretrained-v0].
     #[arg(long, value_name = "ID")]
     pub name: Option<DatasetId>,
-    /// Address of the code that the episodes are made with, for the dataset's metadata.
+    /// URL of the code that produced the episodes, for the dataset's metadata.
     #[arg(long, value_name = "URL")]
     pub code_permalink: Option<String>,
     /// Threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     pub threads: Option<u16>,
-    /// Set one key of the configuration, for example environment.episode_steps=200; may be repeated.
+    /// Set one configuration key, for example environment.episode_steps=200; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 }
 
-/// Who acts.
+/// The policy or expert that acts.
 #[derive(Clone, Debug, Default, Args)]
 pub struct PerformerArgs {
-    /// The policy that comes with the program, as without the other two.
+    /// The shipped policy; this is the default.
     #[arg(long, conflicts_with_all = ["checkpoint", "expert"])]
     pub pretrained: bool,
-    /// Folder of a run, for its newest checkpoint, or of one checkpoint, or a file that `export` wrote.
+    /// Folder of a run (for its newest checkpoint) or of one checkpoint, or a file written by `export`.
     #[arg(long, value_name = "DIR_OR_FILE")]
     pub checkpoint: Option<PathBuf>,
     /// The scripted expert.
     #[arg(long, conflicts_with = "checkpoint")]
     pub expert: bool,
-    /// Sample the policy's actions instead of taking the most probable ones.
+    /// Sample the policy's actions instead of acting greedily.
     #[arg(long, conflicts_with = "expert")]
     pub sampled: bool,
 }
 
-/// What is built.
+/// The blueprints to build.
 #[derive(Clone, Debug, Default, Args)]
 #[group(required = true, multiple = false)]
 pub struct GoalArgs {
-    /// This blueprint: an id, also of a generated one, a file, or a folder of files; may be repeated.
+    /// This blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<String>,
-    /// All of this part of the catalog: train, test, test-literal, test-longest, test-tallest or validation; may be repeated.
+    /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
+    /// repeated.
     #[arg(long, value_name = "S")]
     pub split: Vec<Split>,
 }
 
-/// What `record` writes.
+/// Output format of `record`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum RecordFormat {
-    /// A dataset for offline learning, about 40 kB for each step, which the Python package `minari[arrow]` reads.
+    /// A dataset for offline learning, about 40 kB per step, for the Python package `minari[arrow]`.
     Minari,
-    /// A file for each episode, for `lodestone render`.
+    /// One file per episode, for `lodestone render`.
     Trajectory,
 }

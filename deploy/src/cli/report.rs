@@ -1,4 +1,4 @@
-//! `report`.
+//! Arguments of `report`.
 
 use std::path::PathBuf;
 
@@ -9,22 +9,22 @@ use render::plot::MAX_RUNS;
 /// Arguments of `report`.
 #[derive(Clone, Debug, Args)]
 pub struct ReportArgs {
-    /// Folder of the run, in which the evaluator keeps eval.db, or of a training with --seeds.
+    /// Folder of a run, in which the evaluator keeps eval.db, or of a training with --seeds.
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
-    /// Folder for the pictures and tables; made if it is not there [default: RUN/report].
+    /// Folder for the pictures and tables; created if it does not exist [default: RUN/report].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Which actions the pictures are about: mode, the most probable ones, or sampled.
+    /// Action mode to plot: mode (greedy) or sampled.
     #[arg(long, value_name = "ACTING", default_value = "mode")]
     pub acting: ActionMode,
-    /// Draw how much better or worse RUN is than this run as well.
+    /// Also plot the difference in success between RUN and this run.
     #[arg(long, value_name = "RUN2")]
     pub minus: Option<PathBuf>,
-    /// Draw RUN and these runs, at most four, in one picture as well, on the blueprints that all of them evaluated.
+    /// Also plot RUN and up to four other runs in one picture, on the blueprints that all of them evaluated.
     #[arg(long, value_name = "RUN2", num_args = 1..MAX_RUNS)]
     pub beside: Vec<PathBuf>,
-    /// Print the table of groups and the names of the files as JSON.
+    /// Print the table of groups and the names of the written files as JSON.
     #[arg(long)]
     pub json: bool,
 }

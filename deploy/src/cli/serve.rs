@@ -1,4 +1,4 @@
-//! The command line of `serve`.
+//! Arguments of `serve`.
 
 use std::path::PathBuf;
 
@@ -9,19 +9,21 @@ use super::values;
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
 pub struct ServeArgs {
-    /// Folders of runs, one or several.
+    /// Folders of one or more runs.
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
-    /// Where the page is [default: 127.0.0.1 with a free port].
+    /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
-    /// What a browser must know, for an address that others can reach.
+    /// Token that browsers must present; required for an address that other machines can reach.
     #[arg(long, value_name = "TOKEN")]
     pub token: Option<String>,
-    /// Serve nothing, and write a copy of the page into this new folder, with recorded episodes, for any web server.
+    /// Instead of serving, write a static copy of the page, with recorded episodes, to this new folder, for any web
+    /// server.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["web", "token"])]
     pub export: Option<PathBuf>,
-    /// In the copy, record this blueprint: an id, a file, or a folder of files; may be repeated [default: one of every group].
+    /// Record this blueprint in the copy: an id, a file, or a folder of files; may be repeated [default: one of each
+    /// group].
     #[arg(long, value_name = "FILE|ID", requires = "export")]
     pub blueprint: Vec<String>,
 }

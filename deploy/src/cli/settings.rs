@@ -1,4 +1,4 @@
-//! Where the settings of a process come from.
+//! Sources of a process's settings.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -9,71 +9,71 @@ use runlog::RunPaths;
 
 use crate::config::{Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 
-/// Where the configuration comes from.
+/// Sources of the configuration.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ConfigArgs {
-    /// Configuration file; its keys are put over the preset that it names as `base`, or else over --preset.
+    /// Configuration file; its keys override the preset that it names as `base`, or else --preset.
     #[arg(long, value_name = "FILE", env = "LODESTONE_CONFIG")]
     pub config: Option<PathBuf>,
-    /// Configuration that comes with the program, under --config if both are given [default: quickstart].
+    /// Built-in configuration; --config overrides it if both are given [default: quickstart].
     #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
     pub preset: Option<String>,
-    /// One of the paper's ablations, put over preset and file.
+    /// One of the paper's ablations; overrides the preset and the file.
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(Preset::ablations().map(|preset| preset.name)))]
     pub ablation: Option<String>,
-    /// Set one key of the configuration, for example actor.n_worlds=16; may be repeated.
+    /// Set one configuration key, for example actor.n_worlds=16; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Seed of everything random.
+    /// Seed for all randomness.
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(i64).range(0..), allow_negative_numbers = true)]
     pub seed: Option<i64>,
-    /// Where the network runs: cpu or gpu.
+    /// Device that runs the network: cpu or gpu.
     #[arg(long, value_name = "DEVICE", value_parser = PossibleValuesParser::new(["cpu", "gpu"]))]
     pub device: Option<String>,
-    /// Name of the run; processes with the same name and router work together.
+    /// Name of the run; processes with the same run name and router work together.
     #[arg(long, value_name = "NAME")]
     pub run: Option<String>,
-    /// Print the configuration that results and end.
+    /// Print the resulting configuration and exit.
     #[arg(long)]
     pub print_config: bool,
 }
 
-/// A configuration, and what it is made of.
+/// A configuration and where it came from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// The configuration of all layers.
+    /// The configuration, merged from all layers.
     pub config: Config,
     /// The file and its base in words, for example "my.toml over the preset `quickstart`".
     pub source: String,
-    /// The preset, if neither a file nor an ablation is put over it.
+    /// The preset, unless a file or an ablation overrides it.
     pub preset: Option<&'static Preset>,
 }
 
 impl ConfigArgs {
-    /// The configuration of all layers.
+    /// Merges all layers of the configuration.
     ///
-    /// The settings of the run in the folder `resume` take the place of file and preset; `flags` come last. The result is
-    /// not validated.
+    /// With `resume`, the settings of the run in that folder replace the file and the preset; `flags` come last. The
+    /// result is not validated.
     ///
     /// # Errors
-    /// Names file, variable or flag and what would be valid.
+    /// Names the file, variable, or flag, and what would be valid.
     pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Settings, ConfigError> {
         let mut settings = self.merged(resume, &self.overrides(flags)?)?;
         if let Some(name) = &self.ablation {
             write!(settings.source, ", with the ablation `{name}`").expect("a string takes all");
-            // It no longer tells how long the run takes.
+            // The preset's duration no longer applies.
             settings.preset = None;
         }
         Ok(settings)
     }
 
-    /// `overrides` over the run, file or preset.
+    /// Applies `overrides` to the resumed run, the file, or the preset.
     fn merged(&self, resume: Option<&PathBuf>, overrides: &[Override]) -> Result<Settings, ConfigError> {
         let settings = |text: &str, origin: &str, base, source, preset| -> Result<Settings, ConfigError> {
             Ok(Settings { config: merge(text, origin, base, overrides)?, source, preset })
         };
         if let Some(folder) = resume {
-            // Runs of earlier versions name no base, and stand on the defaults as the others.
+            // Runs of earlier versions name no base; like all others, they are merged over the defaults.
             let path = RunPaths::new(folder).config();
             if !path.exists() {
                 let message = "no folder of a run: it has no config.toml".to_owned();
@@ -92,7 +92,7 @@ impl ConfigArgs {
         settings("", preset.name, base, base.to_string(), Some(preset))
     }
 
-    /// What the keys of a file are put over.
+    /// The base that the keys of a file override.
     fn base(&self, text: &str, origin: &str) -> Result<Base, ConfigError> {
         let flag = self.preset.as_deref().map(Base::find).transpose()?;
         match (Base::named_in(text, origin)?, flag) {
@@ -109,7 +109,7 @@ impl ConfigArgs {
         Preset::find(self.preset.as_deref().unwrap_or(DEFAULT_PRESET))
     }
 
-    /// The ablation, then variables, then flags, `flags` last.
+    /// All overrides in order: the ablation, the variables, the flags of this struct, then `flags`.
     fn overrides(&self, flags: Vec<Override>) -> Result<Vec<Override>, ConfigError> {
         let mut overrides = match self.ablation.as_deref() {
             Some(name) => Preset::find(name)?.overrides()?,
@@ -127,7 +127,7 @@ impl ConfigArgs {
     }
 }
 
-/// Text and name of a configuration file.
+/// The text and the name of a configuration file.
 fn read(path: &Path) -> Result<(String, String), ConfigError> {
     let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
     Ok((text, path.display().to_string()))
@@ -137,7 +137,7 @@ fn read(path: &Path) -> Result<(String, String), ConfigError> {
 mod tests {
     use super::*;
 
-    /// The settings that a file with this text gives together with a preset.
+    /// The settings that a file with this text produces together with a preset.
     fn load(text: &str, preset: Option<&str>) -> Result<Settings, ConfigError> {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("my.toml");

@@ -1,13 +1,13 @@
-//! What numbers and addresses may look like on the command line.
+//! Parsers of numbers and addresses on the command line.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
-/// A number of environment steps: `1000000`, `1_000_000`, `1e6` or `2.5e6`.
+/// Parses a number of environment steps: `1000000`, `1_000_000`, `1e6`, or `2.5e6`.
 ///
 /// # Errors
-/// When it is no whole number of at least 1.
+/// When it is not a whole number of at least 1.
 pub(super) fn steps(text: &str) -> Result<i64, String> {
-    /// Beyond this not every whole number is a float.
+    /// Beyond this, not every whole number is a float.
     const MAX_EXACT: f64 = 9e15;
     let digits = text.replace('_', "");
     let number = digits.parse::<i64>().ok().or_else(|| {
@@ -21,10 +21,10 @@ pub(super) fn steps(text: &str) -> Result<i64, String> {
     }
 }
 
-/// The endpoint of a router; `HOST:PORT` alone means TCP. Whether it makes sense is for the bus to say.
+/// Parses the endpoint of a router; `HOST:PORT` alone means TCP. The bus validates the result.
 ///
 /// # Errors
-/// Never; the type is what the parser of arguments needs.
+/// Never; clap's value parsers return a `Result`.
 pub(super) fn endpoint(text: &str) -> Result<String, String> {
     let text = text.trim();
     let is_address = || {
@@ -34,7 +34,7 @@ pub(super) fn endpoint(text: &str) -> Result<String, String> {
     Ok(if !text.contains('/') && is_address() { format!("tcp/{text}") } else { text.to_owned() })
 }
 
-/// Where a page is served: `127.0.0.1:8080`, `localhost:8080`, or a port alone, which is this machine's own.
+/// Parses the address of a web page: `127.0.0.1:8080`, `localhost:8080`, or a port alone, which means 127.0.0.1.
 ///
 /// # Errors
 /// When it is none of these.

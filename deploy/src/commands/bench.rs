@@ -1,4 +1,4 @@
-//! `bench`: what the processes of a run and their connections can carry.
+//! `bench`: measures the capacity of a run's processes and of their connections.
 
 mod actors;
 mod children;

@@ -1,4 +1,4 @@
-//! What is done with blueprints: `list` and `check` here, `generate` and `show` in files of their own.
+//! `blueprints`: `list` and `check` are here, `generate` and `show` in files of their own.
 
 mod generate;
 mod physical;
@@ -35,14 +35,14 @@ struct Verdict<'a> {
     id: Option<&'a BlueprintId>,
     passed: bool,
     checks: &'a [CheckResult],
-    /// What the file leaves open and was found.
+    /// What the file leaves open and the checks inferred.
     inferred: Vec<String>,
 }
 
 /// Runs the subcommand.
 ///
 /// # Errors
-/// When a file cannot be read or written, a check fails, there is no such blueprint, or nothing can be generated.
+/// When a file cannot be read or written, a check fails, a blueprint is unknown, or nothing can be generated.
 pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),
@@ -111,14 +111,14 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
     }
 }
 
-/// Writes a completed file, which replaces none.
+/// Writes a completed file; never replaces an existing one.
 fn complete(path: &Path, text: &str) -> Result<(), Failure> {
     let failed = |error| Failure::BlueprintFile { path: path.to_owned(), error };
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
     file.write_all(text.as_bytes()).map_err(failed)
 }
 
-/// The files of all paths, or those of the program.
+/// The files of all paths, or the built-in ones.
 fn files(paths: &[PathBuf]) -> Result<Vec<(String, String)>, Failure> {
     if paths.is_empty() {
         return Ok(BUILTIN_FILES.iter().map(|(file, text)| ((*file).to_owned(), (*text).to_owned())).collect());

@@ -1,4 +1,4 @@
-//! `completions` and `man`: what shells and `man` want to know of the command line, written from its definition.
+//! `completions` and `man`: shell completions and man pages, generated from the definition of the command line.
 
 use clap::CommandFactory;
 
@@ -16,13 +16,13 @@ pub(super) fn completions(args: &CompletionsArgs, terminal: &Terminal) {
     terminal.print(&String::from_utf8_lossy(&text));
 }
 
-/// Writes a page for the program and for each command, `lodestone-train.1` and so on.
+/// Writes a page for the program and one for each command: `lodestone-train.1` and so on.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub(super) fn man(args: &ManArgs, terminal: &Terminal) -> Result<(), Failure> {
     let mut command = Cli::command();
-    // Gives the subcommands their full names.
+    // Sets the full names of the subcommands.
     command.build();
     let pages = pages(&command)?;
     write_files(&args.dir, &pages)?;
@@ -30,7 +30,7 @@ pub(super) fn man(args: &ManArgs, terminal: &Terminal) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The pages of a command and of those below it that its help shows.
+/// The pages of a command and of its visible subcommands.
 fn pages(command: &clap::Command) -> Result<Vec<File>, Failure> {
     let name = command.get_display_name().unwrap_or_else(|| command.get_name());
     let mut text = Vec::new();

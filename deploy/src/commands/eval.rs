@@ -14,14 +14,13 @@ use crate::exit::Failure;
 use crate::limits;
 use crate::live::{self, EpisodeCounter, Terminal};
 
-/// Runs the episodes and prints the report: after `shutdown` that of the episodes so far.
+/// Runs the episodes and prints the report; if `shutdown` comes first, the report of the episodes so far.
 ///
-/// World, seed and, unless a split is asked for, the blueprints of the evaluation of the last weights are those of the run
-/// that the policy is from, or the defaults.
+/// The world, the seed, and, without `--split`, the blueprints of the last evaluation come from the configuration of
+/// the run that trained the policy, or from the defaults.
 ///
 /// # Errors
-/// When the policy or the run's configuration cannot be read, or an episode cannot be started; also when
-/// `shutdown` came first.
+/// When the policy or the run's configuration cannot be read, an episode cannot be started, or `shutdown` came first.
 pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let source = Source::open(&args.model)?;
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
@@ -64,8 +63,9 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     if report.summary.is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
 }
 
-/// What the run's evaluator evaluates at last. The validation split is for decisions on the way: without it, unless it is all
-/// that there is or its blueprints are named, "all" are the paper's blueprints.
+/// The blueprints of the run's last evaluation. The validation split serves decisions during development, so it is
+/// dropped, unless it is the only split or its blueprints are named: what remains by default are the paper's
+/// blueprints.
 fn final_selection(config: &EvaluatorConfig) -> Selection {
     let mut selection = config.last_selection();
     if selection.splits != [Split::Validation] && selection.blueprints.is_empty() {

@@ -25,21 +25,21 @@ use crate::exit::Failure;
 use crate::limits;
 use crate::live::{self, EpisodeCounter, Terminal};
 
-/// Entry of `failures.json`.
+/// An entry of `failures.json`.
 #[derive(Debug, Serialize)]
 struct Explained<'a> {
     #[serde(flatten)]
     failure: &'a ExpertFailure,
-    /// File of the replay beside it, a `Trajectory` message of the bus.
+    /// Name of the replay file in the same folder; it holds a `Trajectory` message of the bus.
     replay: Option<String>,
 }
 
-/// What `--json` prints.
+/// Output of `--json`.
 #[derive(Debug, Serialize)]
 struct Timed<'a> {
     #[serde(flatten)]
     report: &'a ExpertReport,
-    /// Environment steps per second of all threads together, planning included.
+    /// Environment steps per second over all threads, including planning.
     steps_per_second: f64,
     n_threads: usize,
 }
@@ -48,7 +48,7 @@ struct Timed<'a> {
 ///
 /// # Errors
 /// When a blueprint is unknown, an episode cannot be started, or the explanation cannot be written; also when
-/// `shutdown` came before the end, after what there was has been printed and written.
+/// `shutdown` came first, after the results so far have been printed and written.
 pub(super) fn run(command: &ExpertCommand, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     match command {
         ExpertCommand::Eval(args) => eval(args, terminal, shutdown),
@@ -58,7 +58,7 @@ pub(super) fn run(command: &ExpertCommand, terminal: &Terminal, shutdown: &Cance
 fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let mut environment = defaults(&overrides)?.evaluation_environment();
-    // Past the check that the policy has as many: no policy acts here.
+    // Set after validation, which expects as many grippers in the policy's network: no policy acts here.
     environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
     tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open(&[&args.ids[..], &args.blueprint[..]].concat())?;
@@ -72,7 +72,7 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken
     let setup = EvalSetup {
         catalog,
         environment,
-        // The expert decides for each world by itself, so a second one for a thread gains nothing.
+        // The expert plans for each world separately, so more than one world per thread gains nothing.
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
             starts: args.start.into(),
@@ -107,14 +107,14 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken
     if report.is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
 }
 
-/// The defaults with `overrides` put over them.
+/// The default configuration with `overrides` applied.
 fn defaults(overrides: &[Override]) -> Result<Config, Failure> {
     let config = merge("", "the defaults", Base::Defaults, overrides)?;
     config.validate()?;
     Ok(config)
 }
 
-/// The blueprints that were named, or those of these splits, or the paper's.
+/// The named blueprints, those of the given splits, or the paper's.
 fn select<'g>(goals: &'g Goals, splits: &[Split]) -> Result<Vec<Cow<'g, Blueprint>>, Failure> {
     let named = goals.blueprints()?;
     if !named.is_empty() {
@@ -125,7 +125,7 @@ fn select<'g>(goals: &'g Goals, splits: &[Split]) -> Result<Vec<Cow<'g, Blueprin
     Ok(goals.catalog().iter().filter(wanted).map(Cow::Borrowed).collect())
 }
 
-/// Writes replays of the first success and of the first failure of each group.
+/// Writes replays of the first success and the first failure of each group.
 fn record(folder: &Path, catalog: &Catalog, report: &ExpertReport) -> anyhow::Result<()> {
     let successes = report.successes.iter().map(|replay| ("success", replay));
     let failures =

@@ -1,15 +1,15 @@
-//! Files that a command leaves behind.
+//! Writes the output files of commands.
 
 use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
 
-/// A file to be written: its name and its bytes.
+/// Name and content of a file.
 pub(super) type File = (String, Vec<u8>);
 
-/// Writes files into a folder, which is made if there is none; each under another name first, so that none is ever seen
-/// half.
+/// Writes files to a folder, which is created if it does not exist. Each file is written under another name and then
+/// renamed, so that no reader sees a partial file.
 ///
 /// # Errors
 /// Names the file or folder that cannot be written.

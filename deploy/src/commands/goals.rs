@@ -1,4 +1,4 @@
-//! Which blueprints a command is about: those of the catalog, generated ones, and files of one's own.
+//! Resolves the blueprints that a command is about: from the catalog, generated, or from the user's files.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -13,36 +13,37 @@ use crate::config::{Override, nearest};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Named blueprints, and the catalog that has them beside those of the program.
+/// Named blueprints, and a catalog that contains them in addition to the built-in ones.
 pub(super) struct Goals {
     catalog: Cow<'static, Catalog>,
-    /// Those that the program's own catalog lacks: from files, and generated ones.
+    /// Blueprints that the built-in catalog lacks: from files, and generated ones.
     own: Vec<BlueprintId>,
-    /// The named ones.
+    /// The named blueprints.
     ids: Vec<BlueprintId>,
 }
 
-/// A blueprint that was named, and by what.
+/// A named blueprint, and the name that it was found by.
 struct Named {
     id: BlueprintId,
     structure: u64,
-    /// The id, file or folder as it was given.
+    /// The id, file, or folder as given.
     name: String,
 }
 
 impl Goals {
-    /// Finds what is named: each a file, a folder of files, or an id.
+    /// Resolves names, each of which is a file, a folder of files, or an id.
     ///
     /// # Errors
-    /// Names the file that is no blueprint, or the id that is unknown with the nearest one.
+    /// Names the file that is not a blueprint, or the unknown id and the nearest known one.
     pub(super) fn open(named: &[String]) -> Result<Self, Failure> {
         Self::open_beside(named, None)
     }
 
-    /// The same, where ids may also be those of the blueprints that a run was given; `run` is its folder or a path in it.
+    /// Like [`Self::open`], but ids may also refer to the blueprints kept with a run; `run` is the run's folder or a
+    /// path in it.
     ///
     /// # Errors
-    /// As [`Self::open`]; also when a blueprint of the run cannot be read.
+    /// As for [`Self::open`]; also when a blueprint of the run cannot be read.
     pub(super) fn open_beside(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
         let mut goals = Self { catalog: Cow::Borrowed(Catalog::builtin()), own: Vec::new(), ids: Vec::new() };
         if let Some(folder) = run.and_then(blueprints_of_run) {
@@ -53,7 +54,7 @@ impl Goals {
             let found = if is_path(name) {
                 Catalog::load(Path::new(name))?
             } else {
-                // A file of the same structure may have taken its place already.
+                // A file with the same structure may already have replaced the built-in blueprint.
                 let found =
                     find(&goals.catalog, name).or_else(|error| find(Catalog::builtin(), name).map_err(|_| error));
                 Catalog::of_one(found?.into_owned())
@@ -70,7 +71,7 @@ impl Goals {
         Ok(goals)
     }
 
-    /// Adds what the catalog lacks.
+    /// Adds the blueprints that are new or that differ from the catalog's.
     fn add(&mut self, others: &Catalog) {
         let is_new = |blueprint: &&Blueprint| self.catalog.get(blueprint.id()) != Some(*blueprint);
         let new: Vec<BlueprintId> = others.iter().filter(is_new).map(|blueprint| blueprint.id().clone()).collect();
@@ -81,17 +82,17 @@ impl Goals {
         }
     }
 
-    /// Where all of them, and all of the program's own, are found.
+    /// The catalog of the named and the built-in blueprints.
     pub(super) fn catalog(&self) -> &Catalog {
         &self.catalog
     }
 
-    /// The same catalog alone.
+    /// Returns the catalog alone.
     pub(super) fn into_catalog(self) -> Catalog {
         self.catalog.into_owned()
     }
 
-    /// The same catalog for all threads of the process, until it ends.
+    /// Returns the catalog for all threads, until the process ends.
     pub(super) fn into_static(self) -> &'static Catalog {
         match self.catalog {
             Cow::Borrowed(catalog) => catalog,
@@ -99,34 +100,34 @@ impl Goals {
         }
     }
 
-    /// The ids of the named ones.
+    /// The ids of the named blueprints.
     pub(super) fn ids(&self) -> &[BlueprintId] {
         &self.ids
     }
 
-    /// The named ones in the order of their names; none if nothing was named.
+    /// The named blueprints in the order in which they were named; empty if none were.
     ///
     /// # Errors
-    /// Never for goals that could be opened.
+    /// Never, once [`Self::open`] has succeeded.
     pub(super) fn blueprints(&self) -> Result<Vec<Cow<'_, Blueprint>>, Failure> {
         self.ids.iter().map(|id| find(&self.catalog, id.as_str())).collect()
     }
 }
 
-/// What a training learns and evaluates.
+/// The blueprints that a training learns and evaluates.
 pub(super) struct TrainingGoals {
     catalog: &'static Catalog,
-    /// Those that the program's own catalog lacks, which the run keeps.
+    /// Blueprints that the built-in catalog lacks; the run's folder keeps a copy of them.
     own: Vec<&'static Blueprint>,
-    /// The named ones; with none, the configuration chooses.
+    /// The named blueprints; if empty, the configuration chooses.
     ids: Vec<String>,
 }
 
 impl TrainingGoals {
-    /// Finds what is named, beside the blueprints that the run in the folder `run` was given if it goes on.
+    /// Resolves names, with the blueprints kept with the resumed run in the folder `run`, if any.
     ///
     /// # Errors
-    /// As [`Goals::open`]; also names a goal that is held out from training.
+    /// As for [`Goals::open`]; also names a blueprint that is held out from training.
     pub(super) fn open(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
         let goals = Goals::open_beside(named, run)?;
         for id in goals.ids.iter().chain(&goals.own) {
@@ -137,7 +138,8 @@ impl TrainingGoals {
                     goal.split()
                 )));
             }
-            // Against the program's own, which one of the same structure would replace.
+            // Compare with the built-in catalog, because a blueprint of the same structure would replace the held-out
+            // one.
             if !Catalog::builtin().is_for_training(&goal) {
                 return Err(Failure::Usage(format!(
                     "--blueprint: {id} has the outline of a test or validation blueprint, which training may not see; \
@@ -151,7 +153,7 @@ impl TrainingGoals {
         Ok(Self { catalog, own: own.iter().filter_map(|id| catalog.get(id)).collect(), ids })
     }
 
-    /// Where all goals are found.
+    /// The catalog of all goals.
     pub(super) fn catalog(&self) -> &'static Catalog {
         self.catalog
     }
@@ -171,7 +173,8 @@ impl TrainingGoals {
         ]
     }
 
-    /// Writes those that the program's own catalog lacks into the run's folder, so that it can go on without the files.
+    /// Writes blueprints that the built-in catalog lacks to the run's folder, so that the run can resume without the
+    /// original files.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -187,10 +190,10 @@ impl TrainingGoals {
     }
 }
 
-/// Whether the very same has been named before.
+/// Whether this blueprint has already been named.
 ///
 /// # Errors
-/// When two that differ share an id, or one structure has two ids: only one of them could be played.
+/// When two different blueprints share an id, or one structure has two ids: only one of them could be used.
 fn is_repeated(before: &[Named], id: &BlueprintId, structure: u64, name: &str) -> Result<bool, Failure> {
     let same = before.iter().find(|other| other.id == *id || other.structure == structure);
     match same {
@@ -207,13 +210,13 @@ fn is_repeated(before: &[Named], id: &BlueprintId, structure: u64, name: &str) -
     }
 }
 
-/// The folder of the blueprints that a run was given, if there is one, for its folder or a path in it.
+/// The folder with the blueprints kept with a run, if it exists; `path` is the run's folder or a path in it.
 fn blueprints_of_run(path: &Path) -> Option<PathBuf> {
     let run = path.ancestors().take(5).map(RunPaths::new).find(|run| run.config().exists())?;
     Some(run.blueprints()).filter(|folder| folder.is_dir())
 }
 
-/// What had to be found to complete the files and folders among `named`, a line each.
+/// What was inferred to complete the files and folders among `named`, one line each.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -227,7 +230,7 @@ pub(super) fn inferred(named: &[String]) -> Result<Vec<String>, Failure> {
     Ok(lines)
 }
 
-/// Says of the blocks in the files among `named` that could lie in several ways, which way was taken.
+/// Prints the choices made for blocks, in the files among `named`, that could be oriented in several ways.
 ///
 /// # Errors
 /// When a file cannot be read.
@@ -242,10 +245,10 @@ pub(super) fn tell_choices(named: &[String], terminal: &Terminal) -> Result<(), 
     Ok(())
 }
 
-/// The blueprint of the catalog or of the generator with that id.
+/// Finds the blueprint with this id, in the catalog or by generating it.
 ///
 /// # Errors
-/// When there is none; the error has the nearest id of the catalog.
+/// When the id is unknown; the error contains the nearest id of the catalog.
 pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
     let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
     found.ok_or_else(|| Failure::UnknownBlueprint {
@@ -254,7 +257,7 @@ pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Bluepri
     })
 }
 
-/// Whether a name is that of a file or folder. An id is an id even where a folder is called so.
+/// Whether a name refers to a file or folder. An id stays an id even if a folder has that name.
 pub(super) fn is_path(name: &str) -> bool {
     let is_id = || name.parse::<BlueprintId>().is_ok_and(|id| Catalog::builtin().find(&id).is_some());
     name.contains('/') || name.ends_with(".toml") || (!is_id() && Path::new(name).exists())

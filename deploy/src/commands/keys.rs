@@ -1,14 +1,14 @@
-//! `keys`: makes what lets processes of a run trust each other.
+//! `keys`: creates the keys with which the processes of a run authenticate each other.
 
 use crate::cli::KeysCommand;
 use crate::exit::Failure;
 use crate::keys;
 use crate::live::Terminal;
 
-/// Makes or renews keys.
+/// Creates or renews keys.
 ///
 /// # Errors
-/// When the folder holds keys already, or nothing can be written.
+/// When the folder already holds keys, or nothing can be written.
 pub(super) fn run(command: &KeysCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         KeysCommand::New(args) if args.keep && keys::exist(&args.dir) => {

@@ -1,4 +1,4 @@
-//! What the subcommands do.
+//! Implementations of the subcommands.
 
 mod bench;
 mod blueprints;
@@ -34,16 +34,16 @@ use crate::live::Terminal;
 use crate::run_dir::Origin;
 use crate::{health, signals};
 
-/// Threads for the bus and the services' waiting; stepping and training have threads of their own.
+/// Threads for the bus and for services that wait; stepping and training use their own threads.
 const N_RUNTIME_THREADS: usize = 2;
 
-/// Longest time that threads outside the runtime may take to end after everything else has.
+/// Time limit for threads outside the runtime to end after everything else has ended.
 const LAST_THREADS: Duration = Duration::from_secs(10);
 
-/// Runs a subcommand to its end.
+/// Runs a subcommand to completion.
 ///
 /// # Errors
-/// Says what failed; see [`Failure`] for the kinds.
+/// The reason for the failure; [`Failure`] lists the kinds.
 pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Bench(command) => bench::run(&command, terminal),
@@ -126,7 +126,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     }
 }
 
-/// Where the run begins; says so when that makes a preset or file of no effect, or there is nothing to continue.
+/// Where the run starts; prints a note if the given preset or file is ignored, or if there is no checkpoint to resume.
 fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Origin {
     let origin = Origin::find(run);
     if let (Some(folder), None) = (&origin.config, &origin.checkpoint) {
@@ -146,7 +146,7 @@ fn json(value: &impl serde::Serialize, terminal: &Terminal) -> Result<(), Failur
     Ok(())
 }
 
-/// The valid configuration, or `None` after printing it when that was asked for.
+/// The validated configuration, or `None` if it was to be printed instead.
 fn configure(
     args: &ConfigArgs,
     resume: Option<&PathBuf>,

@@ -1,4 +1,4 @@
-//! Policies to act with: of checkpoints, of exported files, and the one that comes with the program.
+//! Loads policies: from checkpoints, from exported files, and the shipped one.
 
 use std::path::{Path, PathBuf};
 
@@ -12,10 +12,10 @@ use crate::live::Terminal;
 use crate::run_dir::runs_in;
 use runlog::RunPaths;
 
-/// The policy that comes with the program; `pretrained/README.md` says how it was made and what it can do.
+/// The shipped policy; `pretrained/README.md` describes how it was trained and what it can do.
 const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
 
-/// Preset that it was trained with.
+/// Preset that the shipped policy was trained with.
 const PRETRAINED_PRESET: &str = "laptop";
 
 /// A policy, and the text and origin of the configuration that it was trained with.
@@ -25,7 +25,7 @@ pub(super) struct Source {
 }
 
 impl Source {
-    /// Reads the policy that the arguments name.
+    /// Reads the policy that the arguments select.
     ///
     /// # Errors
     /// When a file cannot be read or is damaged.
@@ -33,7 +33,7 @@ impl Source {
         Self::of(args.checkpoint.as_deref())
     }
 
-    /// Reads an exported file or the newest checkpoint of a folder, or else the policy that comes with the program.
+    /// Reads an exported file or the newest checkpoint of a folder, or returns the shipped policy.
     ///
     /// # Errors
     /// When a file cannot be read or is damaged.
@@ -44,7 +44,7 @@ impl Source {
         }
     }
 
-    /// The policy that a training starts from: `pretrained`, or what [`Self::read`] takes.
+    /// Returns the policy that a training starts from: `pretrained`, or anything that [`Self::read`] accepts.
     pub(super) fn named(name: &Path) -> Result<Self, Failure> {
         if name == Path::new("pretrained") && !name.exists() { Self::pretrained() } else { Self::read(name) }
     }
@@ -73,10 +73,10 @@ impl Source {
         Ok(Self { model: Model::from(&found.checkpoint), config: run_config(&found.path)? })
     }
 
-    /// The configuration with `overrides` put over it and the model's policy, if it is valid.
+    /// The configuration with `overrides` applied and the policy section of the model.
     ///
     /// # Errors
-    /// As for any configuration.
+    /// When an override is wrong or the result is not valid.
     pub(super) fn config(&self, overrides: &[Override]) -> Result<Config, Failure> {
         let (text, origin) = &self.config;
         let config = Config { policy: self.model.policy.clone(), ..merge(text, origin, Base::Defaults, overrides)? };
@@ -88,7 +88,7 @@ impl Source {
 /// Runs `export`.
 ///
 /// # Errors
-/// When there is no whole checkpoint, or the file is there or cannot be written.
+/// When there is no complete checkpoint, or the file exists or cannot be written.
 pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let model = Source::read(&args.checkpoint)?.model;
     if args.out.exists() {
@@ -107,13 +107,13 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
     Ok(())
 }
 
-/// Where the checkpoints are of a run's folder, or of one checkpoint's.
+/// The folder of checkpoints for a run's folder; a checkpoint's folder is returned as it is.
 fn checkpoint_folder(given: &Path) -> PathBuf {
     let inside = RunPaths::new(given).checkpoints();
     if inside.is_dir() { inside } else { given.to_owned() }
 }
 
-/// Text and name of the configuration in the nearest folder above the checkpoint that has one.
+/// The text and the name of the nearest `config.toml` up to two folders above the checkpoint, or the defaults.
 fn run_config(checkpoint: &Path) -> Result<(String, String), Failure> {
     let Some(path) =
         checkpoint.ancestors().skip(1).take(2).map(|folder| RunPaths::new(folder).config()).find(|path| path.exists())

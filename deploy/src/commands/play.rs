@@ -1,4 +1,4 @@
-//! `play`: a page on which a policy builds.
+//! `play`: a web page on which a policy builds.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
@@ -20,22 +20,22 @@ use crate::exit::Failure;
 use crate::live::{self, Terminal};
 use crate::run_dir::{Origin, RunDir};
 
-/// Name of the run, and of its only service.
+/// Name of the run and of its only service.
 const NAME: &str = "play";
 
-/// What is shown.
+/// The goals to show.
 pub(super) struct Program {
-    /// All goals that can be chosen.
+    /// All goals that can be selected.
     catalog: &'static Catalog,
-    /// Those that were named; none for the whole catalog.
+    /// The named goals; empty for the whole catalog.
     named: Vec<BlueprintId>,
 }
 
 impl Program {
-    /// Finds the goals that were named, beside those that the run of the policy was given.
+    /// Resolves the named goals, with the blueprints kept with the policy's run.
     ///
     /// # Errors
-    /// Names the file that is no blueprint, or the id that is unknown with the nearest one.
+    /// Names the file that is not a blueprint, or the unknown id and the nearest known one.
     pub(super) fn of(args: &PlayArgs) -> Result<Self, Failure> {
         let named = [&args.ids[..], &args.blueprint[..]].concat();
         let goals = Goals::open_beside(&named, args.checkpoint.as_deref())?;
@@ -44,7 +44,7 @@ impl Program {
     }
 }
 
-/// The configuration of a run of which there is only the evaluator.
+/// The configuration of a run that consists of the evaluator only.
 ///
 /// # Errors
 /// When the policy cannot be read or a setting is not valid.
@@ -60,7 +60,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
         let splits: Vec<String> = Split::ALL.iter().map(ToString::to_string).collect();
         overrides.push(Override::flag("ID", "evaluator.films.blueprints", ids.clone()));
         overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
-        // Whatever the policy was evaluated on while it learned.
+        // Regardless of what the policy was evaluated on during training.
         overrides.push(Override::flag("ID", "evaluator.selection.splits", splits));
         overrides.push(Override::flag("ID", "evaluator.selection.sizes", vec![2, N_BLOCKS as i64]));
     }
@@ -70,7 +70,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
     source.config(&overrides)
 }
 
-/// Evaluates the policy once and keeps the page up until `shutdown`.
+/// Evaluates the policy once and serves the page until `shutdown`.
 ///
 /// # Errors
 /// When the page's address is taken, the folder cannot be written, or the evaluation fails.
@@ -84,14 +84,14 @@ pub(super) async fn run(
 ) -> Result<(), Failure> {
     let catalog = program.catalog;
     let weights = published(source, config, catalog)?;
-    // The page would wait for them forever.
+    // Fail early on unusable weights: the page would wait for them forever.
     let mut policy = Policy::new(&config.policy).map_err(anyhow::Error::from)?;
     policy.load(&weights).map_err(anyhow::Error::from)?;
     let weights = Arc::new(weights);
     let page = services::page(config.dashboard.web.as_ref(), terminal).await?.map(|page| services::Opened {
         page,
         about: about(args, program),
-        // So that the first episode waits for no bus.
+        // So that the first episode does not wait for the bus.
         first: Some(weights.clone()),
     });
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, None, &Origin::default())?;
@@ -102,7 +102,7 @@ pub(super) async fn run(
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(false)));
     let (progress, counted) = watch::channel(None);
-    // As a bar only: where there is no terminal, the page says it.
+    // Show a bar only: without a terminal, the page shows the progress.
     let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || false));
     let setup = EvaluatorSetup { catalog, ..services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path())) };
     let stop = Stop { now: shutdown, ..Stop::default() };
@@ -114,7 +114,7 @@ pub(super) async fn run(
     ended
 }
 
-/// The page shows no training here.
+/// Describes the page, which shows no training here.
 fn about(args: &PlayArgs, program: Program) -> About {
     let run = match &args.checkpoint {
         None => "the policy that comes with the program".to_owned(),
@@ -125,7 +125,7 @@ fn about(args: &PlayArgs, program: Program) -> About {
     About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog }
 }
 
-/// The weights as a learner would send them, which says what to train on: here all that is evaluated alike.
+/// The weights as a learner would publish them, with task probabilities: here uniform over all evaluated goals.
 fn published(source: Source, config: &Config, catalog: &Catalog) -> Result<Weights, Failure> {
     let selected = config.evaluator.selection.select(catalog);
     let goals = selected.map_err(|error| Failure::Usage(error.to_string()))?;

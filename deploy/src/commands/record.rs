@@ -1,4 +1,4 @@
-//! `record`: plays episodes and keeps them, as a dataset for offline learning or as trajectories.
+//! `record`: records episodes, as a dataset for offline learning or as trajectories.
 
 use std::borrow::Cow;
 use std::fs;
@@ -21,14 +21,14 @@ use crate::exit::Failure;
 use crate::limits;
 use crate::live::{EpisodeCounter, Terminal};
 
-/// Where episodes go.
+/// Destination of the episodes.
 enum Sink {
     Minari(Box<Writer>),
-    /// A folder and the number of files in it.
+    /// A folder, and the number of files in it.
     Trajectories(PathBuf, u64),
 }
 
-/// What has been kept.
+/// State of the recording.
 struct Recording<'k> {
     sink: Sink,
     catalog: &'k Catalog,
@@ -36,15 +36,15 @@ struct Recording<'k> {
     failure: Option<Failure>,
 }
 
-/// Plays the episodes and writes each as it ends. After `shutdown`, those that have ended stay.
+/// Runs the episodes and writes each when it ends. After `shutdown`, the episodes that have ended are kept.
 ///
 /// # Errors
-/// When the policy or the run's configuration cannot be read, the dataset is there already, a file cannot be written, or
+/// When the policy or the run's configuration cannot be read, the dataset already exists, a file cannot be written, or
 /// `shutdown` came first.
 pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let PerformerArgs { checkpoint, expert, sampled, .. } = &args.performer;
-    // The expert plays in the world of the program's own policy and is seen through its eyes.
+    // The expert acts in the world of the shipped policy, and its episodes are recorded with that policy's features.
     let source = Source::of(checkpoint.as_deref())?;
     let config = source.config(&overrides)?;
     tell_choices(&args.goals.blueprint, terminal)?;
@@ -61,7 +61,8 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     let setup = EvalSetup {
         catalog: goals.catalog(),
         environment: config.evaluation_environment(),
-        // One world for a thread: what a policy does in several at once depends on who they are by rounding, and on time.
+        // One world per thread: in a batch of several, rounding makes actions depend on which worlds share the batch,
+        // and that depends on timing.
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
             starts: args.start.into(),
@@ -97,7 +98,7 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     if is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
 }
 
-/// The blueprints that were named, or those of the splits.
+/// The named blueprints, or those of the splits.
 fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Result<Vec<Cow<'g, Blueprint>>, Failure> {
     if args.goals.split.is_empty() {
         return goals.blueprints();
@@ -106,7 +107,7 @@ fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Result<Vec<Cow<'g, Bluepri
     Ok(goals.catalog().iter().filter(wanted).map(Cow::Borrowed).collect())
 }
 
-/// Who acts, in a word for names.
+/// A word for the acting policy or expert, for use in names.
 fn actor(args: &PerformerArgs) -> String {
     match &args.checkpoint {
         _ if args.expert => "expert".to_owned(),
@@ -115,7 +116,7 @@ fn actor(args: &PerformerArgs) -> String {
     }
 }
 
-/// The name that was given, or one after who acts.
+/// The given name, or one derived from the acting policy or expert.
 fn dataset_id(args: &RecordArgs) -> Result<DatasetId, Failure> {
     if let Some(name) = &args.name {
         return Ok(name.clone());
@@ -127,7 +128,7 @@ fn dataset_id(args: &RecordArgs) -> Result<DatasetId, Failure> {
     name.parse::<DatasetId>().map_err(|error| Failure::Usage(format!("{error}; choose a --name")))
 }
 
-/// Begins a dataset.
+/// Creates the dataset.
 fn begin(
     args: &RecordArgs,
     id: DatasetId,
@@ -170,7 +171,7 @@ fn begin(
     Ok(Writer::create(&args.out, about, Spaces::new(&config.policy.features), &world)?)
 }
 
-/// What the package for Python knows a blueprint by: its id, or the text of one that is not the program's own.
+/// How the Python package identifies a blueprint: by its id, or by its text if it is not built in.
 fn known(blueprint: &Blueprint) -> String {
     let own = Catalog::builtin().find(blueprint.id());
     if own.is_some_and(|own| *own == *blueprint) {
@@ -189,7 +190,7 @@ fn new_folder(folder: &Path) -> Result<PathBuf, Failure> {
 }
 
 impl Recording<'_> {
-    /// Writes an episode, unless it diverged or an earlier one could not be written. Returns whether all could be.
+    /// Writes an episode, unless it diverged or an earlier write failed. Returns whether all writes have succeeded.
     fn keep(&mut self, episode: &Recorded) -> bool {
         if episode.is_diverged() {
             self.n_diverged += 1;
@@ -216,7 +217,7 @@ impl Recording<'_> {
         Ok(())
     }
 
-    /// What there is, and how to read it.
+    /// A summary of the recording and a command that reads it.
     fn said(&self, args: &RecordArgs) -> String {
         let left_out = match self.n_diverged {
             0 => String::new(),
@@ -233,7 +234,7 @@ impl Recording<'_> {
                 writer.id(),
             ),
             Sink::Trajectories(folder, n_files) => {
-                // `render` finds goals of one's own where this command found them.
+                // `render` finds the user's own blueprints in the same files.
                 let own = args.goals.blueprint.iter().filter(|name| is_path(name));
                 let own: String = own.map(|path| format!(" --blueprint {path}")).collect();
                 format!(

@@ -1,4 +1,4 @@
-//! `render`: films of recorded trajectories, of a run's recordings, and of what running actors send.
+//! `render`: makes films of recorded trajectories, of a run's recordings, and of the episodes of running actors.
 
 mod live;
 mod recordings;
@@ -23,20 +23,20 @@ use crate::live::Terminal;
 
 pub(super) use live::run as run_live;
 
-/// Scenes in a strip beside the goal: two full rows; and in a strip of attention.
+/// Scenes in a strip, which fill two rows together with the goal, and scenes in an attention strip.
 const N_STRIP_SCENES: usize = 7;
 const N_STRIP_MOMENTS: usize = 5;
 
-/// Colors of a strip, which is to be small enough to keep in a repository.
+/// Palette size of a strip, which should be small enough to keep in a repository.
 const STRIP_COLORS: usize = 96;
 
-/// An episode and the name of its film.
+/// The name of a film and its episode.
 type Named = (String, Episode);
 
-/// Runs the subcommand. Every file is read before the first film is made.
+/// Runs the subcommand. Reads every file before it makes the first film.
 ///
 /// # Errors
-/// When a file is no recording or its goal is unknown, or a film cannot be made or written.
+/// When a file is not a recording, its goal is unknown, or a film cannot be made or written.
 pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure> {
     let goals = Goals::new(args)?;
     let policy = policy(args)?;
@@ -47,10 +47,10 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
     make_all(&episodes, args, policy.as_ref(), terminal)
 }
 
-/// Where goals are looked up, and which are shown.
+/// The catalog of goals, and the goals to show.
 struct Goals {
     catalog: Catalog,
-    /// Named; with none, all are shown.
+    /// The named goals; if empty, all are shown.
     chosen: Vec<BlueprintId>,
 }
 
@@ -69,7 +69,7 @@ impl Goals {
         self.chosen.is_empty() || self.chosen.contains(id)
     }
 
-    /// The blueprint, or why it is not there.
+    /// Finds the blueprint, or explains why it is missing.
     fn find(&self, id: &BlueprintId) -> Result<Cow<'_, Blueprint>, String> {
         let catalog = &self.catalog;
         catalog.find(id).ok_or_else(|| {
@@ -80,7 +80,7 @@ impl Goals {
     }
 }
 
-/// The policy whose attention is to be shown.
+/// The policy whose attention is shown.
 fn policy(args: &RenderArgs) -> Result<Option<Policy>, Failure> {
     let Some(path) = &args.attention else { return Ok(None) };
     let model = Source::read(path)?.model;
@@ -117,7 +117,7 @@ fn attention<'e>(policy: &Policy, name: &str, episode: &'e Episode) -> Result<Ep
         .map_err(|error| Failure::Recording { files: name.to_owned(), reason: error.to_string() })
 }
 
-/// The ending of the file's name, and its bytes.
+/// Renders an episode. Returns the extension of the file name and the file's bytes.
 fn make(episode: &Episode, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
     Ok(match args.format {
         FilmFormat::Mp4 => {
@@ -134,9 +134,9 @@ fn make(episode: &Episode, args: &RenderArgs) -> anyhow::Result<(&'static str, V
     })
 }
 
-/// The same for what a network attends to.
+/// Like [`make`], for a film of what a network attends to.
 fn make_of_attention(attention: &EpisodeAttention<'_>, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
-    // A step is the shortest time between two numbers, so more frames would show nothing more.
+    // Attention changes only once per step, so a higher frame rate would show nothing more.
     let (width, fps) = (args.width.unwrap_or(1280), args.fps.unwrap_or(10));
     Ok(match args.format {
         FilmFormat::Mp4 => ("mp4", mp4(AttentionFilm::new(attention, width).frames(fps), fps)?),

@@ -1,4 +1,4 @@
-//! `report`: pictures and tables of a run's evaluations.
+//! `report`: plots and tables of a run's evaluations.
 
 use std::path::{Path, PathBuf};
 
@@ -15,14 +15,14 @@ use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Folder in a run's folder where reports go.
+/// Default output folder, inside the run's folder.
 const REPORT: &str = "report";
 
-/// Runs the subcommand. Everything is drawn before the first file is written.
+/// Runs the subcommand. Draws everything before it writes the first file.
 ///
 /// # Errors
-/// When a history is missing, of a newer program, damaged or without such actions, the two runs have no blueprint in
-/// common, or a file cannot be written.
+/// When a history is missing, damaged, written by a newer version, or without evaluations of this action mode, the runs
+/// have no blueprint in common, or a file cannot be written.
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let stdout = terminal;
     let terminal = &if args.json { terminal.on_stderr() } else { terminal.clone() };
@@ -65,7 +65,8 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     Ok(())
 }
 
-/// Several seeds of one training: their curves in one picture, and mean and deviation of their last evaluations.
+/// Reports on several seeds of one training: their curves in one plot, and mean and standard deviation of their last
+/// evaluations.
 fn of_seeds(args: &ReportArgs, seeds: &[PathBuf], terminal: &Terminal, stdout: &Terminal) -> Result<(), Failure> {
     let spreads = seeds::spreads(&args.run)?;
     let table = seeds::table(&spreads);
@@ -87,7 +88,7 @@ fn of_seeds(args: &ReportArgs, seeds: &[PathBuf], terminal: &Terminal, stdout: &
     Ok(())
 }
 
-/// What `--json` prints: the groups of the last evaluation, and what was written.
+/// Output of `--json`: the groups of the last evaluation, and the files written.
 fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, out: &Path, files: &[File]) -> serde_json::Value {
     let groups = passes.last().map(|last| groups::rows(last)).unwrap_or_default();
     let group = |row: &groups::GroupRow| {
@@ -156,7 +157,7 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
     picture("comparison", &drawing)
 }
 
-/// The passes to show; says how many are left out.
+/// The evaluations to show; prints how many are left out.
 fn shown<'p>(all: &'p [Pass], run: &Path, terminal: &Terminal) -> Vec<&'p Pass> {
     let passes = lineage(all);
     let n_left_out = all.len() - passes.len();
@@ -181,7 +182,7 @@ fn nothing(run: &Path, passes: &[&Pass], acting: ActionMode) -> Failure {
     })
 }
 
-/// How many episodes a cell stands for.
+/// How many episodes each cell of the heat map stands for.
 fn episodes(passes: &[&Pass], acting: ActionMode) -> String {
     let scores = passes.iter().flat_map(|pass| &pass.blueprints);
     let counts = scores.filter_map(|score| Some(outcome_of(score, acting)?.success.n_episodes));
@@ -197,13 +198,13 @@ fn picture(name: &str, drawing: &Drawing) -> Result<Vec<File>, Failure> {
     Ok(vec![(format!("{name}.svg"), drawing.to_svg().into_bytes()), (format!("{name}.png"), png)])
 }
 
-/// The name of a run's folder, also if it is given as `.`.
+/// The name of a run's folder, even if it is given as `.`.
 fn name(run: &Path) -> String {
     let whole = run.canonicalize().unwrap_or_else(|_| run.to_owned());
     whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// A number with its digits in groups of three.
+/// Formats a number with its digits in groups of three.
 fn digits(n: u64) -> String {
     let text = n.to_string();
     let groups = text.as_bytes().rchunks(3).rev().map(String::from_utf8_lossy);

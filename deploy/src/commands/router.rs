@@ -1,4 +1,4 @@
-//! `router`: carries the messages of all runs whose processes connect to it.
+//! `router`: routes the messages of all runs whose processes connect to it.
 
 use bus::{Bus, BusConfig, BusMode, SecurityConfig};
 use tokio_util::sync::CancellationToken;
@@ -7,19 +7,19 @@ use crate::cli::RouterArgs;
 use crate::exit::Failure;
 use crate::health::Reporter;
 
-/// Routes until `shutdown`.
+/// Routes messages until `shutdown`.
 ///
 /// # Errors
-/// When an endpoint cannot be listened on.
+/// When it cannot listen on an endpoint.
 pub(super) async fn run(args: &RouterArgs, shutdown: CancellationToken) -> Result<(), Failure> {
-    // The name of a run prefixes only what a process itself sends, so one router serves every run.
+    // A run's name prefixes only the keys that its own processes use, so one router serves every run.
     let (listen, connect) = (args.listen.clone(), args.connect.clone());
     let security = SecurityConfig { keys: args.keys.folder("router") };
     let config = BusConfig { mode: BusMode::Router, listen, connect, security, ..BusConfig::default() };
     let health = Reporter::start("router", args.health.health_file.as_deref())?;
     let bus = Bus::open(&config).await?;
     health.joined(&bus);
-    // It has no loop of its own that could hang.
+    // A router has no main loop that could hang.
     let _waiting = bus.pulse().waiting();
     tracing::info!(listen = ?config.listen, with_keys = config.security.keys.is_some(), "routing");
     shutdown.cancelled().await;

@@ -1,4 +1,4 @@
-//! One training with several seeds: `train --seeds`, and what `report` says of the folder that it leaves.
+//! One training with several seeds: `train --seeds`, and how `report` summarizes the resulting folder.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -18,13 +18,13 @@ use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{Origin, default_folder};
 
-/// How the folder of a seed's run begins.
+/// Prefix of the folder name of each seed's run.
 const PREFIX: &str = "seed-";
 
 /// Success in a group over several runs.
 #[derive(Debug, PartialEq, Serialize)]
 pub(super) struct Spread {
-    /// The group, as in evaluations.
+    /// Name of the group, as in evaluations.
     group: String,
     acting: ActionMode,
     /// Success rate of each run, 0 to 1.
@@ -32,11 +32,11 @@ pub(super) struct Spread {
     mean: f64,
     /// Sample standard deviation; `null` with one run.
     std: Option<f64>,
-    /// Mean over the runs of the mean steps of their successful episodes; `null` if a run has none.
+    /// Mean over the runs of their mean steps to success; `null` if a run has no successful episode.
     mean_steps_to_success: Option<f64>,
 }
 
-/// What came of several trainings.
+/// Results of several trainings.
 #[derive(Debug, Serialize)]
 pub(super) struct SeedsSummary {
     folder: PathBuf,
@@ -44,10 +44,10 @@ pub(super) struct SeedsSummary {
     groups: Vec<Spread>,
 }
 
-/// Trains with the configured seed and those after it, one after the other, each in a folder of its own.
+/// Trains with the configured seed and the seeds after it, one after the other, each in its own folder.
 ///
 /// # Errors
-/// The first failure of a training; those before it have been saved.
+/// The first failure of a training; earlier trainings have been saved.
 pub(super) async fn train(
     settings: &Settings,
     args: &TrainArgs,
@@ -68,11 +68,11 @@ pub(super) async fn train(
         }
         let mut own = settings.clone();
         own.config.seed = seed;
-        // Or there would be nothing to compare.
+        // Without a last evaluation there would be nothing to compare.
         own.config.evaluator.evaluate_last = true;
         let run_dir = folder.join(format!("{PREFIX}{seed}"));
         terminal.print(&format!("seed {seed}, {} of {n_seeds}", runs.len() + 1));
-        // A training cancels its token when it ends.
+        // Use a child token, because a training cancels its token when it ends.
         let its_end = shutdown.child_token();
         runs.push(train::run(&own, args, goals, Some(&run_dir), Origin::default(), terminal, its_end).await?);
     }
@@ -83,7 +83,7 @@ pub(super) async fn train(
     Ok(SeedsSummary { folder, runs, groups })
 }
 
-/// The runs of the seeds in a folder, in the order of the seeds.
+/// The runs of the seeds in a folder, ordered by seed.
 pub(super) fn runs_in(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let seed = |path: &Path| path.file_name()?.to_str()?.strip_prefix(PREFIX)?.parse::<u64>().ok();
@@ -94,7 +94,7 @@ pub(super) fn runs_in(folder: &Path) -> Vec<PathBuf> {
     found.into_iter().map(|(_, run)| run).collect()
 }
 
-/// Success by group in the last evaluations of the seeds' runs; groups that not all of them have are left out.
+/// Success by group in the last evaluation of each seed's run; groups missing from any of them are left out.
 ///
 /// # Errors
 /// When a history cannot be read.
@@ -125,7 +125,7 @@ pub(super) fn spreads(folder: &Path) -> Result<Vec<Spread>, Failure> {
     Ok(first.iter().filter_map(spread).collect())
 }
 
-/// The spreads as Markdown, rates in percent.
+/// Renders the spreads as a Markdown table, with rates in percent.
 pub(super) fn table(spreads: &[Spread]) -> String {
     let n_runs = spreads.first().map_or(0, |spread| spread.rates.len());
     let mut text = format!(
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn the_spread_of_three_rates_is_that_of_a_sample() {
-        // Mean 0.6; squares 0.04 + 0 + 0.04, over 2.
+        // Mean 0.6; squared deviations 0.04 + 0 + 0.04, divided by 2.
         let rates = [0.4, 0.6, 0.8];
         assert!((mean(&rates) - 0.6).abs() < 1e-12);
         assert!((deviation(&rates).unwrap() - 0.2).abs() < 1e-12);

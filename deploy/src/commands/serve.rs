@@ -1,4 +1,4 @@
-//! `serve`: the page over runs that have ended, or a copy of it in files.
+//! `serve`: the web page for finished runs, or a static copy of it.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{preset_of, runs_in};
 
-/// Serves until `shutdown`, or writes the copy.
+/// Serves the page until `shutdown`, or writes the copy.
 ///
 /// # Errors
 /// When a run cannot be read, the page's address is taken, or the copy cannot be written.
@@ -51,8 +51,8 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     Ok(())
 }
 
-/// The blueprints whose episodes a copy of the page has: those that were named, those that the run was given, or the first of
-/// every group.
+/// The blueprints to record episodes of for a static copy: the named ones, those that the run was given, or the first
+/// of each group.
 fn recorded(named: &[BlueprintId], about: &About) -> Vec<BlueprintId> {
     if !named.is_empty() {
         return named.to_vec();
@@ -70,7 +70,7 @@ fn recorded(named: &[BlueprintId], about: &About) -> Vec<BlueprintId> {
     about.catalog.iter().filter(is_first).map(|blueprint| blueprint.id().clone()).collect()
 }
 
-/// What the files of a run tell.
+/// Loads a finished run from its files.
 fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     let paths = RunPaths::new(folder);
     let config = configuration(&paths)?;
@@ -81,7 +81,7 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     let policy = model.as_ref().map_or_else(|| config.policy.clone(), |source| source.model.policy.clone());
     let weights = model.map(|source| Arc::new(source.model.weights));
     let (_, newest) = watch::channel(weights.clone());
-    // Without weights a browser would wait for them forever.
+    // Without weights, a browser would wait for an episode forever.
     let stage = weights.is_some().then(|| stage(config.evaluation_environment(), policy.clone(), newest));
     let run = paths.folder().canonicalize().unwrap_or_else(|_| folder.to_owned());
     let run = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();
@@ -92,7 +92,7 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
 }
 
-/// The configuration that the run wrote down.
+/// The configuration that the run saved.
 fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
     let (path, folder) = (paths.config(), paths.folder().display());
     if !path.exists() {
@@ -107,7 +107,7 @@ fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
     Ok(config)
 }
 
-/// The learner's lines of `metrics.jsonl`; none if there is no such file. Lines that cannot be read are counted.
+/// The learner's lines of `metrics.jsonl`; empty if there is no such file. Logs how many lines cannot be parsed.
 fn updates(paths: &RunPaths) -> Result<Vec<LearnerMetrics>, Failure> {
     let path = paths.metrics();
     if !path.exists() {
@@ -121,7 +121,7 @@ fn updates(paths: &RunPaths) -> Result<Vec<LearnerMetrics>, Failure> {
     Ok(found)
 }
 
-/// What the learner said, and how many of its lines cannot be read.
+/// The learner's metrics, and how many of its lines cannot be parsed.
 fn learner_lines(text: &str) -> (Vec<LearnerMetrics>, usize) {
     let start = format!("{{\"key\":\"{METRICS_LEARNER}\"");
     let mut n_unread = 0;

@@ -1,4 +1,4 @@
-//! The services as processes of their own, and as parts of `train`.
+//! The services, both as separate processes and as parts of `train`.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,7 +29,7 @@ use crate::live::{self, Terminal};
 use crate::names::random_name;
 use crate::run_dir::{Origin, RunDir};
 
-/// When a process that waits for its router first says so, and how often then.
+/// Delay before the first notice that no router answers, and between later notices.
 const FIRST_WAIT_NOTICE: Duration = Duration::from_secs(3);
 const WAIT_NOTICE: Duration = Duration::from_secs(10);
 
@@ -57,7 +57,7 @@ pub(super) async fn run_actor(
     finished(shown).await.and(ended)
 }
 
-/// Waits for a task that shows what a service does, if it has begun; it ends with the bus.
+/// Waits for a task that shows a service's progress, if it was started; the task ends with the bus.
 async fn finished(shown: Option<JoinHandle<()>>) -> Result<(), Failure> {
     match shown {
         Some(shown) => shown.await.map_err(|panic| Failure::Service(panic.into())),
@@ -65,7 +65,7 @@ async fn finished(shown: Option<JoinHandle<()>>) -> Result<(), Failure> {
     }
 }
 
-/// What a process of a run is about to do.
+/// Describes what a process of a run is about to do.
 fn begins(what: &str, settings: &Settings) -> String {
     let config = &settings.config;
     let how = match &config.bus.listen[..] {
@@ -95,7 +95,7 @@ pub(super) async fn run_learner(
     let ended = on_bus(config, &health, &shutdown, async |bus| {
         let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
         let (actors, whole, terminal) = (bus.alive(Role::Actor).await?, config.clone(), terminal.clone());
-        // Evaluations are for the evaluator to show.
+        // The evaluator shows evaluations.
         let reports = watch::channel(None).1;
         shown =
             Some(tokio::spawn(async move { live::show_learning(metrics, actors, reports, terminal, &whole).await }));
@@ -105,7 +105,7 @@ pub(super) async fn run_learner(
     finished(shown).await.and(ended)
 }
 
-/// Runs `evaluator`, which prints its reports, or works on behalf of another.
+/// Runs `evaluator`: evaluates and prints reports, or runs episodes for another evaluator.
 pub(super) async fn run_evaluator(
     settings: &Settings,
     args: &EvaluatorArgs,
@@ -143,7 +143,7 @@ pub(super) async fn run_evaluator(
     ended
 }
 
-/// Joins the bus for as long as `service` runs; does nothing if `shutdown` comes before a router is there.
+/// Joins the bus for as long as `service` runs; does nothing if `shutdown` comes before a router answers.
 async fn on_bus(
     config: &Config,
     health: &Reporter,
@@ -171,13 +171,13 @@ async fn on_bus(
     ended
 }
 
-/// An actor's life; what it draws differs from all others of the same run.
+/// Runs an actor. Its random draws differ from those of all other actors of the run.
 pub(super) async fn actor(setup: ActorSetup, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
     actor::run(setup, &bus, shutdown).await?;
     Ok(())
 }
 
-/// A learner's life.
+/// Runs a learner.
 pub(super) async fn learner(
     options: RunOptions,
     bus: Bus,
@@ -186,15 +186,15 @@ pub(super) async fn learner(
     Ok(learner::run(options, &bus, shutdown).await?)
 }
 
-/// A page that has its address, and what it shows from the first moment on.
+/// A page whose address is bound, and what it shows first.
 pub(super) struct Opened {
     pub(super) page: Page,
     pub(super) about: About,
-    /// The weights that act until others come.
+    /// The weights that act until others arrive.
     pub(super) first: Option<Arc<Weights>>,
 }
 
-/// A training in a few words, for its page; `catalog` has all of its goals.
+/// Describes a training for its page; `catalog` has all of its goals.
 pub(super) fn about(settings: &Settings, catalog: &Catalog) -> About {
     let config = &settings.config;
     About {
@@ -207,7 +207,7 @@ pub(super) fn about(settings: &Settings, catalog: &Catalog) -> About {
     }
 }
 
-/// An evaluator's life, and the page beside it.
+/// Runs an evaluator, and serves its page if there is one.
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
@@ -230,7 +230,7 @@ pub(super) async fn evaluator(
 }
 
 impl Opened {
-    /// The page and what it shows, with what such an evaluator would have.
+    /// Splits this into the page and the source of what it shows, with the settings of this evaluator.
     fn onto(
         self,
         setup: &EvaluatorSetup,
@@ -244,7 +244,7 @@ impl Opened {
     }
 }
 
-/// Takes the address of the page, if there is to be one, and says it.
+/// Binds the page's address, if a page is configured, and prints it.
 pub(super) async fn page(web: Option<&WebConfig>, terminal: &Terminal) -> Result<Option<Page>, Failure> {
     let Some(web) = web else { return Ok(None) };
     let page = Page::bind(web).await?;
@@ -252,7 +252,7 @@ pub(super) async fn page(web: Option<&WebConfig>, terminal: &Terminal) -> Result
     Ok(Some(page))
 }
 
-/// What an actor needs.
+/// The setup of an actor.
 pub(super) fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
     ActorSetup {
         config: config.actor.clone(),
@@ -264,7 +264,7 @@ pub(super) fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
     }
 }
 
-/// What an evaluator needs; its reports are kept in `run_dir`.
+/// The setup of an evaluator, which keeps its reports in `run_dir`.
 pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path>) -> EvaluatorSetup {
     EvaluatorSetup {
         config: config.evaluator.clone(),
@@ -277,9 +277,9 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
     }
 }
 
-/// What a learner is made of; says why the device or the choice of goals cannot be used before anything is written.
+/// The setup of a learner. Fails before anything is written if the device or the selection of goals cannot be used.
 ///
-/// `init` names a policy to start from, `catalog` has the goals.
+/// `init` names a policy to start from; `catalog` has the goals.
 pub(super) fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Catalog) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
     let unusable = |error| invalid("actor.tasks.filter", error);
@@ -297,7 +297,8 @@ pub(super) fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Cata
     })
 }
 
-/// The folder of a run that a learner of this setup can begin or continue; one that it cannot continue stays as it is.
+/// Claims the run folder that a learner with this setup starts or continues. If it cannot continue the run, the folder
+/// stays unchanged.
 pub(super) fn run_dir(
     path: Option<&Path>,
     settings: &Settings,
@@ -310,7 +311,7 @@ pub(super) fn run_dir(
     Ok(run_dir)
 }
 
-/// What a learner is told of this run.
+/// The options of a learner for this run.
 pub(super) fn run_options(
     setup: LearnerSetup,
     config: &Config,
@@ -320,7 +321,7 @@ pub(super) fn run_options(
     RunOptions { setup, run_dir: run_dir.paths().clone(), resume, max_env_steps: Some(config.n_env_steps), feed: None }
 }
 
-/// Worlds that step in turns with the learner.
+/// Steps worlds in turns with the learner.
 pub(super) fn lockstep_feed(config: &Config, catalog: &'static Catalog) -> Feed {
     let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
     let mut worlds = Lockstep::new(ActorSetup { catalog, ..actor_setup(config, id) });

@@ -1,4 +1,4 @@
-//! Episodes that the page asks for, played in this process.
+//! Episodes that the web page requests, run in this process.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use evaluator::{EnvironmentConfig, EvalError, Performance, Performer, PolicyConf
 use proto::Weights;
 use tokio::sync::watch;
 
-/// Plays in such worlds, with the newest of `weights` where a policy is to build.
+/// Runs episodes in worlds with this configuration; a policy acts with the newest of `weights`.
 pub(super) fn stage(
     environment: EnvironmentConfig,
     policy: PolicyConfig,

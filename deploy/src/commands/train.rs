@@ -1,4 +1,4 @@
-//! `train`: learner, actors and evaluator in this process, on a bus of its own.
+//! `train`: learner, actors, and evaluator in this process, on its own bus.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -25,28 +25,28 @@ use crate::health::Reporter;
 use crate::live::{self, Terminal};
 use crate::run_dir::{Origin, RunDir};
 
-/// Name of the actor and the evaluator of this process, beside which others may join.
+/// Name of this process's actor and evaluator, unlike those of processes that join.
 const LOCAL: &str = "local";
 
-/// What came of a training.
+/// Summary of a training.
 #[derive(Debug, Serialize)]
 pub(super) struct Summary {
     run: String,
     run_dir: PathBuf,
-    /// Whether it made all of its steps.
+    /// Whether the training reached its number of steps.
     is_complete: bool,
-    /// Seconds since this process began.
+    /// Seconds since the training started in this process.
     elapsed_s: f64,
     #[serde(flatten)]
     learner: learner::Summary,
-    /// The last evaluation of this process; `null` without one.
+    /// The last evaluation in this process; `null` if there was none.
     evaluation: Option<EvalSummary>,
 }
 
-/// Trains until the number of steps is reached, a service fails, or `shutdown`.
+/// Trains until the configured number of steps is reached, a service fails, or `shutdown`.
 ///
 /// # Errors
-/// The first failure of a service, after all others were stopped and the learner has saved.
+/// The first failure of a service, after all others have stopped and the learner has saved.
 pub(super) async fn run(
     settings: &Settings,
     args: &TrainArgs,
@@ -58,7 +58,7 @@ pub(super) async fn run(
 ) -> Result<Summary, Failure> {
     let (config, start, catalog) = (&settings.config, Instant::now(), goals.catalog());
     let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
-    // Before anything is written, because the address may be taken.
+    // Bind the page before writing anything, because the address may be taken.
     let page = page(config, args, terminal).await?;
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = services::run_dir(run_dir, settings, &setup, &origin)?;
@@ -100,7 +100,7 @@ pub(super) async fn run(
             terminal.print("the last weights are evaluated now; Ctrl-C ends without that");
         }
         tell.send_replace(Some(report.weights_version));
-        // Whoever waited for it may have failed.
+        // The receiver may be gone after another service failed.
         drop(learned.send(report));
         Ok(())
     });
@@ -111,7 +111,8 @@ pub(super) async fn run(
     running.spawn(services::evaluator(evaluator, reports, progress, page, bus.clone(), stop));
     let mut ended = Ok(());
     while let Some(service) = running.join_next().await {
-        // Whoever ends, well or not, ends the run: the others have nothing to do without it. The evaluator may still have.
+        // Any service that ends, even without an error, ends the run, because the others have nothing to do without it.
+        // Only the evaluator may still have work: the last evaluation.
         training.cancel();
         let result = service.map_err(|panic| Failure::Service(panic.into())).flatten();
         ended = ended.and(result);
@@ -138,7 +139,7 @@ pub(super) async fn run(
     })
 }
 
-/// The page where the configuration says, or else at a free port, which is a convenience and nothing to fail for.
+/// Serves the page at the configured address, or else on a free port, where a failure is only logged.
 async fn page(config: &Config, args: &TrainArgs, terminal: &Terminal) -> Result<Option<Page>, Failure> {
     if args.no_web {
         return Ok(None);
@@ -178,7 +179,7 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
 }
 
 fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
-    // Without a later end a complete run would stop at once.
+    // Without a higher step limit, a complete run would stop at once.
     let steps = if is_complete { " --steps N" } else { "" };
     let path = run_dir.path().display();
     let program = program();
@@ -189,7 +190,7 @@ fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
     )
 }
 
-/// The program as it was called, so that lines can be pasted.
+/// The program as it was invoked, so that printed commands can be pasted.
 fn program() -> String {
     std::env::args().next().unwrap_or_else(|| "lodestone".to_owned())
 }

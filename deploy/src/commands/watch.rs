@@ -1,4 +1,4 @@
-//! `watch`: joins a run to look at it.
+//! `watch`: joins a run to monitor it.
 
 use std::io::{self, Write};
 use std::time::Duration;
@@ -11,13 +11,13 @@ use crate::cli::WatchArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// When a process that waits says so.
+/// Delay before the notice that the run has not answered yet.
 const NOTICE: Duration = Duration::from_secs(3);
 
-/// Shows the run until it is ended, or once; as JSON, also until nobody reads any more.
+/// Shows the run until `shutdown`, or once. A stream of JSON also ends when its reader closes the pipe.
 ///
 /// # Errors
-/// When the run's name breaks the rule, stdout is no terminal where one is needed, or the bus fails.
+/// When the run's name or an endpoint is invalid, stdout is not a terminal where one is needed, or the bus fails.
 pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let (run, connect) = (args.run.clone(), args.connect.clone());
     let security = SecurityConfig { keys: args.keys.folder("viewer") };

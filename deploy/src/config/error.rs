@@ -1,47 +1,47 @@
-//! Why a configuration is refused.
+//! Errors of configurations.
 
 use std::path::PathBuf;
 
-/// A configuration that cannot be used; the message names the culprit and what would be valid.
+/// A configuration that cannot be used. The message names what is wrong and what would be valid.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read the configuration {}: {source}", path.display())]
     Read {
-        /// Which file.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// A preset that does not exist.
+    /// An unknown preset.
     #[error("there is no preset `{name}`{} The presets are {}", ended(nearest), known.join(", "))]
     Preset {
         /// The name given.
         name: String,
-        /// The existing name that looks most like it.
+        /// The most similar existing name.
         nearest: Option<String>,
-        /// All names.
+        /// All existing names.
         known: Vec<&'static str>,
     },
-    /// A key that does not exist.
+    /// An unknown key.
     #[error(
         "{origin}: unknown key `{key}`{}",
         suggestion_or(nearest, "; `lodestone train --print-config` lists all keys")
     )]
     UnknownKey {
-        /// File and line, variable or flag.
+        /// File and line, variable, or flag.
         origin: String,
         /// The key given.
         key: String,
-        /// The existing key that looks most like it.
+        /// The most similar existing key.
         nearest: Option<String>,
     },
     /// Text that is not TOML, or a value of the wrong type.
     #[error("{origin}: {message}")]
     Value {
-        /// File and line, variable or flag.
+        /// File and line, variable, or flag.
         origin: String,
-        /// What is wrong, with what was expected.
+        /// What is wrong and what was expected.
         message: String,
     },
     /// A value outside its range, or values that contradict each other.
@@ -49,29 +49,29 @@ pub enum ConfigError {
     Invalid {
         /// Where the configuration comes from.
         origin: String,
-        /// Field, value and valid range.
+        /// The field, its value, and the valid range.
         message: String,
     },
 }
 
-/// The question after a message, or nothing.
+/// The suggestion appended to a message, or nothing.
 fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
 }
 
-/// The question after a message, or else `otherwise`.
+/// The suggestion appended to a message, or else `otherwise`.
 pub(crate) fn suggestion_or(nearest: &Option<String>, otherwise: &str) -> String {
     if nearest.is_some() { suggestion(nearest) } else { otherwise.to_owned() }
 }
 
-/// The question after a message that goes on, or its end.
+/// The suggestion before a message continues, or else a period.
 fn ended(nearest: &Option<String>) -> String {
     suggestion_or(nearest, ".")
 }
 
-/// The known name that is most like `name`, unless none is alike.
+/// The known name most similar to `name`, if any is similar enough.
 pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
-    /// Below this Jaro-Winkler similarity two names have little in common.
+    /// Names with a lower Jaro-Winkler similarity have little in common.
     const ALIKE: f64 = 0.7;
     known
         .into_iter()
@@ -82,14 +82,15 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
 }
 
 impl ConfigError {
-    /// Reads an error of the TOML reader, adding the line where `source` is the text that it came from.
+    /// Converts an error of the TOML parser; adds the line if `source` is the text that it came from.
     pub(super) fn from_toml(error: &toml::de::Error, source: Option<&str>, origin: &str) -> Self {
         let line = error.span().zip(source).map(|(span, text)| 1 + text[..span.start].matches('\n').count());
         let origin = line.map_or_else(|| origin.to_owned(), |line| format!("{origin}:{line}"));
-        // Serde has no structured form of this error; its text puts the unknown name and the known ones into backticks.
+        // Serde has no structured form of this error. Its text quotes the unknown name and the known names in
+        // backticks.
         let message = error.message();
         if !message.starts_with("unknown field") {
-            // Names of Rust's types say nothing to others.
+            // Users do not know the names of Rust's types.
             let message = message.trim().replace('\n', ", ").replace("expected f32", "expected a number");
             return Self::Value { origin, message: message.replace("expected f64", "expected a number") };
         }

@@ -2,16 +2,16 @@
 
 use super::{Config, ConfigError, Preset};
 
-/// The base of a file that stands on the plain defaults.
+/// Name of the base of a file that overrides the plain defaults.
 pub const NO_BASE: &str = "none";
 
-/// Begins the name of every variable that sets a key.
+/// Prefix of every variable that sets a key.
 const PREFIX: &str = "LODESTONE_";
 
-/// One key set from outside the file.
+/// A key that is set from outside the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Override {
-    /// The variable or flag, for messages.
+    /// The variable or flag, for error messages.
     pub origin: String,
     /// The key with its sections, for example `["learner", "gamma"]`.
     pub path: Vec<String>,
@@ -20,15 +20,15 @@ pub struct Override {
 }
 
 impl Override {
-    /// A flag that stands for the dotted key `path`.
+    /// An override by a flag that stands for the dotted key `path`.
     pub fn flag(flag: &str, path: &str, value: impl Into<toml::Value>) -> Self {
         Self { origin: flag.to_owned(), path: path.split('.').map(str::to_owned).collect(), value: value.into() }
     }
 
-    /// `KEY=VALUE` as given to `--set`; the value is TOML, or a string where it is none.
+    /// Parses `KEY=VALUE` as given to `--set`; the value is TOML, or a string if it is not valid TOML.
     ///
     /// # Errors
-    /// When there is no `=` or nothing before it.
+    /// When there is no `=` or no key before it.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
         let origin = format!("--set {text}");
         match text.split_once('=') {
@@ -39,20 +39,20 @@ impl Override {
         }
     }
 
-    /// The overrides among these variables, in the order of their names.
+    /// The overrides among these variables, ordered by variable name.
     ///
     /// `LODESTONE_LEARNER__GAMMA` sets `learner.gamma`. Only names with two underscores between section and key count,
-    /// and `LODESTONE_SEED`, `LODESTONE_RUN` and `LODESTONE_DEVICE`: Kubernetes puts variables such as
-    /// `LODESTONE_PORT_7447_TCP` into every container beside a service of our name, which must not be taken for settings.
+    /// plus `LODESTONE_SEED`, `LODESTONE_RUN`, and `LODESTONE_DEVICE`: Kubernetes sets variables such as
+    /// `LODESTONE_PORT_7447_TCP` in every container for a service named `lodestone`, and these are not settings.
     pub fn from_variables(variables: impl IntoIterator<Item = (String, String)>) -> Vec<Self> {
         let mut overrides: Vec<Self> = variables
             .into_iter()
             .filter_map(|(name, value)| {
                 let key = name.strip_prefix(PREFIX)?.to_ascii_lowercase();
                 let counts = key.contains("__") || ["seed", "run", "device"].contains(&key.as_str());
-                // The name of a run is the bus's, and everybody's who starts one.
+                // The run's name is a setting of the bus, but every process may set it.
                 let key = if key == "run" { "bus__run".to_owned() } else { key };
-                // A name is a text, whatever TOML would make of it: 7 and 2026-11-23 are names, too.
+                // A name is text, whatever TOML would make of it: 7 and 2026-11-23 are names, too.
                 let is_text = key == "bus__run";
                 counts.then(|| Self {
                     path: key.split("__").map(str::to_owned).collect(),
@@ -65,7 +65,7 @@ impl Override {
         overrides
     }
 
-    /// All keys of a table; of a choice, the whole choice.
+    /// One override per key of a table; a section that is a choice becomes one override.
     pub(super) fn of_table(origin: &str, keys: toml::Table) -> Vec<Self> {
         let mut overrides = Vec::new();
         let mut open = vec![(Vec::new(), keys)];
@@ -83,7 +83,7 @@ impl Override {
         overrides
     }
 
-    /// The same by the key's present name.
+    /// The same override with the key's current name.
     fn renamed(&self) -> Self {
         let path = self.path.join(".");
         let now = |(old, new): &(&str, &str)| {
@@ -94,7 +94,7 @@ impl Override {
         Self { path: path.split('.').map(str::to_owned).collect(), ..self.clone() }
     }
 
-    /// Sets the key in `table`, whose other keys stay but for those of what was chosen before.
+    /// Sets the key in `table`. Other keys stay, except those of an alternative that this key replaces.
     fn apply(&self, table: &mut toml::Table) -> Result<(), ConfigError> {
         let Some((key, sections)) = self.path.split_last() else { return Ok(()) };
         let mut table = table;
@@ -115,7 +115,7 @@ impl Override {
     }
 }
 
-/// What a file's keys are put over.
+/// What a file's keys override.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Base {
     /// The defaults of every setting.
@@ -125,15 +125,15 @@ pub enum Base {
 }
 
 impl Base {
-    /// What the name means: a preset, or [`NO_BASE`].
+    /// Finds a base by name: a preset, or [`NO_BASE`].
     ///
     /// # Errors
-    /// Names the presets that exist.
+    /// Names the existing presets.
     pub fn find(name: &str) -> Result<Self, ConfigError> {
         if name == NO_BASE { Ok(Self::Defaults) } else { Preset::find(name).map(Self::Preset) }
     }
 
-    /// The base that the file `text` names, if it does.
+    /// The base that the file `text` names, if any.
     ///
     /// # Errors
     /// When the text is not TOML, or there is no such preset.
@@ -160,15 +160,15 @@ impl std::fmt::Display for Base {
     }
 }
 
-/// Puts `overrides` over the file `text`, in their order, and the file over the base that it names, or over `base`.
+/// Applies `overrides` in their order to the file `text`, and the file to the base that it names, or else to `base`.
 ///
 /// # Errors
-/// Names the file with its line, or the variable or flag, that has an unknown key or a value of the wrong type.
+/// Names the file and line, the variable, or the flag with an unknown key or a value of the wrong type.
 pub fn merge(text: &str, origin: &str, base: Base, overrides: &[Override]) -> Result<Config, ConfigError> {
     let mut config = to_config(&with_base(text, origin, base)?, origin)?;
     for layer in overrides {
-        // Into the whole tree, so that one key of a choice can be set; one at a time, so that an error can be laid at the
-        // right door.
+        // Apply each layer to the whole tree, so that it can set a single key of a choice, and apply layers one at a
+        // time, so that an error names the layer that caused it.
         let mut table = config.to_table();
         layer.renamed().apply(&mut table)?;
         config = to_config(&table, &layer.origin)?;
@@ -176,14 +176,14 @@ pub fn merge(text: &str, origin: &str, base: Base, overrides: &[Override]) -> Re
     Ok(config)
 }
 
-/// The keys of the file `text` over those of the base that it names, or of `base`.
+/// The keys of the base that the file `text` names, or else of `base`, with the file's keys applied.
 fn with_base(text: &str, origin: &str, base: Base) -> Result<toml::Table, ConfigError> {
     let refused = |error: toml::de::Error| ConfigError::from_toml(&error, Some(text), origin);
     let mut keys: toml::Table = toml::from_str(text).map_err(refused)?;
     let file: Config = if rename(&mut keys, origin)? {
         to_config(&keys, origin)?
     } else {
-        // From the text, because such an error knows its line.
+        // Deserialize the text rather than the table, because only then does an error know its line.
         toml::from_str(text).map_err(refused)?
     };
     keys.remove("base");
@@ -193,10 +193,10 @@ fn with_base(text: &str, origin: &str, base: Base) -> Result<toml::Table, Config
     Ok(table)
 }
 
-/// Sections in which one of several keys is chosen.
+/// Sections that hold one of several alternative keys.
 const CHOICES: [&str; 2] = ["every", "filter"];
 
-/// Keys of earlier versions, and what they are called now: sections or values. Files and flags may say either.
+/// Keys of earlier versions and their current names; either is a section or a value. Files and flags may use both.
 const RENAMED: [(&str, &str); 5] = [
     ("actor.lead_in", "actor.burn_in"),
     ("actor.teacher", "actor.dagger"),
@@ -205,7 +205,7 @@ const RENAMED: [(&str, &str); 5] = [
     ("learner.normalisation", "learner.normalization"),
 ];
 
-/// Gives keys of earlier versions their present names; returns whether there were any.
+/// Renames keys of earlier versions to their current names; returns whether there were any.
 fn rename(keys: &mut toml::Table, origin: &str) -> Result<bool, ConfigError> {
     let mut any = false;
     for (old, new) in RENAMED {
@@ -221,7 +221,7 @@ fn rename(keys: &mut toml::Table, origin: &str) -> Result<bool, ConfigError> {
     Ok(any)
 }
 
-/// Takes the value at a dotted path out of the table.
+/// Removes the value at a dotted path from the table and returns it.
 fn take(table: &mut toml::Table, path: &str) -> Option<toml::Value> {
     match path.split_once('.') {
         None => table.remove(path),
@@ -229,7 +229,7 @@ fn take(table: &mut toml::Table, path: &str) -> Option<toml::Value> {
     }
 }
 
-/// Replaces single keys; of a choice, by `kind` or by key, what belongs to the others goes.
+/// Replaces single keys. If a choice changes, by `kind` or by key, the keys of the other alternatives are dropped.
 fn put_over(table: &mut toml::Table, keys: toml::Table) {
     for (key, value) in keys {
         match (table.get_mut(&key), value) {
@@ -252,14 +252,14 @@ fn to_config(table: &toml::Table, origin: &str) -> Result<Config, ConfigError> {
 fn parse_value(text: &str) -> toml::Value {
     let parsed: Result<toml::Table, _> = toml::from_str(&format!("value = {text}"));
     match parsed.ok().and_then(|mut table| table.remove("value")) {
-        // `1e6` is how people write a count, and a whole number is good for a setting that may have fractions, too.
+        // People write counts as `1e6`, and a whole number is also valid for a setting that may have a fraction.
         Some(toml::Value::Float(number)) if text.contains(['e', 'E']) && is_whole(number) => (number as i64).into(),
         Some(value) => value,
         None => toml::Value::String(text.trim().to_owned()),
     }
 }
 
-/// Whether a float is a whole number, and one of those that floats tell apart.
+/// Whether a float is a whole number, within the range where floats represent every whole number.
 fn is_whole(number: f64) -> bool {
     const MAX_EXACT: f64 = 9e15;
     number.fract() == 0.0 && number.abs() <= MAX_EXACT
@@ -269,7 +269,7 @@ fn is_whole(number: f64) -> bool {
 mod tests {
     use super::*;
 
-    /// Over the defaults, where the text names no other base.
+    /// Merges over the defaults, unless the text names another base.
     fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, ConfigError> {
         super::merge(text, origin, Base::Defaults, overrides)
     }

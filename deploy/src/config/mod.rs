@@ -1,7 +1,7 @@
-//! The configuration: one tree, shaped like the crates, each of which owns, documents and checks its section.
+//! The configuration: a tree shaped like the crates. Each crate defines, documents, and validates its own section.
 //!
-//! Layers, each over the one before: defaults, a preset, a file, an ablation, `LODESTONE_*` variables, `--set`, other flags.
-//! Unknown keys are refused.
+//! Layers, from lowest to highest precedence: defaults, a preset, a file, an ablation, `LODESTONE_*` variables,
+//! `--set`, other flags. Unknown keys are errors.
 
 mod error;
 mod layers;
@@ -20,29 +20,29 @@ pub(crate) use error::{nearest, suggestion_or};
 pub use layers::{Base, NO_BASE, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 
-/// Largest seed: TOML's integers are signed.
+/// Largest seed, because TOML's integers are signed.
 pub(crate) const MAX_SEED: u64 = i64::MAX as u64;
 
 settings! {
-    /// Everything that determines a run, but for the endpoints and folders of the machine it runs on.
+    /// Everything that determines a run, except endpoints and folders on the machine.
     pub struct Config {
-        /// In a file: the preset that the file's keys are put over, or `none` for the plain defaults. Without it,
-        /// `--config` puts them over `quickstart` and a preset stands on the defaults.
+        /// In a file: the preset that the file's keys override, or `none` for the plain defaults. Without it, a file
+        /// given with `--config` overrides `--preset`, by default `quickstart`, and a preset overrides the defaults.
         #[serde(skip_serializing)]
         pub base: Option<String> = None;
-        /// Determines weights, tasks, actions and evaluation episodes.
+        /// Determines weights, tasks, actions, and evaluation episodes.
         pub seed: u64 = 1, in 0..=MAX_SEED;
-        /// `train` and `learner` end when they have consumed this many environment steps.
+        /// `train` and `learner` stop once they have consumed this many environment steps.
         pub n_env_steps: u64 = 10_000_000, in 1..;
-        /// Where the network runs.
+        /// Device that runs the network.
         pub device: DeviceKind = DeviceKind::default();
-        /// `train` steps worlds and learns in turns, so that equal seeds give equal bytes.
+        /// Whether `train` alternates between stepping worlds and learning, so that equal seeds produce equal bytes.
         pub lockstep: bool = false;
         /// How the processes of a run find each other.
         pub bus: BusConfig = BusConfig::default();
-        /// The world.
+        /// The simulated world.
         pub environment: EnvironmentConfig;
-        /// Features, network and action distribution.
+        /// Features, network, and action distribution.
         pub policy: PolicyConfig;
         /// Rollouts.
         pub actor: ActorConfig;
@@ -50,25 +50,26 @@ settings! {
         pub learner: LearnerConfig;
         /// Evaluation.
         pub evaluator: EvaluatorConfig = EvaluatorConfig::default();
-        /// What a run is shown on.
+        /// Where a run is shown.
         pub dashboard: DashboardConfig = DashboardConfig::default();
     }
 }
 
 impl Config {
-    /// Reads a file's text, over the defaults unless it names another base. `origin` names it in errors.
+    /// Parses a file's text and applies it to the defaults, unless it names another base. `origin` names the file in
+    /// errors.
     ///
     /// # Errors
-    /// Names the line of an unknown key, with the nearest one that exists, or of a value of the wrong type.
+    /// Names the line of an unknown key, with the nearest known one, or of a value of the wrong type.
     pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
         merge(text, origin, Base::Defaults, &[])
     }
 
-    /// The whole tree as a file, defaults included. It names no base to stand on: what it lacks, such as a table that is
-    /// not switched on, is lacking on purpose.
+    /// The whole tree as a file, including defaults. The file names `none` as its base, because anything that it lacks,
+    /// such as the table of a disabled feature, is absent on purpose.
     ///
     /// # Panics
-    /// If a section has a type that TOML cannot express, which the tests exclude.
+    /// If a section has a type that TOML cannot express, which the tests rule out.
     pub fn to_toml(&self) -> String {
         let mut table = toml::Value::Table(self.to_table());
         shorten(&mut table);
@@ -79,10 +80,10 @@ impl Config {
         toml::Table::try_from(self).expect("every section consists of what TOML can express")
     }
 
-    /// Checks every value, and what one section expects of another.
+    /// Checks every value, and the constraints between sections.
     ///
     /// # Errors
-    /// Names section and field, the value and the valid range.
+    /// Names the section and field, the value, and the valid range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.check().map_err(|message| ConfigError::Invalid { origin: "configuration".to_owned(), message })
     }
@@ -94,7 +95,7 @@ impl Config {
 
     fn check(&self) -> Result<(), String> {
         self.validate_at("").map_err(|error| error.to_string())?;
-        // These know more than ranges.
+        // These sections have checks beyond ranges.
         self.bus.validate().map_err(|error| error.to_string())?;
         self.evaluator.validate().map_err(|error| error.to_string())?;
         self.dashboard.validate().map_err(|error| error.to_string())?;
@@ -112,8 +113,8 @@ impl Config {
     }
 }
 
-/// Writes numbers with the digits that they were given with: a setting of 32 bits becomes 0.04 again instead of
-/// 0.03999999910593033, which is the same number to it.
+/// Restores numbers to the digits that they were given with: a 32-bit setting is written as 0.04 instead of
+/// 0.03999999910593033, which is the same number in 32 bits.
 fn shorten(value: &mut toml::Value) {
     match value {
         toml::Value::Float(number) => {
@@ -153,7 +154,8 @@ mod tests {
             .unwrap()
             .to_toml();
         assert!(text.contains("clip = 0.04\n") && text.contains("value_rate = 0.1\n"), "{text}");
-        // Nine digits after the point tell every number of 32 bits apart, so more are those of its neighbor of 64 bits.
+        // Nine significant digits identify every 32-bit number, so a longer fraction means that one was widened to 64
+        // bits.
         let has_many = |line: &&str| line.split_once('.').is_some_and(|(_, rest)| rest.len() > 10);
         assert_eq!(text.lines().filter(|line| line.contains(" = ")).find(has_many), None);
     }

@@ -1,15 +1,15 @@
-//! The presets, embedded so that the binary needs no files beside it.
+//! The presets, embedded so that the binary needs no other files.
 
 use super::{ConfigError, Override, error::nearest};
 
 /// A named configuration file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Preset {
-    /// Name on the command line, and of the file without its extension.
+    /// Name on the command line; also the file name without its extension.
     pub name: &'static str,
-    /// What it takes on two cores, unless it says otherwise.
+    /// What a training takes, on two cores unless the text says otherwise.
     pub takes: &'static str,
-    /// The file.
+    /// The text of the file.
     pub text: &'static str,
 }
 
@@ -19,10 +19,10 @@ macro_rules! presets {
     };
 }
 
-/// What `train` uses when nothing else is said.
+/// The preset that `train` uses by default.
 pub const DEFAULT_PRESET: &str = "quickstart";
 
-/// A billion environment steps.
+/// Cost of a billion environment steps.
 const PAPER: &str = "months on two cores: meant for hundreds of actors and a GPU, and for weeks with them";
 
 /// All presets, the default first.
@@ -48,12 +48,12 @@ pub const PRESETS: &[Preset] = presets![
 ];
 
 impl Preset {
-    /// The paper's ablations: what the paper's protocol is the base of.
+    /// The paper's ablations: presets whose base is `paper`.
     pub fn ablations() -> impl Iterator<Item = &'static Self> {
         PRESETS.iter().filter(|preset| preset.text.lines().any(|line| line == "base = \"paper\""))
     }
 
-    /// What the file itself sets, without its base.
+    /// The settings in the file itself, without its base.
     ///
     /// # Errors
     /// When the file is not TOML.
@@ -64,10 +64,10 @@ impl Preset {
         Ok(Override::of_table(self.name, keys))
     }
 
-    /// The preset of this name.
+    /// Finds a preset by name.
     ///
     /// # Errors
-    /// Names the presets that exist.
+    /// Names the existing presets.
     pub fn find(name: &str) -> Result<&'static Self, ConfigError> {
         PRESETS.iter().find(|preset| preset.name == name).ok_or_else(|| ConfigError::Preset {
             name: name.to_owned(),

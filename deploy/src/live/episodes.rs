@@ -1,4 +1,4 @@
-//! Episodes of an evaluation as they end.
+//! Progress of an evaluation's episodes.
 
 use std::time::{Duration, Instant};
 
@@ -9,10 +9,10 @@ use super::Terminal;
 use super::lines::left;
 use super::terminal::Progress;
 
-/// Least time between two lines where there is no terminal.
+/// Minimum time between two lines without a terminal.
 const LINE_PERIOD: Duration = Duration::from_secs(10);
 
-/// Counts episodes and shows how many there are, on a bar or as a line every ten seconds.
+/// Counts episodes and shows the count, as a progress bar or as a line every ten seconds.
 #[derive(Debug)]
 pub struct EpisodeCounter {
     terminal: Terminal,
@@ -30,7 +30,7 @@ struct Counts {
 }
 
 impl EpisodeCounter {
-    /// Shows on `terminal` how many of `n_planned` episodes have ended.
+    /// Creates a counter that shows on `terminal` how many of `n_planned` episodes have ended.
     pub fn new(terminal: Terminal, n_planned: u64) -> Self {
         let progress = terminal.progress(n_planned, "episodes");
         let start = Instant::now();
@@ -38,7 +38,7 @@ impl EpisodeCounter {
         Self { terminal, progress, n_planned, start, counts }
     }
 
-    /// Takes an episode that has ended.
+    /// Counts an episode that has ended.
     pub fn count(&self, episode: &EpisodeResult) {
         let mut counts = self.counts.lock();
         counts.n_ended += 1;
@@ -51,14 +51,14 @@ impl EpisodeCounter {
         }
     }
 
-    /// Takes the bar off the screen; returns how many episodes have ended.
+    /// Removes the progress bar; returns how many episodes have ended.
     pub fn finish(&self) -> u64 {
         self.progress.finish();
         self.counts.lock().n_ended
     }
 }
 
-/// Success so far, and what is left at this pace.
+/// Success rate so far, and the time left at this pace.
 fn text(n_ended: u64, n_successes: u64, n_planned: u64, elapsed: Duration) -> String {
     let percent = 100.0 * n_successes as f64 / n_ended.max(1) as f64;
     format!("success {percent:.1} %  {}", left(n_ended, n_planned, elapsed))
@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn success_and_rest_are_those_of_the_episodes_so_far() {
-        // 20 episodes in 10 s, and 100 are left.
+        // 20 episodes in 10 s, with 100 left.
         assert_eq!(text(20, 5, 120, Duration::from_secs(10)), "success 25.0 %  50 s left");
         assert_eq!(text(0, 0, 120, Duration::ZERO), "success 0.0 %  0 s left");
     }

@@ -5,29 +5,29 @@ use std::time::Duration;
 use learner::config::Schedule;
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 
-/// What a line about the learner needs besides its metrics.
+/// What a line about the learner needs in addition to its metrics.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Context {
-    /// Where the run ends, in environment steps.
+    /// Total environment steps of the run.
     pub(super) n_env_steps: u64,
-    /// Weight of the rewards beside labels; without imitation they have all of it.
+    /// Weight of the reward loss relative to labels; without imitation it is 1.
     pub(super) ppo_weight: Option<Schedule>,
-    /// Actors alive.
+    /// Number of live actors.
     pub(super) n_actors: usize,
-    /// Seconds that the rest takes at the pace so far.
+    /// Seconds left at the current pace.
     pub(super) left_s: Option<f64>,
-    /// Success of the last evaluation, 0 to 1.
+    /// Success rate of the last evaluation, 0 to 1.
     pub(super) evaluated: Option<f64>,
 }
 
-/// How fast a run goes, since somebody looks.
+/// Pace of a run, measured from the first metrics seen.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pace {
     first: Option<(f64, u64)>,
 }
 
 impl Pace {
-    /// Seconds from these metrics until the run has made `n_env_steps`; `None` before the second look.
+    /// Estimates the seconds from these metrics until the run reaches `n_env_steps`; `None` for the first metrics.
     pub(super) fn left_s(&mut self, learner: &LearnerMetrics, n_env_steps: u64) -> Option<f64> {
         let (since_s, since_steps) = *self.first.get_or_insert((learner.elapsed_s, learner.n_env_steps));
         let (seconds, n_steps) = (learner.elapsed_s - since_s, learner.n_env_steps.checked_sub(since_steps)?);
@@ -36,16 +36,16 @@ impl Pace {
     }
 }
 
-/// One line with how far training is, what is learned and how fast.
+/// One line with the progress of training, what is learned, and the throughput.
 pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
-    // The last update may go beyond the end.
+    // The last update may exceed the total.
     let percent = (100.0 * learner.n_env_steps as f64 / context.n_env_steps.max(1) as f64).min(100.0);
     let minutes = learner.elapsed_s.max(learner.run_elapsed_s) / 60.0;
     let parts = parts(learner, context).join("  ");
     format!("{minutes:6.1} min  {:>9} steps ({percent:3.0} %)  {parts}", learner.n_env_steps)
 }
 
-/// What is left, how episodes end, what labels and rewards teach, and the throughput: each a line under the bar.
+/// How episodes end, what labels and rewards teach, and the throughput with the time left: one line each under the bar.
 pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> {
     let episodes = &learner.episodes;
     let mut outcome = if episodes.success.n_episodes == 0 {
@@ -69,7 +69,7 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     parts
 }
 
-/// One line with what an actor has done.
+/// One line with an actor's progress.
 pub(super) fn actor(actor: &ActorMetrics) -> String {
     let learner = if actor.learner_is_there { "" } else { "  no learner is there" };
     format!(
@@ -83,7 +83,7 @@ pub(super) fn actor(actor: &ActorMetrics) -> String {
     )
 }
 
-/// What the expert's labels teach, if they do.
+/// What the expert's labels teach, if they are used.
 fn labels(learner: &LearnerMetrics) -> Option<String> {
     let imitation = learner.imitation.as_ref().filter(|imitation| imitation.weight > 0.0)?;
     Some(format!(
@@ -95,7 +95,7 @@ fn labels(learner: &LearnerMetrics) -> Option<String> {
     ))
 }
 
-/// What rewards teach, if they do.
+/// What rewards teach, if they are used.
 fn rewards(learner: &LearnerMetrics, context: &Context) -> Option<String> {
     let weight = context.ppo_weight.as_ref().map_or(1.0, |weight| weight.at(learner.n_env_steps));
     let ppo = &learner.ppo;
@@ -112,20 +112,20 @@ fn rewards(learner: &LearnerMetrics, context: &Context) -> Option<String> {
     })
 }
 
-/// Success of all blueprints of a report: of greedy actions, or of sampled ones where there are no others.
+/// Success over all blueprints of a report: of greedy actions, or of sampled ones if no greedy episodes were run.
 pub(super) fn success(report: &EvalReport) -> Option<f64> {
     let all = &report.summary.all;
     let rates = [all.mode.success, all.sampled.success];
     rates.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate)
 }
 
-/// How long the rest of `n_planned` takes when `n_ended` took `elapsed`.
+/// The time left for the rest of `n_planned` if `n_ended` took `elapsed`.
 pub(super) fn left(n_ended: u64, n_planned: u64, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64() * n_planned.saturating_sub(n_ended) as f64 / n_ended.max(1) as f64;
     format!("{} left", duration(seconds))
 }
 
-/// `40 s`, `12 min` or `3.5 h`.
+/// Formats a duration as `40 s`, `12 min`, or `3.5 h`.
 pub(super) fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 90.0 => format!("{s:.0} s"),
@@ -186,7 +186,7 @@ mod tests {
         let rewarded = line(None, None);
         assert!(rewarded.contains("rewards: lag 0.5") && rewarded.contains("explained variance 0.25"), "{rewarded}");
         assert!(!rewarded.contains("labels"), "{rewarded}");
-        // From 1000 to 2000 steps the weight of rewards rises from 0 to 1.
+        // From 1000 to 2000 steps, the weight of rewards rises from 0 to 1.
         let both = line(Some(labels), Some(Schedule::Line(vec![(1000, 0.0), (2000, 1.0)])));
         assert!(both.contains("labels") && both.contains("rewards"), "{both}");
     }
@@ -196,7 +196,7 @@ mod tests {
         let mut pace = Pace::default();
         let mut learner = metrics(None);
         assert_eq!(pace.left_s(&learner, 3000), None);
-        // 500 steps in 50 s, and 1000 are left.
+        // 500 steps in 50 s, with 1000 left.
         (learner.n_env_steps, learner.elapsed_s) = (2000, 140.0);
         assert_eq!(pace.left_s(&learner, 3000), Some(100.0));
         (learner.n_env_steps, learner.elapsed_s) = (4000, 200.0);

@@ -1,4 +1,4 @@
-//! What commands show while they work: metrics that cross the bus, as lines or as a progress bar, and evaluations.
+//! Progress output of commands: metrics from the bus, as lines or as a progress bar, and evaluation reports.
 
 mod episodes;
 mod lines;
@@ -19,20 +19,20 @@ use lines::{Context, Pace};
 use terminal::Progress;
 pub use terminal::{HeldLog, Terminal};
 
-/// Least time between two lines where there is no terminal, so that a log stays readable.
+/// Minimum time between two lines without a terminal, so that logs stay readable.
 const LINE_PERIOD: Duration = Duration::from_secs(10);
 
-/// Reports of evaluations as they come.
+/// Evaluation reports as they arrive.
 pub type Reports = watch::Receiver<Option<Arc<EvalReport>>>;
 
 /// How much of a report is printed.
 pub fn detail(verbose: bool) -> Detail {
-    /// Blueprints that are named because they need work.
+    /// Number of worst blueprints to list.
     const N_WORST: usize = 5;
     if verbose { Detail::Blueprints } else { Detail::Worst(N_WORST) }
 }
 
-/// Shows the learner's metrics until the bus is closed, at most one line every ten seconds where there is no terminal.
+/// Shows the learner's metrics until the bus is closed; without a terminal, at most one line every ten seconds.
 pub async fn show_learning(
     mut metrics: MetricsSubscriber,
     actors: AliveWatch,
@@ -66,7 +66,7 @@ pub async fn show_learning(
     progress.finish();
 }
 
-/// Prints what an actor does, at most one line every ten seconds, until the bus is closed.
+/// Prints an actor's progress, at most one line every ten seconds, until the bus is closed.
 pub async fn show_acting(mut metrics: MetricsSubscriber, terminal: Terminal) {
     let mut last_line: Option<Instant> = None;
     while let Some(sample) = metrics.recv().await {
@@ -78,7 +78,8 @@ pub async fn show_acting(mut metrics: MetricsSubscriber, terminal: Terminal) {
     }
 }
 
-/// Shows how far evaluations are, as a bar on a terminal. Elsewhere it prints a line every ten seconds while `is_talking`.
+/// Shows the progress of evaluations as a bar on a terminal; otherwise prints a line every ten seconds while
+/// `is_talking`.
 pub async fn show_evaluating(
     mut progress: watch::Receiver<Option<EvaluationProgress>>,
     terminal: Terminal,
@@ -109,7 +110,7 @@ pub async fn show_evaluating(
     }
 }
 
-/// Prints a table of each report until the evaluator ends; returns the last one.
+/// Prints a table of each report until the evaluator ends; returns the last report.
 pub async fn show_reports(mut reports: Reports, terminal: Terminal, detail: Detail) -> Option<Arc<EvalReport>> {
     let mut last = None;
     while reports.changed().await.is_ok() {

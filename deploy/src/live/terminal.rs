@@ -1,4 +1,4 @@
-//! One owner of the terminal, so that log lines, results and a progress bar do not overwrite each other.
+//! Single owner of the terminal, so that log lines, results, and a progress bar do not overwrite each other.
 
 use parking_lot::Mutex;
 use std::io::{self, IsTerminal, Write};
@@ -7,10 +7,10 @@ use std::sync::Arc;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tracing_subscriber::fmt::MakeWriter;
 
-/// Bytes of log lines that are held back at most.
+/// Maximum number of bytes of log lines held back.
 const MAX_HELD: usize = 1 << 16;
 
-/// The terminal or whatever stands in its place; clones share it.
+/// The terminal, or the streams that replace it; clones share it.
 #[derive(Clone, Debug)]
 pub struct Terminal {
     bars: MultiProgress,
@@ -18,14 +18,14 @@ pub struct Terminal {
     prints_to_stderr: bool,
 }
 
-/// Log lines that wait until the screen is free again.
+/// Log lines that wait until the screen is free.
 #[derive(Debug, Default)]
 struct Held {
     lines: Vec<u8>,
     n_left_out: u64,
 }
 
-/// Holds log lines back until it is dropped.
+/// Guard that holds log lines back until it is dropped.
 #[derive(Debug)]
 pub struct HeldLog(Option<Terminal>);
 
@@ -35,14 +35,14 @@ pub(super) struct Progress {
     bar: ProgressBar,
 }
 
-/// Writes log lines to stderr, above the bar. It never fails: where nobody reads stderr, lines are lost and nothing else. The
-/// logger would print its error to stderr, and panic in whichever thread had something to say.
+/// Writes log lines to stderr, above the bar. It never fails: if stderr is closed, lines are lost. Otherwise the logger
+/// would print the error to stderr and panic in the thread that logs.
 #[derive(Debug)]
 pub struct LogWriter(Terminal);
 
 impl Default for Terminal {
     fn default() -> Self {
-        // Results and bar must both be seen for a bar to make sense.
+        // A bar makes sense only if both results and bar are visible.
         let is_terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
         let target = if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         Self { bars: MultiProgress::with_draw_target(target), held: Arc::default(), prints_to_stderr: false }
@@ -50,12 +50,12 @@ impl Default for Terminal {
 }
 
 impl Terminal {
-    /// The same terminal for what is said to a person while stdout is for a program.
+    /// The same terminal, for messages to people while stdout carries data for a program.
     pub fn on_stderr(&self) -> Self {
         Self { prints_to_stderr: true, ..self.clone() }
     }
 
-    /// Prints lines to stdout, or to stderr after [`Self::on_stderr`]; a closed pipe is no reason to end a run.
+    /// Prints lines to stdout, or to stderr after [`Self::on_stderr`]. A closed pipe does not end a run.
     pub fn print(&self, text: &str) {
         let text = text.trim_end();
         let written = self.bars.suspend(|| match self.prints_to_stderr {
@@ -67,7 +67,7 @@ impl Terminal {
         }
     }
 
-    /// Holds log lines back from now on if they would appear on a terminal, where something else is drawn.
+    /// Holds log lines back from now on if they would go to a terminal, where they would disturb what is drawn.
     pub fn hold_log(&self) -> HeldLog {
         if !io::stderr().is_terminal() {
             return HeldLog(None);
@@ -76,7 +76,7 @@ impl Terminal {
         HeldLog(Some(self.clone()))
     }
 
-    /// A bar that is full at `n` of `what`.
+    /// A progress bar with a total of `n` of `what`.
     pub(super) fn progress(&self, n: u64, what: &str) -> Progress {
         let style = ProgressStyle::with_template(&format!(
             "{{bar:24}} {{human_pos}}/{{human_len}} {what}, {{elapsed}}\n{{msg}}"

@@ -1,4 +1,4 @@
-//! `bench actors`: starts the processes, lets them run and compares what both ends counted.
+//! `bench actors`: starts the processes, lets them run, and compares the counts of both ends.
 
 use std::net::TcpListener;
 use std::path::Path;
@@ -23,19 +23,19 @@ use crate::exit::Failure;
 use crate::limits::max_files;
 use crate::live::Terminal;
 
-/// Actors of a process, if nothing else is said.
+/// Default number of actors per process.
 const ACTORS_PER_PROCESS: u32 = 1000;
 
-/// Time between two looks at memory.
+/// Time between memory samples.
 const SAMPLE_PERIOD: Duration = Duration::from_secs(1);
 
-/// Longest time until all processes are ready, beside that of each actor.
+/// Time limit for a process to become ready or to report, not counting [`PATIENCE_PER_ACTOR`].
 const READY_PATIENCE: Duration = Duration::from_secs(330);
 
-/// Longest time that joining and leaving may take for each actor.
+/// Additional time limit per actor for joining.
 const PATIENCE_PER_ACTOR: Duration = Duration::from_millis(200);
 
-/// Longest time that the end waits for answers.
+/// Time limit for outstanding acknowledgments at the end.
 const DRAIN_TIMEOUT_MS: u64 = 60_000;
 
 /// Runs the measurement.
@@ -133,7 +133,7 @@ impl Ring {
         Ok(Self { routers, ingest, loads, n_actors, shortfall, _folder: folder })
     }
 
-    /// Lets the actors send for the time given, and asks both ends.
+    /// Lets the actors send for the given time and collects the reports of both ends.
     fn measure(mut self, args: &BenchActorsArgs, recording: &Recording) -> anyhow::Result<Report> {
         tracing::info!(n_actors = self.n_actors, seconds = args.seconds, "all have joined, sending");
         let (cpu_before, wire_before) = (self.cpu()?, loopback_bytes());
@@ -168,10 +168,10 @@ impl Ring {
         Ok(report)
     }
 
-    /// Looks at memory until the time is over.
+    /// Samples memory until `time` has passed; fails if a process ends earlier.
     fn watch(&mut self, start: Instant, time: Duration) -> anyhow::Result<Roles<MemoryCurve>> {
         let mut memory = Roles::<MemoryCurve>::default();
-        // Nothing is ever sent: it is a clock that ends with the measurement.
+        // Nothing is ever sent: receiving with a timeout serves as the clock.
         let (_sender, never) = mpsc::channel::<()>();
         loop {
             let elapsed = start.elapsed();
@@ -203,7 +203,8 @@ impl Ring {
     }
 }
 
-/// Starts one router, or one with others below it: the endpoint of the first, all processes, and where actors join.
+/// Starts the root router and its leaves. Returns the root's endpoint, all router processes, and the endpoints that
+/// actors join.
 fn start_routers(args: &BenchActorsArgs, folder: &Path) -> anyhow::Result<(String, Vec<Part>, Vec<String>)> {
     let root = endpoint(args.transport, folder, "root")?;
     let start = |name: String, listen: &str, connect: Option<&String>| {
@@ -229,7 +230,7 @@ fn endpoint(transport: Transport, folder: &Path, name: &str) -> anyhow::Result<S
     match transport {
         Transport::Unix => Ok(format!("unixsock-stream/{}", folder.join(name).display())),
         Transport::Tcp => {
-            // A port that was free a moment ago; whoever joins tries again until the router listens there.
+            // This port was free a moment ago. Clients retry until the router listens on it.
             let address = TcpListener::bind("127.0.0.1:0").and_then(|socket| socket.local_addr());
             Ok(format!("tcp/{}", address.context("finding a free port")?))
         }

@@ -1,4 +1,4 @@
-//! Processes of this program that end with their owner.
+//! Child processes of this program that end with their owner.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -10,21 +10,21 @@ use serde::Serialize;
 
 use super::parts::Note;
 
-/// Variables that would change what a process connects to.
+/// Environment variables that would change what a process connects to.
 const FOREIGN: [&str; 3] = ["LODESTONE_CONNECT", "LODESTONE_LISTEN", "LODESTONE_KEYS"];
 
-/// A process of this program.
+/// A child process that runs this program.
 #[derive(Debug)]
 pub(super) struct Part {
     child: Child,
-    /// Closing it tells the process to end.
+    /// Closing it tells the process to exit.
     stdin: Option<ChildStdin>,
     notes: mpsc::Receiver<String>,
     name: String,
 }
 
 impl Part {
-    /// Starts this program with other arguments.
+    /// Starts this program with `args`.
     pub(super) fn start(name: impl Into<String>, args: &[&str]) -> anyhow::Result<Self> {
         let name = name.into();
         let program = std::env::current_exe().context("finding this program")?;
@@ -57,7 +57,7 @@ impl Part {
         writeln!(stdin, "{line}").with_context(|| format!("the {} has ended", self.name))
     }
 
-    /// Waits for the next note.
+    /// Waits for the process's next note.
     pub(super) fn hear(&self, patience: Duration) -> anyhow::Result<Note> {
         let line = self.notes.recv_timeout(patience).map_err(|error| match error {
             mpsc::RecvTimeoutError::Timeout => anyhow::anyhow!("the {} said nothing for {patience:?}", self.name),
@@ -68,13 +68,13 @@ impl Part {
         serde_json::from_str(&line).with_context(|| format!("reading what the {} says", self.name))
     }
 
-    /// Says if the process has ended.
+    /// Returns an error if the process has exited.
     pub(super) fn check(&mut self) -> anyhow::Result<()> {
         let ended = self.child.try_wait().with_context(|| format!("asking for the {}", self.name))?;
         ended.map_or(Ok(()), |status| anyhow::bail!("the {} has ended early: {status}", self.name))
     }
 
-    /// Waits for the process to end by itself.
+    /// Closes stdin and waits for the process to exit.
     pub(super) fn join(mut self) -> anyhow::Result<()> {
         self.stdin = None;
         let status = self.child.wait().with_context(|| format!("waiting for the {}", self.name))?;
@@ -85,7 +85,7 @@ impl Part {
 
 impl Drop for Part {
     fn drop(&mut self) {
-        // Both fail only for a process that has ended already, which is what is wanted.
+        // Both calls fail only if the process has already exited, which is fine.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,4 +1,5 @@
-//! The processes of a measurement: each reads its plan and its orders from stdin, one a line, and writes notes to stdout.
+//! The child processes of a measurement. Each reads its plan and its orders from stdin, one per line, and writes notes
+//! to stdout.
 
 use std::io::{self, BufRead, Write};
 use std::path::PathBuf;
@@ -20,7 +21,7 @@ use crate::commands::services::learner_setup;
 use crate::config::{Base, merge};
 use crate::exit::Failure;
 
-/// What the process of the ingest is told.
+/// Plan of the ingest process.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct IngestPlan {
     /// The learner's configuration, as TOML.
@@ -29,7 +30,7 @@ pub(super) struct IngestPlan {
     pub(super) sink: SinkPlan,
 }
 
-/// What a process with actors is told.
+/// Plan of a process with actors.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct LoadOrder {
     pub(super) load: LoadPlan,
@@ -37,32 +38,32 @@ pub(super) struct LoadOrder {
     pub(super) segments: Vec<PathBuf>,
 }
 
-/// What a process is told to do next.
+/// An order to a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Order {
     /// Begin.
     Go,
-    /// End and report.
+    /// Stop and report.
     Stop,
 }
 
-/// What a process says.
+/// A note from a process.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Note {
-    /// It waits for [`Order::Go`].
+    /// The process waits for [`Order::Go`].
     Ready {
         /// Actors that have joined; 0 for the ingest.
         n_actors: usize,
-        /// Why fewer have joined than planned.
+        /// Why fewer actors have joined than planned.
         shortfall: Option<String>,
     },
-    /// What the ingest took.
+    /// What the ingest received.
     Sank(SinkReport),
-    /// What actors sent.
+    /// What the actors sent.
     Sent(LoadReport),
 }
 
-/// Runs `bench router`: as `router` does, but no longer than the process that measures.
+/// Runs `bench router`: like `router`, but exits with the process that measures.
 pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let bus = Bus::open(&orders.plan()?).await?;
@@ -113,16 +114,16 @@ fn read_segment(path: &PathBuf) -> anyhow::Result<Trajectory> {
     decode_trajectory(&bytes).with_context(context)
 }
 
-/// Writes a line to stdout, where the starting process reads it.
+/// Writes a note to stdout, where the parent process reads it.
 fn say(note: &Note) -> anyhow::Result<()> {
     let line = serde_json::to_string(note).context("a note is JSON")?;
     writeln!(io::stdout(), "{line}").context("the process that measures is gone")
 }
 
-/// The lines on stdin; their end is an order to stop, so that no process outlives the one that measures.
+/// The lines of stdin. End of file is an order to stop, so that no process outlives the one that measures.
 struct Orders {
     lines: mpsc::UnboundedReceiver<String>,
-    /// Cancelled with the process and at the end of stdin.
+    /// Canceled when the process shuts down and at the end of stdin.
     gone: CancellationToken,
 }
 
@@ -131,7 +132,7 @@ impl Orders {
         let (sender, lines) = mpsc::unbounded_channel();
         let gone = shutdown.child_token();
         let ended = gone.clone();
-        // A thread of its own: reading stdin cannot be given up, and the runtime would wait for it.
+        // On a separate thread, because a blocking read of stdin cannot be canceled and the runtime would wait for it.
         std::thread::spawn(move || {
             for line in io::stdin().lock().lines() {
                 let Ok(line) = line else { break };
@@ -157,7 +158,7 @@ impl Orders {
         }
     }
 
-    /// A token that any further line cancels.
+    /// Returns a token that is canceled by the next line, by the end of stdin, and on shutdown.
     fn stop(mut self) -> CancellationToken {
         let stop = CancellationToken::new();
         let cancel = stop.clone();

@@ -1,4 +1,5 @@
-//! The segments that simulated actors send: of real episodes, as an actor of the configuration cuts them.
+//! Records the segments that simulated actors send: parts of real episodes, cut as an actor of this configuration
+//! would.
 
 use std::path::{Path, PathBuf};
 
@@ -13,16 +14,16 @@ use crate::commands::services::{actor_setup, learner_setup};
 use crate::config::Config;
 use crate::exit::Failure;
 
-/// Segments recorded; more differ little in their mean size.
+/// Segments to record; more would hardly change their mean size.
 const N_SEGMENTS: usize = 16;
 
-/// Worlds that are stepped for them.
+/// Worlds stepped to record them.
 const N_WORLDS: usize = 4;
 
-/// Name of usual length, for sizes.
+/// An actor name of typical length, because it counts toward the encoded size.
 const NAME: &str = "load-1000";
 
-/// Start time of usual length, for sizes.
+/// A start time of typical length, because it counts toward the encoded size.
 const EPOCH: u64 = 1_700_000_000_000;
 
 /// Recorded segments.
@@ -30,14 +31,14 @@ pub(super) struct Recording {
     pub(super) files: Vec<PathBuf>,
     pub(super) n_steps: usize,
     pub(super) n_bytes: usize,
-    /// Of the network's weights.
+    /// Parameters of the network.
     pub(super) n_parameters: usize,
 }
 
-/// Steps a few worlds with the untrained policy and writes what an actor would send into `folder`.
+/// Steps a few worlds with the untrained policy and writes the segments that an actor would send to `folder`.
 ///
 /// # Errors
-/// When the configuration cannot be used or the folder not written.
+/// When the configuration cannot be used or the folder cannot be written.
 pub(super) fn record(config: &Config, folder: &Path) -> Result<Recording, Failure> {
     let weights = Learner::new(learner_setup(config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?.weights();
     let id = ActorId::try_from(NAME.to_owned()).context("naming a simulated actor")?;

@@ -1,4 +1,4 @@
-//! What a measurement found.
+//! Results of a measurement.
 
 use std::ops::Sub;
 
@@ -11,7 +11,7 @@ use super::usage::{MemoryCurve, MemorySummary, machine_load};
 use super::weights::{Delivery, deliveries};
 use crate::cli::BenchActorsArgs;
 
-/// One of something for each kind of process.
+/// One value for each kind of process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Roles<T> {
     /// All routers together.
@@ -40,16 +40,16 @@ pub(super) struct Report {
     /// Steps per second of each actor; 0 is full speed.
     pub(super) rate: f64,
     pub(super) elapsed_s: f64,
-    /// Processes ready to run on this machine at the end, others' included.
+    /// The machine's 1-minute load average at the end, other programs included.
     pub(super) machine_load: Option<f64>,
     pub(super) n_segments: u64,
     pub(super) n_steps: u64,
     pub(super) segments_per_s: f64,
     pub(super) steps_per_s: f64,
-    /// Encoded bytes of the recorded segments.
+    /// Mean encoded size of the recorded segments per step, in bytes.
     pub(super) payload_bytes_per_step: f64,
-    /// Bytes on the loopback interface, with weights and everything else that crosses it; each segment crosses it once for
-    /// each process that it comes to.
+    /// Bytes on the loopback interface, including weights and all other traffic; a segment counts once for each process
+    /// that receives it.
     pub(super) loopback_bytes: Option<u64>,
     pub(super) cpu_s: Roles<f64>,
     pub(super) cpu_s_per_million_steps: Roles<f64>,
@@ -61,7 +61,7 @@ pub(super) struct Report {
     pub(super) reconciled: Reconciled,
 }
 
-/// Half, nearly all and all of some times.
+/// Median, 99th percentile, and maximum of a set of times.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct Quantiles {
     pub(super) p50: f64,
@@ -69,7 +69,7 @@ pub(super) struct Quantiles {
     pub(super) max: f64,
 }
 
-/// How weights came to the actors.
+/// How weights reached the actors.
 #[derive(Debug, Serialize)]
 pub(super) struct WeightsReport {
     pub(super) parameter_bytes: u64,
@@ -79,22 +79,22 @@ pub(super) struct WeightsReport {
     pub(super) deliveries: Vec<Delivery>,
 }
 
-/// Both ends' counts beside each other.
+/// The counts of both ends, side by side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Reconciled {
-    /// Segments that actors have an acknowledgement of.
+    /// Segments that were acknowledged to their actor.
     pub(super) acked: u64,
     /// Segments that the ingest accepted.
     pub(super) accepted: u64,
-    /// Segments that may be with the ingest, though their actor does not know.
+    /// Segments without an acknowledgment that the ingest may have accepted nevertheless.
     pub(super) in_doubt: u64,
     /// Acknowledged segments that the ingest did not accept.
     pub(super) lost: u64,
-    /// Accepted segments that neither an update took, nor grew too old, nor wait.
+    /// Accepted segments that no update consumed, that did not expire, and that are not waiting.
     pub(super) vanished: u64,
-    /// Whether both ends counted the same segments by their names; unknown with segments in doubt.
+    /// Whether the fingerprints of both ends match; `None` if segments are in doubt.
     pub(super) same_segments: Option<bool>,
-    /// Whether nothing above contradicts itself.
+    /// Whether the counts above are consistent.
     pub(super) agrees: bool,
 }
 
@@ -110,7 +110,7 @@ impl Reconciled {
     }
 }
 
-/// What was used.
+/// Resource usage of a measurement.
 pub(super) struct Used {
     pub(super) cpu_s: Roles<f64>,
     pub(super) memory: Roles<MemoryCurve>,
@@ -198,9 +198,9 @@ mod tests {
         assert!(agrees(10, 2, 11, 11, [7, 9]).agrees);
         assert_eq!(agrees(10, 0, 9, 9, [7, 7]).lost, 1);
         assert_eq!(agrees(10, 0, 10, 8, [7, 7]).vanished, 2);
-        // As many, but others.
+        // As many segments, but different ones.
         assert!(!agrees(10, 0, 10, 10, [7, 8]).agrees);
-        // Accepted, and nobody knows who sent it.
+        // Accepted, but never sent.
         assert!(!agrees(10, 0, 11, 11, [7, 7]).agrees);
     }
 }

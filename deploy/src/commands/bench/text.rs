@@ -1,11 +1,11 @@
-//! A measurement as text.
+//! A report as text.
 
 use std::fmt::Write;
 
 use super::report::{Report, Roles};
 use super::usage::MemorySummary;
 
-/// The report in lines.
+/// Renders the report, one topic per line.
 pub(super) fn render(report: &Report) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.

@@ -1,21 +1,21 @@
-//! Processor time and memory of processes, as Linux tells them under /proc.
+//! CPU time and memory of processes, as Linux reports them in /proc.
 
 use std::fs;
 
 use anyhow::Context;
 use serde::Serialize;
 
-/// Unit of processor time in /proc, the same on every Linux.
+/// Unit of CPU time in /proc, the same on every Linux.
 const TICKS_PER_S: f64 = 100.0;
 
-/// Processor time of a process so far, seconds.
+/// CPU time that a process has used so far, in seconds.
 pub(super) fn cpu_s(pid: u32) -> anyhow::Result<f64> {
     let path = format!("/proc/{pid}/stat");
     let stat = fs::read_to_string(&path).with_context(|| format!("reading {path}"))?;
     ticks(&stat).map(|ticks| ticks as f64 / TICKS_PER_S).with_context(|| format!("{path} has no processor time"))
 }
 
-/// Memory that a process holds now, bytes.
+/// Resident memory of a process, in bytes.
 pub(super) fn memory_bytes(pid: u32) -> anyhow::Result<u64> {
     let path = format!("/proc/{pid}/status");
     let status = fs::read_to_string(&path).with_context(|| format!("reading {path}"))?;
@@ -24,19 +24,20 @@ pub(super) fn memory_bytes(pid: u32) -> anyhow::Result<u64> {
     kib.map(|kib| kib * 1024).with_context(|| format!("{path} has no memory"))
 }
 
-/// Bytes that the loopback interface of this network namespace has received, with headers.
+/// Bytes that the loopback interface of this network namespace has received, including headers.
 pub(super) fn loopback_bytes() -> Option<u64> {
     let table = fs::read_to_string("/proc/net/dev").ok()?;
     let row = table.lines().find_map(|line| line.trim_start().strip_prefix("lo:"))?;
     row.split_whitespace().next()?.parse().ok()
 }
 
-/// Processes ready to run in the last minute.
+/// The machine's 1-minute load average.
 pub(super) fn machine_load() -> Option<f64> {
     fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
 }
 
-/// User and system time of a line of /proc/PID/stat. The name, which is in parentheses, may contain anything.
+/// User plus system time from a line of /proc/PID/stat. The process name, which is in parentheses, may contain
+/// anything.
 fn ticks(stat: &str) -> Option<u64> {
     let (_, fields) = stat.rsplit_once(')')?;
     let mut fields = fields.split_whitespace().skip(11);
@@ -44,22 +45,22 @@ fn ticks(stat: &str) -> Option<u64> {
     Some(user + system)
 }
 
-/// Memory over time.
+/// Memory over time: seconds and bytes.
 #[derive(Debug, Default)]
 pub(super) struct MemoryCurve(Vec<(f64, u64)>);
 
-/// A curve in four numbers.
+/// Summary of a memory curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(super) struct MemorySummary {
     pub(super) first_mb: f64,
     pub(super) max_mb: f64,
     pub(super) last_mb: f64,
-    /// Least squares over the second half.
+    /// Least-squares slope over the second half.
     pub(super) slope_mb_per_min: f64,
 }
 
 impl MemoryCurve {
-    /// Adds what all these processes hold at `time_s`.
+    /// Adds the total memory of these processes at `time_s`.
     pub(super) fn sample(&mut self, time_s: f64, pids: &[u32]) -> anyhow::Result<()> {
         let held: Vec<u64> = pids.iter().map(|&pid| memory_bytes(pid)).collect::<anyhow::Result<_>>()?;
         if !held.is_empty() {
@@ -77,7 +78,7 @@ impl MemoryCurve {
     }
 }
 
-/// Slope of the line with the least squares; 0 for fewer than two points.
+/// Slope of the least-squares line; 0 for fewer than two points.
 fn slope(points: &[(f64, f64)]) -> f64 {
     let n = points.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / n;
@@ -101,7 +102,7 @@ mod tests {
 
     #[test]
     fn the_slope_is_that_of_the_second_half() {
-        // 100 MB a minute at first, then 2.
+        // 100 MB per minute at first, then 2.
         let curve = [(0.0, 0), (60.0, 100), (120.0, 200), (180.0, 202), (240.0, 204), (300.0, 206)];
         let curve = MemoryCurve(curve.map(|(time, mb)| (time, mb * 1_000_000)).to_vec());
         let summary = curve.summary().unwrap();

@@ -1,28 +1,28 @@
-//! How long weights take to reach the actors.
+//! Measures how long weights take to reach the actors.
 
 use actor::load::Pull;
 use learner::sink::Publication;
 use serde::Serialize;
 
-/// How one version came to the actors.
+/// How one version of the weights reached the actors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Delivery {
     pub(super) version: u64,
-    /// Actors that had it, or a newer one, before the end.
+    /// Actors that received this version, or a newer one, before the end.
     pub(super) n_reached: usize,
     pub(super) n_missing: usize,
-    /// Time from the publication until half of those had it.
+    /// Time from the publication until half of the reached actors had it.
     pub(super) p50_s: f64,
     pub(super) p99_s: f64,
     pub(super) max_s: f64,
 }
 
-/// The way of every version that was published after the actors had begun.
+/// The delivery of every version that was published after the actors had started.
 pub(super) fn deliveries(published: &[Publication], pulls: &[Vec<Pull>]) -> Vec<Delivery> {
     published.iter().filter_map(|publication| delivery(publication, pulls)).collect()
 }
 
-/// `None` for weights that an actor already began with.
+/// Returns `None` for weights that an actor started with.
 fn delivery(publication: &Publication, pulls: &[Vec<Pull>]) -> Option<Delivery> {
     if pulls.iter().any(|pulls| pulls.first().is_some_and(|first| first.version >= publication.version)) {
         return None;
@@ -53,7 +53,7 @@ mod tests {
         let pull = |version, s: u64| Pull { version, unix_us: s * 1_000_000 };
         let pulls = vec![
             vec![pull(0, 1), pull(1, 11), pull(2, 21)],
-            // Skipped version 1.
+            // This actor skipped version 1.
             vec![pull(0, 1), pull(2, 24)],
             vec![pull(0, 1), pull(1, 13)],
         ];

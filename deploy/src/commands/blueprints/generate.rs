@@ -12,15 +12,15 @@ use crate::cli::GenerateArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Writes one file per blueprint and prints a line for each; no file is replaced.
+/// Writes one file per blueprint and prints a line for each; never replaces a file.
 ///
 /// # Errors
-/// When there are not enough structures of that style and size, a file exists, or one cannot be written.
+/// When there are too few structures of that style and size, a file exists, or a file cannot be written.
 pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failure> {
     let known: BTreeSet<u64> = Catalog::builtin().iter().map(Blueprint::canonical_hash).collect();
     let made = generate_many(args.style, args.seed, usize::from(args.size), usize::from(args.count), &known)?;
     let path = |blueprint: &Blueprint| args.out.join(format!("{}.toml", blueprint.id()));
-    // All are looked at before the first is written, so that a refusal leaves the folder as it was.
+    // Check all paths before writing the first file, so that a refusal leaves the folder unchanged.
     let paths: Vec<PathBuf> = made.iter().map(path).collect();
     if let Some(taken) = paths.iter().find(|path| path.exists()) {
         return Err(Failure::BlueprintExists(taken.clone()));
@@ -35,7 +35,7 @@ pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failur
 
 fn write(blueprint: &Blueprint, path: &Path) -> Result<(), Failure> {
     let request = Request::from_id(blueprint.id()).expect("the id of a generated blueprint names its request");
-    // `create_new`, for what another process may have written in the meantime.
+    // `create_new`, because another process may have written the file in the meantime.
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed(path))?;
     file.write_all(blueprint.to_toml(&request.provenance()).as_bytes()).map_err(failed(path))
 }
@@ -45,7 +45,7 @@ fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> Failure {
     |error| Failure::BlueprintFile { path, error }
 }
 
-/// Id, height × length × width in units, and title; the number of blocks is in the id and in the title.
+/// Id, height × length × width in units, and title; the id and the title contain the number of blocks.
 fn line(blueprint: &Blueprint) -> String {
     let [x, y, height] = blueprint.extent_u();
     let size = format!("{height} × {} × {} u", x.max(y), x.min(y));

@@ -1,4 +1,4 @@
-//! The checks of a blueprint that need a world.
+//! The checks of a blueprint that need a simulated world.
 
 use blueprints::checks::{Check, CheckResult, Outcome, Report};
 use evaluator::EnvironmentConfig;
@@ -6,7 +6,7 @@ use evaluator::trials::{MAX_DRIFT_M, MAX_TURN_RAD, settle, try_building};
 
 use crate::exit::Failure;
 
-/// Adds the physical checks to a report; they are skipped where another check failed.
+/// Adds the physical checks to a report; they are skipped if another check failed.
 ///
 /// # Errors
 /// When the world has no room for the blocks.

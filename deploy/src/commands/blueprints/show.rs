@@ -1,4 +1,4 @@
-//! `blueprints show`: pictures of blueprints as PNG files.
+//! `blueprints show`: draws blueprints as PNG files.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -13,20 +13,20 @@ use crate::commands::goals::{Goals, find, inferred};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Cards between two lines of progress.
+/// Number of cards per line of progress.
 const LINE_EVERY: usize = 20;
 
-/// Colors in a card, and in a contact sheet, which is to be small enough to keep in a repository.
+/// Palette sizes of a card and of a contact sheet; the latter should be small enough to keep in a repository.
 const CARD_COLORS: usize = 256;
 const SHEET_COLORS: usize = 96;
 
-/// Runs the subcommand. Everything is drawn before the first file is written.
+/// Runs the subcommand. Draws everything before it writes the first file.
 ///
 /// # Errors
 /// When the catalog cannot be read, an id is not in it, or a file cannot be written.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
-    // Ids are those of the folder, if there is one.
+    // With --path, ids refer to its blueprints.
     let named = if loaded.is_some() { Vec::new() } else { [&args.ids[..], &args.blueprint[..]].concat() };
     let goals = Goals::open(&named)?;
     inferred(&named)?.iter().for_each(|line| terminal.print(line));
@@ -57,7 +57,7 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The blueprints that were asked for: by id in the order given, of a split, or all.
+/// The requested blueprints: by id in the given order, those of a split, or all.
 fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<Cow<'a, Blueprint>>, Failure> {
     if args.ids.is_empty() {
         let shown: Vec<_> = match args.split {
@@ -79,8 +79,8 @@ fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<Cow<'a, Bluep
     Ok(shown)
 }
 
-/// The contact sheets by file name: one for all if they fit, else as few as fit for each split, cut between sizes where
-/// that is possible.
+/// The contact sheets by file name: one for all blueprints if they fit, otherwise as few as possible per split, divided
+/// between sizes where possible.
 fn sheets<'a>(shown: &[&'a Blueprint]) -> Vec<(String, Vec<&'a Blueprint>)> {
     if shown.len() <= MAX_TILES {
         return vec![("sheet.png".to_owned(), shown.to_vec())];
@@ -107,7 +107,7 @@ fn sheets<'a>(shown: &[&'a Blueprint]) -> Vec<(String, Vec<&'a Blueprint>)> {
     sheets
 }
 
-/// The least and the greatest number of blocks, in words.
+/// The smallest and the largest number of blocks, in words.
 fn sizes(blueprints: &[&Blueprint]) -> String {
     let sizes = blueprints.iter().map(|blueprint| blueprint.n_blocks());
     match (sizes.clone().min(), sizes.max()) {
@@ -123,7 +123,7 @@ mod tests {
 
     use super::*;
 
-    /// A trained blueprint of so many blocks.
+    /// A training blueprint of `n_blocks` blocks.
     fn of_size(n_blocks: usize) -> &'static Blueprint {
         let mut all = Catalog::builtin().iter();
         all.find(|blueprint| blueprint.split() == Split::Train && blueprint.n_blocks() == n_blocks).unwrap()

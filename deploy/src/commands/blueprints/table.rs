@@ -1,9 +1,9 @@
-//! What `blueprints check` prints: files × checks, and below it what is wrong.
+//! Output of `blueprints check`: a table of files and checks, followed by the problems found.
 
 use blueprints::checks::{Check, Outcome, Report};
 
-/// A line for each file with its id and how each check went, `-` for one that could not run; then a line for each thing that
-/// was found because the file leaves it open, for each failure, and one with the sum.
+/// Renders one line per file with its id and the outcome of each check, `-` for a check that could not run; then one
+/// line for each thing that was inferred because the file leaves it open, one for each failure, and a summary.
 pub(super) fn render(reports: &[Report]) -> String {
     let header = ["file".to_owned(), "id".to_owned()].into_iter().chain(checks().map(|check| check.to_string()));
     let rows: Vec<Vec<String>> = std::iter::once(header.collect()).chain(reports.iter().map(cells)).collect();
@@ -44,7 +44,7 @@ fn findings(report: &Report) -> Vec<String> {
     report.inferred.iter().map(|found| format!("{}: {found}", report.file)).collect()
 }
 
-/// A line for each failed check with file, check and error.
+/// One line per failed check: file, check, and error.
 fn failures(report: &Report) -> Vec<String> {
     let failed = report.results.iter().filter_map(|result| match &result.outcome {
         Outcome::Failed { error } => Some(format!("{}, {}: {error}", report.file, result.check)),

@@ -1,4 +1,4 @@
-//! Episodes of running actors, as they come over the bus.
+//! Episodes of running actors, received over the bus.
 
 use std::time::Duration;
 
@@ -14,10 +14,10 @@ use crate::cli::{LiveArgs, RenderArgs};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Waits for whole episodes and makes films of them; until `shutdown`, after which those that came are still made.
+/// Waits for complete episodes and makes films of them. After `shutdown`, makes films of those received so far.
 ///
 /// # Errors
-/// When the bus cannot be joined, an episode does not come in time, its goal is unknown, or a film cannot be made.
+/// When the bus cannot be joined, an episode does not arrive in time, its goal is unknown, or a film cannot be made.
 pub(in crate::commands) async fn run(
     args: &RenderArgs,
     terminal: &Terminal,
@@ -29,7 +29,7 @@ pub(in crate::commands) async fn run(
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     let patience = Duration::from_secs(args.live.timeout);
-    // A task of its own, because a session that waits for its router does so without giving way.
+    // In a separate task, because opening a session blocks its task while it waits for a router.
     let its_config = config.clone();
     let opening = tokio::spawn(async move { Bus::open(&its_config).await });
     let opened = tokio::select! {
@@ -41,7 +41,7 @@ pub(in crate::commands) async fn run(
         return Err(Failure::Bus(anyhow!("no router answers at {endpoints} after {seconds} s")));
     };
     let bus = opened.map_err(|panic| Failure::Service(panic.into()))??;
-    // What came before a failure is shown all the same.
+    // Episodes received before a failure are still shown.
     let (recorded, ended) = record(&bus, &args.live, &goals, &config, patience, &shutdown).await;
     bus.close().await;
     let episodes: Vec<Named> =
@@ -50,7 +50,7 @@ pub(in crate::commands) async fn run(
     ended
 }
 
-/// The next episode with a goal that is shown, seen from its first step to its end; `None` after the bus is closed.
+/// The next episode with a shown goal, complete from its first step to its last; `None` after the bus is closed.
 async fn next_episode(
     collector: &mut Collector,
     viewer: &mut TrajectoryViewer,
@@ -67,7 +67,7 @@ async fn next_episode(
     }
 }
 
-/// The episodes that came, and why there are not more.
+/// The episodes received, and why there are no more.
 async fn record(
     bus: &Bus,
     args: &LiveArgs,
@@ -96,7 +96,7 @@ async fn record(
     (recorded, Ok(()))
 }
 
-/// Why no episode came.
+/// Explains why no episode arrived.
 async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &BusConfig) -> Failure {
     let who = args.actor.as_ref().map_or_else(|| "any actor".to_owned(), |actor| format!("the actor {actor}"));
     let (seconds, run, counts) = (args.timeout, &args.run, bus.counts());

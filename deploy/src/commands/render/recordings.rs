@@ -1,4 +1,4 @@
-//! Files with recorded trajectories → episodes.
+//! Reads episodes from files of recorded trajectories.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -13,26 +13,27 @@ use runlog::RunPaths;
 use super::{Goals, Named};
 use crate::exit::Failure;
 
-/// The first bytes of every trajectory: field 1 (the protocol version) is 1, field 2 (the actor's name) follows.
+/// The first bytes of every trajectory: field 1 (the protocol version) is 1, and field 2 (the actor's name) follows.
 const BEGINNING: [u8; 3] = [0x08, 0x01, 0x12];
 
-/// Ending of the names of recordings.
+/// File extension of recordings.
 const KIND: &str = "trajectory";
 
-/// Segments of one episode and the files that they come from.
+/// The segments of one episode and the files that they come from.
 struct Recording {
     name: String,
     files: Vec<PathBuf>,
     segments: Vec<Trajectory>,
 }
 
-/// The episodes of all files, and of all recordings of the folders of runs.
+/// Reads the episodes of all files, and of all recordings in run folders.
 pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, Failure> {
     let mut recordings: Vec<Recording> = Vec::new();
     for path in paths {
         if path.is_dir() {
             for (name, path) in of_run(path)? {
-                // Each is a whole episode; those of one blueprint and several passes look alike but for their weights.
+                // Each file is a complete episode. Episodes of one blueprint from several evaluations differ only in
+                // their weights.
                 let segments = vec![read(&path)?];
                 recordings.push(Recording { name, files: vec![path], segments });
             }
@@ -64,7 +65,7 @@ pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, F
     Ok(episodes)
 }
 
-/// Names for films, and the files, of all recordings of a run, by blueprint and version.
+/// The files of all recordings of a run with names for their films, ordered by blueprint and weights version.
 fn of_run(run: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     let replays = RunPaths::new(run).replays();
     let nothing = |reason: &str| {
@@ -110,19 +111,19 @@ impl Recording {
 
 fn read(path: &Path) -> Result<Trajectory, Failure> {
     let mut bytes = Vec::new();
-    // One byte more than allowed is enough for the decoder to refuse it.
+    // One byte more than the limit is enough for the decoder to reject the file.
     let read = File::open(path).and_then(|file| file.take(MAX_TRAJECTORY_BYTES as u64 + 1).read_to_end(&mut bytes));
     let refused = |reason: String| Failure::Recording { files: path.display().to_string(), reason };
     read.map_err(|error| refused(format!("cannot be read: {error}")))?;
     decode_trajectory(&bytes).map_err(|error| refused(explained(&bytes, &error)))
 }
 
-/// What is wrong with a file that is no trajectory.
+/// Describes what is wrong with a file that is not a valid trajectory.
 fn explained(bytes: &[u8], error: &DecodeError) -> String {
     let is_broken = matches!(error, DecodeError::Malformed { .. } | DecodeError::Missing { .. });
     match (bytes.is_empty(), bytes.starts_with(&BEGINNING)) {
         (true, _) => "is empty".to_owned(),
-        // What the decoder says of it means nothing to whoever made the recording.
+        // The decoder's message would not help a user.
         (_, true) if is_broken => {
             "begins like a recorded trajectory but is cut off or damaged: record it again".to_owned()
         }

@@ -11,20 +11,21 @@ use crate::commands::files::write_files;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Name of the file.
+/// Name of the output file.
 const FILE: &str = "attention.csv";
 
-/// Writes the mean shares of each head over all scenes, and those of uniform attention, as a file and to the terminal.
+/// Writes the mean attention shares of each head over all scenes, and those of uniform attention, to a file and to the
+/// terminal.
 ///
 /// # Errors
-/// When the network has no attention or an episode has other grippers, or the file cannot be written.
+/// When the network has no attention, an episode has a different number of grippers, or the file cannot be written.
 pub(super) fn write(
     episodes: &[Named],
     policy: &Policy,
     args: &RenderArgs,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
-    // Shares of each scene, by layer and head; at the end those of uniform attention.
+    // Shares of each scene, indexed by layer and head. Those of uniform attention are kept separately.
     let mut heads: Vec<Vec<Shares>> = Vec::new();
     let mut uniform = Vec::new();
     let mut n_heads = 1;
