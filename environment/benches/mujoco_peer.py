@@ -1,10 +1,10 @@
-"""The same 16 blocks in MuJoCo; prints one JSON object: its version, and for each case control steps per CPU-second.
+"""Simulates the same 16 blocks in MuJoCo and prints a JSON object: version, and control steps per CPU-second by case.
 
 A control step is 10 substeps of 10 ms, as in this crate's bench `world`. Run by tests/benches/peers.py.
 
-settled: nothing is touched. random: two random blocks get a random velocity for each control step.
+settled: the blocks are left alone. random: two random blocks get a random velocity at each control step.
 held: the 16 blocks are welded into one row (one weld per joint), gravity compensated, and held still.
-moved: as held, and the row is swung. MuJoCo gets no magnets, no features and no reward, so the comparison favors it.
+moved: like held, but the row swings. MuJoCo computes no magnets, features, or rewards, so the comparison favors it.
 """
 
 import json
@@ -19,7 +19,7 @@ SUBSTEPS, DT = 10, 0.01
 
 
 def model(row):
-    """Scattered blocks on the ground, or with `row` all blocks welded end to end a meter above it."""
+    """Builds a model of blocks scattered on the ground or, with `row`, welded end to end a meter above it."""
     bodies, welds, x = "", "", 0.0
     for i, c in enumerate(CELLS):
         if row:
@@ -46,7 +46,7 @@ def cpu_seconds():
 
 
 def rate(case, n_steps=400):
-    """Control steps per CPU-second."""
+    """Returns control steps per CPU-second."""
     row = case in ("held", "moved")
     m = model(row)
     d = mujoco.MjData(m)

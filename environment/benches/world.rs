@@ -1,8 +1,8 @@
 //! Control steps per CPU-second of one world.
 //!
-//! `cargo bench -p environment` prints a table; `--json` prints `{case: steps per CPU-second}` for
-//! `tests/benches/peers.py`; `--single` merges no substeps; `--five` uses 5 substeps of 20 ms instead of 10 of 10 ms; a
-//! case's name times that case only.
+//! `cargo bench -p environment` prints a table. `--json` prints `{case: steps per CPU-second}` for
+//! `tests/benches/peers.py`. `--single` merges no substeps. `--five` uses 5 substeps of 20 ms instead of 10 of 10 ms.
+//! The name of a case runs only that case.
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -14,10 +14,10 @@ use rand_chacha::ChaCha8Rng;
 
 const N_STEPS: usize = 1000;
 const N_ROUNDS: u64 = 5;
-/// The block that is held, near the middle of the row.
+/// The held block, near the middle of the row.
 const HELD: usize = 9;
 
-/// Runs one round from a seed; returns control steps per CPU-second.
+/// Runs one round from a seed and returns the control steps per CPU-second.
 type Case = fn(&EnvironmentConfig, u64) -> f64;
 
 fn main() {
@@ -35,7 +35,7 @@ fn main() {
     let mut lines = vec![];
     let all = !cases.iter().any(|(name, _)| has(name));
     for (name, case) in cases.into_iter().filter(|(name, _)| all || has(name)) {
-        // The best of many short rounds: others on the machine only ever slow a round down.
+        // The best of many short rounds, because other processes on the machine only ever slow a round down.
         let best = (0..N_ROUNDS).map(|seed| case(&config, seed)).fold(0.0, f64::max);
         lines.push((name, best));
     }
@@ -77,7 +77,7 @@ fn random(config: &EnvironmentConfig, seed: u64) -> f64 {
     })
 }
 
-/// A gripper keeps a row of all 16 blocks in the air, end to end as in the peer script.
+/// A gripper holds a row of all 16 blocks in the air, end to end as in the peer script.
 fn held(config: &EnvironmentConfig, seed: u64) -> f64 {
     let (mut world, _) = lifted(config, seed);
     let still = hold([0.0; 6]);
@@ -86,7 +86,7 @@ fn held(config: &EnvironmentConfig, seed: u64) -> f64 {
     })
 }
 
-/// A gripper swings it to and fro.
+/// A gripper swings the row back and forth.
 fn moved(config: &EnvironmentConfig, seed: u64) -> f64 {
     let (mut world, up) = lifted(config, seed);
     let velocity = |sign: f32| [0.0, 0.0, 0.0, 0.08 * sign * up.x, 0.08 * sign * up.y, 0.08 * sign * up.z];
@@ -98,7 +98,7 @@ fn moved(config: &EnvironmentConfig, seed: u64) -> f64 {
     })
 }
 
-/// The row in the air, and the upward direction in the frame of the block that is held.
+/// Returns the row in the air and the upward direction in the frame of the held block.
 fn lifted(config: &EnvironmentConfig, seed: u64) -> (World, nalgebra::Vector3<f32>) {
     let row = row();
     let catalog = Catalog::from_files([("16_999.toml", row.as_str())]).unwrap();
@@ -117,7 +117,7 @@ fn lifted(config: &EnvironmentConfig, seed: u64) -> (World, nalgebra::Vector3<f3
     (world, up)
 }
 
-/// A blueprint of all 16 blocks end to end along x.
+/// Returns a blueprint of all 16 blocks end to end along x.
 fn row() -> String {
     let inventory = blueprints::Inventory::standard();
     let (mut blocks, mut connections, mut x) = (vec![], vec![], 0);
@@ -162,14 +162,14 @@ fn task(goal: &Blueprint, start: Start, seed: u64) -> Task {
     Task { blueprint: goal.id().clone(), assignment, start, seed }
 }
 
-/// Calls per CPU-second of this thread.
+/// Returns the calls per CPU-second of this thread.
 fn timed(n: usize, mut f: impl FnMut()) -> f64 {
     let before = cpu_seconds();
     (0..n).for_each(|_| f());
     n as f64 / (cpu_seconds() - before).max(1e-9)
 }
 
-/// CPU time of this thread: wall time on a shared machine says little.
+/// Returns the CPU time of this thread, because wall time on a shared machine says little.
 fn cpu_seconds() -> f64 {
     // The first field of schedstat is the time on the CPU in ns.
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();

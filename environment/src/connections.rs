@@ -1,4 +1,4 @@
-//! The connections between blocks: attraction, snap, load and break.
+//! Connections between blocks: attraction, snapping, load, and breaking.
 
 use blueprints::{BlockIdx, Inventory, N_BLOCKS, Placement, RelativePlacement};
 use nalgebra::{Isometry3, Vector3};
@@ -10,22 +10,22 @@ use crate::magnets::{Frame, MagnetPair, MagnetTable, magnet_position_m};
 
 mod effort;
 
-/// Last part of the time in which a new connection cannot break, in which its load counts already, ms.
+/// Time before a new connection becomes breakable during which its load is already measured, ms.
 const MEASURED_MS: f32 = 50.0;
 
-/// A connection that exists.
+/// A live connection.
 struct Connection {
     joint: Joint,
-    /// The wanted pose of its second block as seen from the first.
+    /// Target pose of its second block relative to the first.
     b_in_a: Isometry3<f32>,
     handle: JointHandle,
-    /// Magnet pairs that count for its strength.
+    /// Number of magnet pairs that count toward its strength.
     n_strong_pairs: f32,
-    /// Substeps of the unbreakable beginning that are left, which is soft after a snap.
+    /// Substeps left of the initial unbreakable period, during which a joint is soft after a snap.
     snap_left: u16,
-    /// Running mean of its load; it breaks above 1.
+    /// Running mean of its load; the connection breaks above 1.
     load: f32,
-    /// Whether its joint is left out of the solver, because it carries nothing.
+    /// Whether its joint is left out of the solver because it carries no load.
     is_spared: bool,
 }
 
@@ -33,15 +33,15 @@ struct Connection {
 pub(crate) struct Connections {
     table: MagnetTable,
     config: MagnetConfig,
-    /// Length of a substep of the configuration, s.
+    /// Length of a configured substep, s.
     substep_s: f32,
     live: Vec<Connection>,
-    /// Substeps for which a pair of blocks stays inert after a break, `[lower][higher]`.
+    /// Substeps for which a pair of blocks stays inert after a break, indexed `[lower][higher]`.
     cooldown: [[u16; N_BLOCKS]; N_BLOCKS],
     linked: [[bool; N_BLOCKS]; N_BLOCKS],
-    /// Lowest block of each block's component.
+    /// Lowest block index in each block's component.
     components: [usize; N_BLOCKS],
-    /// Where the blocks were before the substep.
+    /// Poses of the blocks before the substep.
     frames: [Frame; N_BLOCKS],
 }
 
@@ -59,20 +59,20 @@ impl Connections {
         }
     }
 
-    /// Forgets all connections; the engine's joints must be gone already.
+    /// Removes all connections. The engine's joints must already be gone.
     pub(crate) fn clear(&mut self) {
         self.live.clear();
         self.cooldown = [[0; N_BLOCKS]; N_BLOCKS];
         self.regroup();
     }
 
-    /// Connects two blocks that stand as `joint` says: stiff at once, but unbreakable until the structure has taken up
-    /// its own weight, as after a snap.
+    /// Connects two blocks that are placed as `joint` specifies. The joint is stiff at once but, as after a snap,
+    /// unbreakable until the structure has settled under its own weight.
     pub(crate) fn insert_built(&mut self, engine: &mut Engine, joint: Joint) {
         self.insert(engine, joint, self.config.hold_frequency_hz);
     }
 
-    /// The connections, sorted.
+    /// Returns the connections, sorted.
     pub(crate) fn joints(&self) -> Vec<Joint> {
         let mut joints: Vec<_> = self.live.iter().map(|c| c.joint).collect();
         joints.sort_unstable();
@@ -89,12 +89,12 @@ impl Connections {
         self.live.iter().filter(|c| c.is_spared).count()
     }
 
-    /// Whether two blocks hang together through connections.
+    /// Returns whether connections join the two blocks, directly or through others.
     pub(crate) fn same_component(&self, a: BlockIdx, b: BlockIdx) -> bool {
         self.components[a.get()] == self.components[b.get()]
     }
 
-    /// Attracts and snaps; to be called before a substep.
+    /// Attracts and snaps blocks. Call this before a substep.
     pub(crate) fn attract(&mut self, engine: &mut Engine) {
         let n_merged = u16::from(engine.n_merged());
         for row in &mut self.cooldown {
@@ -118,13 +118,13 @@ impl Connections {
         }
     }
 
-    /// Measures loads and breaks at most one connection; to be called after a substep.
+    /// Measures loads and breaks at most one connection. Call this after a substep.
     ///
-    /// Only one, and the rest of its component starts afresh: the load is shared anew once a connection has gone, and
-    /// without this whole chains burst at once.
+    /// A broken connection's load shifts to the others, so the rest of its component starts over. Otherwise, whole
+    /// chains would burst at once.
     pub(crate) fn strain(&mut self, engine: &mut Engine) {
         let break_torque_per_n = blueprints::UNIT_M;
-        // Blocks that come to rest at once may sleep when their connection can break for the first time.
+        // Blocks that come to rest at once may be asleep when their connection first becomes breakable.
         let n_measured = self.substeps(MEASURED_MS);
         let n_merged = engine.n_merged();
         let news = 1.0 - self.config.load_smoothing.powi(i32::from(n_merged));
@@ -195,7 +195,8 @@ impl Connections {
             engine.apply_impulse(b, impulse, pair.point_b);
         });
         let Some(relative) = nearest.and_then(|pair| pair.snap(pose_a, pose_b, &self.config)) else { return };
-        // In one component the lattice already says how the two stand; another snap would tear at it forever.
+        // Within a component, the lattice already fixes the relative pose. A snap to another one would strain it
+        // forever.
         if self.same_component(a, b) && self.relative_in_component(a, b) != Some(relative) {
             return;
         }
@@ -208,7 +209,7 @@ impl Connections {
         if pairs.is_empty() {
             return;
         }
-        // The joint acts at the middle of the magnets that meet.
+        // The joint acts at the center of the connected magnets.
         let magnets = inventory.magnets(joint.a);
         let sum: Vector3<f32> = pairs.iter().map(|&(m, _)| magnet_position_m(&magnets[m])).sum();
         let middle = sum / pairs.len() as f32;
@@ -222,7 +223,7 @@ impl Connections {
         self.regroup();
     }
 
-    /// The lattice pose of `b` seen from `a` along the connections; `None` if no path joins them.
+    /// Returns the lattice pose of `b` relative to `a` along the connections, or `None` if no path joins them.
     fn relative_in_component(&self, a: BlockIdx, b: BlockIdx) -> Option<RelativePlacement> {
         let origin = Placement { block: a, center_half_units: [0; 3], rotation: blueprints::CubeRotation::IDENTITY };
         let mut reached = vec![origin];
@@ -271,7 +272,7 @@ impl Connections {
     }
 }
 
-/// One value per block.
+/// Returns an array with one value per block.
 pub(crate) fn block_array<T>(mut f: impl FnMut(BlockIdx) -> T) -> [T; N_BLOCKS] {
     let mut blocks = BlockIdx::all();
     std::array::from_fn(|_| f(blocks.next().expect("there are N_BLOCKS blocks")))

@@ -1,6 +1,6 @@
-//! What every [`Env`] must do, as checks that any implementation's tests can run.
+//! Checks of what every [`Env`] must do, for the tests of any implementation.
 //!
-//! Each function panics with what went wrong, like an assertion.
+//! Each function panics with a description of the failure, like an assertion.
 
 use blueprints::{BlockIdx, Catalog, N_BLOCKS};
 use proto::{Action, RewardTerms, Scene, Start, Status, Task};
@@ -12,14 +12,14 @@ use crate::env::{Env, ResetError, StepResult};
 use crate::reset::sample_assignment;
 use crate::reward::potential;
 
-/// Steps of the episodes that the checks play.
+/// Steps per checked episode.
 const N_STEPS: usize = 25;
 
-/// Runs all checks on environments from `make`, which must give each a time limit of `episode_steps` and rewards by
-/// `reward`.
+/// Runs all checks on environments from `make`. Each must have a time limit of `episode_steps` and rewards as
+/// configured in `reward`.
 ///
 /// # Panics
-/// When a check fails, or when `catalog` is empty.
+/// If a check fails, or if `catalog` is empty.
 pub fn check_all<E: Env>(make: impl Fn() -> E, catalog: &Catalog, reward: &RewardConfig, episode_steps: u16) {
     for seed in 0..3 {
         for task in tasks(catalog, seed) {
@@ -33,10 +33,10 @@ pub fn check_all<E: Env>(make: impl Fn() -> E, catalog: &Catalog, reward: &Rewar
     check_bad_action(&mut make(), catalog, task);
 }
 
-/// A task of every kind of start, on a goal drawn from the catalog.
+/// Returns one task each with a scattered, a prebuilt, and a near-goal start, on goals drawn from the catalog.
 ///
 /// # Panics
-/// When `catalog` is empty.
+/// If `catalog` is empty.
 pub fn tasks(catalog: &Catalog, seed: u64) -> Vec<Task> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let blueprints: Vec<_> = catalog.iter().collect();
@@ -48,11 +48,11 @@ pub fn tasks(catalog: &Catalog, seed: u64) -> Vec<Task> {
     goals.into_iter().zip(starts).map(task).collect()
 }
 
-/// The same task and actions give the same scenes, rewards and ends: in a fresh environment, in another, and in one that
-/// has lived before.
+/// Checks that the same task and actions give the same scenes, rewards, and endings in two fresh environments and in a
+/// used one.
 ///
 /// # Panics
-/// When they differ in any bit.
+/// If they differ in any bit.
 pub fn check_repeatable<E: Env>(make: impl Fn() -> E, catalog: &Catalog, task: &Task) {
     let first = play(&mut make(), catalog, task);
     assert!(first == play(&mut make(), catalog, task), "two fresh environments differ on {task:?}");
@@ -61,10 +61,11 @@ pub fn check_repeatable<E: Env>(make: impl Fn() -> E, catalog: &Catalog, task: &
     assert!(first == play(&mut used, catalog, task), "a reset environment differs from a fresh one on {task:?}");
 }
 
-/// Scenes are well-formed, grippers hold what was chosen, and the rewards sum to the difference of the potentials.
+/// Checks that scenes are well-formed, no gripper holds a block after a reset, and the rewards sum to the difference of
+/// the potentials.
 ///
 /// # Panics
-/// When one of these fails.
+/// If any of these fails.
 pub fn check_episode<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, config: &RewardConfig) {
     env.reset(task, catalog).expect("the task is valid");
     assert_eq!(env.blueprint().id(), &task.blueprint);
@@ -98,10 +99,10 @@ pub fn check_episode<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, config
     }
 }
 
-/// An episode without success ends with [`Status::TimeLimit`] at exactly `episode_steps`.
+/// Checks that an episode without success ends with [`Status::TimeLimit`] at exactly `episode_steps`.
 ///
 /// # Panics
-/// When it does not.
+/// If it does not.
 pub fn check_time_limit<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, episode_steps: u16) {
     env.reset(task, catalog).expect("the task is valid");
     for step in 1..=episode_steps {
@@ -110,10 +111,10 @@ pub fn check_time_limit<E: Env>(env: &mut E, catalog: &Catalog, task: &Task, epi
     }
 }
 
-/// Tasks that do not fit are refused, each with its own error, and leave the environment as it was.
+/// Checks that tasks that do not fit are refused and leave the environment unchanged.
 ///
 /// # Panics
-/// When one is accepted, or changes the scene.
+/// If one is accepted or changes the scene.
 pub fn check_refusals<E: Env>(env: &mut E, catalog: &Catalog, task: &Task) {
     let as_it_is = Task { start: Start::AsItIs, ..task.clone() };
     assert_eq!(env.reset(&as_it_is, catalog), Err(ResetError::NothingToKeep));
@@ -136,10 +137,10 @@ pub fn check_refusals<E: Env>(env: &mut E, catalog: &Catalog, task: &Task) {
     assert!(env.scene().blocks == before.blocks, "a start as it is moved blocks");
 }
 
-/// An action that is not finite ends the episode as diverged and nothing worse; the next reset mends it.
+/// Checks that a non-finite action ends the episode as diverged, and that the environment can be reset afterward.
 ///
 /// # Panics
-/// When it does not.
+/// If it does not.
 pub fn check_bad_action<E: Env>(env: &mut E, catalog: &Catalog, task: &Task) {
     for bad in [f32::NAN, f32::INFINITY] {
         env.reset(task, catalog).expect("the task is valid");

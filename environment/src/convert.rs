@@ -1,4 +1,4 @@
-//! The border between nalgebra (everywhere else) and glam (rapier's own types); nothing else may name glam.
+//! Conversions between nalgebra, used everywhere else, and glam, rapier's own types. No other module may name glam.
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use proto::Pose;
@@ -19,18 +19,18 @@ pub(crate) fn pose_to_rapier(pose: &Isometry3<f32>) -> math::Pose {
 
 pub(crate) fn pose_from_rapier(pose: &math::Pose) -> Isometry3<f32> {
     let q = pose.rotation;
-    // Not normalized again: the engine keeps its quaternions normalized, and a second pass would change their last bit.
+    // Do not normalize: the engine keeps its quaternions normalized, and a second pass would change their last bit.
     let rotation = UnitQuaternion::new_unchecked(Quaternion::new(q.w, q.x, q.y, q.z));
     Isometry3::from_parts(Translation3::from(from_rapier(pose.translation)), rotation)
 }
 
-/// The pose as it travels.
+/// Converts to the pose type of messages.
 pub(crate) fn to_pose(pose: &Isometry3<f32>) -> Pose {
     let q = pose.rotation;
     Pose { position: pose.translation.vector.into(), orientation: [q.i, q.j, q.k, q.w] }
 }
 
-/// The pose as used in calculations; the quaternion is normalized, because one that traveled may be off by rounding.
+/// Converts from the pose type of messages. Normalizes the quaternion, which may be off by rounding.
 pub(crate) fn from_pose(pose: &Pose) -> Isometry3<f32> {
     let [x, y, z, w] = pose.orientation;
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));

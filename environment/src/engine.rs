@@ -1,4 +1,4 @@
-//! The rigid-body engine: 16 blocks and a ground in rapier, with only what the world needs of it.
+//! The rigid-body engine: 16 blocks and the ground in rapier, with only what the world needs.
 
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use nalgebra::{Isometry3, Vector3};
@@ -13,25 +13,25 @@ use rapier3d::pipeline::PhysicsPipeline;
 use crate::config::PhysicsConfig;
 use crate::convert::{from_rapier, pose_from_rapier, pose_to_rapier, to_rapier};
 
-/// Half of the ground's size in meters; blocks end their episode before they can reach its rim.
+/// Half extents of the ground in meters. Blocks end their episode before they can reach its edge.
 const GROUND_HALF_EXTENTS_M: [f32; 3] = [60.0, 60.0, 0.5];
 
-/// Time at rest after which a block costs nothing until it is touched; the engine's default is 0.5 s. After 0.1 s, the expert
-/// breaks more of the special blueprints.
+/// Time at rest after which a block sleeps and costs nothing until it is touched, s; the engine's default is 0.5. With
+/// 0.1, the expert breaks more of the special blueprints.
 const SLEEP_AFTER_S: f32 = 0.2;
 /// Speed below which a block is at rest, m/s; the engine's default would be 0.04.
 const SLEEP_BELOW_MPS: f32 = 0.1;
 
-/// Iterations of the solver while structures stand: with 4, towers and long bridges sag and sway until they come apart;
-/// more cost time and gain little.
+/// Solver iterations while structures stand. With 4, towers and long bridges sag and sway until they come apart; more
+/// than 8 cost time and gain little.
 const STRUCTURE_ITERATIONS: usize = 8;
-/// The same while there are only loose blocks and what is carried.
+/// Solver iterations while there are only loose blocks, small structures, and carried ones.
 const LOOSE_ITERATIONS: usize = 4;
 
 /// A joint of the engine.
 pub(crate) type JointHandle = ImpulseJointHandle;
 
-/// What a step reads and writes.
+/// State that a step reads and writes.
 #[derive(Clone)]
 struct Bodies {
     islands: IslandManager,
@@ -44,7 +44,7 @@ struct Bodies {
     soft_bodies: SoftBodySet,
 }
 
-/// 16 blocks, a ground and joints.
+/// 16 blocks, the ground, and joints.
 pub(crate) struct Engine {
     parameters: IntegrationParameters,
     gravity: Vector3<f32>,
@@ -55,11 +55,11 @@ pub(crate) struct Engine {
     handles: [RigidBodyHandle; N_BLOCKS],
     ground: RigidBodyHandle,
     physics: PhysicsConfig,
-    /// Substeps that are computed as one.
+    /// Number of configured substeps computed as one.
     n_merged: u8,
 }
 
-/// Velocity of a rigid body: linear (of its center) and angular, world frame.
+/// Velocity of a rigid body in the world frame: linear (of its center) and angular.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Velocity {
     pub(crate) linear: Vector3<f32>,
@@ -70,7 +70,7 @@ impl Engine {
     pub(crate) fn new(physics: &PhysicsConfig, inventory: &Inventory) -> Self {
         let mut template = Bodies {
             islands: IslandManager::new(),
-            // Its upkeep of the tree costs a twelfth of a step and gains nothing with 17 leaves.
+            // Maintaining the tree costs a twelfth of a step and gains nothing with 17 leaves.
             broad_phase: BroadPhaseBvh::with_optimization_strategy(BvhOptimizationStrategy::None),
             narrow_phase: NarrowPhase::new(),
             bodies: RigidBodySet::new(),
@@ -90,7 +90,7 @@ impl Engine {
                 let body = RigidBodyBuilder::dynamic()
                     .linear_damping(physics.damping_hz)
                     .angular_damping(physics.damping_hz)
-                    // Apart from each other and the ground until a reset places them.
+                    // Apart from each other and above the ground until a reset places them.
                     .translation(to_rapier(Vector3::new(block.get() as f32, 0.0, 1.0)));
                 let handle = template.bodies.insert(body);
                 let activation = template.bodies[handle].activation_mut();
@@ -105,14 +105,15 @@ impl Engine {
             .collect();
         let parameters = IntegrationParameters {
             dt: physics.substep_s(),
-            // The engine's tolerances are fractions of this; at 1 they are huge beside a 10 cm block.
+            // The engine's tolerances are fractions of this length; at 1, they are huge for a 10 cm block.
             length_unit: blueprints::UNIT_M,
-            // One solver iteration, because a joint reports the impulse of its last iteration only; the inner ones add up.
+            // One solver iteration, because a joint reports only the impulse of its last iteration; the inner ones add
+            // up.
             num_solver_iterations: 1,
             num_internal_pgs_iterations: STRUCTURE_ITERATIONS,
             friction_in_bias_pass: true,
-            // Sweeping fast blocks against the ground costs an eighth of a step. Without it, one at full speed sinks in by 3 cm
-            // for a moment; the ground is too thick to pass.
+            // Sweeping fast blocks against the ground costs an eighth of a step. Without it, a block at full speed
+            // sinks in by 3 cm for a moment, but the ground is too thick to pass through.
             max_ccd_substeps: 0,
             ..IntegrationParameters::default()
         };
@@ -130,10 +131,10 @@ impl Engine {
         }
     }
 
-    /// Puts the blocks at rest at `poses` without joints.
+    /// Places the blocks at rest at `poses`, without joints.
     ///
-    /// Everything that a step can read is replaced, because bodies that are only moved back keep caches that change the
-    /// last bits of what follows.
+    /// This replaces all state that a step can read: bodies that are only moved keep caches that change the last bits
+    /// of later results.
     pub(crate) fn reset(&mut self, poses: &[Isometry3<f32>; N_BLOCKS]) {
         self.now.clone_from(&self.template);
         self.pipeline = PhysicsPipeline::new();
@@ -143,18 +144,18 @@ impl Engine {
         }
     }
 
-    /// Computes so many substeps of the configuration as one from now on.
+    /// Computes `n_substeps` configured substeps as one from now on.
     pub(crate) fn merge(&mut self, n_substeps: u8) {
         self.n_merged = n_substeps;
         self.parameters.dt = f32::from(n_substeps) * self.physics.substep_s();
     }
 
-    /// Substeps of the configuration that the next substep stands for.
+    /// Returns how many configured substeps the next substep covers.
     pub(crate) fn n_merged(&self) -> u8 {
         self.n_merged
     }
 
-    /// Length of the next substep, s.
+    /// Returns the length of the next substep, s.
     pub(crate) fn substep_s(&self) -> f32 {
         self.parameters.dt
     }
@@ -209,12 +210,12 @@ impl Engine {
         }
     }
 
-    /// Impulse in N·s at a point, world frame.
+    /// Applies an impulse in N·s at `point`, both in the world frame.
     pub(crate) fn apply_impulse(&mut self, block: BlockIdx, impulse: Vector3<f32>, point: Vector3<f32>) {
         self.body_mut(block).apply_impulse_at_point(to_rapier(impulse), to_rapier(point), true);
     }
 
-    /// A joint that holds `frame_a` of `a` and `frame_b` of `b` together.
+    /// Inserts a joint that holds `frame_a` of `a` and `frame_b` of `b` together.
     pub(crate) fn insert_fixed_joint(
         &mut self,
         (a, frame_a): (BlockIdx, Isometry3<f32>),
@@ -224,7 +225,7 @@ impl Engine {
         let joint = GenericJointBuilder::new(JointAxesMask::LOCKED_FIXED_AXES)
             .local_frame1(pose_to_rapier(&frame_a))
             .local_frame2(pose_to_rapier(&frame_b))
-            // The joint alone decides the pose: contacts between the two would fight it.
+            // The joint alone determines the pose; contacts between the two blocks would fight it.
             .contacts_enabled(false)
             .softness(SpringCoefficients::new(frequency_hz, 1.0));
         self.now.joints.insert(self.handles[a.get()], self.handles[b.get()], joint, true)
@@ -236,34 +237,34 @@ impl Engine {
         }
     }
 
-    /// Lets the solver work on a joint or leave it out; without it the two blocks still have no contacts.
+    /// Includes a joint in the solver or leaves it out. Its two blocks have no contacts either way.
     pub(crate) fn set_joint_enabled(&mut self, joint: JointHandle, is_enabled: bool) {
         if let Some(joint) = self.now.joints.get_mut(joint, false) {
             joint.data.set_enabled(is_enabled);
         }
     }
 
-    /// Tells the solver whether a structure has to stand in the coming substep, for which it works harder.
+    /// Sets whether a structure must stand in the coming substep, which takes more solver effort.
     pub(crate) fn set_structures(&mut self, has_structures: bool) {
         self.parameters.num_internal_pgs_iterations =
             if has_structures { STRUCTURE_ITERATIONS } else { LOOSE_ITERATIONS };
-        // Without it, feet that stand still slide by centimeters a second under structures with several legs.
+        // Without this, resting feet slide by centimeters per second under structures with several legs.
         self.parameters.friction_in_bias_pass = has_structures;
     }
 
-    /// Force (N) and torque (N·m) that the joint carried in the last substep.
+    /// Returns the force (N) and torque (N·m) that the joint carried in the last substep.
     ///
-    /// The solver makes the six rows of a joint independent of each other, so the torque is the one about the point
-    /// where force and torque decouple, not about the contact: a weight on a lever reads mostly as force.
+    /// The solver makes the six rows of a joint independent, so the torque is about the point where force and torque
+    /// decouple, not about the contact. A weight on a lever reads mostly as force.
     pub(crate) fn joint_load(&self, joint: JointHandle) -> (f32, f32) {
         let Some(joint) = self.now.joints.get(joint) else { return (0.0, 0.0) };
         let [fx, fy, fz, tx, ty, tz] = joint.impulses;
-        // The engine measures a joint's angle as the sine of half of it, so its angular impulses count twice.
+        // The engine measures a joint's angle as the sine of its half, so its angular impulses count twice.
         let torque = 0.5 * Vector3::new(tx, ty, tz).norm();
         (Vector3::new(fx, fy, fz).norm() / self.parameters.dt, torque / self.parameters.dt)
     }
 
-    /// A force-limited motor between the ground and the block's center.
+    /// Inserts a force-limited motor between the ground and the block's center.
     pub(crate) fn insert_motor(&mut self, block: BlockIdx, target: Velocity) -> JointHandle {
         let mut joint = GenericJointBuilder::new(JointAxesMask::empty()).build();
         let (linear, angular) = (target.linear, target.angular);
@@ -287,7 +288,7 @@ impl Engine {
         self.now.joints.remove(joint, true);
     }
 
-    /// Calls `f` with the two bodies of every contact that carried more than `min_force_n` in the last substep; `None`
+    /// Calls `f` with the two bodies of every contact that carried more than `min_force_n` in the last substep. `None`
     /// is the ground.
     pub(crate) fn for_each_contact(&self, min_force_n: f32, mut f: impl FnMut([Option<BlockIdx>; 2])) {
         let min_impulse = min_force_n * self.parameters.dt;

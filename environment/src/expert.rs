@@ -1,10 +1,11 @@
-//! A scripted controller that builds blueprints with the policy's own actions, from privileged state.
+//! A scripted controller that builds blueprints through the policy's action space, from privileged state.
 //!
-//! It is memoryless: its action is a function of the scene (what the grippers hold included) and the blueprint alone, so
-//! that a policy can learn to imitate it. The order of assembly is worked out once per blueprint and only cached.
+//! It is memoryless: its action depends only on the scene, including what the grippers hold, and the blueprint, so that
+//! a policy can learn to imitate it. The assembly order is computed once per blueprint and cached.
 //!
-//! In order: wrong connections are taken apart; the piece to build on is set down where there is room; then each gripper
-//! fetches a block and brings it in along a free way, while the structure stands on the ground by itself.
+//! In order, it takes wrong connections apart, sets the base (the piece to build on) down where there is room, and lets
+//! each gripper fetch a block and bring it in along a free path. Meanwhile, the structure stands on the ground on its
+//! own.
 
 mod agent;
 mod jobs;
@@ -24,14 +25,14 @@ use view::View;
 
 pub use agent::ExpertAgent;
 
-/// A tilt up to this is as good as upright, rad.
+/// Maximum tilt that counts as upright, rad.
 const MAX_TILT_RAD: f32 = 0.15;
-/// A structure this far from the ground counts as standing on it, m.
+/// Maximum distance from the ground at which a structure counts as standing on it, m.
 const MAX_LIFT_M: f32 = 0.03;
 
-/// How far ahead the base is carried at a time when there is no room, m: further than a step.
+/// How far ahead the base is carried at a time when there is no room, m; farther than one step.
 const STRIDE_M: f32 = 0.6;
-/// How far into the ground a single block is pressed, m.
+/// Depth to which a single block is pressed into the ground, m.
 const PRESS_M: f32 = 0.02;
 
 /// The scripted expert for one blueprint.
@@ -43,39 +44,39 @@ pub struct Expert {
     n_grippers: usize,
 }
 
-/// What the expert is about in a step.
+/// What the expert does in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Activity {
     /// Takes wrong connections apart, or a piece that cannot be completed.
     TakingDown,
-    /// Turns the piece to build on onto its side, or carries it to free ground.
+    /// Turns the base onto its side or carries it to free ground.
     Settling,
-    /// Throws aside a block that lies where another one must pass.
+    /// Throws aside a block that is in the path of another one.
     Clearing,
     /// Fetches blocks and brings them in.
     Adding,
 }
 
-/// What one gripper should do for a step.
+/// Command to one gripper for a step.
 #[derive(Clone, Copy, Debug)]
 struct Command {
     block: BlockIdx,
     twist: Twist,
 }
 
-/// The piece that everything else is added to.
+/// The piece to which everything else is added.
 struct Base {
     side: usize,
     parts: Parts,
-    /// Pose of the blueprint's frame as this piece has it.
+    /// Pose of the blueprint's frame implied by this piece.
     frame: Isometry3<f32>,
 }
 
 impl Expert {
-    /// An expert for `blueprint`, on the blocks that the episode's assignment gives it, in a world of this configuration.
+    /// Creates an expert for `blueprint`, with the blocks of the episode's assignment, in worlds of this configuration.
     ///
     /// # Errors
-    /// When the blueprint has no order of assembly.
+    /// If the blueprint has no assembly order.
     pub fn new(config: &EnvironmentConfig, blueprint: &Blueprint) -> Result<Self, NoAssembly> {
         Ok(Self {
             assembly: Assembly::new(blueprint)?,
@@ -85,12 +86,12 @@ impl Expert {
         })
     }
 
-    /// What to do in `scene`.
+    /// Returns the action for `scene`.
     pub fn act(&mut self, scene: &Scene) -> Action {
         self.decide(scene).0
     }
 
-    /// What to do in `scene`, and what for.
+    /// Returns the action for `scene` and its activity.
     pub fn decide(&mut self, scene: &Scene) -> (Action, Activity) {
         let view = View::new(scene, &self.blueprint, self.assembly.blocks());
         let (activity, commands) = self.commands(&view);
@@ -110,12 +111,12 @@ impl Expert {
         }
     }
 
-    /// The piece to build on: the largest that can be completed, at first the block to begin with.
+    /// Returns the piece to build on: the largest that can be completed, or the first block if no two are connected.
     ///
-    /// The error is the largest piece if it can not be completed on any side.
+    /// The error is the largest piece if none can be completed on any side.
     fn base(&mut self, view: &View) -> Result<Base, Parts> {
         let mut pieces: Vec<Parts> = view.pieces().filter(|piece| piece.len() > 1).collect();
-        // Among equals, the one with the lowest part.
+        // Among equals, the piece with the lowest part comes first.
         pieces.sort_by_key(|piece| std::cmp::Reverse(piece.len()));
         for &parts in &pieces {
             let mut sides = 0..self.assembly.n_sides();
@@ -131,7 +132,7 @@ impl Expert {
         Ok(Base { side: 0, parts, frame: self.frame(view, 0, parts) })
     }
 
-    /// Pose of the blueprint's frame as that part of the piece's bottom has it that lies best; others may sag.
+    /// Returns the pose of the blueprint's frame implied by the bottom part that lies best; others may sag.
     fn frame(&self, view: &View, side: usize, parts: Parts) -> Isometry3<f32> {
         let bottom = parts.iter().filter(|&part| self.assembly.is_at_bottom(side, part));
         let frames = bottom.map(|part| self.frame_of(view, part));
@@ -139,7 +140,7 @@ impl Expert {
         best.or_else(|| parts.iter().next().map(|part| self.frame_of(view, part))).unwrap_or_else(Isometry3::identity)
     }
 
-    /// How far a frame is from lying on its side: 1 at the limit of tilt or of height.
+    /// Returns how far a frame is from lying on its side: 1 at the limit of tilt or height.
     fn unrest(&self, frame: &Isometry3<f32>, side: usize) -> f32 {
         let tilt = (frame.rotation * self.up(side)).angle(&Vector3::z());
         (tilt / MAX_TILT_RAD).max(self.lift_m(frame, side).abs() / MAX_LIFT_M)
@@ -149,7 +150,7 @@ impl Expert {
         view.pose(self.block(part)) * self.place(part).inverse()
     }
 
-    /// Pose of a part in the blueprint's frame.
+    /// Returns the pose of a part in the blueprint's frame.
     fn place(&self, part: usize) -> Isometry3<f32> {
         let placement = self.blueprint.placement(self.block(part)).expect("every part is a block of the blueprint");
         Isometry3::from_parts(placement.position_m().into(), placement.rotation.quaternion())
@@ -163,14 +164,14 @@ impl Expert {
         Vector3::from(self.assembly.up(side).map(|x| x as f32))
     }
 
-    /// Height above the ground of the plane on which the structure of `frame` is to lie, m.
+    /// Returns the height above the ground of the plane on which the structure should lie, m.
     fn lift_m(&self, frame: &Isometry3<f32>, side: usize) -> f32 {
         let plane = self.up(side) * (self.assembly.ground_half_units(side) as f32 * UNIT_M / 2.0);
-        // The point of the plane below the frame's origin, as long as the tilt is small.
+        // The point of the plane below the frame's origin, if the tilt is small.
         (frame * nalgebra::Point3::from(plane)).z
     }
 
-    /// The frame turned upright the short way and put on the ground with its origin at `xy`.
+    /// Returns the frame turned upright by the smallest rotation and set on the ground with its origin at `xy`.
     fn set_down(&self, frame: &Isometry3<f32>, side: usize, xy: [f32; 2]) -> Isometry3<f32> {
         let up = frame.rotation * self.up(side);
         let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
@@ -180,7 +181,7 @@ impl Expert {
         Isometry3::from_parts(Translation3::new(xy[0], xy[1], z), rotation)
     }
 
-    /// Carries the base to free ground and sets it down on its side, if it does not lie there.
+    /// Carries the base to free ground and sets it down on its side, unless it already lies there.
     fn settle(&self, view: &View, base: &Base) -> Option<Command> {
         let lies = self.unrest(&base.frame, base.side) <= 1.0;
         let gripped = self.gripped(view, base.parts);
@@ -189,7 +190,7 @@ impl Expert {
             .iter()
             .flatten()
             .any(|&block| view.part_of[block.get()].is_some_and(|part| !base.parts.contains(part)));
-        // Once blocks are on their way the base stays, or it would flee from them.
+        // Once blocks are on their way, the base stays, or it would flee from them.
         if lies && (fetching || base.parts.len() > 2) {
             return None;
         }
@@ -203,12 +204,13 @@ impl Expert {
         let part = view.part_of[gripped.get()]?;
         let load = Load::new(view, gripped);
         let mut target = frame * self.place(part);
-        // A structure that has sagged would go into the ground; a single block is pressed on it, to be sure that it lies.
+        // A sagging structure would go into the ground. A single block is pressed into it to make sure that it lies
+        // flat.
         target.translation.z += (-load.lowest_m(view, &target)).max(0.0);
         if base.parts.len() == 1 {
             target.translation.z -= PRESS_M;
         }
-        // What is turned over is lifted, or the ground would be in its way.
+        // Lift a base that is turned over, or the ground would be in its way.
         let tilt = (base.frame.rotation * self.up(base.side)).angle(&Vector3::z());
         target.translation.z += load.radius_m(view) * tilt.min(1.0);
         let twist = if push.is_some() {
@@ -219,14 +221,15 @@ impl Expert {
         Some(Command { block: gripped, twist })
     }
 
-    /// The block of a piece to take it by: one that is held already, else its first.
+    /// Returns the block by which to grip a piece: one that is already held, or else its first.
     fn gripped(&self, view: &View, parts: Parts) -> BlockIdx {
         let mut blocks = parts.iter().map(|part| self.block(part));
         let first = blocks.next().expect("a piece is not empty");
         std::iter::once(first).chain(blocks).find(|&block| view.is_held(block)).unwrap_or(first)
     }
 
-    /// Shares the commands out: whoever holds a block keeps it; a gripper with nothing to do joins the first.
+    /// Assigns the commands: a gripper that holds a commanded block keeps it, and a spare gripper joins the first
+    /// command.
     fn action(&self, view: &View, commands: &[Command]) -> Action {
         let mut action = Action::IDLE;
         let mut open: Vec<&Command> = commands.iter().take(self.n_grippers).collect();

@@ -1,4 +1,4 @@
-//! The grippers: what each holds, and how it moves what it holds.
+//! The grippers: what each holds, and how it moves its load.
 
 use blueprints::BlockIdx;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -11,7 +11,7 @@ use crate::engine::{Engine, JointHandle, Velocity};
 /// One gripper.
 #[derive(Clone)]
 struct State {
-    /// The block last chosen; another choice is a switch.
+    /// The last chosen block; choosing another one is a switch.
     target: Option<BlockIdx>,
     /// Steps for which the last switch still disables the gripper.
     delay_left: u8,
@@ -49,7 +49,7 @@ impl Grippers {
         }
     }
 
-    /// Lets go of everything and forgets it; the engine's joints must be gone already.
+    /// Releases all blocks and resets all state. The engine's joints must already be gone.
     pub(crate) fn clear(&mut self) {
         for state in &mut self.states {
             *state = State {
@@ -63,21 +63,21 @@ impl Grippers {
         }
     }
 
-    /// Lets go of everything in a world that goes on.
+    /// Releases all blocks in a world that continues.
     pub(crate) fn release(&mut self, engine: &mut Engine) {
         self.remove_motors(engine);
         self.clear();
         BlockIdx::all().for_each(|block| engine.set_gravity(block, true));
     }
 
-    /// Takes the choices and turns the moves of the chosen blocks into velocities in the world frame, which then hold
-    /// for the whole step.
+    /// Applies the choices and converts the moves of the chosen blocks to world-frame velocities, which hold for the
+    /// whole step.
     pub(crate) fn begin_step(&mut self, engine: &mut Engine, action: &Action) {
-        // The motors carry the last step's velocities.
+        // The motors still have the velocities of the last step.
         self.remove_motors(engine);
         for (state, &choice) in self.states.iter_mut().zip(&action.choices) {
             if choice != state.target {
-                // The first grip of an episode is no switch.
+                // The first grip of an episode is not a switch.
                 state.delay_left = if state.target.is_some() { self.delay_steps } else { 0 };
                 state.target = choice;
             }
@@ -98,8 +98,8 @@ impl Grippers {
         }
     }
 
-    /// Sets the held blocks in motion; to be called before a substep, after the magnets' forces. Returns the blocks that
-    /// move with all that hangs on them as one rigid body.
+    /// Sets the held blocks in motion. Call this before a substep, after the magnets' forces. Returns the blocks that
+    /// move with their whole component as one rigid body.
     pub(crate) fn drive(&mut self, engine: &mut Engine, connections: &Connections) -> [Option<BlockIdx>; N_GRIPPERS] {
         let held = |i: usize| self.states.get(i).and_then(|s| s.held);
         match (held(0), held(1)) {
@@ -115,7 +115,7 @@ impl Grippers {
             }
             (first, second) => {
                 self.remove_motors(engine);
-                // Both on one block command the same row of the action.
+                // Two grippers on one block use the same row of the action.
                 let second = second.filter(|_| first != second);
                 for (block, state) in [first, second].into_iter().zip(&self.states) {
                     if let Some(block) = block {
@@ -127,7 +127,7 @@ impl Grippers {
         }
     }
 
-    /// The state to report after a step.
+    /// Returns the state to report after a step.
     pub(crate) fn snapshot(&mut self, engine: &Engine) -> [Option<Gripper>; N_GRIPPERS] {
         for state in &mut self.states {
             if let Some(block) = state.held {
@@ -154,15 +154,15 @@ impl Grippers {
     }
 }
 
-/// Moves the whole component of `held` as one rigid body whose point at `held` has velocity `command`.
+/// Moves the whole component of `held` as one rigid body, in which `held` has velocity `command`.
 ///
-/// Every block gets its own velocity: driving the held one alone drags the rest behind on its joints, which bent a
+/// Every block gets its own velocity. Driving only the held one drags the rest along on its joints, which bent a
 /// 16-block chain by 1.5 cm and 0.3 rad.
 fn carry(engine: &mut Engine, connections: &Connections, held: BlockIdx, command: Velocity) {
     let substep_s = engine.substep_s();
     weightless(engine, connections, held);
     let pivot = engine.pose(held).translation.vector;
-    // As the engine turns a body in a substep, which is not quite by ω·dt.
+    // Turn exactly as the engine turns a body in a substep, which is not quite by ω·dt.
     let half_turn = command.angular * (0.5 * substep_s);
     let turn = UnitQuaternion::new_normalize(Quaternion::from_parts(1.0, half_turn));
     for block in BlockIdx::all().filter(|&block| connections.same_component(block, held)) {

@@ -1,8 +1,8 @@
-//! The physical world of magnet blocks: initial states, steps, rewards and success.
+//! The physical world of magnet blocks: initial states, steps, rewards, and success.
 //!
-//! Reading order: [`mod@env`] (what a world offers) → [`world`] → `reset`, `randomization`, `grippers`, `magnets`, `connections` (what happens
-//! inside a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions) → [`vec_env`] (many worlds
-//! at a time) → [`expert`] → [`config`] → [`contract`] (checks for any environment).
+//! Reading order: [`mod@env`] (the interface) → [`world`] → `reset`, `randomization`, `grippers`, `magnets`,
+//! `connections` (what happens in a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions)
+//! → [`vec_env`] (many worlds at a time) → [`expert`] → [`config`] → [`contract`] (checks for any environment).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

@@ -1,4 +1,4 @@
-//! The geometry of two blocks' magnets: which attract, and which are close enough to snap.
+//! Magnet geometry of two blocks: which magnets attract, and which are close enough to snap.
 
 use blueprints::{BlockIdx, CubeRotation, Inventory, Magnet, N_BLOCKS, Polarity, RelativePlacement, UNIT_M};
 use nalgebra::{Isometry3, Matrix3, Vector3};
@@ -8,14 +8,14 @@ use crate::config::MagnetConfig;
 /// Two faces attract only if their normals are opposed to within 45°.
 const MIN_FACE_COSINE: f32 = std::f32::consts::FRAC_1_SQRT_2;
 
-/// A pose with its rotation as a matrix, since a block is compared with up to 15 others.
+/// A pose with its rotation as a matrix, because each block is compared with up to 15 others.
 #[derive(Clone, Copy)]
 pub(crate) struct Frame {
     pub(crate) position: Vector3<f32>,
     pub(crate) rotation: Matrix3<f32>,
 }
 
-/// An opposite pair of magnets within reach.
+/// A pair of opposite magnets within reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct MagnetPair {
     /// The magnet of the first block, world frame, m.
@@ -28,7 +28,7 @@ pub(crate) struct MagnetPair {
     local: [[i32; 3]; 2],
 }
 
-/// The blocks' magnets as the hot loop wants them.
+/// The magnets of all blocks, laid out for the hot loop.
 pub(crate) struct MagnetTable {
     half_extents: [Vector3<f32>; N_BLOCKS],
     radii: [f32; N_BLOCKS],
@@ -65,18 +65,18 @@ impl MagnetTable {
         Self { half_extents, radii: half_extents.map(|h| h.norm()), faces }
     }
 
-    /// Radius of the sphere around a block in meters.
+    /// Returns the radius of a block's bounding sphere in meters.
     pub(crate) fn radius(&self, block: BlockIdx) -> f32 {
         self.radii[block.get()]
     }
 
-    /// Height of a block's lowest point in meters.
+    /// Returns the height of a block's lowest point in meters.
     pub(crate) fn bottom(&self, block: BlockIdx, frame: &Frame) -> f32 {
         let half_extents = self.half_extents[block.get()];
         frame.position.z - (0..3).map(|k| frame.rotation[(2, k)].abs() * half_extents[k]).sum::<f32>()
     }
 
-    /// Whether the two blocks' surfaces are possibly within `reach` meters; false is certain.
+    /// Returns whether the surfaces of the two blocks may be within `reach` meters; `false` is certain.
     pub(crate) fn may_touch(
         &self,
         (a, frame_a): (BlockIdx, &Frame),
@@ -88,7 +88,7 @@ impl MagnetTable {
         if between.norm_squared() > radii * radii {
             return false;
         }
-        // Separating axes, the six face normals only: edges against edges do not attract.
+        // Separating-axis test with only the six face normals, because edges do not attract each other.
         let relative = frame_a.rotation.tr_mul(&frame_b.rotation);
         let (in_a, in_b) = (frame_a.rotation.tr_mul(&between), frame_b.rotation.tr_mul(&between));
         let (half_a, half_b) = (self.half_extents[a.get()], self.half_extents[b.get()]);
@@ -135,7 +135,8 @@ impl MagnetTable {
 }
 
 impl MagnetPair {
-    /// The lattice pose of the second block seen from the first that brings this pair together, if it is near enough.
+    /// Returns the lattice pose of the second block relative to the first that joins this pair, if they are close
+    /// enough.
     pub(crate) fn snap(
         &self,
         a: &Isometry3<f32>,
@@ -154,19 +155,19 @@ impl MagnetPair {
         Some(RelativePlacement { offset_half_units: std::array::from_fn(|i| local_a[i] - turned[i]), rotation })
     }
 
-    /// Attraction in N on the second block, toward the first; the first gets the opposite.
+    /// Returns the attraction of the second block toward the first in N; the first gets the opposite force.
     pub(crate) fn attraction(&self, config: &MagnetConfig) -> Vector3<f32> {
         let strength = config.attraction_peak_n * (1.0 - self.distance / config.attraction_range_m).max(0.0);
         (self.point_a - self.point_b) * (strength / self.distance.max(1e-6))
     }
 }
 
-/// Position of a magnet in its block's frame, m.
+/// Returns the position of a magnet in its block's frame, m.
 pub(crate) fn magnet_position_m(magnet: &Magnet) -> Vector3<f32> {
     Vector3::from(magnet.position_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
 }
 
-/// Index of a magnet's face in the order +x −x +y −y +z −z.
+/// Returns the index of a magnet's face in the order +x −x +y −y +z −z.
 fn face_of(magnet: &Magnet) -> usize {
     let axis = magnet.normal.iter().position(|&n| n != 0).unwrap_or(0);
     2 * axis + usize::from(magnet.polarity == Polarity::Negative)
@@ -200,12 +201,12 @@ mod tests {
 
     #[test]
     fn a_cube_beside_a_cube_meets_it_with_one_pair() {
-        // The +x face of one at x = 0.05, the −x face of the other at 0.12 − 0.05 = 0.07.
+        // The +x face of one cube is at x = 0.05, the −x face of the other at 0.12 − 0.05 = 0.07.
         let found = pairs(at(0.12, 0.0, 0.0));
         assert_eq!(found.len(), 1);
         assert!((found[0].distance - 0.02).abs() < 1e-6);
         let force = found[0].attraction(&MagnetConfig::default());
-        // Half way into the range, half of 8 N, toward the first block.
+        // Halfway into the range: half of 8 N, toward the first block.
         assert!((force - Vector3::new(-4.0, 0.0, 0.0)).norm() < 1e-3, "{force}");
         let placement = found[0].snap(&at(0.0, 0.0, 0.0), &at(0.12, 0.0, 0.0), &MagnetConfig::default()).unwrap();
         assert_eq!(placement, RelativePlacement { offset_half_units: [2, 0, 0], rotation: CubeRotation::IDENTITY });

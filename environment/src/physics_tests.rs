@@ -1,4 +1,4 @@
-//! What the physics must do, measured on the engine itself.
+//! Requirements on the physics, measured on the engine itself.
 
 use blueprints::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -9,7 +9,7 @@ use crate::connections::{Connections, block_array};
 use crate::engine::{Engine, Velocity};
 use crate::grippers::Grippers;
 
-/// The parts of a world, open for measuring.
+/// The parts of a world, exposed for measurements.
 struct Rig {
     engine: Engine,
     connections: Connections,
@@ -18,7 +18,7 @@ struct Rig {
 }
 
 impl Rig {
-    /// The given blocks where they are said to be, all others far away on the ground.
+    /// Places the given blocks at their poses and all others far away on the ground.
     fn new(config: EnvironmentConfig, placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
         let mut poses = block_array(|block| {
             let half_height = Inventory::standard().half_extents_m(block)[2];
@@ -65,7 +65,7 @@ impl Rig {
         blocks.iter().map(|&block| self.engine.kinetic_energy_j(block)).sum()
     }
 
-    /// Greatest distance (m) and angle (rad) of a connected block from its place as seen from its neighbor.
+    /// Returns the maximum distance (m) and angle (rad) of a connected block from its target relative to its neighbor.
     fn worst_joint_error(&self) -> (f32, f32) {
         self.connections.joints().iter().fold((0.0_f32, 0.0_f32), |(distance, angle), joint| {
             let seen = self.engine.pose(joint.a).inv_mul(&self.engine.pose(joint.b));
@@ -90,7 +90,7 @@ fn beside(a: u8, b: u8, offset_half_units: [i32; 3]) -> Joint {
 
 #[test]
 fn opposite_magnets_at_2_cm_and_8_degrees_snap_and_like_poles_never() {
-    // Cubes on the ground, a gap of 2 cm between a +x face and a −x face, and between two +x faces.
+    // Cubes on the ground with a gap of 2 cm between a +x face and a −x face, and between two +x faces.
     let snaps = |yaw: f32| {
         let mut rig = Rig::new(
             EnvironmentConfig::default(),
@@ -109,7 +109,8 @@ fn opposite_magnets_at_2_cm_and_8_degrees_snap_and_like_poles_never() {
 
 #[test]
 fn a_connection_breaks_at_the_force_that_the_rule_says() {
-    // Two cubes, two 2×1×1 and two 3×1×1 side by side in y meet with 1, 2 and 3 magnet pairs, so they hold 30, 60, 90 N.
+    // Two cubes, two 2×1×1, and two 3×1×1 side by side in y share 1, 2, and 3 magnet pairs, so they hold 30, 60, and 90
+    // N.
     for (a, b, n_pairs) in [(0, 1, 1), (4, 5, 2), (8, 9, 3)] {
         let holds = |force: f32| {
             let mut rig = Rig::weightless(&[(block(a), at(0.0, 0.0, 1.0, 0.0)), (block(b), at(0.0, 0.1, 1.0, 0.0))]);
@@ -132,14 +133,14 @@ fn a_connection_breaks_at_the_force_that_the_rule_says() {
 
 #[test]
 fn a_hanging_block_loads_its_connection_with_its_weight() {
-    // A cube of 0.2 kg under a held one: 1.962 N.
+    // A cube of 0.2 kg hangs under a held one: 1.962 N.
     let mut rig = Rig::new(
         EnvironmentConfig::default(),
         &[(block(0), at(0.0, 0.0, 1.0, 0.0)), (block(1), at(0.0, 0.0, 0.9, 0.0))],
     );
     rig.connections.insert_built(&mut rig.engine, beside(0, 1, [0, 0, -2]));
     for _ in 0..100 {
-        // The upper cube alone is held, so the joint carries the other one.
+        // Only the upper cube is held, so the joint carries the other one.
         rig.engine.set_gravity(block(0), false);
         rig.engine.set_velocity(block(0), Velocity { linear: Vector3::zeros(), angular: Vector3::zeros() });
         rig.engine.substep();
@@ -152,7 +153,8 @@ fn a_hanging_block_loads_its_connection_with_its_weight() {
 fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
     // All blocks end to end along x, 3.2 m long, held at the first block and then near the middle.
     let cells = |i: usize| Inventory::standard().cells(BlockIdx::all().nth(i).unwrap()).map(i32::from);
-    // Centers in half units; blocks two cells wide stand half a cell aside, so that their magnets meet the next ones'.
+    // Centers in half units. Blocks two cells wide are offset by half a cell, so that their magnets meet the next
+    // block's.
     let mut centers = vec![[cells(0)[0], 0, 0]];
     for i in 1..N_BLOCKS {
         centers.push([centers[i - 1][0] + cells(i - 1)[0] + cells(i)[0], 1 - cells(i)[1] % 2, 0]);
@@ -173,7 +175,7 @@ fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
         let mut action = Action { choices: [Some(block(held as u8)), None], moves: [[0.0; 6]; N_BLOCKS] };
         let mut worst = (0.0_f32, 0.0_f32);
         for step in 0..40 {
-            // Turns about z at a quarter of full speed, one way and back, while it moves to and fro.
+            // Turns about z at a quarter of full speed while it moves, both back and forth.
             let sign = if (step / 10) % 2 == 0 { 1.0 } else { -1.0 };
             action.moves[held] = [0.2 * sign, 0.1 * sign, 0.0, 0.0, 0.0, 0.25 * sign];
             rig.step(&action);
@@ -187,7 +189,7 @@ fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
 
 #[test]
 fn joints_leave_the_solver_only_while_nothing_touches_what_is_carried() {
-    // Three cubes in a row, carried about between loose blocks and into the ground.
+    // Three cubes in a row, carried around between loose blocks and into the ground.
     let placed = [(0, 0.0, 0.5), (1, 0.1, 0.5), (2, 0.2, 0.5), (3, 0.5, 0.05), (4, -0.3, 0.05), (8, 0.1, 0.05)];
     let placed = placed.map(|(index, x, z)| (block(index), at(x, 0.0, z, 0.0)));
     let mut rig = Rig::new(EnvironmentConfig::default(), &placed);
@@ -245,7 +247,7 @@ fn two_grippers_pull_a_pair_apart() {
     );
     rig.connections.insert_built(&mut rig.engine, beside(0, 1, [2, 0, 0]));
     let mut action = Action { choices: [Some(block(0)), Some(block(1))], moves: [[0.0; 6]; N_BLOCKS] };
-    // Held still by both, it stays where it is.
+    // Held still by both grippers, the pair stays where it is.
     (0..10).for_each(|_| rig.step(&action));
     assert!((rig.engine.pose(block(0)).translation.vector - Vector3::new(0.0, 0.0, 0.5)).norm() < 0.002);
     assert_eq!(rig.connections.joints().len(), 1);

@@ -1,4 +1,4 @@
-//! Domain randomization: the settings that an episode has to itself.
+//! Domain randomization: draws the settings of an episode.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -6,10 +6,10 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::EnvironmentConfig;
 use crate::vec_env::generator;
 
-/// Which stream of an episode's seed these draws take; the initial state takes the first.
+/// Stream of an episode's seed for these draws; the initial state uses stream 0.
 const STREAM: u64 = 1;
 
-/// The settings of the episode with this seed; `None` if every episode has the same.
+/// Draws the settings of the episode with this seed; `None` if no setting is randomized.
 pub(crate) fn draw(config: &EnvironmentConfig, seed: u64) -> Option<EnvironmentConfig> {
     let ranges = &config.randomization;
     if *ranges == Default::default() {
@@ -17,7 +17,7 @@ pub(crate) fn draw(config: &EnvironmentConfig, seed: u64) -> Option<EnvironmentC
     }
     let mut rng = generator(seed, STREAM);
     let mut drawn = config.clone();
-    // Each draws even if it is off, so that switching one on leaves the others as they were.
+    // Draw every value even if it is off, so that enabling one does not change the others.
     let within = |range: Option<[f32; 2]>, rng: &mut ChaCha8Rng| {
         let share: f32 = rng.random();
         range.map(|[low, high]| low + share * (high - low))
@@ -67,7 +67,7 @@ mod tests {
             assert!(values.iter().all(|x| (low..=high).contains(x)), "{values:?}");
             assert!(values.iter().any(|x| *x < low + 0.1 * span) && values.iter().any(|x| *x > high - 0.1 * span));
             let mean = values.iter().sum::<f32>() / values.len() as f32;
-            // The deviation of the mean is about 2 % of the span.
+            // The standard deviation of the mean is about 2 % of the span.
             assert!((mean - (low + high) / 2.0).abs() < 0.08 * span, "{mean}");
         }
         assert!(drawn.iter().all(|c| c.magnets.break_force_n == config.magnets.break_force_n));

@@ -1,4 +1,4 @@
-//! Initial states: where the blocks are and what is connected, from a seed.
+//! Initial states: poses and connections of the blocks, drawn from a seed.
 
 mod footprint;
 mod structure;
@@ -17,18 +17,18 @@ use crate::env::ResetError;
 use footprint::Footprint;
 use structure::{remaining_after, stand};
 
-/// Tries per block before the whole layout starts over, and layouts before giving up.
+/// Attempts per block before the whole layout starts over, and layouts before giving up.
 const N_TRIES: usize = 200;
 const N_LAYOUTS: usize = 50;
 
-/// The blocks at rest, and the connections among them.
+/// Poses of the blocks at rest, and their connections.
 #[derive(Clone, Debug)]
 pub(crate) struct Layout {
     pub(crate) poses: [Isometry3<f32>; N_BLOCKS],
     pub(crate) joints: Vec<Joint>,
 }
 
-/// A layout in the making.
+/// A partial layout.
 #[derive(Clone, Default)]
 struct Draft {
     poses: [Option<Isometry3<f32>>; N_BLOCKS],
@@ -36,9 +36,9 @@ struct Draft {
     joints: Vec<Joint>,
 }
 
-/// An assignment that shuffles the blocks of each type among themselves, every one equally likely.
+/// Returns an assignment that shuffles the blocks of each type among themselves, with all permutations equally likely.
 ///
-/// A policy sees slot numbers; drawing the identical blocks anew in every episode keeps it from leaning on them.
+/// A policy sees slot numbers. Shuffling identical blocks in every episode keeps it from relying on them.
 pub fn sample_assignment(rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
     let inventory = Inventory::standard();
     let mut assignment = crate::connections::block_array(|block| block);
@@ -53,12 +53,12 @@ pub fn sample_assignment(rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
     assignment
 }
 
-/// All blocks apart on the ground.
+/// Scatters all blocks on the ground.
 pub(crate) fn scattered(config: &ResetConfig, rng: &mut ChaCha8Rng) -> Result<Layout, ResetError> {
     lay_out(config, rng, |_| Some(Draft::default()))
 }
 
-/// `blueprint` stands, the other blocks are scattered.
+/// Builds `blueprint` and scatters the other blocks.
 pub(crate) fn prebuilt(
     config: &ResetConfig,
     blueprint: &Blueprint,
@@ -70,7 +70,7 @@ pub(crate) fn prebuilt(
     })
 }
 
-/// `blueprint` stands but for `undone` blocks, which lie near their places; the others are scattered.
+/// Builds `blueprint` except for `undone` blocks, which lie near their targets, and scatters the other blocks.
 pub(crate) fn near_goal(
     config: &ResetConfig,
     blueprint: &Blueprint,
@@ -85,7 +85,7 @@ pub(crate) fn near_goal(
         let kept = remaining_after(blueprint, undone, rng);
         let mut draft = stand(config, blueprint, &kept, rng);
         for placement in blueprint.placements().iter().filter(|p| !kept.contains(&p.block)) {
-            // The structure is already there; its frame follows from any of its blocks.
+            // The structure is already placed, and its frame follows from any of its blocks.
             let anchor = blueprint.placement(kept[0])?;
             let in_blueprint =
                 |p: &blueprints::Placement| Isometry3::from_parts(p.position_m().into(), p.rotation.quaternion());
@@ -96,7 +96,7 @@ pub(crate) fn near_goal(
     })
 }
 
-/// Puts a block on the ground near its place, turned a little.
+/// Places a block on the ground near its target, slightly turned.
 fn put_beside(
     config: &ResetConfig,
     draft: &mut Draft,
@@ -114,13 +114,13 @@ fn put_beside(
             draft.put(block, rotation, footprint);
             return Some(());
         }
-        // What stands there may be wide: look farther and farther away.
+        // The structure there may be wide, so look farther and farther away.
         reach *= 1.02;
     }
     None
 }
 
-/// Repeats `begin` and scatters the blocks that it left out, until all have found room.
+/// Repeats `begin` and scatters the remaining blocks, until all have found room.
 fn lay_out(
     config: &ResetConfig,
     rng: &mut ChaCha8Rng,
@@ -129,7 +129,7 @@ fn lay_out(
     let mut homeless = BlockIdx::all().next().expect("there are blocks");
     for _ in 0..N_LAYOUTS {
         let Some(mut draft) = begin(rng) else { continue };
-        // Large blocks first: they would not find room between the small ones.
+        // Large blocks first, because they would not find room between the small ones.
         let mut left: Vec<_> = BlockIdx::all().filter(|b| draft.poses[b.get()].is_none()).collect();
         left.reverse();
         match left.into_iter().find(|&block| !scatter(config, &mut draft, block, rng)) {
@@ -157,12 +157,12 @@ fn scatter(config: &ResetConfig, draft: &mut Draft, block: BlockIdx, rng: &mut C
     })
 }
 
-/// A random yaw on a random face on which the block stands firmly.
+/// Returns a random yaw on a random face on which the block stands firmly.
 fn random_rotation(config: &ResetConfig, block: BlockIdx, rng: &mut ChaCha8Rng) -> UnitQuaternion<f32> {
     let half = Inventory::standard().half_extents_m(block);
     let stands = |axis: usize| {
         let (side, other) = (half[(axis + 1) % 3], half[(axis + 2) % 3]);
-        // A hair of slack, because 2 × 0.05 need not equal 0.1.
+        // A little slack, because 2 × 0.05 may not equal 0.1.
         half[axis] <= side.min(other) * config.max_slenderness * 1.001
     };
     let axes: Vec<_> = (0..3).filter(|&axis| stands(axis)).collect();
@@ -195,12 +195,12 @@ impl Draft {
     }
 }
 
-/// The rotation of the blueprint's frame about z.
+/// Returns the rotation by `angle` about z.
 fn yaw_of(angle: f32) -> UnitQuaternion<f32> {
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
-/// Half of a block's extent along the axes of the lattice, in half units: as many as it has cells there.
+/// Returns half of a block's extent along the lattice axes in half units, which equals its number of cells.
 fn half_size(block: BlockIdx, rotation: CubeRotation) -> [i32; 3] {
     rotation.apply(Inventory::standard().cells(block).map(i32::from)).map(i32::abs)
 }

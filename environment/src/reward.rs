@@ -8,12 +8,12 @@ use crate::config::{ForcePenalty, RewardConfig};
 use crate::convert::from_pose;
 use crate::magnets::magnet_position_m;
 
-/// How good a scene is, by term.
+/// Returns how good a scene is, by term.
 ///
-/// Per required block pair: `connected_weight` if it is connected as the blueprint says, and a dense part worth at
-/// most `dense_weight`, half of it for the magnets that should meet and half for the blocks; each half is the mean of
-/// `1 − tanh(d / distance_scale_m)` and `1 − θ/π`. `−wrong_weight` for every other connection, unused blocks included,
-/// and `−heavy_contact_weight` for every heavy contact, to at most `−heavy_contact_cap`.
+/// Each required block pair adds `connected_weight` if it is connected as in the blueprint, and a dense part of at most
+/// `dense_weight`: half of it for the magnets that should meet and half for the blocks. Each half is the mean of `1 −
+/// tanh(d / distance_scale_m)` and `1 − θ/π`. Every other connection costs `wrong_weight`, unused blocks included, and
+/// every heavy contact costs `heavy_contact_weight`, up to `heavy_contact_cap` in total.
 pub fn potential(scene: &Scene, blueprint: &Blueprint, config: &RewardConfig) -> RewardTerms {
     let mut terms = RewardTerms::default();
     for joint in &scene.joints {
@@ -33,7 +33,7 @@ pub fn potential(scene: &Scene, blueprint: &Blueprint, config: &RewardConfig) ->
     terms
 }
 
-/// The reward of a step from the potentials around it.
+/// Returns the reward of a step from the potentials before and after it.
 pub fn reward(before: &RewardTerms, after: &RewardTerms, config: &RewardConfig) -> RewardTerms {
     RewardTerms {
         connected: after.connected - before.connected,
@@ -47,18 +47,19 @@ pub fn reward(before: &RewardTerms, after: &RewardTerms, config: &RewardConfig) 
     }
 }
 
-/// Distance (m) and angle (rad) to a wanted pose.
+/// Distance (m) and angle (rad) to a target pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Misfit {
     pub(crate) distance: f32,
     pub(crate) angle: f32,
 }
 
-/// How far two linked blocks are from their wanted relative pose.
+/// Misfit of two linked blocks from their target relative pose.
 pub(crate) struct Fit {
     /// Mean over the magnet pairs that should meet.
     pub(crate) magnets: Misfit,
-    /// Of the blocks: each one's center against its place as seen from the other, the mean of the two.
+    /// Misfit of the blocks. The distance of each center from its target is relative to the other block; this is the
+    /// mean.
     pub(crate) blocks: Misfit,
 }
 
@@ -77,7 +78,7 @@ impl Fit {
 
 fn block_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit {
     let wanted = link.relative.rotation.quaternion();
-    // Seen from one block only, a distant pair's distance would depend on which of the two is numbered first.
+    // Relative to one block only, the distance of a distant pair would depend on which of the two has the lower number.
     let seen_from_a = a.inverse_transform_vector(&(b.translation.vector - a.translation.vector));
     let from_a = (seen_from_a - link.relative.position_m()).norm();
     let seen_from_b = b.inverse_transform_vector(&(a.translation.vector - b.translation.vector));
@@ -97,7 +98,7 @@ fn magnet_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit 
         sum.distance += (point_a - point_b).norm();
         let normal =
             |rotation: &nalgebra::UnitQuaternion<f32>, n: [i32; 3]| rotation * Vector3::from(n.map(|x| x as f32));
-        // Magnets that meet look at each other.
+        // Magnets that meet face each other.
         sum.angle += normal(&a.rotation, magnet_a.normal).angle(&-normal(&b.rotation, magnet_b.normal));
     }
     let n = pairs.len().max(1) as f32;

@@ -6,10 +6,10 @@ use proto::Scene;
 use crate::config::SuccessConfig;
 use crate::reward::Fit;
 
-/// Whether all required connections exist, no other exists, and every required pair stands within tolerance.
+/// Returns whether all required connections exist, no others exist, and every required pair is within tolerance.
 pub fn is_success(scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) -> bool {
     let links = blueprint.links();
-    // A scene has at most one connection per block pair, so equal numbers and no stranger make the sets equal.
+    // A scene has at most one connection per block pair, so equal counts and no wrong connection make the sets equal.
     let connections_match = scene.joints.len() == links.len()
         && scene
             .joints
@@ -23,16 +23,16 @@ pub fn is_success(scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) 
         })
 }
 
-/// Whether a success lasts: the conditions hold for some steps in a row while the structure hardly moves.
+/// Tracks whether a success lasts: the conditions hold for several consecutive steps while the structure hardly moves.
 ///
-/// Recorded beside the paper's success, so that nothing in flight is counted unnoticed.
+/// Recorded along with the paper's success, so that structures in flight do not count unnoticed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StableSuccess {
     n_steps: u16,
 }
 
 impl StableSuccess {
-    /// Takes the scene after a step; true once the success is stable.
+    /// Observes the scene after a step. Returns true once the success is stable.
     pub fn observe(&mut self, scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) -> bool {
         let slow = blueprint.placements().iter().all(|p| scene.speeds_mps[p.block.get()] <= config.stable_speed_mps);
         let holds = slow && is_success(scene, blueprint, config);

@@ -7,10 +7,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::env::{Env, ResetError, StartError, StepResult};
 
-/// Tasks that a world is given before an episode is given up; blocks may find no room.
+/// Maximum number of tasks to try before an episode is given up; the blocks of a task may find no room.
 const MAX_RESETS: usize = 16;
 
-/// Worlds, each with the generator of its actions. A row is the place of a world among them, from 0.
+/// Worlds, each with the random generator of its actions. A row is the index of a world, from 0.
 #[derive(Debug)]
 pub struct VecEnv<E> {
     envs: Vec<E>,
@@ -20,15 +20,15 @@ pub struct VecEnv<E> {
 /// A step of one world.
 #[derive(Clone, Debug)]
 pub struct Step {
-    /// The scene before.
+    /// The scene before the step.
     pub scene: Scene,
-    /// What was done in it.
+    /// The agent's decision in it.
     pub decision: Decision,
-    /// What came of that.
+    /// The result of the step.
     pub result: StepResult,
 }
 
-/// An independent generator for each `stream` of a seed.
+/// Returns an independent generator for each `stream` of a seed.
 pub fn generator(seed: u64, stream: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(stream);
@@ -36,40 +36,41 @@ pub fn generator(seed: u64, stream: u64) -> ChaCha8Rng {
 }
 
 impl<E: Env> VecEnv<E> {
-    /// Worlds that wait for [`reset`](Self::reset) and [`seed`](Self::seed), each on its own.
+    /// Creates the vector. Each world needs its own [`reset`](Self::reset) and [`seed`](Self::seed) before the first
+    /// step.
     pub fn new(envs: Vec<E>) -> Self {
         let rngs = vec![generator(0, 0); envs.len()];
         Self { envs, rngs }
     }
 
-    /// Number of worlds.
+    /// Returns the number of worlds.
     pub fn n_envs(&self) -> usize {
         self.envs.len()
     }
 
-    /// The world of a row.
+    /// Returns the world of a row.
     ///
     /// # Panics
-    /// When there is no such row, as all that take one.
+    /// If there is no such row, as in all methods that take a row.
     pub fn env(&self, row: usize) -> &E {
         &self.envs[row]
     }
 
-    /// The world of a row, to be stepped by itself.
+    /// Returns the world of a row, to step it by itself.
     pub fn env_mut(&mut self, row: usize) -> &mut E {
         &mut self.envs[row]
     }
 
-    /// Draws the actions in a row by `rng` from now on.
+    /// Sets the generator that draws a row's actions from now on.
     pub fn seed(&mut self, row: usize, rng: ChaCha8Rng) {
         self.rngs[row] = rng;
     }
 
-    /// Starts an episode in a row: of `task`, or of what `retry` makes of a task that the world cannot start, as long as it
-    /// returns true. Returns the task that was started.
+    /// Starts an episode of `task` in a row. If the world cannot start a task, `retry` may replace it and return true
+    /// to try again. Returns the task that was started.
     ///
     /// # Errors
-    /// When `retry` returns false, or after 16 tasks.
+    /// If `retry` returns false, or after 16 tasks.
     pub fn reset(
         &mut self,
         row: usize,
@@ -87,11 +88,11 @@ impl<E: Env> VecEnv<E> {
         Ok(task)
     }
 
-    /// Moves every world by one step: asks `agent` once for all of them, with a mode for each row. Worlds whose episode ends
-    /// wait for [`reset`](Self::reset).
+    /// Advances every world by one step. Calls `agent` once for all of them, with a mode for each row. Worlds whose
+    /// episode ends wait for [`reset`](Self::reset).
     ///
     /// # Errors
-    /// When the agent has no decision; no world has moved then.
+    /// If `agent` fails; no world has moved then.
     pub fn step<A: Agent>(&mut self, agent: &mut A, modes: &[ActionMode]) -> Result<Vec<Step>, A::Error> {
         let observations: Vec<Observation<'_>> = self.envs.iter().map(Env::observation).collect();
         let decisions = agent.act(&observations, modes, &mut self.rngs)?;
@@ -103,7 +104,7 @@ impl<E: Env> VecEnv<E> {
         Ok(self.envs.iter_mut().zip(decisions).map(step).collect())
     }
 
-    /// Takes a world away; later rows move up.
+    /// Removes a world; later rows move up.
     pub fn remove(&mut self, row: usize) {
         self.envs.remove(row);
         self.rngs.remove(row);
@@ -130,7 +131,7 @@ mod tests {
     fn an_episode_is_given_up_after_sixteen_tasks() {
         let mut envs = VecEnv::new(worlds(1));
         let (good, bad) = (task("2_000", 1), task("nowhere_2_999", 1));
-        // The retry with this number, from 1, is of a task that can be started.
+        // `mended` is the number, from 1, of the retry whose task can be started.
         let mut tries = |mended: usize| {
             let mut n_retries = 0;
             let retry = |task: &mut Task, error: &ResetError| {

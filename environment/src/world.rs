@@ -1,4 +1,4 @@
-//! The world on rapier.
+//! The world, simulated with rapier.
 
 use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, N_BLOCKS};
 use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task};
@@ -17,10 +17,10 @@ use crate::reward::{potential, reward};
 use crate::success::is_success;
 use proto::InvalidSetting;
 
-/// Longest substep while nothing needs a shorter one, ms.
+/// Maximum length of a merged substep, ms.
 const MERGED_MS: f32 = 20.0;
 
-/// One world; cheap to step, so a thread drives many.
+/// One world. Steps are cheap, so that one thread can drive many worlds.
 ///
 /// # Example
 /// ```
@@ -48,20 +48,20 @@ pub struct World {
     scene: Scene,
     potential: RewardTerms,
     n_steps: u16,
-    /// Whether there is a sound state to go on from.
+    /// Whether there is a valid state to continue from.
     alive: bool,
-    /// Substeps that may be computed as one, at least 1.
+    /// Maximum number of substeps computed as one, at least 1.
     n_mergeable: u8,
-    /// Force of a heavy contact in N.
+    /// Force above which a contact is heavy, N.
     heavy_contact_n: f32,
     half_diagonals_m: [f32; N_BLOCKS],
 }
 
 impl World {
-    /// A world that waits for its first [`Env::reset`]; until then its scene is empty and its steps are `Diverged`.
+    /// Creates a world. Until its first [`Env::reset`], its scene is a placeholder and its steps are `Diverged`.
     ///
     /// # Errors
-    /// When a value of the configuration is out of range.
+    /// If a value of the configuration is out of range.
     pub fn new(config: &EnvironmentConfig) -> Result<Self, InvalidSetting> {
         config.validate()?;
         let inventory = Inventory::standard();
@@ -84,12 +84,12 @@ impl World {
         Ok(world)
     }
 
-    /// The configuration that the world was made with.
+    /// Returns the configuration that the world was created with.
     pub fn config(&self) -> &EnvironmentConfig {
         &self.config
     }
 
-    /// Makes the bodies, magnets and grippers of an episode that has settings to itself.
+    /// Recreates the bodies, magnets, and grippers for an episode with its own settings.
     fn refit(&mut self, config: &EnvironmentConfig) {
         let inventory = Inventory::standard();
         self.engine = Engine::new(&config.physics, inventory);
@@ -106,7 +106,7 @@ impl World {
         }
     }
 
-    /// Runs the substeps of a control step; returns the number of heavy contacts in it.
+    /// Runs the substeps of a control step and returns its number of heavy contacts.
     fn run_substeps(&mut self) -> u8 {
         let mut heavy = [0_u32; N_BLOCKS + 1];
         let mut n_left = self.config.physics.n_substeps;
@@ -127,7 +127,7 @@ impl World {
         heavy.iter().map(|row| row.count_ones() as u8).sum()
     }
 
-    /// Takes a new snapshot.
+    /// Updates the scene.
     fn observe(&mut self, n_heavy_contacts: u8) {
         for block in BlockIdx::all() {
             let i = block.get();
@@ -140,7 +140,7 @@ impl World {
         self.scene.n_heavy_contacts = n_heavy_contacts;
     }
 
-    /// Whether all blocks are where a sound simulation can have them.
+    /// Returns whether all blocks are where a valid simulation can have them.
     fn is_sound(&self) -> bool {
         let limit = self.config.physics.runaway_m;
         self.scene.blocks.iter().zip(&self.scene.speeds_mps).all(|(pose, speed)| {
@@ -224,7 +224,7 @@ impl Env for World {
     }
 }
 
-/// As many substeps as fit into the longest one.
+/// Returns how many substeps fit into the longest one.
 fn n_mergeable(physics: &PhysicsConfig) -> u8 {
     if physics.merge_substeps { (MERGED_MS / physics.substep_ms).max(1.0) as u8 } else { 1 }
 }
@@ -241,7 +241,7 @@ fn check_assignment(assignment: &[BlockIdx; N_BLOCKS]) -> Result<(), ResetError>
     Ok(())
 }
 
-/// What the world shows as its goal before its first reset.
+/// Returns the goal that the world reports before its first reset.
 fn initial_blueprint() -> Blueprint {
     Catalog::builtin().iter().next().expect("the built-in catalog is not empty").clone()
 }

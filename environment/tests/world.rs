@@ -1,4 +1,4 @@
-//! The world through its public face.
+//! The world through its public interface.
 
 #![allow(clippy::unwrap_used)]
 
@@ -30,7 +30,7 @@ fn block(index: u8) -> BlockIdx {
     BlockIdx::try_from(index).unwrap()
 }
 
-/// The goal as it should be; unused blocks lie far away.
+/// Returns the goal scene; unused blocks are far away.
 fn goal_scene(blueprint: &Blueprint) -> Scene {
     let pose = |block: BlockIdx| match blueprint.placement(block) {
         Some(placement) => {
@@ -48,7 +48,7 @@ fn goal_scene(blueprint: &Blueprint) -> Scene {
     }
 }
 
-/// The scene turned by `yaw` about z and then shifted.
+/// Returns the scene turned by `yaw` about z and then shifted.
 fn moved(scene: &Scene, yaw: f32, x: f32, y: f32) -> Scene {
     let frame =
         Isometry3::from_parts(Translation3::new(x, y, 0.0), UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw));
@@ -131,7 +131,7 @@ fn a_near_goal_start_lacks_what_was_taken_off() {
                 let loose =
                     |p: &&blueprints::Placement| world.scene().joints.iter().all(|j| j.a != p.block && j.b != p.block);
                 let n_loose = blueprint.placements().iter().filter(loose).count();
-                // A single block that is left has no connection either.
+                // If a single block remains, it has no connection either.
                 let all_but_one = usize::from(undone) + 1 == blueprint.n_blocks();
                 assert_eq!(n_loose, usize::from(undone) + usize::from(all_but_one), "{}", blueprint.id());
                 assert_ne!(world.step(&idle()).status, Status::Success);
@@ -166,7 +166,7 @@ fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
     let before = world.scene().blocks[0];
     let [i, j, k, w] = before.orientation;
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
-    // Straight up at half of 3 m/s, written in the block's frame; an entry beyond 1 is clipped to 1.
+    // Straight up at half of 3 m/s, in the block's frame.
     let up = rotation.inverse() * Vector3::z() * 0.5;
     let mut action = idle();
     action.choices[0] = Some(block(0));

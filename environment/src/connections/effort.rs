@@ -1,4 +1,4 @@
-//! How little the solver has to do in a substep.
+//! Reduces the solver's work per substep.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::N_GRIPPERS;
@@ -6,26 +6,27 @@ use proto::N_GRIPPERS;
 use super::{Connection, Connections, block_array};
 use crate::engine::Engine;
 
-/// Blocks from which on a structure can sag or slide.
+/// Minimum number of blocks of a structure that can sag or slide.
 const STRUCTURE_BLOCKS: usize = 4;
-/// Blocks from which on it does so in substeps of 20 ms: `3_013` would move by 2.7 cm in two seconds.
+/// Minimum number of blocks of a structure that does so in substeps of 20 ms: `3_013` would move by 2.7 cm in two
+/// seconds.
 const MERGED_BLOCKS: usize = 3;
-/// Room around what is carried, beyond what all move in a substep, up to which its joints stay out of the solver, m.
+/// Clearance around a carried component, beyond all motion in a substep, that keeps its joints out of the solver, m.
 const ROOM_M: f32 = 0.01;
-/// Room that lets them leave it; more, so that they do not come and go in every substep, m.
+/// Clearance at which the joints leave the solver, m; larger, so that they do not toggle in every substep.
 const ROOM_TO_LEAVE_M: f32 = 0.03;
-/// Distance of a joint's second block from its place, as seen from the first, up to which the joint stays out of the
+/// Maximum distance of a joint's second block from its target relative to the first while the joint is out of the
 /// solver, m.
 const FIT_M: f32 = 0.001;
-/// The same for the angle, rad.
+/// Maximum angle from the target orientation while the joint is out of the solver, rad.
 const FIT_RAD: f32 = 0.01;
 
 impl Connections {
-    /// Leaves joints that carry nothing out of the solver and tells it how hard to work; to be called before a substep,
-    /// after the grippers have set what they hold in motion.
+    /// Leaves joints that carry no load out of the solver and sets the solver's effort. Call this before a substep,
+    /// after the grippers have set the held blocks in motion.
     ///
-    /// `carried` are blocks that move as one rigid body with all that hangs on them, without weight. Until something
-    /// touches such a body, its joints would only confirm what it does already.
+    /// Each block in `carried` moves with its whole component as one weightless rigid body. Until something touches
+    /// such a body, its joints would only confirm its motion.
     pub(crate) fn spare(&mut self, engine: &mut Engine, carried: [Option<BlockIdx>; N_GRIPPERS]) {
         let mut is_spared = [false; N_BLOCKS];
         for block in carried.into_iter().flatten() {
@@ -42,12 +43,13 @@ impl Connections {
         engine.set_structures(self.largest_structure(engine) >= STRUCTURE_BLOCKS);
     }
 
-    /// Whether substeps may be merged: nothing stands that long ones let sag.
+    /// Returns whether substeps may be merged because no structure would sag in long ones.
     pub(crate) fn may_merge(&self, engine: &Engine) -> bool {
         self.largest_structure(engine) < MERGED_BLOCKS
     }
 
-    /// Most blocks that hang together, awake and by joints that the solver works on; 0 if none do.
+    /// Returns the number of blocks in the largest structure that is awake and has joints in the solver, or 0 without
+    /// any.
     fn largest_structure(&self, engine: &Engine) -> usize {
         let mut n_blocks = [0; N_BLOCKS];
         self.components.iter().for_each(|&component| n_blocks[component] += 1);
@@ -65,7 +67,7 @@ impl Connections {
             && self.fits(engine, component, if was_spared { 1.0 } else { 0.5 })
     }
 
-    /// Whether nothing can touch the component in the coming substep.
+    /// Returns whether nothing can touch the component in the coming substep.
     fn has_room(&self, engine: &Engine, component: usize, room: f32) -> bool {
         let reach = block_array(|block| {
             let velocity = engine.velocity(block);
@@ -82,13 +84,13 @@ impl Connections {
         })
     }
 
-    /// Whether the component's blocks are where its joints want them, to within a `share` of the limits.
+    /// Returns whether the component's blocks are at their joints' targets to within a `share` of the limits.
     fn fits(&self, engine: &Engine, component: usize, share: f32) -> bool {
         self.live.iter().filter(|c| self.components[c.joint.a.get()] == component).all(|c| {
             let seen = engine.pose(c.joint.a).inv_mul(&engine.pose(c.joint.b));
             let turn = c.b_in_a.rotation.inverse() * seen.rotation;
             (seen.translation.vector - c.b_in_a.translation.vector).norm() < share * FIT_M
-                // The sine of half the angle.
+                // The norm is the sine of half the angle.
                 && turn.imag().norm() < 0.5 * share * FIT_RAD
         })
     }

@@ -1,4 +1,4 @@
-//! The expert as the agent of many worlds.
+//! The expert as an agent for many worlds.
 
 use std::convert::Infallible;
 
@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{Activity, Expert};
 use crate::config::EnvironmentConfig;
 
-/// An [`Expert`] for each world, made anew when the blueprint changes. Where there is no order of assembly it does nothing.
+/// An [`Expert`] for each world, recreated when the blueprint changes. It idles if there is no assembly order.
 #[derive(Clone, Debug)]
 pub struct ExpertAgent {
     config: EnvironmentConfig,
@@ -19,18 +19,18 @@ pub struct ExpertAgent {
 #[derive(Clone, Debug)]
 struct Row {
     blueprint: Blueprint,
-    /// None if there is no order of assembly.
+    /// `None` if there is no assembly order.
     expert: Option<Expert>,
     activity: Option<Activity>,
 }
 
 impl ExpertAgent {
-    /// An agent in worlds of this configuration.
+    /// Creates an agent for worlds of this configuration.
     pub fn new(config: &EnvironmentConfig) -> Self {
         Self { config: config.clone(), rows: Vec::new() }
     }
 
-    /// What its last decision for a row was about; `None` if the blueprint has no order of assembly.
+    /// Returns the activity of the last decision for a row; `None` if the blueprint has no assembly order.
     pub fn activity(&self, row: usize) -> Option<Activity> {
         self.rows.get(row)?.as_ref()?.activity
     }

@@ -1,4 +1,4 @@
-//! Fetching: which pieces come next, and how each is brought in.
+//! Fetching: chooses the next pieces and brings them in.
 
 use blueprints::BlockIdx;
 use blueprints::assembly::{Approach, MIN_BUILD_MARGIN_U, Parts};
@@ -8,31 +8,33 @@ use super::motion::{Limits, Load, Twist, gap};
 use super::view::View;
 use super::{Activity, Base, Command, Expert};
 
-/// Within this of the way's axis a piece may come in all the way, m; further aside it stays back by so many times more.
+/// Maximum distance from the approach path's axis for a piece to come in all the way, m. A piece farther aside holds
+/// back by `ASIDE_SLOPE` times the excess.
 const MAX_ASIDE_M: f32 = 0.02;
 const ASIDE_SLOPE: f32 = 2.0;
-/// Within this of its orientation, rad; turned further it stays back by so many meters per radian more.
+/// Maximum rotation from the target for a piece to come in all the way, rad. A piece turned further holds back by
+/// `TURN_SLOPE_M` meters per radian of excess.
 const MAX_TURN_RAD: f32 = 0.12;
 const TURN_SLOPE_M: f32 = 0.2;
-/// Further than this from the axis, m, or from its orientation, rad, it is not on its way in.
+/// Maximum distance from the axis, m, and rotation from the target, rad, of a piece on its way in.
 const WIDEST_M: f32 = 0.06;
 const WIDEST_RAD: f32 = 0.5;
-/// The way in is fast up to this distance from the place, where the magnets have just caught, m.
+/// Distance from the target at which the fast part of the entry ends, m. Here the magnets have just caught.
 const BRAKE_M: f32 = 0.022;
-/// Speed of the fast part, m/s; at 2 m/s half of the episodes of `10_000` ended in broken connections.
+/// Speed of the fast part, m/s. At 2 m/s, half of the episodes of `10_000` ended in broken connections.
 const ENTRY_SPEED_MPS: f32 = 1.6;
-/// Speed of the rest, m/s: once the magnets have snapped, the gripper drags the whole structure along.
+/// Speed of the rest, m/s. Once the magnets have snapped, the gripper drags the whole structure along.
 const TOUCH_SPEED_MPS: f32 = 0.4;
-/// Two carried pieces closer than this part, m.
+/// Distance below which two carried pieces move apart, m.
 const YIELD_M: f32 = 0.05;
-/// A stray this close to the way in is in the way, m; more than what is kept free on the way to its beginning.
+/// Distance from the approach path within which a stray is in the way, m; more than the margin on the way to its start.
 const STRAY_MARGIN_M: f32 = 0.025;
-/// A stray leaves with this speed, m/s, and goes up by so many meters per meter aside.
+/// Horizontal speed at which a stray is thrown aside, m/s, and its rise per meter aside.
 const FLING_SPEED_MPS: f32 = 2.5;
 const FLING_RISE: f32 = 0.7;
-/// Heights above the beginning of the first job's way that who waits keeps free, m.
+/// Heights above the start of the first job's approach path that a waiting piece keeps clear of, m.
 const SKY_M: [f32; 3] = [0.12, 0.24, 0.36];
-/// Where a piece waits, from the beginning of its way: as near as it may, m.
+/// Waiting positions relative to the start of the approach path, nearest first, m.
 const WAITS_M: [[f32; 3]; 14] = [
     [0.0, 0.0, 0.0],
     [0.0, 0.0, 0.12],
@@ -50,19 +52,19 @@ const WAITS_M: [[f32; 3]; 14] = [
     [0.0, -0.4, 0.15],
 ];
 
-/// A piece to be added and how.
+/// A piece to add, and how.
 struct Job {
     parts: Parts,
     gripped: BlockIdx,
     target: Isometry3<f32>,
-    /// From the target to the beginning of the way in, world frame, m.
+    /// Vector from the target to the start of the approach path, world frame, m.
     way: Vector3<f32>,
 }
 
 impl Expert {
     /// Adds the next pieces to the base.
     pub(super) fn add(&mut self, view: &View, base: &Base) -> (Activity, Vec<Command>) {
-        // When all stand, a connection between two of them is still missing: the magnets close it.
+        // If all parts are placed, only a connection between two of them is missing, and the magnets close it.
         let Some(first) = self.assembly.next(base.side, base.parts) else { return (Activity::Adding, vec![]) };
         let Some(job) = self.job(view, base, base.parts, view.piece(first)) else {
             return (Activity::TakingDown, self.split_off(view, first));
@@ -77,7 +79,7 @@ impl Expert {
         (Activity::Adding, commands)
     }
 
-    /// What the other gripper does while `first` is brought in.
+    /// Returns what the other gripper does while `first` is brought in.
     fn second(&mut self, view: &View, base: &Base, first: &Job) -> Option<Command> {
         let (job, waits) = self.second_job(view, base, first)?;
         Some(match self.yields(view, &job, first) {
@@ -87,7 +89,7 @@ impl Expert {
         })
     }
 
-    /// The job of the other gripper, and whether it must wait for the first.
+    /// Returns the other gripper's job, and whether it must wait for the first.
     fn second_job(&mut self, view: &View, base: &Base, first: &Job) -> Option<(Job, bool)> {
         let after = base.parts.union(first.parts);
         let next = self.assembly.next(base.side, after)?;
@@ -104,9 +106,9 @@ impl Expert {
         Some((job, true))
     }
 
-    /// How to bring `piece` to the base when `placed` stands; `None` if it has no way in.
+    /// Returns how to bring `piece` to the base once `placed` stands, or `None` if there is no approach path.
     ///
-    /// Of several ways the first without strays on it; if there is none, the first.
+    /// Of several paths, it takes the first without strays, or else the first.
     fn job(&mut self, view: &View, base: &Base, placed: Parts, piece: Parts) -> Option<Job> {
         if piece.len() > 1 && !self.assembly.is_safe(base.side, placed.union(piece)) {
             return None;
@@ -119,7 +121,7 @@ impl Expert {
         for Approach { direction, length_half_units } in self.assembly.approaches(base.side, placed, piece) {
             let way = frame.rotation * Self::way_m(direction, length_half_units);
             let job = Job { parts: piece, gripped, target, way };
-            // Whoever is half way in goes on, or a stray at the margin would have it dither between two ways.
+            // A piece halfway in stays on its path, or a stray at the margin would make it dither between two paths.
             let is_coming = way_in(&self.limits, view.pose(gripped), &job).is_some();
             if is_coming || self.in_the_way(view, base, &job).is_none() {
                 return Some(job);
@@ -129,7 +131,7 @@ impl Expert {
         first
     }
 
-    /// The blueprint's frame as the block of the base has it that `piece` will touch.
+    /// Returns the blueprint's frame implied by the base's block that `piece` will touch.
     fn frame_beside(&self, view: &View, base: &Base, piece: Parts) -> Isometry3<f32> {
         let links = self.blueprint.links();
         let touching = links.iter().filter_map(|link| {
@@ -144,17 +146,17 @@ impl Expert {
         touching.max().map_or(base.frame, |(_, part)| self.frame_of(view, part))
     }
 
-    /// The boxes of a job's piece along its way in.
+    /// Returns the boxes of a job's piece along its approach path.
     fn swept(&self, view: &View, job: &Job) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
         [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().flat_map(|share| self.boxes_at(view, job, job.way * share)).collect()
     }
 
-    /// The boxes of a job's piece above the beginning of its way in.
+    /// Returns the boxes of a job's piece `height` meters above the start of its approach path.
     fn at_entry(&self, view: &View, job: &Job, height: f32) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
         self.boxes_at(view, job, job.way + Vector3::z() * height)
     }
 
-    /// The boxes of a job's piece when it is `offset` from its place.
+    /// Returns the boxes of a job's piece at `offset` from its target.
     fn boxes_at(&self, view: &View, job: &Job, offset: Vector3<f32>) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
         let to_gripped = view.pose(job.gripped).inverse();
         let mut pose = job.target;
@@ -163,14 +165,14 @@ impl Expert {
         job.parts.iter().map(|part| boxed(self.block(part))).collect()
     }
 
-    /// Whether two pieces can come in at the same time.
+    /// Returns whether two pieces can come in at the same time.
     fn apart(&self, view: &View, first: &Job, second: &Job) -> bool {
         let seconds = self.swept(view, second);
         let firsts = self.swept(view, first);
         firsts.iter().all(|(a, half_a)| seconds.iter().all(|(b, half_b)| gap((a, half_a), (b, half_b)) > 0.04))
     }
 
-    /// One step of bringing a piece in.
+    /// Returns one step of bringing a piece in.
     fn bring(&self, view: &View, job: &Job) -> Command {
         let load = Load::new(view, job.gripped);
         let from = view.pose(job.gripped);
@@ -182,7 +184,7 @@ impl Expert {
         Command { block: job.gripped, twist }
     }
 
-    /// One step away from the piece of the first job, if the two are carried close to each other.
+    /// Returns one step away from the first job's piece, if the two are carried close to each other.
     fn yields(&self, view: &View, job: &Job, first: &Job) -> Option<Command> {
         if !view.is_held(job.gripped) || !view.is_held(first.gripped) {
             return None;
@@ -201,11 +203,11 @@ impl Expert {
         Some(Command { block: job.gripped, twist: Twist { linear, angular: Vector3::zeros() } })
     }
 
-    /// One step of waiting near the beginning of the way in, off the way of the first job.
+    /// Returns one step of waiting near the start of the approach path, clear of the first job's path.
     fn wait(&self, view: &View, job: &Job, first: &Job) -> Command {
         let load = Load::new(view, job.gripped);
         let mut avoid = self.swept(view, first);
-        // The first one comes down on its way from above.
+        // The first piece comes down on its path from above.
         let above: Vec<_> = SKY_M.iter().flat_map(|&height| self.at_entry(view, first, height)).collect();
         avoid.extend(above);
         avoid.extend(first.parts.iter().map(|part| {
@@ -227,7 +229,7 @@ impl Expert {
         Command { block: job.gripped, twist }
     }
 
-    /// A block that is neither in the base nor carried and where the job's piece has to pass.
+    /// Returns a stray in the path of the job's piece: a block that is not held and not part of the base or the job.
     fn in_the_way(&self, view: &View, base: &Base, job: &Job) -> Option<BlockIdx> {
         let swept = self.swept(view, job);
         BlockIdx::all().find(|&block| {
@@ -240,7 +242,8 @@ impl Expert {
         })
     }
 
-    /// One step of a block away from the structure, and up: the nearest free ground would be a leap from scene to scene.
+    /// Throws a stray away from the structure and up for one step. The nearest free ground would jump from scene to
+    /// scene.
     fn fling(&self, view: &View, base: &Base, stray: BlockIdx) -> Command {
         let [x, y] = self.middle(&base.frame, base.side);
         let middle = Vector3::new(x, y, 0.0);
@@ -252,8 +255,9 @@ impl Expert {
     }
 }
 
-/// The motion along the way in, if the piece is on it: as far in as it is aligned. The more gradual this is, the easier to
-/// imitate: a gate that opens at some alignment keeps out whoever hovers beside it.
+/// Returns the motion along the approach path if the piece is on it. The better aligned it is, the farther in it moves.
+/// A gradual motion is easier to imitate: a gate that opens at a certain alignment locks out a piece that hovers beside
+/// it.
 fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
     let length = job.way.norm();
     let direction = job.way / length;

@@ -1,4 +1,4 @@
-//! How a gripper moves what it holds: straight to a pose, over what is in the way.
+//! How a gripper moves its load: straight to a pose, or over obstacles.
 
 use blueprints::BlockIdx;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -7,28 +7,30 @@ use proto::Move;
 use super::view::View;
 use crate::config::EnvironmentConfig;
 
-/// Free space that is kept to other blocks on the way, m.
+/// Minimum gap to other blocks on the way, m.
 const MARGIN_M: f32 = 0.022;
-/// Poses looked at per control step of a predicted path.
+/// Poses sampled per control step of a predicted path.
 const SAMPLES_PER_STEP: usize = 3;
-/// Steps of a path that are looked at.
+/// Maximum number of predicted steps.
 const MAX_STEPS: usize = 9;
-/// Detours: heights above the target that are tried one after the other, m.
+/// Detours: heights above the target, tried in this order, m.
 const DETOURS_M: [f32; 9] = [0.0, 0.08, 0.16, 0.24, 0.34, 0.46, 0.6, 0.8, 1.1];
 
-/// Far from its target a block is carried this much above it, m: over what lies around.
+/// Height above its target at which a block is carried while far from it, m; clears other blocks.
 const CRUISE_M: f32 = 0.2;
-/// Within this distance from the axis above its target it goes straight there; further out as much higher as it is further, m.
+/// Horizontal distance from the target within which a block goes straight to it, m. Farther out, the block stays higher
+/// by the excess distance.
 const FUNNEL_M: f32 = 0.1;
 
-/// A block that has to rise by no more than this moves sideways as well, m, and less and less if it has up to so much more.
+/// Climb up to which a block also moves sideways at full speed, m. Over the next `CLIMB_M`, the sideways speed falls to
+/// 0.
 const FREE_CLIMB_M: f32 = 0.1;
 const CLIMB_M: f32 = 0.3;
 
-/// Nothing is carried higher than this, m.
+/// Maximum height of a load that rises because no path is free, m.
 const CEILING_M: f32 = 1.6;
 
-/// What the grippers can do.
+/// Limits of the grippers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Limits {
     pub(super) max_speed_mps: f32,
@@ -36,14 +38,14 @@ pub(super) struct Limits {
     pub(super) step_s: f32,
 }
 
-/// A motion of a held block over one step, world frame.
+/// Motion of a held block over one step, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Twist {
     pub(super) linear: Vector3<f32>,
     pub(super) angular: Vector3<f32>,
 }
 
-/// Everything a carried component is made of, relative to the block that is gripped.
+/// All blocks of a carried component, relative to the gripped block.
 pub(super) struct Load {
     pub(super) gripped: BlockIdx,
     boxes: Vec<(BlockIdx, Isometry3<f32>)>,
@@ -58,9 +60,10 @@ impl Limits {
         }
     }
 
-    /// The motion that reaches `to` from `from` in one step, or as fast as the gripper can.
+    /// Returns the motion that reaches `to` from `from` in one step, or approaches it as fast as the gripper can.
     ///
-    /// The world clips each component in the block's frame, which would bend the path: here all shrink together.
+    /// The world clips each component in the block's frame, which would bend the path. Here, all components shrink
+    /// together.
     pub(super) fn toward(&self, from: &Isometry3<f32>, to: &Isometry3<f32>) -> Twist {
         let linear = (to.translation.vector - from.translation.vector) / self.step_s;
         let angular = (to.rotation * from.rotation.inverse()).scaled_axis() / self.step_s;
@@ -75,14 +78,14 @@ impl Limits {
         Twist { linear: shrink(twist.linear, self.max_speed_mps), angular: shrink(twist.angular, self.max_turn_radps) }
     }
 
-    /// The motion as an entry of an action: in the frame of the block, in fractions of the limits.
+    /// Returns the motion as an action entry: in the block's frame, in fractions of the limits.
     pub(super) fn entry(&self, frame: &UnitQuaternion<f32>, twist: Twist) -> Move {
         let linear = frame.inverse_transform_vector(&twist.linear) / self.max_speed_mps;
         let angular = frame.inverse_transform_vector(&twist.angular) / self.max_turn_radps;
         [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z].map(|x| x.clamp(-1.0, 1.0))
     }
 
-    /// The motion along an arch to `to`: far from it a block rises first and is carried above what lies around.
+    /// Returns the motion along an arch to `to`: far from it, a block first rises and is carried above other blocks.
     pub(super) fn arch(&self, from: &Isometry3<f32>, to: &Isometry3<f32>) -> Twist {
         let apart = (to.translation.vector - from.translation.vector).xy().norm();
         let mut via = *to;
@@ -97,7 +100,7 @@ impl Limits {
         self.clipped(&from.rotation, twist)
     }
 
-    /// Where a motion leads in `fraction` of a step.
+    /// Returns the pose after `fraction` of a step.
     fn advanced(&self, from: &Isometry3<f32>, twist: Twist, fraction: f32) -> Isometry3<f32> {
         let dt = self.step_s * fraction;
         let turn = UnitQuaternion::from_scaled_axis(twist.angular * dt);
@@ -106,7 +109,7 @@ impl Limits {
 }
 
 impl Load {
-    /// What hangs together with `gripped`.
+    /// Creates a load of all blocks that are connected to `gripped`.
     pub(super) fn new(view: &View, gripped: BlockIdx) -> Self {
         let inverse = view.pose(gripped).inverse();
         let boxes = BlockIdx::all()
@@ -120,10 +123,11 @@ impl Load {
         self.boxes.iter().any(|&(b, _)| b == block)
     }
 
-    /// Moves the gripped block to `target`: up, over and down a funnel if nothing is in the way, else straight over a point
+    /// Moves the gripped block to `target`: along an arch if nothing is in the way, else straight to it or to a point
     /// above it, else up.
     ///
-    /// The first is a smooth function of where block and target are, which can be imitated; the shortest free way is not.
+    /// The arch is a smooth function of the poses of block and target, which a policy can imitate; the shortest free
+    /// path is not.
     pub(super) fn go(&self, view: &View, limits: &Limits, target: &Isometry3<f32>) -> Twist {
         let from = view.pose(self.gripped);
         if self.is_free(view, limits, from, |at| limits.arch(at, target)) {
@@ -136,13 +140,13 @@ impl Load {
                 return limits.toward(from, &via);
             }
         }
-        // Up without turning: the start may be narrow.
+        // Go up without turning, because the start may be narrow.
         let mut via = *from;
         via.translation.z = (via.translation.z + limits.max_speed_mps * limits.step_s).min(CEILING_M);
         limits.toward(from, &via)
     }
 
-    /// Whether a way of moving from `from` on touches nothing.
+    /// Returns whether moving from `from` according to `way` touches nothing.
     pub(super) fn is_free(
         &self,
         view: &View,
@@ -158,7 +162,7 @@ impl Load {
             }
             for sample in 1..=SAMPLES_PER_STEP {
                 let pose = limits.advanced(&at, twist, sample as f32 / SAMPLES_PER_STEP as f32);
-                // What is close already may stay close for a moment.
+                // Blocks that are already close may stay close for a moment.
                 let margin = if step == 0 { MARGIN_M * sample as f32 / SAMPLES_PER_STEP as f32 } else { MARGIN_M };
                 if self.hits(view, &pose, margin) {
                     return false;
@@ -169,7 +173,7 @@ impl Load {
         true
     }
 
-    /// Whether the load at `pose` comes within `margin` meters of another block, or goes into the ground.
+    /// Returns whether the load at `pose` comes within `margin` meters of another block or goes into the ground.
     pub(super) fn hits(&self, view: &View, pose: &Isometry3<f32>, margin: f32) -> bool {
         self.boxes.iter().any(|(block, relative)| {
             let at = pose * relative;
@@ -184,7 +188,7 @@ impl Load {
 }
 
 impl Load {
-    /// Height of the lowest corner of the load at `pose`, m.
+    /// Returns the height of the load's lowest corner at `pose`, m.
     pub(super) fn lowest_m(&self, view: &View, pose: &Isometry3<f32>) -> f32 {
         let low = |(block, relative): &(BlockIdx, Isometry3<f32>)| {
             lowest(&(pose * relative), &view.half_extents[block.get()])
@@ -192,7 +196,7 @@ impl Load {
         self.boxes.iter().map(low).fold(f32::INFINITY, f32::min)
     }
 
-    /// Distance of the load's furthest corner from the middle of the gripped block, m.
+    /// Returns an upper bound on the distance of the load's corners from the center of the gripped block, m.
     pub(super) fn radius_m(&self, view: &View) -> f32 {
         let far = |(block, relative): &(BlockIdx, Isometry3<f32>)| {
             relative.translation.vector.norm() + view.half_extents[block.get()].norm()
@@ -200,7 +204,7 @@ impl Load {
         self.boxes.iter().map(far).fold(0.0, f32::max)
     }
 
-    /// Whether the load at `pose` is at least `margin` meters from all of `boxes`.
+    /// Returns whether the load at `pose` is at least `margin` meters from all of `boxes`.
     pub(super) fn is_apart(
         &self,
         view: &View,
@@ -216,7 +220,7 @@ impl Load {
     }
 }
 
-/// Height of the lowest corner, m.
+/// Returns the height of a box's lowest corner, m.
 pub(super) fn lowest(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
     pose.translation.z - reach(pose, half)
 }
@@ -226,9 +230,9 @@ fn reach(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
     down.abs().dot(half)
 }
 
-/// A distance in meters that two boxes are apart at least; negative if they overlap, or only almost.
+/// Returns a lower bound on the distance between two boxes in meters; negative if they overlap or almost overlap.
 ///
-/// Separating axes, the six face normals only: edges against edges are taken as closer than they are.
+/// Separating-axis test with only the six face normals, which underestimates the distance between edges.
 pub(super) fn gap(a: (&Isometry3<f32>, &Vector3<f32>), b: (&Isometry3<f32>, &Vector3<f32>)) -> f32 {
     let between = b.0.translation.vector - a.0.translation.vector;
     let apart = between.norm() - a.1.norm() - b.1.norm();

@@ -1,4 +1,4 @@
-//! Where to build: on free ground, outwards from where the blocks lie.
+//! Where to build: on free ground, away from the other blocks.
 
 use blueprints::assembly::extent_m;
 use blueprints::{BlockIdx, UNIT_M};
@@ -7,43 +7,45 @@ use nalgebra::{Isometry3, Vector2, Vector3};
 use super::view::View;
 use super::{Base, Expert};
 
-/// More room than for a structure of this radius is not looked for, m.
+/// Maximum structure radius for which the expert looks for room, m.
 const MAX_RADIUS_M: f32 = 0.25;
-/// Room for a block beside the structure, and for that part of the structure which is beyond its blocks' centers, m.
+/// Room for a block beside the structure, and for the part of the structure beyond its blocks' centers, m.
 const STRAY_RADIUS_M: f32 = 0.25;
-/// Weight of the push of near blocks beside the push outwards.
+/// Weight of the push from nearby blocks, relative to the outward push.
 const PUSH_WEIGHT: f32 = 0.7;
-/// Where near blocks are as many as this, each counted by how near it is, the push outwards has its full weight.
+/// Number of nearby blocks, weighted by proximity, at which the outward push has its full weight.
 const CROWD: f32 = 1.5;
 
 impl Expert {
-    /// Middle of the finished structure, m, blueprint frame, and its radius seen from above, m.
+    /// Returns the center of the finished structure in the blueprint's frame, m, and its radius seen from above, m.
     fn extent_m(&self, side: usize) -> ([f32; 3], f32) {
         extent_m(self.blueprint.placements(), self.assembly.up(side))
     }
 
-    /// Where the middle of the finished structure would be.
+    /// Returns where the center of the finished structure would be.
     pub(super) fn middle(&self, frame: &Isometry3<f32>, side: usize) -> [f32; 2] {
         let middle = frame * nalgebra::Point3::from(self.extent_m(side).0);
         [middle.x, middle.y]
     }
 
-    /// The frame set down so that the middle of the finished structure is at `xy`.
+    /// Returns the frame set down so that the center of the finished structure is at `xy`.
     pub(super) fn frame_at(&self, frame: &Isometry3<f32>, side: usize, xy: [f32; 2]) -> Isometry3<f32> {
         let at_origin = self.set_down(frame, side, [0.0, 0.0]);
         let middle = self.middle(&at_origin, side);
         self.set_down(frame, side, [xy[0] - middle[0], xy[1] - middle[1]])
     }
 
-    /// Where the blocks that lie near the base push it, a unit vector; `None` if there is room for the structure.
+    /// Returns the direction in which nearby blocks push the base, as a unit vector; `None` if there is room for the
+    /// structure.
     ///
-    /// In a crowd it leads away from the middle of all strays, around what is near; where few are near, away from those. It
-    /// changes smoothly with the scene, so that it can be imitated, unlike a search over the whole ground.
+    /// In a crowd, it points away from the mean of all strays and around nearby ones. With few blocks nearby, it points
+    /// away from those. It changes smoothly with the scene, so a policy can imitate it, unlike a search over the whole
+    /// ground.
     pub(super) fn push(&self, view: &View, base: &Base) -> Option<Vector2<f32>> {
         let here = Vector2::from(self.middle(&base.frame, base.side));
         let reach = self.extent_m(base.side).1.min(MAX_RADIUS_M) + STRAY_RADIUS_M;
         let strays = BlockIdx::all()
-            // What is held is on its way somewhere.
+            // Held blocks are on their way somewhere.
             .filter(|&block| !view.is_held(block))
             .filter(|block| !view.part_of[block.get()].is_some_and(|part| base.parts.contains(part)));
         let away: Vec<Vector2<f32>> = strays.map(|stray| here - view.pose(stray).translation.vector.xy()).collect();
@@ -53,12 +55,12 @@ impl Expert {
         let crowd: f32 = away.iter().filter(near).map(|away| 1.0 - away.norm() / reach).sum();
         let all: Vector2<f32> = away.iter().sum();
         let outwards = all.try_normalize(1e-3).unwrap_or_else(Vector2::x) * (crowd / CROWD).min(1.0);
-        // In a crowd near blocks turn the way aside, and less than back.
+        // In a crowd, nearby blocks deflect the direction but never reverse it.
         let aside = push * (PUSH_WEIGHT / push.norm().max(1.0));
         (crowd > 0.0).then(|| (outwards + aside).try_normalize(1e-3).unwrap_or_else(Vector2::x))
     }
 
-    /// Length of a way in, m.
+    /// Returns the vector along an approach path, m.
     pub(super) fn way_m(direction: [i32; 3], length_half_units: i32) -> Vector3<f32> {
         Vector3::from(direction.map(|x| x as f32)) * (length_half_units as f32 * UNIT_M / 2.0)
     }

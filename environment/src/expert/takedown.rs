@@ -1,4 +1,4 @@
-//! Taking connections apart: two grippers pull at two blocks.
+//! Takes connections apart: two grippers pull at two blocks.
 
 use blueprints::assembly::Parts;
 use blueprints::{BlockIdx, Inventory};
@@ -9,23 +9,23 @@ use super::motion::{Twist, lowest};
 use super::view::View;
 use super::{Command, Expert};
 
-/// Height from which a structure is thrown on the ground, m.
+/// Height from which a structure is thrown onto the ground, m.
 const SLAM_HEIGHT_M: f32 = 0.17;
-/// Share of the speed limit with which a connection is pulled apart while it is bent and twisted. Bending breaks it, since
-/// a gripped block is a lever; pulling alone would need the full speed, and the ends would fly 2 m.
+/// Share of the speed limit at which a connection is pulled apart while it is bent and twisted. Bending breaks it,
+/// because a gripped block is a lever. Pulling alone would need the full speed, and the ends would fly 2 m.
 const PULL: f32 = 0.4;
 /// Share of the pull that also lifts the looser end off the ground.
 const LIFT: f32 = 0.3;
-/// A connection this close to upright is upright, rad.
+/// Maximum angle from vertical of a connection that counts as upright, rad.
 const UPRIGHT_RAD: f32 = 0.5;
-/// What is lower than this touches the ground, m.
+/// Height below which a structure touches the ground, m.
 const GROUND_M: f32 = 0.03;
 
 impl Expert {
-    /// Pulls a piece off what it wrongly hangs on; `None` if no connection is wrong.
+    /// Pulls a piece off its wrong connections; `None` if no connection is wrong.
     pub(super) fn take_down(&self, view: &View) -> Option<Vec<Command>> {
         let wrong = &view.wrong;
-        // A piece goes by its first block.
+        // A piece is identified by its first block.
         let node = |block: BlockIdx| {
             view.part_of[block.get()]
                 .and_then(|part| view.piece(part).iter().next())
@@ -58,7 +58,7 @@ impl Expert {
         Some(self.pull(view, own, other, pull))
     }
 
-    /// Takes a part off a piece that can not be completed.
+    /// Takes a part off a piece that cannot be completed.
     pub(super) fn shrink(&mut self, view: &View, piece: Parts) -> Vec<Command> {
         let safe = |expert: &mut Self, rest: Parts| {
             (0..expert.assembly.n_sides()).any(|side| expert.assembly.is_safe(side, rest))
@@ -68,7 +68,7 @@ impl Expert {
         off.map_or_else(Vec::new, |part| self.split_off(view, part))
     }
 
-    /// Pulls one part off the rightly connected piece that it belongs to.
+    /// Pulls one part off the correctly connected piece that it belongs to.
     pub(super) fn split_off(&self, view: &View, part: usize) -> Vec<Command> {
         let block = self.block(part);
         let mut pull = Vector3::zeros();
@@ -85,7 +85,7 @@ impl Expert {
         grip.map_or_else(Vec::new, |(_, other)| self.pull(view, block, other, pull))
     }
 
-    /// Bends, twists and pulls two connected blocks apart.
+    /// Bends, twists, and pulls two connected blocks apart.
     fn pull(&self, view: &View, own: BlockIdx, other: BlockIdx, direction: Vector3<f32>) -> Vec<Command> {
         let direction = direction.try_normalize(0.1).unwrap_or_else(Vector3::z);
         if self.n_grippers < 2 {
@@ -103,13 +103,13 @@ impl Expert {
 }
 
 impl Expert {
-    /// One gripper alone cannot pull: it turns the connection upright, lifts it and throws it on the ground.
+    /// Turns the connection upright, lifts it, and throws it onto the ground, because one gripper alone cannot pull.
     fn slam(&self, view: &View, own: BlockIdx, direction: Vector3<f32>) -> Command {
         let blocks = BlockIdx::all().filter(|&block| view.together(block, own));
         let low = blocks.map(|b| lowest(view.pose(b), &view.half_extents[b.get()])).fold(f32::INFINITY, f32::min);
         let from = view.pose(own);
         let mut to = *from;
-        // What is above loads the connection with its weight, so the heavier side goes there.
+        // The upper side loads the connection with its weight, so the heavier side goes on top.
         let volume = |b: BlockIdx| view.half_extents[b.get()].product();
         let rest: f32 = BlockIdx::all().filter(|&b| b != own && view.together(b, own)).map(volume).sum();
         let up = if volume(own) > rest { direction } else { -direction };
@@ -118,18 +118,18 @@ impl Expert {
         if let Some(turn) = turn {
             to.rotation = turn * to.rotation;
         }
-        // A height that no whole number of steps falls down from, so that the gripper still pushes when it arrives.
+        // No whole number of steps covers this height, so the gripper still pushes when it arrives.
         to.translation.z += if turn.is_some() || low < GROUND_M { (SLAM_HEIGHT_M - low).max(0.0) } else { -1.0 };
         Command { block: own, twist: self.limits.toward(from, &to) }
     }
 }
 
-/// Magnet pairs of a connection.
+/// Returns the number of magnet pairs of a connection.
 fn n_pairs(joint: &Joint) -> usize {
     Inventory::standard().magnet_pairs(joint.a, joint.b, joint.relative).len()
 }
 
-/// From `a` to `b` across the faces that meet, in `a`'s frame.
+/// Returns the direction from `a` to `b` across the connected faces, in `a`'s frame.
 fn normal(joint: &Joint) -> Vector3<f32> {
     let inventory = Inventory::standard();
     let pairs = inventory.magnet_pairs(joint.a, joint.b, joint.relative);

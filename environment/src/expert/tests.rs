@@ -1,4 +1,4 @@
-//! The expert builds, takes apart and never contradicts itself.
+//! The expert builds, takes apart, and decides consistently.
 
 use blueprints::{BlueprintId, Catalog};
 use proto::{Start, Status, Task};
@@ -12,7 +12,7 @@ fn id(text: &str) -> BlueprintId {
     text.parse().unwrap()
 }
 
-/// A world at the start of an episode, and the expert for its goal.
+/// Returns a world at the start of an episode and the expert for its goal.
 fn begin(config: &EnvironmentConfig, goal: &str, start: Start, seed: u64) -> (World, Expert) {
     let mut world = World::new(config).unwrap();
     let assignment = sample_assignment(&mut ChaCha8Rng::seed_from_u64(seed));
@@ -21,7 +21,7 @@ fn begin(config: &EnvironmentConfig, goal: &str, start: Start, seed: u64) -> (Wo
     (world, expert)
 }
 
-/// Lets the expert work to the end of the episode; `true` if it succeeds.
+/// Runs the expert to the end of the episode and returns whether it succeeds.
 fn finish(world: &mut World, expert: &mut Expert) -> bool {
     loop {
         let action = expert.act(world.scene());
@@ -71,7 +71,7 @@ fn one_gripper_builds_and_takes_down_what_stands() {
 
 #[test]
 fn an_action_depends_on_the_scene_and_the_blueprint_alone() {
-    // An expert that has seen the whole episode and one that sees only this scene do the same.
+    // An expert that has seen the whole episode and one that sees only this scene act alike.
     for (goal, start) in [("4_000", Start::Prebuilt(id("6_000"))), ("12_000", Start::Scattered)] {
         let config = two_grippers();
         let (mut world, mut expert) = begin(&config, goal, start, 1);
@@ -91,7 +91,7 @@ fn its_actions_are_those_of_a_policy() {
     let (mut world, mut expert) = begin(&two_grippers(), "6_005", Start::Scattered, 5);
     loop {
         let action = expert.act(world.scene());
-        // There is no null action: every gripper chooses a block, and no entry is beyond the limits.
+        // There is no null action: every gripper chooses a block, and no entry exceeds the limits.
         assert!(action.choices.iter().all(Option::is_some));
         assert!(action.moves.iter().flatten().all(|x| (-1.0..=1.0).contains(x)));
         if world.step(&action).status != Status::Running {
@@ -102,7 +102,7 @@ fn its_actions_are_those_of_a_policy() {
 
 #[test]
 fn it_recovers_from_what_it_did_not_do() {
-    // Random actions for a while, which drop and knock things about, then the expert again.
+    // Every other of the first 20 actions is random, which drops and displaces blocks. Then the expert finishes.
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let mut n_built = 0;
     for seed in 0..4 {
@@ -141,7 +141,7 @@ fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
     assert!(is_free(from, at(0.15, 0.05)), "up to its side");
     assert!(is_free(at(0.0, 0.3), at(0.6, 0.3)), "over both");
     assert!(!is_free(from, at(0.0, 0.0)), "into the ground");
-    // On the way to the far side it goes up first.
+    // To reach the far side, it goes up first.
     let twist = load.go(&view, limits, &at(0.45, 0.05));
     assert!(twist.linear.z > 0.5, "{twist:?}");
 }

@@ -1,4 +1,4 @@
-//! What the expert reads out of a scene: pieces that are right, connections that are wrong, where everything is.
+//! What the expert reads from a scene: correct pieces, wrong connections, and poses.
 
 use blueprints::assembly::Parts;
 use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
@@ -8,24 +8,24 @@ use proto::{Joint, N_GRIPPERS, Scene};
 use crate::connections::block_array;
 use crate::convert::from_pose;
 
-/// A scene seen with a goal in mind.
+/// A scene in terms of a goal.
 pub(super) struct View {
     pub(super) poses: [Isometry3<f32>; N_BLOCKS],
     pub(super) half_extents: [Vector3<f32>; N_BLOCKS],
-    /// The blueprint's part that a block is.
+    /// The blueprint part that each block plays.
     pub(super) part_of: [Option<usize>; N_BLOCKS],
-    /// For each part, the parts that hang together with it through right connections only.
+    /// For each part, the parts joined to it by correct connections only.
     pieces: Vec<Parts>,
     /// Connections that the blueprint does not have.
     pub(super) wrong: Vec<Joint>,
     pub(super) joints: Vec<Joint>,
     pub(super) held: [Option<BlockIdx>; N_GRIPPERS],
-    /// Lowest block of each block's component, through whatever connections.
+    /// Lowest block index in each block's component, over all connections.
     components: [usize; N_BLOCKS],
 }
 
 impl View {
-    /// `blocks` are those that play the assembly's parts.
+    /// Creates a view; `blocks` play the assembly's parts, in order.
     pub(super) fn new(scene: &Scene, blueprint: &Blueprint, blocks: &[BlockIdx]) -> Self {
         let poses = scene.blocks.each_ref().map(from_pose);
         let half_extents = block_array(|block| Vector3::from(Inventory::standard().half_extents_m(block)));
@@ -61,17 +61,17 @@ impl View {
         }
     }
 
-    /// The parts that hang together with `part` through right connections.
+    /// Returns the parts joined to `part` by correct connections.
     pub(super) fn piece(&self, part: usize) -> Parts {
         self.pieces[part]
     }
 
-    /// All pieces, each once.
+    /// Returns all pieces, each once.
     pub(super) fn pieces(&self) -> impl Iterator<Item = Parts> + '_ {
         self.pieces.iter().enumerate().filter(|&(part, piece)| piece.iter().next() == Some(part)).map(|(_, &p)| p)
     }
 
-    /// Whether two blocks hang together through whatever connections.
+    /// Returns whether any connections join the two blocks, directly or through others.
     pub(super) fn together(&self, a: BlockIdx, b: BlockIdx) -> bool {
         self.components[a.get()] == self.components[b.get()]
     }

@@ -3,19 +3,19 @@
 use blueprints::{BlockIdx, Inventory};
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
-/// A block that rests on one of its faces, seen from above.
+/// A block at rest on one of its faces, seen from above.
 #[derive(Clone, Debug)]
 pub(crate) struct Footprint {
     /// Center in meters.
     pub(crate) center: [f32; 2],
-    /// Half of the height in meters.
+    /// Half the height in meters.
     pub(crate) half_height: f32,
     /// The two half sides as vectors, m.
     sides: [Vector2<f32>; 2],
 }
 
 impl Footprint {
-    /// Of a block with one axis upright; `center` in meters.
+    /// Returns the footprint of a block with one axis upright; `center` is in meters.
     pub(crate) fn new(block: BlockIdx, rotation: &UnitQuaternion<f32>, center: [f32; 2]) -> Self {
         let half = Inventory::standard().half_extents_m(block);
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| rotation * axis);
@@ -24,7 +24,7 @@ impl Footprint {
         Self { center, half_height: half[upright], sides: [side((upright + 1) % 3), side((upright + 2) % 3)] }
     }
 
-    /// A distance in meters that the two are apart at least; negative or zero if they may overlap.
+    /// Returns a lower bound on the distance between the two in meters; negative or zero if they may overlap.
     pub(crate) fn gap(&self, other: &Self) -> f32 {
         let between = Vector2::from(other.center) - Vector2::from(self.center);
         let shadow = |of: &Self, axis: &Vector2<f32>| of.sides.iter().map(|s| s.dot(axis).abs()).sum::<f32>();
@@ -49,7 +49,7 @@ mod tests {
         let at = |x: f32, yaw: f32| {
             Footprint::new(cube, &UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw), [x, 0.0])
         };
-        // Centers 0.2 apart, each reaches 0.05; turned by 45° it reaches 0.0707.
+        // The centers are 0.2 apart, and each cube reaches 0.05; turned by 45°, it reaches 0.0707.
         assert!((at(0.0, 0.0).gap(&at(0.2, 0.0)) - 0.1).abs() < 1e-6);
         assert!((at(0.0, 0.0).gap(&at(0.2, std::f32::consts::FRAC_PI_4)) - 0.079289).abs() < 1e-5);
         assert!(at(0.0, 0.0).gap(&at(0.09, 0.0)) < 0.0);

@@ -1,4 +1,4 @@
-//! A structure on the ground, whole or in part.
+//! A structure on the ground, complete or partial.
 
 use std::f32::consts::TAU;
 
@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{Draft, Footprint, half_size, symmetric, yaw_of};
 use crate::config::ResetConfig;
 
-/// The blocks `kept` of `blueprint` stand connected near the origin, turned by a random yaw, the lowest on the ground.
+/// Connects the blocks `kept` of `blueprint` near the origin, turned by a random yaw, with the lowest on the ground.
 pub(super) fn stand(config: &ResetConfig, blueprint: &Blueprint, kept: &[BlockIdx], rng: &mut ChaCha8Rng) -> Draft {
     let placements: Vec<_> = blueprint.placements().iter().filter(|p| kept.contains(&p.block)).collect();
     let n = placements.len().max(1) as f32;
@@ -34,8 +34,8 @@ pub(super) fn stand(config: &ResetConfig, blueprint: &Blueprint, kept: &[BlockId
     draft
 }
 
-/// The blocks that are left when `undone` are taken off one by one, so that the rest stays connected and, where
-/// possible, stands.
+/// Returns the blocks that remain after `undone` are removed one by one. The rest stays connected and, where possible,
+/// stands.
 pub(super) fn remaining_after(blueprint: &Blueprint, undone: u8, rng: &mut ChaCha8Rng) -> Vec<BlockIdx> {
     let mut kept: Vec<_> = blueprint.placements().iter().map(|p| p.block).collect();
     for _ in 0..undone {
@@ -44,7 +44,7 @@ pub(super) fn remaining_after(blueprint: &Blueprint, undone: u8, rng: &mut ChaCh
         let without = |block: BlockIdx| kept.iter().copied().filter(|&b| b != block).collect::<Vec<_>>();
         let mut choices: Vec<_> = order.into_iter().map(without).filter(|rest| is_connected(blueprint, rest)).collect();
         let standing = choices.iter().position(|rest| stands(blueprint, rest));
-        // A connected structure always has a block whose loss leaves it connected.
+        // A connected structure always has a block whose removal leaves it connected.
         kept = choices.swap_remove(standing.unwrap_or(0));
     }
     kept
@@ -65,9 +65,9 @@ fn is_connected(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
     reached.len() == blocks.len()
 }
 
-/// Whether the center of mass is above the rectangle about the lowest blocks.
+/// Returns whether the center of mass is above the bounding rectangle of the lowest blocks.
 ///
-/// The rectangle is a little larger than the true support; a structure that falls over is a poor start, not an error.
+/// The rectangle is slightly larger than the true support. A structure that falls over is a poor start, not an error.
 fn stands(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
     let placements: Vec<_> = blueprint.placements().iter().filter(|p| blocks.contains(&p.block)).collect();
     let bottom = placements.iter().map(|p| bottom_half_units(p)).min();
