@@ -1,4 +1,4 @@
-//! Settings of an evaluator.
+//! Evaluator settings.
 
 use blueprints::{Blueprint, BlueprintId, Catalog, Group, N_BLOCKS, Split};
 use proto::setting::{Section, Setting, key};
@@ -11,100 +11,100 @@ settings! {
     pub struct EvaluatorConfig {
         /// Time between evaluations. Default: 10 minutes (paper, "Performance Evaluation").
         pub every: Every;
-        /// Whether `train` evaluates the last weights before it ends, whatever [`Self::every`] says.
+        /// Whether `train` evaluates the last weights before it ends, regardless of [`Self::every`].
         pub evaluate_last: bool = false;
-        /// Which blueprints. By default the paper's splits.
+        /// Blueprints to evaluate. Default: the paper's splits.
         pub selection: Selection;
-        /// Splits that the evaluation of the last weights covers besides the selection's: those that are to decide
-        /// nothing during training. Only `train` with `evaluate_last` knows which weights are the last.
+        /// Additional splits for the evaluation of the last weights, such as splits that must not influence training.
+        /// Only `train` with `evaluate_last` knows which weights are the last.
         pub last_splits: Vec<Split> = Vec::new(),
             where |c| are_distinct(&c.last_splits) => "names of splits, none twice";
         /// How episodes are run.
         pub episodes: EpisodeConfig;
-        /// Goals in a row without a reset, after the episodes; absent, as by default, means none.
+        /// Several goals in a row without a reset, after the episodes. Default: none.
         pub reset_free: Option<ResetFreeConfig>;
-        /// How far the evaluation's threads stand back when others want the processor, as for the command `nice`; Linux
-        /// only. By default training is not held up.
+        /// Niceness of the evaluation's threads, as for the command `nice`; Linux only. The default keeps evaluations
+        /// from slowing down training.
         pub nice: i32 = 10, in 0..=19;
-        /// Films of some episodes. Default: a success and a failure of every group.
+        /// Films of some episodes. Default: one success and one failure per group.
         pub films: FilmsConfig;
     }
 
     /// A choice of blueprints from the catalog.
     #[derive(Eq)]
     pub struct Selection {
-        /// The splits, none twice.
+        /// The splits, without duplicates.
         pub splits: Vec<Split> = Split::PAPER.to_vec();
-        /// Fewest and most blocks.
+        /// Minimum and maximum number of blocks.
         pub sizes: [usize; 2] = [1, N_BLOCKS], in 1..=N_BLOCKS,
             where |c| c.sizes.is_sorted() => "two ascending numbers";
-        /// These only, when it is not empty.
+        /// If not empty, restricts the selection to these blueprints.
         pub blueprints: Vec<BlueprintId> = Vec::new();
     }
 
     /// How the episodes of an evaluation are run.
     #[derive(Eq)]
     pub struct EpisodeConfig {
-        /// Episodes for each blueprint and way of acting; the default is the paper's.
+        /// Episodes per blueprint and action mode; the default is the paper's.
         pub n_episodes: u32 = 40, in 1..=10_000;
-        /// How they begin.
+        /// How the episodes begin.
         pub starts: Starts = Starts::Scattered;
-        /// Whether each world draws its settings within `environment.randomization`, as in training. By default all worlds
-        /// have those of the environment itself, so that runs can be compared.
+        /// Whether each world draws its settings from `environment.randomization`, as in training. By default, all
+        /// worlds use the settings of the environment itself, so that runs can be compared.
         pub randomization: bool = false;
-        /// Ways of acting.
+        /// Action modes.
         pub acting: Vec<ActionMode> = vec![ActionMode::Greedy, ActionMode::Sampled],
             where |c| !c.acting.is_empty() && are_distinct(&c.acting) => "\"mode\", \"sampled\" or both";
-        /// Threads. By default training loses at most one core while an evaluation runs.
+        /// Number of threads. By default, training loses at most one core while an evaluation runs.
         pub n_threads: usize = 1, in 1..=64;
-        /// Worlds of a thread; each step is one forward pass over them.
+        /// Worlds per thread; each step is one forward pass over all of them.
         pub n_worlds: usize = 20, in 1..=1024;
     }
 
-    /// Runs over several goals in a world that is never reset (paper, "Reset-Free Evaluation", which gives the
-    /// defaults).
+    /// Runs of several goals in a world that is never reset. The defaults are from the paper, "Reset-Free Evaluation".
     #[derive(Eq)]
     pub struct ResetFreeConfig {
         /// Number of runs.
         pub n_runs: u32 = 50, in 1..=10_000;
-        /// Goals of a run.
+        /// Goals per run.
         pub n_goals: u32 = 10, in 1..=1000;
-        /// Fewest blocks of a goal; goals are training blueprints.
+        /// Minimum number of blocks of a goal; goals are training blueprints.
         pub min_blocks: usize = 12, in 1..=N_BLOCKS;
     }
 
-    /// Which episodes of an evaluation become films, and how. Only an evaluator that keeps records makes any.
+    /// Which episodes of an evaluation become films, and how. Only an evaluator that keeps records makes films.
     ///
-    /// They are made by default, because numbers do not say what a policy does wrong, and cost little: two films for
-    /// each group and evaluation, each about a second on one core.
+    /// Films are on by default because numbers do not show what a policy does wrong. They cost little: two films per
+    /// group and evaluation, each about a second on one core.
     #[derive(Eq)]
     pub struct FilmsConfig {
-        /// Groups of blueprints, by their names in reports.
+        /// Groups of blueprints to film, by their names in reports.
         pub groups: Vec<Group> = Group::ALL.to_vec(),
             where |c| are_distinct(&c.groups) => "names of groups, none twice";
-        /// Blueprints of which films are made besides.
+        /// Blueprints to film in addition to the groups.
         pub blueprints: Vec<BlueprintId> = Vec::new(),
             where |c| are_distinct(&c.blueprints) => "names of blueprints, none twice";
-        /// Successes, and as many failures, that an evaluation films of each of those; the first ones with the first way of
-        /// acting.
+        /// Number of successes, and of failures, filmed per group or blueprint in each evaluation: the first ones in
+        /// the first action mode.
         pub n_of_each: u32 = 1, in 0..=10;
         /// Width of the frames in pixels.
         pub width: usize = 640, in MIN_WIDTH..=MAX_WIDTH;
-        /// Frames per second; a second has ten steps of the world.
+        /// Frames per second; a second is ten timesteps.
         pub fps: u32 = 20, in 1..=MAX_FPS;
-        /// Films of one blueprint that are kept, as many of successes and of failures; older ones are removed with
-        /// their recordings.
+        /// Number of films kept per blueprint and ending (success or failure). Older films are removed with their
+        /// recordings.
         pub keep: usize = 10, in 1..=10_000;
-        /// Room for small films for TensorBoard in megabytes; when it is used up the older half goes. 0 makes none.
+        /// Space for small TensorBoard films, in megabytes. When it is full, the older half is deleted. 0 disables
+        /// them.
         pub tensorboard_mb: u64 = 64, in 0..=10_000;
     }
 }
 
-/// The distance between the starts of two evaluations; an evaluation that takes longer is followed by the next at once.
+/// Interval between the starts of two evaluations. If an evaluation takes longer, the next one starts at once.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Every {
-    /// Minutes of wall time, 0 to 10 000.
+    /// Minutes of wall-clock time, 0 to 10 000.
     Minutes(f64),
     /// Environment steps that the learner consumed, at least 1.
     Steps(u64),
@@ -116,21 +116,22 @@ pub enum Every {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Starts {
-    /// All blocks scattered.
+    /// All blocks are scattered.
     #[default]
     Scattered,
-    /// Another training blueprint stands, drawn for each episode.
+    /// Another training blueprint, drawn for each episode, is already built.
     Prebuilt,
-    /// Every fifth episode prebuilt, the others scattered: the mixture that the paper trains on ("Initial State").
+    /// Every fifth episode is prebuilt, the others are scattered: the mixture that the paper trains on ("Initial
+    /// State").
     Mixed,
-    /// The goal stands but for one block; for goals that training meets in this way.
+    /// The goal is built except for one block; for goals that start this way in training.
     NearGoal,
 }
 
-/// A setting that cannot be used.
+/// Why a setting cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum EvaluatorConfigError {
-    /// A blueprint that the catalog does not have.
+    /// The catalog does not contain the blueprint.
     #[error("the catalog has no blueprint {0}")]
     UnknownBlueprint(BlueprintId),
     /// No blueprint is left to evaluate.
@@ -163,7 +164,7 @@ impl EvaluatorConfig {
         self.validate_at("evaluator")
     }
 
-    /// The blueprints of the evaluation of the last weights: the selection with [`Self::last_splits`].
+    /// Returns the blueprints for the evaluation of the last weights: the selection plus [`Self::last_splits`].
     pub fn last_selection(&self) -> Selection {
         let mut selection = self.selection.clone();
         selection.splits.extend(self.last_splits.iter().filter(|split| !self.selection.splits.contains(split)));
@@ -172,10 +173,10 @@ impl EvaluatorConfig {
 }
 
 impl Selection {
-    /// The selected blueprints in the catalog's order.
+    /// Returns the selected blueprints in the catalog's order.
     ///
     /// # Errors
-    /// When a named blueprint is unknown or nothing is selected.
+    /// If a named blueprint is unknown or nothing is selected.
     pub fn select<'c>(&self, catalog: &'c Catalog) -> Result<Vec<&'c Blueprint>, EvaluatorConfigError> {
         if let Some(unknown) = self.blueprints.iter().find(|id| catalog.get(id).is_none()) {
             return Err(EvaluatorConfigError::UnknownBlueprint(unknown.clone()));
@@ -191,23 +192,23 @@ impl Selection {
 }
 
 impl ResetFreeConfig {
-    /// Episodes of all runs.
+    /// Total episodes of all runs.
     pub(crate) fn n_episodes(&self) -> u64 {
         u64::from(self.n_runs) * u64::from(self.n_goals)
     }
 }
 
 impl FilmsConfig {
-    /// Checks that the catalog of the run has all blueprints of films.
+    /// Checks that the run's catalog contains all blueprints to film.
     ///
     /// # Errors
-    /// Names the first that it lacks.
+    /// Names the first missing blueprint.
     pub(crate) fn check_in(&self, catalog: &Catalog) -> Result<(), EvaluatorConfigError> {
         let unknown = self.blueprints.iter().find(|id| catalog.get(id).is_none());
         unknown.map_or(Ok(()), |id| Err(EvaluatorConfigError::UnknownBlueprint(id.clone())))
     }
 
-    /// Whether any film is asked for.
+    /// Whether any film is requested.
     pub fn any(&self) -> bool {
         self.n_of_each > 0 && !(self.groups.is_empty() && self.blueprints.is_empty())
     }

@@ -1,4 +1,5 @@
-//! Gives the sequences of an evaluation to remote workers: a task for each, which lives as long as that worker.
+//! Distributes the sequences of an evaluation to remote workers. Each worker has its own task, which lives as long as
+//! the worker.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,13 +16,13 @@ use crate::report::EpisodeResult;
 use crate::sequences::EpisodeSpec;
 use crate::work_queue::{Lease, WorkQueue, WorkerGuard};
 
-/// Most remote workers that are made use of.
+/// Maximum number of remote workers used.
 const MAX_WORKERS: usize = 256;
 
-/// Pause after a remote worker gave no answer.
+/// Pause after a remote worker did not answer.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// The evaluation under way.
+/// The evaluation in progress.
 #[derive(Clone, Debug)]
 struct Open {
     pass: PassId,
@@ -38,7 +39,7 @@ pub(crate) struct Dispatcher {
 }
 
 impl Dispatcher {
-    /// Looks for remote workers from now on; `setup_hash` must be theirs.
+    /// Starts watching for remote workers, which must have the same `setup_hash`.
     pub(crate) async fn start(bus: &Bus, setup_hash: u64) -> anyhow::Result<Self> {
         let (open, evaluations) = watch::channel(None);
         let workers = bus.alive(Role::Worker).await.context("looking for remote workers")?;
@@ -50,13 +51,13 @@ impl Dispatcher {
         })
     }
 
-    /// Lets remote workers take from this queue what is to be acted by `weights`.
+    /// Offers the sequences of `queue` to remote workers, which act with `weights`.
     pub(crate) fn open(&mut self, queue: Arc<WorkQueue>, weights: Arc<Weights>) {
         self.open.send_replace(Some(Open { pass: self.pass, queue, weights }));
         self.pass.number += 1;
     }
 
-    /// Sends them away.
+    /// Stops offering sequences.
     pub(crate) fn close(&self) {
         self.open.send_replace(None);
     }
@@ -74,7 +75,7 @@ impl Manager {
         let mut workers: BTreeMap<String, AbortOnDropHandle<()>> = BTreeMap::new();
         loop {
             let alive = names.borrow_and_update().clone();
-            // Whoever is gone and comes back is somebody new.
+            // A worker that disconnects and returns is treated as new.
             workers.retain(|name, worker| alive.contains(name) && !worker.is_finished());
             for name in alive {
                 if workers.len() >= MAX_WORKERS || workers.contains_key(&name) {
@@ -99,7 +100,7 @@ impl Manager {
     }
 }
 
-/// Works with one remote worker.
+/// Serves one remote worker.
 struct WorkerClient {
     name: String,
     hash: u64,
@@ -108,7 +109,7 @@ struct WorkerClient {
 }
 
 impl WorkerClient {
-    /// Until the evaluator ends or the remote worker refuses.
+    /// Runs until the evaluator ends or the remote worker refuses.
     async fn run(mut self) {
         loop {
             let Ok(open) = self.evaluations.wait_for(Option::is_some).await.map(|open| open.clone()) else { return };
@@ -116,7 +117,7 @@ impl WorkerClient {
             let mut opened = self.evaluations.clone();
             opened.mark_unchanged();
             tokio::select! {
-                // Sequences that were leased go back to the work queue with the future that holds them.
+                // Dropping the `serve` future returns its leased sequences to the work queue.
                 changed = opened.changed() => if changed.is_err() { return },
                 refusal = self.serve(&open) => {
                     tracing::warn!(worker = self.name, refusal, "a remote worker is of no use");
@@ -126,14 +127,14 @@ impl WorkerClient {
         }
     }
 
-    /// Serves one evaluation; returns why the remote worker will not work.
+    /// Serves one evaluation. Returns the reason if the remote worker cannot be used.
     async fn serve(&self, open: &Open) -> String {
         let guard = WorkerGuard::new(open.queue.clone());
         let mut posted = open.queue.watch();
         loop {
             posted.mark_unchanged();
             let Some(lease) = guard.take() else {
-                // Sequences that come back at the end of a round are for the evaluator's own threads.
+                // Sequences returned at the end of a round are left to the evaluator's own threads.
                 if posted.changed().await.is_err() {
                     std::future::pending::<()>().await;
                 }
@@ -172,7 +173,7 @@ impl WorkerClient {
     }
 }
 
-/// The episodes as those of the sequences, if there is one for each.
+/// Converts the episodes to results in the shape of the sequences; `None` if the shapes differ.
 fn fit(lease: &Lease, sequences: &[Vec<EvalEpisode>]) -> Option<Vec<Vec<EpisodeResult>>> {
     if sequences.len() != lease.specs().count()
         || lease.specs().zip(sequences).any(|(specs, episodes)| specs.len() != episodes.len())

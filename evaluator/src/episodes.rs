@@ -1,4 +1,4 @@
-//! The evaluation itself: a frozen policy, blueprints, episodes with fixed seeds.
+//! Evaluates a frozen policy on blueprints, with fixed episode seeds.
 
 use blueprints::Blueprint;
 use policy::{Policy, PolicyConfig};
@@ -14,19 +14,19 @@ use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use crate::setup::{EvalError, EvalSetup};
 use crate::work_queue::WorkQueue;
 
-/// Episodes with each way of acting before an evaluation first says what it has found.
+/// Number of episodes per action mode after which an evaluation first reports intermediate results.
 pub const FIRST_PART: usize = 32;
 
-/// Evaluates `weights` of a policy with this configuration on `blueprints`: `n_episodes` for each, once for each way of
-/// acting, and then the reset-free runs if the setup has any.
+/// Evaluates `weights` of a policy with this configuration on `blueprints`: `n_episodes` per blueprint in each action
+/// mode, followed by the reset-free runs if the setup has any.
 ///
-/// Start states depend on seed, blueprint and number of the episode only: not on the weights, the other blueprints or
-/// the way of acting. An episode that ends in success goes on for up to 10 steps after the grippers have let go, in
-/// which the success can prove stable. The report's duration is left at 0, as no clock is read. `keep_going` is asked at
-/// every step.
+/// Start states depend only on the seed, the blueprint, and the episode index, not on the weights, the other
+/// blueprints, or the action mode. A successful episode continues for up to 10 steps after the grippers have let go, to
+/// test whether the success is stable. The report's duration stays 0, because no clock is read. `keep_going` is called
+/// at every step.
 ///
 /// # Errors
-/// When the weights do not fit, an episode cannot be started, or `keep_going` says no.
+/// If the weights do not fit, an episode cannot be started, or `keep_going` returns false.
 pub fn evaluate(
     setup: &EvalSetup<'_>,
     policy: &PolicyConfig,
@@ -38,11 +38,11 @@ pub fn evaluate(
     if report.summary.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
 }
 
-/// Like [`evaluate()`] for somebody who is told of each episode and gets what there is when it is not to go on. The
-/// report is not complete then, and has no reset-free runs.
+/// Like [`evaluate()`], but calls `follower` for each episode, and returns a partial report when `keep_going` returns
+/// false. A partial report is marked incomplete and has no reset-free runs.
 ///
 /// # Errors
-/// When the weights do not fit or an episode cannot be started.
+/// If the weights do not fit or an episode cannot be started.
 pub fn evaluate_followed(
     setup: &EvalSetup<'_>,
     policy: &PolicyConfig,
@@ -60,9 +60,10 @@ pub fn evaluate_followed(
     }
 }
 
-/// Like [`evaluate`] with the agents of the pool, which act by `weights`, and tells `on_part` what the first episodes
-/// found: the first [`FIRST_PART`] of them, then twice as many, and so on. Every part is spread over all blueprints, so that
-/// its groups are fair samples of the whole. When the pool is not to go on, the last part has all episodes that have ended.
+/// Like [`evaluate`] with the agents of the pool, which act with `weights`. Reports intermediate results to `on_part`:
+/// of the first [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all blueprints, so
+/// its groups are fair samples of the whole. If the pool is interrupted, the last part covers all episodes that have
+/// ended.
 ///
 /// # Errors
 /// As for [`evaluate`].
@@ -121,7 +122,7 @@ where
     Ok(report)
 }
 
-/// The same blueprints in an order in which the first few are spread over the list, which goes by split and size.
+/// Reorders the blueprints, which are sorted by split and size, so that the first few are spread over the whole list.
 fn spread<'b>(blueprints: &[&'b Blueprint]) -> Vec<&'b Blueprint> {
     let stride = blueprints.len().div_ceil(FIRST_PART).max(1);
     (0..stride).flat_map(|first| blueprints.iter().skip(first).step_by(stride).copied()).collect()

@@ -1,4 +1,4 @@
-//! The scripted expert evaluated as a policy is, and its failures explained.
+//! Evaluates the scripted expert like a policy, and explains its failures.
 
 mod diary;
 
@@ -18,49 +18,49 @@ use crate::work_queue::WorkQueue;
 use diary::Diaries;
 pub use diary::{Cause, ExpertFailure, Trouble};
 
-/// How the expert did.
+/// Results of the expert.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExpertReport {
-    /// Whether all episodes and runs were made.
+    /// Whether all episodes and runs are complete.
     #[serde(default = "complete")]
     pub is_complete: bool,
-    /// The paper's groups in its order, those of which no blueprint was evaluated left out, then all.
+    /// The paper's groups in its order, without groups in which no blueprint was evaluated, followed by all blueprints.
     pub groups: Vec<ExpertGroup>,
     /// Each blueprint, ordered by split, size and id.
     pub blueprints: Vec<ExpertBlueprint>,
-    /// Goals in a row without a reset; `null` when that was not asked for.
+    /// Several goals in a row without a reset; `null` if not requested.
     pub reset_free: Option<ExpertResetFree>,
     /// Environment steps of all episodes.
     pub n_steps: u64,
-    /// Episodes that failed, in the order of the blueprints.
+    /// Failed episodes, in the order of the blueprints.
     pub failures: Vec<ExpertFailure>,
     /// The first success of each blueprint that was built, step by step; not part of the report's JSON.
     #[serde(skip)]
     pub successes: Vec<Trajectory>,
 }
 
-/// Default of `is_complete`: earlier versions wrote no others.
+/// Default of `is_complete`: earlier versions wrote only complete reports.
 fn complete() -> bool {
     true
 }
 
-/// Blueprints that are reported together.
+/// Results of a group of blueprints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExpertGroup {
     /// Name of the group.
     pub name: String,
-    /// Blueprints in it.
+    /// Number of blueprints in the group.
     pub n_blueprints: u64,
-    /// Blueprints of it that were built at least once.
+    /// Number of blueprints in the group that were built at least once.
     pub n_built: u64,
     /// Success, steps and return.
     pub outcome: EvalOutcome,
 }
 
-/// One blueprint.
+/// Results for one blueprint.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExpertBlueprint {
-    /// Which.
+    /// The blueprint.
     pub blueprint: BlueprintId,
     /// Its split.
     pub split: Split,
@@ -70,22 +70,22 @@ pub struct ExpertBlueprint {
     pub outcome: EvalOutcome,
 }
 
-/// Reset-free runs (paper, "Reset-Free Evaluation").
+/// Results of reset-free runs (paper, "Reset-Free Evaluation").
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExpertResetFree {
     /// Number of runs.
     pub n_runs: u64,
-    /// Goals of a run.
+    /// Goals per run.
     pub n_goals: u64,
-    /// What they gave.
+    /// Results of the runs.
     pub runs: EvalRuns,
 }
 
-/// Evaluates the expert on `blueprints`, then on reset-free runs if the setup has any. Start states are those of a policy's
-/// evaluation with the same seed; the ways of acting in the setup are not the expert's. `keep_going` is asked at every step.
+/// Evaluates the expert on `blueprints`, followed by reset-free runs if the setup has any. Start states are those of a
+/// policy's evaluation with the same seed. The setup's action modes are ignored. `keep_going` is called at every step.
 ///
 /// # Errors
-/// When the world cannot be made, an episode cannot be started, or `keep_going` says no.
+/// If the world cannot be created, an episode cannot be started, or `keep_going` returns false.
 pub fn evaluate_expert(
     setup: &EvalSetup<'_>,
     blueprints: &[&Blueprint],
@@ -96,11 +96,11 @@ pub fn evaluate_expert(
     if report.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
 }
 
-/// Like [`evaluate_expert`] for somebody who is told of each episode and gets what there is when it is not to go on. The
-/// report is not complete then.
+/// Like [`evaluate_expert`], but calls `follower` for each episode, and returns an incomplete report when `keep_going`
+/// returns false.
 ///
 /// # Errors
-/// When the world cannot be made or an episode cannot be started.
+/// If the world cannot be created or an episode cannot be started.
 pub fn evaluate_expert_followed(
     setup: &EvalSetup<'_>,
     blueprints: &[&Blueprint],
@@ -131,7 +131,7 @@ pub fn evaluate_expert_followed(
     Ok(report(&episodes, reset_free, diaries, is_complete))
 }
 
-/// What the episodes amount to.
+/// Builds the report from the episodes.
 fn report(
     episodes: &[EpisodeResult],
     reset_free: Option<ExpertResetFree>,

@@ -1,7 +1,7 @@
-//! Video clips that a running evaluator makes of its evaluations: of each group a success and a failure.
+//! Films made by a running evaluator: for each group, a success and a failure.
 //!
-//! Reading order: [`selector`] (which episodes of an evaluation are recorded) → `queue` → `recorder` (a thread that
-//! draws them). Where the files lie is [`runlog::clips`]' matter.
+//! Reading order: [`selector`] (chooses the episodes to record) → `queue` → `recorder` (the rendering thread).
+//! [`runlog::clips`] defines where the files are stored.
 
 mod queue;
 mod recorder;

@@ -1,4 +1,4 @@
-//! Somebody who waits for an evaluation: told of each episode, and asked whether to go on.
+//! Callbacks that follow an evaluation and can interrupt it.
 
 use environment::Step;
 use parking_lot::Mutex;
@@ -7,11 +7,11 @@ use proto::{ActionMode, Agent, Observation, Scene};
 use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
-/// Who follows an evaluation. Both are called by the threads that run episodes.
+/// Callbacks of an evaluation. Both are called by the threads that run episodes.
 pub struct Follower<'a> {
-    /// Asked at every step.
+    /// Called at every step; returning false interrupts the evaluation.
     pub keep_going: &'a (dyn Fn() -> bool + Sync),
-    /// Told what came of an episode when it ends; reset-free runs are not told.
+    /// Called with the result of each episode when it ends, except in reset-free runs.
     pub on_episode: &'a (dyn Fn(&EpisodeResult) + Sync),
 }
 
@@ -29,14 +29,14 @@ impl<A: Agent> EpisodeObserver<A> for Follower<'_> {
     }
 }
 
-/// Keeps what came of the episodes, in the order in which they end.
+/// Collects episode results in the order in which the episodes end.
 #[derive(Default)]
 pub(crate) struct Tally {
     episodes: Mutex<Vec<EpisodeResult>>,
 }
 
 impl Tally {
-    /// All episodes that ended.
+    /// Returns all collected results.
     pub(crate) fn into_episodes(self) -> Vec<EpisodeResult> {
         self.episodes.into_inner()
     }
@@ -56,7 +56,7 @@ impl<A: Agent> EpisodeObserver<A> for Tally {
     }
 }
 
-/// Two that observe the same episodes.
+/// Forwards episodes to two observers.
 pub(crate) struct Both<'a, X, Y>(pub(crate) &'a X, pub(crate) &'a Y);
 
 impl<A: Agent, X: EpisodeObserver<A>, Y: EpisodeObserver<A>> EpisodeObserver<A> for Both<'_, X, Y> {

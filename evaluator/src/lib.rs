@@ -1,10 +1,11 @@
-//! From weights to reports: episodes of a frozen policy, success per blueprint and group with its uncertainty.
+//! Evaluates weights: runs episodes of a frozen policy and reports success per blueprint and group, with its
+//! uncertainty.
 //!
-//! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (worlds side by side) → `work_queue` (who runs which) →
-//! [`episodes`] and [`reset_free`] (what is run) → `follower` (who is told) → [`table`] (what is printed) → [`run()`] (the
-//! service on the bus), which shares its work by `dispatcher` with processes that [`run_worker()`]; [`films`] makes
-//! video clips in every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one
-//! episode to be shown, and [`record()`] many to be kept.
+//! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `work_queue` (distribution
+//! of the work) → [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks) → [`table`] (what is printed)
+//! → [`run()`] (the service on the bus), which shares its work through `dispatcher` with processes that call
+//! [`run_worker()`]. [`films`] records films in every evaluation, [`expert`] evaluates the scripted expert in the same
+//! way, [`perform`] plays one episode for display, and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

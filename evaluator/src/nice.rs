@@ -1,10 +1,10 @@
-//! Threads that give way to training.
+//! Low-priority threads, which do not slow down training.
 
 use anyhow::Context;
 use tokio::sync::oneshot;
 
-/// Runs `work` on a thread of its own, whose processor time comes after that of others by `nice` (0 to 19); so does that
-/// of threads which it starts. On systems without per-thread niceness it runs like any other.
+/// Runs `work` on a new thread with niceness `nice` (0 to 19), which the threads that it starts inherit. On systems
+/// without per-thread niceness, the thread has normal priority.
 pub(crate) async fn on_thread<T: Send + 'static>(
     nice: i32,
     work: impl FnOnce() -> T + Send + 'static,
@@ -12,7 +12,7 @@ pub(crate) async fn on_thread<T: Send + 'static>(
     let (sender, done) = oneshot::channel();
     let run = move || {
         give_way(nice);
-        // Whoever no longer waits has no use for the result.
+        // The receiver may be gone; the result is then not needed.
         let _result = sender.send(work());
     };
     std::thread::Builder::new().name("evaluation".to_owned()).spawn(run).context("starting a thread")?;
@@ -21,7 +21,8 @@ pub(crate) async fn on_thread<T: Send + 'static>(
 
 #[cfg(target_os = "linux")]
 fn give_way(nice: i32) {
-    // On Linux the call is about one thread, named like a process. A failure leaves it as it is, which is harmless.
+    // On Linux, despite its name, this call applies to one thread. A failure leaves the priority unchanged, which is
+    // harmless.
     if let Err(error) = rustix::process::setpriority_process(Some(rustix::thread::gettid()), nice) {
         tracing::debug!(%error, nice, "the niceness of a thread was not set");
     }

@@ -1,4 +1,4 @@
-//! One episode on demand, written down so that it can be shown.
+//! Plays one episode on demand and records it for display.
 
 use blueprints::{Blueprint, Catalog};
 use environment::{EnvironmentConfig, ExpertAgent, Step, World};
@@ -11,7 +11,7 @@ use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, Rules, run_sequences};
 use crate::setup::EvalError;
 
-/// Who acts in an episode.
+/// The agent that acts in an episode.
 #[derive(Clone, Copy, Debug)]
 pub enum Performer<'p> {
     /// The scripted expert.
@@ -20,26 +20,26 @@ pub enum Performer<'p> {
     Policy(&'p PolicyConfig, &'p Weights),
 }
 
-/// The episode that is asked for.
+/// The requested episode.
 #[derive(Clone, Copy, Debug)]
 pub struct Performance<'p> {
     /// The world.
     pub environment: &'p EnvironmentConfig,
-    /// The goal; it need not be in the catalog.
+    /// The goal, which may be missing from the catalog.
     pub blueprint: &'p Blueprint,
-    /// Goals built before it in the same world, without a reset; for none the blocks lie scattered.
+    /// Goals built before it in the same world, without a reset. If empty, the blocks are scattered.
     pub before: &'p [Blueprint],
-    /// How a policy acts. The expert has one way only.
+    /// Action mode of a policy. The expert has only one.
     pub acting: ActionMode,
     /// Seed of the scattered start and of sampled actions.
     pub seed: u64,
 }
 
-/// Plays the episode, and those before it, to its end; equal arguments give an equal episode. Its actor is `expert` or
-/// `policy`. `None` if it has no step. `keep_going` is asked at every step.
+/// Plays the goals of `before`, then the episode, to its end. Equal arguments give an equal episode. Returns the
+/// episode, whose actor is `expert` or `policy`, or `None` if it has no steps. `keep_going` is called at every step.
 ///
 /// # Errors
-/// When the weights do not fit, the episode cannot be started, or `keep_going` says no.
+/// If the weights do not fit, the episode cannot be started, or `keep_going` returns false.
 pub fn perform(
     performance: Performance<'_>,
     performer: Performer<'_>,
@@ -82,7 +82,7 @@ where
     Ok(witness.seen.into_inner())
 }
 
-/// Who is named in a recording.
+/// The actor, driver, and weights version named in a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct Credits {
     pub(crate) actor: ActorId,
@@ -91,7 +91,7 @@ pub(crate) struct Credits {
 }
 
 impl Credits {
-    /// The actor is `expert` or `policy`.
+    /// Returns the credits of a performer; the actor is `expert` or `policy`.
     pub(crate) fn of(performer: Performer<'_>, acting: ActionMode) -> Self {
         let (actor, driver, weights_version) = match (performer, acting) {
             (Performer::Expert, _) => ("expert", Driver::Expert, WeightsVersion(0)),
@@ -103,7 +103,7 @@ impl Credits {
     }
 }
 
-/// Writes down the last episode.
+/// Records the last episode.
 struct Witness {
     credits: Credits,
     seen: Mutex<Option<Trajectory>>,

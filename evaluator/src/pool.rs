@@ -1,4 +1,4 @@
-//! Threads that run episodes side by side.
+//! A pool of threads that run episodes in parallel.
 
 use std::time::Duration;
 
@@ -10,14 +10,14 @@ use crate::sequences::{EpisodeObserver, EpisodeSpec, Rules, run_sequences};
 use crate::setup::{EvalError, EvalSetup};
 use crate::work_queue::WorkQueue;
 
-/// How long threads without work wait before they ask whether to go on.
+/// Time that an idle thread waits before it calls `keep_going`.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// Runs sequences by threads of this process and whoever else takes some from the work queue. The observer follows only
-/// episodes of this process.
+/// Runs sequences on threads of this process, while remote workers may take others from the work queue. The observer
+/// follows only the episodes of this process.
 pub(crate) struct EvaluationPool<'a, A, O> {
     pub(crate) setup: &'a EvalSetup<'a>,
-    /// Makes the agent of a thread.
+    /// Creates the agent of a thread.
     pub(crate) agent: &'a (dyn Fn() -> Result<A, EvalError> + Sync),
     pub(crate) queue: &'a WorkQueue,
     pub(crate) observer: Option<&'a O>,
@@ -28,7 +28,8 @@ impl<A: Agent, O: EpisodeObserver<A>> EvaluationPool<'_, A, O>
 where
     EvalError: From<A::Error>,
 {
-    /// Runs the sequences; the results have their shape. After an error they are those of the sequences that were done.
+    /// Runs the sequences and returns the results in their shape. After an error, only the completed sequences have
+    /// results.
     pub(crate) fn run(
         &self,
         sequences: &[Vec<EpisodeSpec>],
@@ -48,8 +49,8 @@ where
         (self.queue.clear(), ended)
     }
 
-    /// Takes sequences from the work queue until all are done. After a failure there is nothing to be done, or the others
-    /// would wait for what this thread has taken.
+    /// Runs sequences from the work queue until all are done. After a failure, gives up the queue, because the other
+    /// threads would otherwise wait for the sequences that this thread has taken.
     fn work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
         self.try_to_work(acting, n_worlds).inspect_err(|_| self.queue.give_up())
     }
@@ -70,7 +71,7 @@ where
             if self.queue.is_done() {
                 return Ok(());
             }
-            // Others have the last sequences; if they do not bring them, somebody must run them.
+            // Others have the last sequences. If they do not return them, a thread of this pool must run them.
             self.queue.wait(PATIENCE);
             if !(self.keep_going)() {
                 return Err(EvalError::Interrupted);

@@ -1,4 +1,4 @@
-//! Episodes of one agent written down, in the order in which they are planned.
+//! Records episodes of one agent, in the planned order.
 
 use std::collections::BTreeMap;
 
@@ -17,31 +17,31 @@ use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, episode_seed};
 use crate::setup::{EvalError, EvalSetup};
 use crate::work_queue::WorkQueue;
 
-/// An episode that ended.
+/// A completed episode.
 #[derive(Clone, Debug)]
 pub struct Recorded {
-    /// Its steps; the actor is `expert` or `policy`.
+    /// The episode's steps; the actor is `expert` or `policy`.
     pub trajectory: Trajectory,
-    /// What came of it. A diverged episode has [`Status::Running`](proto::Status::Running) in its trajectory.
+    /// Result of the episode. A diverged episode has [`Status::Running`](proto::Status::Running) in its trajectory.
     pub result: EpisodeResult,
-    /// Seeds the generator that draws, in this order, who plays the blocks and the seed of the task.
+    /// Seed of the generator that draws, in this order, the block assignment and the task's seed.
     pub seed: u64,
 }
 
-/// What the caller hears of episodes. Both are called by the threads that run them, `on_episode` by one at a time.
+/// Callbacks of [`record`]. Both are called by the threads that run the episodes, `on_episode` by one thread at a time.
 pub struct Callbacks<'s> {
-    /// Asked at every step.
+    /// Called at every step; returning false stops the recording.
     pub keep_going: &'s (dyn Fn() -> bool + Sync),
-    /// Takes an episode that ended. Episodes come in the order of the plan: the first of every blueprint, then the second
-    /// of every blueprint, and so on. When it is not to go on, gaps are left.
+    /// Receives completed episodes in the planned order: the first episode of every blueprint, then the second of every
+    /// blueprint, and so on. If the recording is stopped, some episodes may be missing in between.
     pub on_episode: &'s (dyn Fn(Recorded) + Sync),
 }
 
-/// Plays `n_episodes` of the setup for each blueprint; the setup's ways of acting and its reset-free runs do not count.
-/// Returns whether all ended: false if `keep_going` said so.
+/// Plays the setup's `n_episodes` for each blueprint; ignores the setup's action modes and reset-free runs. Returns
+/// whether all episodes ended, which is false if `keep_going` returned false.
 ///
 /// # Errors
-/// When the weights do not fit or an episode cannot be started.
+/// If the weights do not fit or an episode cannot be started.
 pub fn record(
     setup: &EvalSetup<'_>,
     performer: Performer<'_>,
@@ -95,10 +95,10 @@ where
     }
 }
 
-/// Writes down every episode.
+/// Records every episode.
 struct Recorder<'r, 's> {
     credits: Credits,
-    /// Of each sequence.
+    /// One seed per sequence.
     seeds: &'r [u64],
     in_order: &'r Mutex<InOrder<'s, Recorded>>,
 }
@@ -123,11 +123,11 @@ impl<A> EpisodeObserver<A> for Recorder<'_, '_> {
     }
 }
 
-/// Holds what came too early, and hands all on in order.
+/// Holds back items that arrive too early, and passes all items on in order.
 struct InOrder<'s, T> {
-    /// The number whose turn it is.
+    /// The next index to pass on.
     next: usize,
-    /// `None` is a number without anything.
+    /// Early items by index; `None` marks an index without an item.
     early: BTreeMap<usize, Option<T>>,
     take: &'s (dyn Fn(T) + Sync),
 }
@@ -137,7 +137,8 @@ impl<'s, T> InOrder<'s, T> {
         Self { next: 0, early: BTreeMap::new(), take }
     }
 
-    /// Takes the thing with this number. The first counts: a sequence that nobody brought back in time is run again.
+    /// Accepts the item with this index. Only the first counts, because a sequence that was not returned in time is run
+    /// again.
     fn put(&mut self, idx: usize, thing: Option<T>) {
         if idx < self.next {
             return;
@@ -149,14 +150,14 @@ impl<'s, T> InOrder<'s, T> {
         }
     }
 
-    /// Hands on what is left, whatever is missing in between.
+    /// Passes on the remaining items, regardless of gaps.
     fn clear(self) {
         self.early.into_values().flatten().for_each(self.take);
     }
 }
 
 impl Recorded {
-    /// Whether physics failed in it.
+    /// Whether the physics diverged.
     pub fn is_diverged(&self) -> bool {
         matches!(self.result.end, End::Diverged)
     }
@@ -214,7 +215,7 @@ mod tests {
         let (_, again) = recorded(&setup(3), &|| true);
         let trajectories = |episodes: &[Recorded]| episodes.iter().map(|e| e.trajectory.clone()).collect::<Vec<_>>();
         assert_eq!(trajectories(&episodes), trajectories(&again));
-        // The actions lead from the start to the end that was recorded.
+        // The recorded actions lead from the start to the recorded end.
         let Recorded { trajectory, .. } = &episodes[0];
         let mut world = World::new(&EnvironmentConfig::default()).unwrap();
         world.reset(&trajectory.task, Catalog::builtin()).unwrap();

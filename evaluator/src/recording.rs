@@ -1,4 +1,4 @@
-//! An episode written down step by step, so that it can be shown.
+//! Records an episode step by step, for display.
 
 use environment::{Step, StepResult};
 use proto::{ActorId, Decision, Driver, Outcome, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
@@ -6,21 +6,21 @@ use proto::{ActorId, Decision, Driver, Outcome, Scene, Status, Task, Trajectory,
 use crate::report::EpisodeResult;
 use proto::unit::End;
 
-/// The steps of an episode so far.
+/// The recorded steps of an episode.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Recording {
     transitions: Vec<Transition>,
 }
 
 impl Recording {
-    /// Takes a step.
+    /// Adds a step.
     pub(crate) fn push(&mut self, step: Step) {
         let Step { scene, decision: Decision { action, .. }, result: StepResult { reward, .. } } = step;
         self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, value: 0.0, reward, label: None });
     }
 
-    /// The episode as a trajectory; without log-probabilities and values, as nobody learns from it. `None` if it has no
-    /// step to show.
+    /// Returns the episode as a trajectory, without log-probabilities and values, because it is not used for learning.
+    /// Returns `None` if the episode has no steps.
     pub(crate) fn into_trajectory(
         self,
         actor: ActorId,
@@ -33,7 +33,7 @@ impl Recording {
         let status = match result.end {
             End::Success { .. } => Status::Success,
             End::TimeLimit => Status::TimeLimit,
-            // A diverged episode has no status of its own on the wire; what was seen of it is cut there.
+            // Trajectories have no status for a diverged episode, so the recording ends as if cut off.
             End::Diverged => Status::Running,
         };
         let outcome = Outcome {

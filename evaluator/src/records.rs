@@ -1,23 +1,23 @@
-//! What a running evaluator keeps of its reports in the folder of the run.
+//! Writes a running evaluator's reports to the run's folder.
 
 use proto::metrics::{EvalOutcome, EvalReport};
 use proto::{ActionMode, Role, keys};
 use runlog::{History, Lines, MetricsWriter, Pass, RunPaths};
 
-/// Open files of records.
+/// The open record files.
 pub(crate) struct Records {
     metrics: MetricsWriter,
     history: History,
 }
 
 impl Records {
-    /// Opens the history first: a second writer of it is refused before anything is written.
+    /// Opens the record files. Opens the history first, so that a second writer is refused before anything is written.
     pub(crate) fn open(paths: &RunPaths) -> anyhow::Result<Self> {
         let history = History::open(&paths.history())?;
         Ok(Self { metrics: MetricsWriter::open(paths, Role::Evaluator)?, history })
     }
 
-    /// Keeps a report, which is `row` in the history, and gives the files back.
+    /// Writes a report, whose history row is `row`, and returns the files.
     pub(crate) fn keep(mut self, report: &EvalReport, row: &Pass) -> anyhow::Result<Self> {
         self.metrics.append(&lines(report)?)?;
         self.history.append(row)?;
@@ -26,7 +26,7 @@ impl Records {
     }
 }
 
-/// A line for the summary and one for each blueprint.
+/// Returns a line for the summary and one for each blueprint.
 fn lines(report: &EvalReport) -> anyhow::Result<Lines> {
     let mut lines = Lines::default();
     lines.push(keys::METRICS_EVAL_SUMMARY, &report.summary)?;
@@ -36,7 +36,8 @@ fn lines(report: &EvalReport) -> anyhow::Result<Lines> {
     Ok(lines)
 }
 
-/// What TensorBoard is told: success and steps to success of every group, success of every blueprint, 0 to 1.
+/// Returns the TensorBoard scalars: success (0 to 1) and steps to success per group, and success (0 to 1) per
+/// blueprint.
 fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
     let was_evaluated = |outcome: &EvalOutcome| outcome.success.n_episodes > 0;
     let mut scalars = Vec::new();

@@ -1,4 +1,4 @@
-//! From finished episodes to numbers per blueprint and per group.
+//! Summarizes finished episodes per blueprint and group.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ pub use proto::unit::End;
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, RewardTerms, WeightsVersion};
 
-/// What came of an episode.
+/// Result of an episode.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpisodeResult {
     /// The goal.
@@ -19,20 +19,21 @@ pub struct EpisodeResult {
     pub split: Split,
     /// The goal's number of blocks.
     pub n_blocks: usize,
-    /// How actions were taken.
+    /// Action mode.
     pub acting: ActionMode,
-    /// How it ended.
+    /// How the episode ended.
     pub end: End,
-    /// Steps until it ended, at least 1.
+    /// Number of steps, at least 1.
     pub n_steps: u32,
     /// Undiscounted return by term.
     pub episode_return: RewardTerms,
-    /// It should have begun in the world as it was, but that had diverged.
+    /// Whether the world was reset because it had diverged, although the episode should have started without a reset.
     pub forced_reset: bool,
 }
 
-/// Sorts the episodes of weights that had learned from `n_env_steps` into blueprints and groups. The report is complete, and
-/// what the episodes do not tell is left at 0: the seed, the plan, the duration, the share of remote workers and all counts.
+/// Groups the episodes of weights trained on `n_env_steps` by blueprint and group. The report is marked complete.
+/// Fields that do not follow from the episodes stay 0: the seed, the plan, the duration, the remote workers' share, and
+/// all counts.
 pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[EpisodeResult]) -> EvalReport {
     let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&EpisodeResult>> = BTreeMap::new();
     let mut by_group: BTreeMap<Group, Vec<&EpisodeResult>> = BTreeMap::new();
@@ -72,7 +73,7 @@ pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[
     EvalReport { summary, blueprints: by_blueprint.into_iter().map(blueprint).collect() }
 }
 
-/// Success, steps and return of those episodes in which actions were taken so.
+/// Returns success, steps, and return of the episodes with the action mode `acting`.
 pub fn outcome(episodes: &[&EpisodeResult], acting: ActionMode) -> EvalOutcome {
     let (mut n_episodes, mut n_successes, mut n_stable, mut n_diverged) = (0_u64, 0_u64, 0_u64, 0_u64);
     let (mut n_steps, mut n_steps_to_success) = (0_u64, 0_u64);

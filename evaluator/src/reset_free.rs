@@ -1,4 +1,4 @@
-//! Goals one after the other in a world that is never reset (paper, section "Reset-Free Evaluation").
+//! Several goals in a row in a world that is never reset (paper, section "Reset-Free Evaluation").
 
 use blueprints::{Blueprint, Catalog, Split};
 use proto::metrics::{EvalResetFree, EvalRuns};
@@ -13,14 +13,14 @@ use crate::report::{EpisodeResult, outcome};
 use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use crate::setup::EvalError;
 
-/// Evaluates the agent of a pool on runs over several goals: a run begins scattered, and each goal begins where the
-/// last one ended, by success or at the time limit. Goals are training blueprints of some size, never the same twice in a
-/// row. Nobody follows the episodes.
+/// Evaluates the agent of a pool on runs over several goals. A run begins scattered, and each goal begins where the
+/// last one ended, by success or at the time limit. Goals are training blueprints of at least `min_blocks` blocks,
+/// never the same twice in a row. The pool's observer does not see the episodes.
 ///
-/// A world that diverged is reset and the reset is counted. Runs depend on the setup's seed only.
+/// A world that diverged is reset, and the reset is counted. Runs depend only on the setup's seed.
 ///
 /// # Errors
-/// When the agent fails, no blueprint is large enough, or the pool is not to go on.
+/// If the agent fails, no blueprint is large enough, or the pool is interrupted.
 pub(crate) fn evaluate<A: Agent, O: EpisodeObserver<A>>(
     pool: &EvaluationPool<'_, A, O>,
     config: &ResetFreeConfig,
@@ -45,10 +45,10 @@ where
     Ok(found)
 }
 
-/// The runs: one sequence each.
+/// Returns one sequence per run.
 ///
 /// # Errors
-/// When no training blueprint is large enough.
+/// If no training blueprint is large enough.
 fn sequences(catalog: &Catalog, config: &ResetFreeConfig, seed: u64) -> Result<Vec<Vec<EpisodeSpec>>, EvalError> {
     let mut goals = catalog.of_split(Split::Train);
     goals.retain(|blueprint| blueprint.n_blocks() >= config.min_blocks);
@@ -66,7 +66,7 @@ fn plan_runs(goals: &[&Blueprint], config: &ResetFreeConfig, seed: u64) -> Vec<V
         let mut run = Vec::new();
         for goal_idx in 0..config.n_goals {
             let goal = match last {
-                // A draw among the others: those from the last one on move up by one.
+                // Draws from the other goals: indices from the last goal on shift by one.
                 Some(last) if goals.len() > 1 => {
                     let drawn = rng.random_range(0..goals.len() - 1);
                     drawn + usize::from(drawn >= last)

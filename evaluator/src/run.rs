@@ -1,4 +1,4 @@
-//! The evaluator as a service: evaluates weights as they come and tells the bus, a file and the caller.
+//! The evaluator service: evaluates weights as they arrive and reports to the bus, to files, and to the caller.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -27,51 +27,53 @@ use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
 use crate::vetting::vetted;
 use crate::work_queue::{EvaluationProgress, WorkQueue};
 
-/// How long an evaluator waits for another of its name to go: a process that was killed seems to live for up to 6 s.
+/// How long an evaluator waits for another one with its name to disconnect: a killed process still appears alive for up
+/// to 6 s.
 const NAME_PATIENCE: Duration = Duration::from_secs(15);
 
-/// How long the last weights may be on their way.
+/// How long to wait for the last weights to arrive.
 const LAST_WEIGHTS_WAIT: Duration = Duration::from_secs(15);
 
-/// Who else in this process hears what an evaluator finds. A receiver that has gone is no error.
+/// Channels to other parts of this process. Closed receivers are ignored.
 #[derive(Debug, Default)]
 pub struct Listeners {
-    /// The newest report; of an evaluation that is interrupted what its episodes so far have found, which is not complete.
+    /// The newest report. If an evaluation is interrupted, an incomplete report of the episodes so far.
     pub reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
-    /// Every evaluation: first those that the history has, then each as it ends.
+    /// Every evaluation: first those in the history, then each new one as it ends.
     pub evaluations: Option<mpsc::UnboundedSender<Pass>>,
-    /// How far the evaluation under way is; `None` between two.
+    /// Progress of the current evaluation; `None` between evaluations.
     pub progress: Option<watch::Sender<Option<EvaluationProgress>>>,
-    /// The newest weights by which a policy can act.
+    /// The newest weights with which a policy can act.
     pub weights: Option<watch::Sender<Option<Arc<Weights>>>>,
 }
 
-/// What an evaluator has done when it ends.
+/// Summary of an evaluator's work, returned when it ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Summary {
-    /// Evaluations that were completed.
+    /// Completed evaluations.
     pub n_evaluations: u64,
 }
 
-/// What ends an evaluator.
+/// Signals that end an evaluator.
 #[derive(Clone, Debug, Default)]
 pub struct Stop {
-    /// An evaluation under way is given up.
+    /// Abandons the current evaluation.
     pub now: CancellationToken,
-    /// Says which weights are the last, once that is known: these are evaluated if they are not yet, due or not.
+    /// The version of the last weights, once known. They are evaluated even if no evaluation is due, unless they
+    /// already were.
     pub last: Option<watch::Receiver<Option<WeightsVersion>>>,
 }
 
-/// Evaluates the newest weights whenever an evaluation is due, the first ones at once, until `stop`.
+/// Evaluates the newest weights whenever an evaluation is due, the first weights at once, until `stop`.
 ///
-/// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of the run, and to the
-/// `listeners`. While an evaluation is under way its first numbers go to the bus, see
-/// [`FIRST_PART`](crate::episodes::FIRST_PART). Evaluations run on threads of their own and share their episodes with all
-/// [remote workers](crate::run_worker()); weights that come meanwhile wait.
+/// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of the run, and to
+/// the `listeners`. During an evaluation, intermediate results go to the bus; see
+/// [`FIRST_PART`](crate::episodes::FIRST_PART). Evaluations run on their own threads and share their episodes with all
+/// [remote workers](crate::run_worker()). Weights that arrive in the meantime wait.
 ///
 /// # Errors
-/// When the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
-/// started, or the records cannot be written; also when another evaluator writes the same history.
+/// If the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
+/// started, the records cannot be written, or another evaluator writes the same history.
 pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.validate().context("invalid evaluator configuration")?;
     setup.config.films.check_in(setup.catalog)?;
@@ -106,29 +108,29 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
     };
     let ended = evaluate_all(&setup, bus, weights, &selected, last, outlets, &stop).await;
     if let Some(films) = films {
-        // Off the runtime: the film in hand takes a moment.
+        // Off the async runtime, because the current film takes a moment to finish.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
     }
     ended.map(|n_evaluations| Summary { n_evaluations })
 }
 
-/// Whoever listened may have gone.
+/// Sends an evaluation to the listener, which may be gone.
 fn tell(listener: Option<&mpsc::UnboundedSender<Pass>>, evaluation: Pass) {
     if let Some(listener) = listener {
         let _ = listener.send(evaluation);
     }
 }
 
-/// The evaluations that are recorded already.
+/// Reads the evaluations that are already recorded.
 async fn past(records: Option<&RunPaths>) -> anyhow::Result<Vec<Pass>> {
     let Some(path) = records.map(RunPaths::history).filter(|path| path.is_file()) else {
         return Ok(Vec::new());
     };
-    // Off the runtime, because it waits for the disk.
+    // Off the async runtime, because it waits for the disk.
     Ok(tokio::task::spawn_blocking(move || History::read(&path)).await??)
 }
 
-/// Evaluates whenever an evaluation is due after `last`, until `stop`.
+/// Evaluates whenever an evaluation is due after `last`, until `stop`. Returns the number of completed evaluations.
 async fn evaluate_all(
     setup: &EvaluatorSetup,
     bus: &Bus,
@@ -171,7 +173,7 @@ async fn evaluate_all(
         };
         let ended = loop {
             tokio::select! {
-                // A part that came just before the end is still last_version.
+                // Biased, so that a part that arrives just before the end is still published.
                 biased;
                 Ok(()) = newest_part.changed() => {
                     let part = newest_part.borrow_and_update().clone();
@@ -187,14 +189,14 @@ async fn evaluate_all(
         outlets.progress(None);
         let report = match ended {
             Err(EvalError::Interrupted) => {
-                // What there is can be looked at, but is not kept: the history has whole evaluations only.
+                // The partial report goes to the listener but not to the history, which has only complete evaluations.
                 let part = newest_part.borrow().clone().filter(|part| !part.blueprints.is_empty());
                 if let (Some(part), Some(reports)) = (part, &outlets.reports) {
                     reports.send_replace(Some(Arc::new(stamp(part))));
                 }
                 return Ok(n_evaluations);
             }
-            // They were of use on the scene of the trial, but not throughout.
+            // The weights passed the vetting scene but failed on another one.
             Err(EvalError::Policy(error)) if error.is_of_weights() => {
                 bus.count_refused_weights();
                 tracing::warn!(%error, "weights refused, the evaluation is given up");
@@ -207,7 +209,7 @@ async fn evaluate_all(
     }
 }
 
-/// Where reports go.
+/// Destinations of reports.
 struct Outlets<'r> {
     records: Option<Records>,
     evaluations: Passes,
@@ -232,7 +234,7 @@ impl Outlets<'_> {
         self.publishers.history.set(&self.evaluations.overview())?;
         if let Some(open) = self.records.take() {
             let report = report.clone();
-            // Off the runtime: the disk and whoever reads the history may take their time.
+            // Off the async runtime, because the disk and readers of the history may be slow.
             let kept = tokio::task::spawn_blocking(move || open.keep(&report, &evaluation));
             self.records = Some(kept.await.context("the recording thread panicked")??);
         }
@@ -244,11 +246,12 @@ impl Outlets<'_> {
     }
 }
 
-/// The blueprints of evaluations.
+/// The blueprints to evaluate.
 struct Selected {
-    /// Of every evaluation but the one of the last weights.
+    /// For every evaluation except the one of the last weights.
     usual: Vec<&'static Blueprint>,
-    /// Of that one: the usual ones, and those of [`EvaluatorConfig::last_splits`](crate::EvaluatorConfig::last_splits).
+    /// For the last weights: `usual`, plus those of
+    /// [`EvaluatorConfig::last_splits`](crate::EvaluatorConfig::last_splits).
     last: Vec<&'static Blueprint>,
 }
 
@@ -257,7 +260,7 @@ impl Selected {
         if is_last { &self.last } else { &self.usual }
     }
 
-    /// Whether an evaluation has told all that the evaluation of the last weights would.
+    /// Whether an evaluation covered everything that the evaluation of the last weights would.
     fn is_covered(&self, evaluated: &Evaluated) -> bool {
         evaluated.is_last || self.last.len() == self.usual.len()
     }
@@ -268,12 +271,13 @@ struct Evaluated {
     start: Instant,
     version: WeightsVersion,
     n_env_steps: u64,
-    /// Whether it was the one of the last weights, or told as much.
+    /// Whether it covered all blueprints of `Selected::last`.
     is_last: bool,
 }
 
 impl Evaluated {
-    /// The last evaluation of an evaluator before this one, which is not repeated if it had the same episodes.
+    /// Returns the last evaluation of the history, unless it lacks some episodes of the current configuration and must
+    /// be repeated.
     fn before(pass: &Pass, setup: &EvaluatorSetup, selected: &Selected) -> Option<Self> {
         let EpisodeConfig { n_episodes, acting, .. } = &setup.config.episodes;
         let n_episodes_of = |score: &EvalBlueprint, acting| match acting {
@@ -289,7 +293,7 @@ impl Evaluated {
         let since = unix_ms().saturating_sub(pass.ended_unix_ms) as f64 / 1000.0 + pass.elapsed_s;
         let start = Duration::try_from_secs_f64(since).ok().and_then(|since| Instant::now().checked_sub(since));
         told_all.then(|| Self {
-            // A clock that does not reach back so far began after it.
+            // The monotonic clock may have started after that evaluation, for example after a reboot.
             start: start.unwrap_or_else(Instant::now),
             version: pass.weights_version,
             n_env_steps: pass.n_env_steps,
@@ -298,7 +302,8 @@ impl Evaluated {
     }
 }
 
-/// Waits for weights that are to be evaluated, and says whether they are the last; `None` if there will be none.
+/// Waits for weights that are due, and returns them with whether they are the last; `None` if no more will be
+/// evaluated.
 async fn next_due(
     setup: &EvaluatorSetup,
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
@@ -308,7 +313,8 @@ async fn next_due(
 ) -> anyhow::Result<Option<(Arc<Weights>, bool)>> {
     loop {
         if let Some(version) = last_version.as_mut().and_then(|last_version| *last_version.borrow_and_update()) {
-            // They may still be on their way. Should they have been lost, those before them are evaluated.
+            // The last weights may not have arrived yet. If they were lost, the newest received ones are evaluated
+            // instead.
             let are_there = |weights: &Option<Arc<Weights>>| weights.as_ref().is_some_and(|w| w.version >= version);
             drop(tokio::time::timeout(LAST_WEIGHTS_WAIT, weights.wait_for(are_there)).await);
             let covered = last.filter(|last| selected.is_covered(last));
@@ -341,7 +347,7 @@ async fn next_due(
     }
 }
 
-/// Waits until the last weights are known; forever if nobody says.
+/// Waits until the version of the last weights is known, or forever if there is no sender.
 async fn is_known(last_version: &mut Option<watch::Receiver<Option<WeightsVersion>>>) {
     if let Some(last_version) = last_version
         && last_version.changed().await.is_ok()
@@ -351,13 +357,13 @@ async fn is_known(last_version: &mut Option<watch::Receiver<Option<WeightsVersio
     std::future::pending().await
 }
 
-/// Milliseconds since 1970, 0 before.
+/// Returns the milliseconds since 1970; 0 if the clock is earlier.
 fn unix_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// One evaluation on a thread of its own; what it has found so far goes to `parts`.
+/// Runs one evaluation on a separate thread; intermediate reports go to `parts`.
 async fn evaluate_once(
     setup: &EvaluatorSetup,
     selected: Vec<&'static Blueprint>,
@@ -388,7 +394,7 @@ async fn evaluate_once(
     .await
 }
 
-/// The keys that reports go to.
+/// Publishers for the reports.
 struct Publishers<'b> {
     bus: &'b Bus,
     history: HistoryAnswer,
@@ -412,7 +418,7 @@ impl<'b> Publishers<'b> {
                 publisher.put(score).await?;
             }
         }
-        // Last, so that whoever waits for the summary finds its blueprints there.
+        // Published last, so that subscribers that wait for the summary already have its blueprints.
         self.summary.put(&report.summary).await?;
         Ok(())
     }

@@ -9,29 +9,29 @@ use crate::config::Every;
 /// The start of the last evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct LastEvaluation {
-    /// Weights that it evaluated.
+    /// Version of the evaluated weights.
     pub(crate) version: WeightsVersion,
-    /// Environment steps that they had learned from.
+    /// Environment steps on which the weights were trained.
     pub(crate) n_env_steps: u64,
-    /// Time since it began.
+    /// Time since the evaluation began.
     pub(crate) elapsed: Duration,
 }
 
-/// When weights are to be evaluated.
+/// When to evaluate the newest weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Due {
-    /// Right away.
+    /// Now.
     Now,
-    /// After this time, or when there are newer weights by then.
+    /// After this time, with newer weights if there are any by then.
     After(Duration),
-    /// When there are newer weights.
+    /// Not before newer weights arrive.
     WithNewer,
 }
 
-/// When `newest` are to be evaluated after `last`.
+/// Returns when to evaluate `newest` after `last`.
 ///
-/// The first weights are due at once, the same ones never again. A version or a count of steps that has gone back
-/// belongs to a learner that resumed from a checkpoint, whose weights count as new ones.
+/// The first weights are due at once, and the same weights are never evaluated again. A version or step count lower
+/// than the last one means that the learner resumed from a checkpoint, so its weights count as new.
 pub(crate) fn due(every: Every, last: Option<LastEvaluation>, newest: &Weights) -> Due {
     let Some(last) = last else { return Due::Now };
     let far_enough = |passed: Option<u64>, step: u64| match passed {

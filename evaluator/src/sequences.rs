@@ -1,4 +1,4 @@
-//! Runs many short sequences of episodes side by side: the agent decides for all worlds at once.
+//! Runs many short sequences of episodes in parallel: the agent acts in all worlds at once.
 
 use std::sync::Arc;
 
@@ -16,10 +16,10 @@ use crate::config::Starts;
 use crate::report::EpisodeResult;
 use crate::setup::EvalError;
 
-/// Steps in which a success can prove stable after the grippers have let go.
+/// Number of steps in which a success can prove stable after the grippers have let go.
 const SETTLE_STEPS: usize = 10;
 
-/// An episode to be run.
+/// An episode to run.
 #[derive(Clone, Debug)]
 pub(crate) struct EpisodeSpec {
     task: Task,
@@ -27,26 +27,26 @@ pub(crate) struct EpisodeSpec {
     pub(crate) n_blocks: usize,
 }
 
-/// Which of the episodes that are run together.
+/// Position of an episode among those that are run together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Place {
     pub(crate) sequence_idx: usize,
-    /// In the sequence.
+    /// Index in the sequence.
     pub(crate) episode_idx: usize,
 }
 
-/// What all worlds of a thread have in common.
+/// Settings shared by all worlds of a thread.
 pub(crate) struct Rules<'a, O> {
     pub(crate) catalog: &'a Catalog,
     pub(crate) acting: ActionMode,
     pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
-    /// Who follows the episodes.
+    /// Observer of the episodes.
     pub(crate) observer: Option<&'a O>,
 }
 
 impl EpisodeSpec {
-    /// Episode `episode_idx` of a goal that begins as one of `starts`.
+    /// Creates episode `idx` of a goal, with a start chosen by `starts`.
     pub(crate) fn one_of(catalog: &Catalog, blueprint: &Blueprint, starts: Starts, seed: u64, idx: u64) -> Self {
         let mut spec = Self::new(blueprint, Start::Scattered, seed, idx);
         let prebuilt = match starts {
@@ -61,14 +61,14 @@ impl EpisodeSpec {
         let mut others = catalog.of_split(Split::Train).to_vec();
         others.retain(|other| other.id() != blueprint.id());
         if prebuilt && !others.is_empty() {
-            // A generator of its own leaves a task what it is however it starts.
+            // A separate generator keeps the rest of the task independent of its start.
             let mut rng = ChaCha8Rng::seed_from_u64(spec.task.seed);
             spec.task.start = Start::Prebuilt(others[rng.random_range(0..others.len())].id().clone());
         }
         spec
     }
 
-    /// Episode `episode_idx` of a goal; only these and `seed` determine it.
+    /// Creates episode `episode_idx` of a goal; only `seed`, the goal, `start`, and `episode_idx` determine it.
     pub(crate) fn new(blueprint: &Blueprint, start: Start, seed: u64, episode_idx: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(episode_seed(seed, blueprint.id(), episode_idx));
         let assignment = sample_assignment(&mut rng);
@@ -76,7 +76,7 @@ impl EpisodeSpec {
         Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
     }
 
-    /// The episode that a task of another process names; none if the catalog does not have the goal.
+    /// Creates an episode from a task of another process; `None` if the catalog does not have the goal.
     pub(crate) fn of_task(catalog: &Catalog, task: Task) -> Option<Self> {
         let blueprint = catalog.get(&task.blueprint)?;
         Some(Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() })
@@ -86,7 +86,7 @@ impl EpisodeSpec {
         &self.task
     }
 
-    /// What came of it.
+    /// Builds the result of this episode.
     pub(crate) fn result(
         &self,
         acting: ActionMode,
@@ -100,12 +100,12 @@ impl EpisodeSpec {
     }
 }
 
-/// Follows the episodes that an agent of type `A` acts in.
+/// Observes episodes in which an agent of type `A` acts.
 pub(crate) trait EpisodeObserver<A>: Sync {
-    /// What is kept of an episode while it runs.
+    /// Data kept for an episode while it runs.
     type Record;
 
-    /// The episode with this place has begun in `start`; `None` if it is not followed.
+    /// The episode at this place has begun in `start`. Returns `None` to ignore it.
     fn begin(
         &self,
         place: Place,
@@ -114,15 +114,15 @@ pub(crate) trait EpisodeObserver<A>: Sync {
         start: Observation<'_>,
     ) -> Option<Self::Record>;
 
-    /// A step of the agent's row led to `after`.
+    /// A step of the agent's batch row `row` led to `after`.
     fn observe(&self, record: &mut Self::Record, step: Step, agent: &A, row: usize, after: Observation<'_>);
 
     /// The episode has ended in the scene `last`.
     fn end(&self, record: Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult);
 }
 
-/// Runs the sequences of `next`: the specs of each one after the other in one world. Worlds take the next sequence when theirs is
-/// over; what came of a sequence goes to `done` with its number.
+/// Runs the sequences returned by `next`. The episodes of a sequence run one after another in one world, which then
+/// starts the next sequence. Each sequence's results go to `done` with its index.
 pub(crate) fn run_sequences<E: Env, A: Agent, O: EpisodeObserver<A>>(
     rules: &Rules<'_, O>,
     agent: &mut A,
@@ -167,23 +167,23 @@ where
     Ok(())
 }
 
-/// Worlds, who acts in them, and their episodes.
+/// Worlds, the agent that acts in them, and their episodes.
 struct EnvironmentLoop<'a, E, A, O: EpisodeObserver<A>> {
     rules: &'a Rules<'a, O>,
     agent: &'a mut A,
     envs: VecEnv<E>,
-    /// One for each world.
+    /// One slot per world.
     slots: Vec<EnvSlot<O::Record>>,
 }
 
-/// The sequence of a world and its current episode.
+/// A world's sequence and its current episode.
 struct EnvSlot<R> {
     sequence_idx: usize,
-    /// Has at least one.
+    /// Never empty.
     sequence: Arc<[EpisodeSpec]>,
-    /// Of the episodes before the current one.
+    /// Results of the episodes before the current one.
     results: Vec<EpisodeResult>,
-    /// The current episode as it began, which a retry of the start may have changed.
+    /// The current episode as it started; differs from `sequence` if the start was retried.
     played: EpisodeSpec,
     forced_reset: bool,
     n_steps: u32,
@@ -219,7 +219,7 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
             _ => false,
         };
         let task = self.envs.reset(row, spec.task.clone(), self.rules.catalog, retry)?;
-        // Stream 0 of the seed belongs to the world.
+        // The world uses stream 0 of the seed.
         self.envs.seed(row, generator(spec.task.seed, 1));
         (slot.n_steps, slot.episode_return) = (0, RewardTerms::default());
         slot.played = EpisodeSpec { task, ..spec.clone() };
@@ -229,7 +229,7 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
         Ok(())
     }
 
-    /// Takes a step that was made; the episode if that ended it.
+    /// Records a step; returns the result if the step ended the episode.
     fn observe(&mut self, row: usize, step: Step) -> Option<EpisodeResult> {
         let (rules, slot) = (self.rules, &mut self.slots[row]);
         let StepResult { reward, status } = step.result;
@@ -242,7 +242,7 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
             return None;
         }
         let env = self.envs.env_mut(row);
-        // Before a success goes on, to see whether it is stable.
+        // Copied before the world steps on to check for a stable success.
         let last = env.scene().clone();
         let end = match status {
             Status::Success => End::Success { stable: settles(env, rules.success) },
@@ -269,7 +269,7 @@ fn settles<E: Env>(env: &mut E, success: &SuccessConfig) -> bool {
     })
 }
 
-/// One number from all that names an episode; the generator of its task begins with it.
+/// Hashes everything that identifies an episode into the seed of its task's generator.
 pub(crate) fn episode_seed(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
     let bytes = seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes());
     fnv1a(bytes)

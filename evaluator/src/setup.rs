@@ -1,4 +1,4 @@
-//! What an evaluation is made of besides who acts, and why it may have no result.
+//! The setup of an evaluation, and its errors.
 
 use std::convert::Infallible;
 
@@ -11,16 +11,16 @@ use runlog::RunPaths;
 
 use crate::config::{EpisodeConfig, EvaluatorConfig, ResetFreeConfig};
 
-/// All that an evaluation needs besides who acts and the blueprints.
+/// Everything that an evaluation needs except the agent and the blueprints.
 #[derive(Clone, Debug)]
 pub struct EvalSetup<'c> {
-    /// Where blueprints come from.
+    /// The catalog of blueprints.
     pub catalog: &'c Catalog,
     /// The world.
     pub environment: EnvironmentConfig,
     /// How episodes are run.
     pub episodes: EpisodeConfig,
-    /// Reset-free runs as well, when given.
+    /// Reset-free runs in addition to the episodes, if any.
     pub reset_free: Option<ResetFreeConfig>,
     /// Seed of start states and sampled actions: evaluations with the same seed can be compared episode by episode.
     pub seed: u64,
@@ -29,22 +29,22 @@ pub struct EvalSetup<'c> {
 /// Why an evaluation has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum EvalError {
-    /// The policy cannot be made or refuses the weights.
+    /// The policy cannot be created or refuses the weights.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// The world cannot be made.
+    /// The world cannot be created.
     #[error(transparent)]
     Environment(#[from] InvalidSetting),
-    /// A start state cannot be made.
+    /// A start state cannot be created.
     #[error(transparent)]
     Start(#[from] StartError),
     /// No training blueprint is large enough for the reset-free runs.
     #[error("no training blueprint has {min_blocks} blocks or more for the reset-free runs")]
     NoGoals {
-        /// As configured.
+        /// The configured minimum.
         min_blocks: usize,
     },
-    /// The caller asked for the end.
+    /// The caller stopped the evaluation.
     #[error("the evaluation was interrupted")]
     Interrupted,
 }
@@ -55,26 +55,26 @@ impl From<Infallible> for EvalError {
     }
 }
 
-/// What an evaluator process needs besides the bus.
+/// Everything that an evaluator process needs except the bus.
 #[derive(Clone, Debug)]
 pub struct EvaluatorSetup {
-    /// When, on what and how.
+    /// When, on what, and how to evaluate.
     pub config: EvaluatorConfig,
-    /// The policy; it must be the learner's.
+    /// The policy, which must match the learner's.
     pub policy: PolicyConfig,
     /// The world.
     pub environment: EnvironmentConfig,
-    /// Name among the living: 1 to 64 characters of `a-z`, `0-9`, `-`.
+    /// Unique name of the process on the bus: 1 to 64 characters of `a-z`, `0-9`, `-`.
     pub id: String,
     /// Seed of start states and sampled actions.
     pub seed: u64,
-    /// The folder in which reports are kept; none keeps nothing.
+    /// The run's folder for the reports; `None` keeps no records.
     pub records: Option<RunPaths>,
-    /// Where goals and starts come from.
+    /// The catalog of goals and starts.
     pub catalog: &'static Catalog,
 }
 
-/// Hash of everything besides weights and tasks that decides what comes of an episode.
+/// Hashes everything other than weights and tasks that affects an episode's result.
 pub(crate) fn setup_hash(setup: &EvaluatorSetup) -> u64 {
     let catalog = setup.catalog.iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
     let catalog: Vec<_> = catalog.collect();

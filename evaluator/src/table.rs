@@ -1,4 +1,4 @@
-//! A report as plain text for a terminal.
+//! Formats a report as plain text for a terminal.
 
 use std::collections::BTreeMap;
 
@@ -6,35 +6,35 @@ use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
 
 use crate::expert::{Cause, ExpertReport};
 
-/// How much of a report the text shows.
+/// Level of detail of the text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Detail {
-    /// Lines for groups only.
+    /// Groups only.
     Groups,
-    /// Lines for so many blueprints as well, those with the least success, of those that do not always succeed.
+    /// Also this many of the blueprints that do not always succeed, worst first.
     Worst(usize),
-    /// Lines for each blueprint as well.
+    /// Also every blueprint.
     Blueprints,
 }
 
-/// Least width of the column of names.
+/// Minimum width of the name column.
 const NAME_WIDTH: usize = 24;
 
-/// Lines whose first column is as wide as its longest name.
+/// Lines whose first column is as wide as the longest name.
 #[derive(Default)]
 struct Table(Vec<Row>);
 
 enum Row {
-    /// Words that are in no column.
+    /// Text outside the columns.
     Words(String),
-    /// A name, and the columns after it.
+    /// A name, and the text of the other columns.
     Columns(String, String),
 }
 
-/// The report as lines of at most 90 characters unless a name is long, each ended by a line break.
+/// Formats the report as lines of at most 90 characters (unless a name is long), each ending with a line break.
 ///
 /// Rates are in percent, with Wilson's 95 % interval for success. `stable` is the rate of stable success, `steps` the
-/// mean number of steps of the successful episodes, `return` the mean undiscounted return of all.
+/// mean number of steps of successful episodes, and `return` the mean undiscounted return of all episodes.
 pub fn render(report: &EvalReport, detail: Detail) -> String {
     let summary = &report.summary;
     let mut text = Table::default();
@@ -61,7 +61,7 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
     text.render()
 }
 
-/// The part about single blueprints, each of which is written by `write`. `rate` is its success, 0 to 1.
+/// Writes the section about single blueprints, with a call of `write` for each. `rate` returns its success, 0 to 1.
 fn blueprints<B>(
     text: &mut Table,
     all: &[B],
@@ -86,8 +86,8 @@ fn blueprints<B>(
     }
 }
 
-/// The expert's report as lines, each ended by a line break; the columns are those of [`render()`], and `built` is the
-/// number of blueprints that were built at least once.
+/// Formats the expert's report as lines, each ending with a line break. The columns are those of [`render()`]; `built`
+/// is the number of blueprints that were built at least once.
 pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
     let mut text = Table::default();
     if !report.is_complete {
@@ -132,7 +132,7 @@ impl Table {
         self.0.push(Row::Columns(what.to_owned(), columns));
     }
 
-    /// A line for each way of acting that was evaluated.
+    /// Adds a line for each evaluated action mode.
     fn lines(&mut self, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
         for (acting, outcome) in [("greedy", mode), ("sampled", sampled)] {
             if outcome.success.n_episodes > 0 {

@@ -1,4 +1,4 @@
-//! What physics says of a blueprint: whether it stands, and whether it can be built.
+//! Physical tests of a blueprint: whether it stands, and whether it can be built.
 
 use blueprints::{Blueprint, Catalog};
 use environment::{Env, EnvironmentConfig, StartError, World};
@@ -9,40 +9,40 @@ use crate::config::EpisodeConfig;
 use crate::expert::evaluate_expert;
 use crate::setup::{EvalError, EvalSetup};
 
-/// Greatest distance that a block of a standing blueprint may move, m (0.2 units).
+/// Maximum distance that a block of a standing blueprint may move, m (0.2 units).
 pub const MAX_DRIFT_M: f32 = 0.02;
-/// Greatest angle that it may turn, rad.
+/// Maximum angle that a block of a standing blueprint may turn, rad.
 pub const MAX_TURN_RAD: f32 = 0.1;
 
-/// Control steps that a blueprint stands: two seconds.
+/// Duration of a stability test in control steps: two seconds.
 const SETTLE_STEPS: usize = 20;
-/// Places on the ground, each with a turn of its own, in which it stands.
+/// Number of positions on the ground, each with its own rotation, in which the blueprint is tested.
 const N_PLACES: u64 = 6;
-/// Episodes in which the expert tries.
+/// Number of episodes in which the expert tries.
 const N_EPISODES: u32 = 3;
 
-/// What two seconds in a world did to a blueprint that was built.
+/// Changes of a built blueprint after two seconds in a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settling {
-    /// Greatest distance that one of its blocks moved, m.
+    /// Maximum distance that one of its blocks moved, m.
     pub drift_m: f32,
-    /// Greatest angle that one of them turned, rad.
+    /// Maximum angle that one of its blocks turned, rad.
     pub turn_rad: f32,
-    /// Greatest number of connections that were broken at a time.
+    /// Maximum number of connections broken at the same time.
     pub n_lost: usize,
 }
 
 impl Settling {
-    /// Whether it stayed as it was.
+    /// Whether the blueprint stayed as it was.
     pub fn is_calm(&self) -> bool {
         self.drift_m < MAX_DRIFT_M && self.turn_rad < MAX_TURN_RAD && self.n_lost == 0
     }
 }
 
-/// Lets a blueprint stand for two seconds with nobody touching it, in several places; the worst that happened in any.
+/// Lets a blueprint stand untouched for two seconds in several positions. Returns the worst of each measure.
 ///
 /// # Errors
-/// When the world cannot be made or has no room.
+/// If the world cannot be created or has no room.
 pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<Settling, EvalError> {
     let mut world = World::new(environment)?;
     let catalog = Catalog::of_one(blueprint.clone());
@@ -65,7 +65,7 @@ fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
     let mut found = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for _ in 0..SETTLE_STEPS {
         world.step(&Action::IDLE);
-        // Some that break snap again.
+        // Counted at every step, because some broken connections snap together again.
         let n_lost = before.joints.iter().filter(|joint| !world.scene().joints.contains(joint)).count();
         found.n_lost = found.n_lost.max(n_lost);
     }
@@ -79,10 +79,10 @@ fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
     found
 }
 
-/// In how many of how many tries from scattered starts the expert builds a blueprint.
+/// Lets the expert build a blueprint from scattered starts. Returns the number of successes and the number of tries.
 ///
 /// # Errors
-/// When the world cannot be made or has no room.
+/// If the world cannot be created or has no room.
 pub fn try_building(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<(u64, u64), EvalError> {
     let catalog = Catalog::of_one(blueprint.clone());
     let setup = EvalSetup {
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn what_falls_over_is_not_calm() {
-        // The giraffe's tail hangs on two magnets, which are too weak for twice its weight.
+        // The giraffe's tail hangs from two magnets, which are too weak for twice its weight.
         let mut weak = EnvironmentConfig::default();
         weak.magnets.break_force_n = 1.0;
         weak.physics.density_kgpm3 *= 2.0;

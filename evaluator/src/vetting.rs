@@ -1,4 +1,4 @@
-//! Keeps weights that cannot be acted by from all that evaluate and show them.
+//! Filters out weights that a policy cannot act with.
 
 use std::sync::Arc;
 
@@ -8,11 +8,12 @@ use proto::Weights;
 use tokio::sync::watch;
 use tokio_util::task::AbortOnDropHandle;
 
-/// Newest weights as they come.
+/// The newest weights received.
 type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 
-/// The newest weights by which a policy can act, which go to `usable` for as long as the handle lives; others are counted by the bus. Weights of
-/// another network pass, since waiting does not mend them: whoever evaluates says what is wrong.
+/// Forwards the newest weights with which a policy can act to `usable` while the returned handle lives. Others are
+/// dropped and counted by the bus. Weights of another network pass, because waiting does not help: the evaluation then
+/// reports the error.
 pub(crate) fn vetted(
     mut arrivals: Arrivals,
     usable: watch::Sender<Option<Arc<Weights>>>,
@@ -38,7 +39,7 @@ pub(crate) fn vetted(
 
 async fn passes(config: &PolicyConfig, weights: &Arc<Weights>, bus: &Bus) -> bool {
     let (config, tried) = (config.clone(), weights.clone());
-    // Off the runtime, because a forward pass computes for a moment.
+    // Off the async runtime, because a forward pass blocks the thread.
     let trial = tokio::task::spawn_blocking(move || Policy::with_weights(&config, &tried));
     let error = match trial.await {
         Ok(Ok(_)) => return true,

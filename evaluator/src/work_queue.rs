@@ -1,7 +1,7 @@
-//! Where the sequences of an evaluation lie until somebody runs them: threads of this process, or remote workers.
+//! Holds the sequences of an evaluation until threads of this process or remote workers run them.
 //!
-//! Every sequence is given to one at a time. What is not brought back goes to the next who asks; of two who bring the same
-//! sequence the first counts.
+//! Each sequence is given to one worker at a time. A sequence that is not returned goes to the next worker that asks;
+//! if two workers return the same sequence, the first result counts.
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::sync::Arc;
@@ -13,19 +13,20 @@ use tokio::sync::watch;
 use crate::report::EpisodeResult;
 use crate::sequences::EpisodeSpec;
 
-/// Most sequences that a remote worker takes at a time: a few seconds of work, and the most that is done again when it is gone.
+/// Maximum number of sequences that a remote worker takes at a time: a few seconds of work, which is also the most that
+/// must be repeated if it disconnects.
 const MAX_LEASED: usize = 64;
 
-/// How far an evaluation is.
+/// Progress of an evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EvaluationProgress {
-    /// Episodes that have ended, of all ways of acting and of reset-free runs too.
+    /// Episodes that have ended, in all action modes and including reset-free runs.
     pub n_ended: u64,
-    /// Episodes in all; 0 while there is nothing to evaluate.
+    /// Total number of episodes; 0 while there is nothing to evaluate.
     pub n_planned: u64,
 }
 
-/// The work of one evaluation.
+/// The work queue of one evaluation.
 #[derive(Debug, Default)]
 pub(crate) struct WorkQueue {
     table: Mutex<Table>,
@@ -34,10 +35,10 @@ pub(crate) struct WorkQueue {
     progress: watch::Sender<EvaluationProgress>,
 }
 
-/// The sequences that are run with one way of acting.
+/// The sequences to run with one action mode.
 #[derive(Debug, Default)]
 struct Table {
-    /// Counts what was posted; what is brought for an earlier round is of no use any more.
+    /// Incremented by each `post`; results for an earlier round are ignored.
     round: u64,
     acting: ActionMode,
     sequences: Vec<Sequence>,
@@ -57,41 +58,41 @@ enum State {
     Waiting,
     Taken,
     Done(Vec<EpisodeResult>),
-    /// Nobody waits for it any more.
+    /// The result is no longer needed.
     GivenUp,
 }
 
-/// Sequences that a remote worker has taken. Those that were not brought when it is dropped are for others.
+/// Sequences that a remote worker has taken. Those not returned when the lease is dropped become available again.
 #[derive(Debug)]
 pub(crate) struct Lease {
     queue: Arc<WorkQueue>,
     round: u64,
-    /// How actions are to be taken.
+    /// Action mode to use.
     pub(crate) acting: ActionMode,
     sequences: Vec<(usize, Arc<[EpisodeSpec]>)>,
 }
 
-/// Counts a remote worker while it lives.
+/// Counts a remote worker while the guard lives.
 #[derive(Debug)]
 pub(crate) struct WorkerGuard(Arc<WorkQueue>);
 
 impl WorkQueue {
-    /// Sequences that remote workers have brought so far.
+    /// Returns the number of sequences that remote workers have run so far.
     pub(crate) fn n_assisted(&self) -> u64 {
         self.table().n_assisted
     }
 
-    /// Says how many episodes there will be in all.
+    /// Sets the total number of episodes.
     pub(crate) fn plan(&self, n_episodes: u64) {
         self.progress.send_modify(|progress| progress.n_planned = n_episodes);
     }
 
-    /// Follows how many of them have ended.
+    /// Returns a receiver of the progress.
     pub(crate) fn watch_progress(&self) -> watch::Receiver<EvaluationProgress> {
         self.progress.subscribe()
     }
 
-    /// Puts up sequences in place of those before.
+    /// Replaces the sequences.
     pub(crate) fn post(&self, sequences: &[Vec<EpisodeSpec>], acting: ActionMode) {
         let mut table = self.table();
         table.round += 1;
@@ -103,12 +104,12 @@ impl WorkQueue {
         self.posted.send_replace(());
     }
 
-    /// The next sequence for a thread of this process.
+    /// Takes the next sequence for a thread of this process.
     pub(crate) fn take(&self) -> Option<(usize, Arc<[EpisodeSpec]>)> {
         self.table().take()
     }
 
-    /// What a thread of this process brings.
+    /// Stores the results of a thread of this process.
     pub(crate) fn bring(&self, sequence_idx: usize, results: Vec<EpisodeResult>) {
         let n_episodes = results.len();
         if self.table().bring(sequence_idx, results) {
@@ -117,7 +118,7 @@ impl WorkQueue {
         self.brought.notify_all();
     }
 
-    /// Waits until a sequence may be there to take, or all are done; at most for `patience`.
+    /// Waits until a sequence may be available or all are done, for at most `patience`.
     pub(crate) fn wait(&self, patience: Duration) {
         let is_idle = |table: &mut Table| {
             table.n_missing > 0 && !table.sequences.iter().any(|sequence| matches!(sequence.state, State::Waiting))
@@ -125,7 +126,7 @@ impl WorkQueue {
         self.brought.wait_while_for(&mut self.table(), is_idle, patience);
     }
 
-    /// Waits until all sequences are done, at most for `patience`.
+    /// Waits until all sequences are done, for at most `patience`.
     #[cfg(test)]
     pub(crate) fn wait_until_done(&self, patience: Duration) {
         self.brought.wait_while_for(&mut self.table(), |table| table.n_missing > 0, patience);
@@ -136,7 +137,7 @@ impl WorkQueue {
         self.table().n_missing == 0
     }
 
-    /// Waits for nothing any more; what has come is kept.
+    /// Gives up the unfinished sequences; results that have arrived are kept.
     pub(crate) fn give_up(&self) {
         let mut table = self.table();
         table.n_missing = 0;
@@ -149,7 +150,7 @@ impl WorkQueue {
         self.brought.notify_all();
     }
 
-    /// What came of the sequences, in their order; those that are not done are left out.
+    /// Removes all sequences and returns their results in order, without those that are not done.
     pub(crate) fn clear(&self) -> Vec<Vec<EpisodeResult>> {
         let mut table = self.table();
         table.n_missing = 0;
@@ -159,7 +160,7 @@ impl WorkQueue {
             .collect()
     }
 
-    /// Follows what is posted.
+    /// Returns a receiver that is notified of each `post`.
     pub(crate) fn watch(&self) -> watch::Receiver<()> {
         self.posted.subscribe()
     }
@@ -181,7 +182,7 @@ impl Table {
         Some((sequence_idx, sequence.specs.clone()))
     }
 
-    /// Whether it was not there already.
+    /// Stores the results; returns whether they were needed.
     fn bring(&mut self, sequence_idx: usize, results: Vec<EpisodeResult>) -> bool {
         let Some(sequence) = self.sequences.get_mut(sequence_idx) else { return false };
         if matches!(sequence.state, State::Done(_) | State::GivenUp) {
@@ -194,13 +195,14 @@ impl Table {
 }
 
 impl WorkerGuard {
-    /// A remote worker that takes from this queue.
+    /// Registers a remote worker that takes from this queue.
     pub(crate) fn new(queue: Arc<WorkQueue>) -> Self {
         queue.table().n_workers += 1;
         Self(queue)
     }
 
-    /// Sequences for it, if any wait: no more than leave the others as much to do.
+    /// Leases waiting sequences to the worker, if there are any: at most half of its share, so that the others have as
+    /// much left.
     pub(crate) fn take(&self) -> Option<Lease> {
         let mut table = self.0.table();
         let n_waiting = table.sequences.iter().filter(|sequence| matches!(sequence.state, State::Waiting)).count();
@@ -219,12 +221,12 @@ impl Drop for WorkerGuard {
 }
 
 impl Lease {
-    /// The specs of each sequence.
+    /// Returns the specs of each sequence.
     pub(crate) fn specs(&self) -> impl Iterator<Item = &Arc<[EpisodeSpec]>> {
         self.sequences.iter().map(|(_, specs)| specs)
     }
 
-    /// What came of the sequences, in the shape of [`Self::specs`].
+    /// Stores the results of the sequences, which have the shape of [`Self::specs`].
     pub(crate) fn bring(mut self, results: Vec<Vec<EpisodeResult>>) {
         let queue = self.queue.clone();
         let mut table = queue.table();

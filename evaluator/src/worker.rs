@@ -1,4 +1,4 @@
-//! A remote worker: runs episodes for whoever evaluates in the same run.
+//! A remote worker: runs episodes for an evaluator of the same run.
 
 use std::sync::Arc;
 
@@ -19,16 +19,16 @@ use crate::sequences::EpisodeSpec;
 use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
 use crate::work_queue::WorkQueue;
 
-/// Runs units of evaluators under the name `setup.id` until `shutdown`; returns how many. Of the setup, its threads, its
-/// worlds side by side and its niceness are used, and its policy and environment must be those of the evaluator, whose
-/// units are refused otherwise. It keeps no records.
+/// Runs units of evaluators under the name `setup.id` until `shutdown`; returns how many. Uses the setup's number of
+/// threads, worlds per thread, and niceness. Its policy and environment must be those of the evaluator, whose units are
+/// refused otherwise. Keeps no records.
 ///
 /// # Errors
-/// When the configuration is invalid or the session fails. An episode that cannot be run is told to the evaluator.
+/// If the configuration is invalid or the session fails. If an episode cannot be run, the evaluator receives the error.
 pub async fn run_worker(setup: EvaluatorSetup, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<u64> {
     setup.config.validate().context("invalid evaluator configuration")?;
     let mut units = bus.serve_units(&setup.id).await?;
-    // After that, because an evaluator sends units to all who are alive.
+    // Only after `serve_units`, because an evaluator sends units to all workers that are alive.
     let _alive = bus.declare_alive(Role::Worker, &setup.id).await?;
     let pulse = bus.pulse().clone();
     let mut worker = RemoteWorker { hash: setup_hash(&setup), setup, held: None, pulse };
@@ -57,7 +57,7 @@ struct RemoteWorker {
 }
 
 impl RemoteWorker {
-    /// `None` if `shutdown` came before the unit was done.
+    /// Returns `None` if `shutdown` was canceled before the unit was done.
     async fn answer(&mut self, unit: &EvalUnit, shutdown: &CancellationToken) -> anyhow::Result<Option<EvalAnswer>> {
         if unit.setup_hash != self.hash {
             let refusal = "the worker has another version, network or world: start it with the evaluator's settings";
@@ -103,7 +103,7 @@ impl RemoteWorker {
     }
 }
 
-/// The unit's sequences, if the catalog has all of their goals.
+/// Returns the unit's sequences; `None` if the catalog lacks one of their goals.
 fn sequences(unit: &EvalUnit, catalog: &Catalog) -> Option<Vec<Vec<EpisodeSpec>>> {
     let spec = |task: &proto::Task| EpisodeSpec::of_task(catalog, task.clone());
     unit.sequences.iter().map(|tasks| tasks.iter().map(spec).collect()).collect()
@@ -112,7 +112,7 @@ fn sequences(unit: &EvalUnit, catalog: &Catalog) -> Option<Vec<Vec<EpisodeSpec>>
 fn to_answer(sequences: &[Vec<EpisodeResult>]) -> EvalAnswer {
     let to_wire = |result: &EpisodeResult| EvalEpisode {
         end: result.end,
-        // Episodes are far shorter; the limit of the message is that of trajectories.
+        // Episodes are far shorter; the message has the limit of trajectories.
         n_steps: u16::try_from(result.n_steps).unwrap_or(u16::MAX),
         episode_return: result.episode_return,
         forced_reset: result.forced_reset,

@@ -1,4 +1,4 @@
-//! Remote workers on an isolated bus do the work of an evaluation in which the evaluator itself does nothing.
+//! Remote workers on an isolated bus do all the work of an evaluation.
 
 use blueprints::{Blueprint, Catalog, Split};
 use bus::UnitServer;
@@ -38,7 +38,7 @@ async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(120), future).await.expect("it takes a moment only")
 }
 
-/// Waits until remote workers have brought all sequences.
+/// Waits until remote workers have returned all sequences.
 async fn brought(queue: &Arc<WorkQueue>) -> Vec<Vec<EpisodeResult>> {
     let queue = queue.clone();
     let waiting = tokio::task::spawn_blocking(move || {
@@ -56,7 +56,7 @@ async fn remote_workers_find_what_the_evaluator_would() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let shutdown = CancellationToken::new();
-    // One of another world refuses, one takes sequences and never brings them, two work.
+    // One worker with different settings refuses, one takes sequences and never returns them, and two work.
     let mut services = Vec::new();
     for (id, episode_steps) in [("other", 9), ("a", 8), ("b", 8)] {
         let (bus, shutdown) = (bus.clone(), shutdown.clone());

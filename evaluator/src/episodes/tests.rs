@@ -19,7 +19,7 @@ pub(crate) fn small_policy() -> PolicyConfig {
     PolicyConfig { network, ..Default::default() }
 }
 
-/// Short episodes.
+/// A setup with short episodes.
 pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
     EvalSetup {
         catalog: Catalog::builtin(),
@@ -44,7 +44,7 @@ pub(crate) fn weights() -> Weights {
     }
 }
 
-/// Acts by these weights.
+/// Returns a policy with the weights of [`weights`].
 pub(crate) fn agent() -> Result<Policy, EvalError> {
     Ok(Policy::with_weights(&small_policy(), &weights())?)
 }
@@ -71,7 +71,7 @@ fn the_same_weights_get_the_same_report() {
 #[test]
 fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let setup = small_setup(EpisodeConfig { n_episodes: 2, acting: vec![ActionMode::Greedy], ..Default::default() });
-    // 62 of 2 to 4 blocks: 124 episodes in parts of 32, 64 and 124.
+    // 62 blueprints of 2 to 4 blocks: 124 episodes in parts of 32, 64, and 124.
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
     let (queue, observer) = (WorkQueue::default(), None::<&EpisodeSelector>);
@@ -81,7 +81,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));
     assert!(parts.iter().all(|part| part.summary.n_planned == 124 && !part.summary.is_complete));
-    // Every second blueprint first, then the others.
+    // Every second blueprint comes first, then the others.
     let first: Vec<_> = parts[0].blueprints.iter().map(|score| &score.blueprint).collect();
     assert!(blueprints.iter().step_by(2).all(|blueprint| first.contains(&blueprint.id())), "{first:?}");
     assert_eq!(parts[1].blueprints.len(), 62);
@@ -96,7 +96,7 @@ fn an_episode_is_the_same_whatever_runs_beside_it() {
     let (alone, crowded) = (&alone.blueprints[0], &crowded.blueprints[0]);
     assert_eq!(alone.blueprint, crowded.blueprint);
     assert_eq!(alone.sampled.mean_steps, crowded.sampled.mean_steps);
-    // Sums in another order may round differently, but not more.
+    // Sums in another order may round differently, but no more than that.
     let difference = alone.sampled.mean_return.total() - crowded.sampled.mean_return.total();
     assert!(difference.abs() < 1e-3, "{difference}");
 }

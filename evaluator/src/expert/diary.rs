@@ -1,4 +1,4 @@
-//! What happened in the episodes of the expert, so that a failure has a cause and a replay.
+//! Records the expert's episodes, so that each failure has a cause and a replay.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,9 +14,9 @@ use crate::recording::Recording;
 use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
-/// This many steps of one trouble are enough to call it the cause.
+/// Minimum number of steps spent on a problem for it to count as the cause.
 const MANY_STEPS: u32 = 15;
-/// So many steps in which nothing new connected mean that it was stuck.
+/// Minimum number of steps without a new connection for the expert to count as stuck.
 const STUCK_STEPS: u32 = 30;
 
 /// Why an episode failed.
@@ -25,71 +25,71 @@ const STUCK_STEPS: u32 = 30;
 pub enum Cause {
     /// The blueprint has no order of assembly.
     NoOrder,
-    /// The physics left the rails.
+    /// The physics diverged.
     Diverged,
-    /// Blocks snapped together wrongly, and taking them apart took the time or was not over.
+    /// Wrong connections formed, and taking them apart took too long or was not finished.
     WrongConnection,
-    /// Right connections broke.
+    /// Correct connections broke.
     Break,
-    /// Blocks in the way took the time.
+    /// Moving blocks out of the way took too long.
     Clutter,
-    /// For a long time nothing new connected.
+    /// No new connection formed for a long time.
     Stuck,
-    /// It went on well but was not over.
+    /// Time ran out, although the episode went well.
     #[default]
     Time,
 }
 
-/// What an episode went through.
+/// Statistics of an episode, and the cause of its failure.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Trouble {
-    /// Why it failed.
+    /// Cause of the failure.
     pub cause: Cause,
     /// Steps of the episode.
     pub n_steps: u32,
-    /// Steps spent on taking apart, those before the first block was fetched not counted.
+    /// Steps spent on taking apart, not counting those before the first block was fetched.
     pub n_repair_steps: u32,
-    /// Steps before that, on what stood at the start.
+    /// Steps spent on taking apart before the first block was fetched, because of blocks built at the start.
     pub n_takedown_steps: u32,
     /// Steps spent on moving blocks out of the way.
     pub n_clearing_steps: u32,
-    /// Wrong connections that came about.
+    /// Wrong connections that formed.
     pub n_wrong_snaps: u32,
-    /// Right connections that were lost.
+    /// Correct connections that broke.
     pub n_breaks: u32,
     /// Wrong connections at the end.
     pub n_wrong_left: u32,
-    /// Right connections missing at the end.
+    /// Correct connections missing at the end.
     pub n_missing: u32,
 }
 
-/// An episode that failed.
+/// A failed episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExpertFailure {
     /// The goal.
     pub blueprint: BlueprintId,
-    /// Number of the episode, from 0.
+    /// Index of the episode, from 0.
     pub episode_idx: u64,
-    /// What went wrong.
+    /// Statistics and cause.
     #[serde(flatten)]
     pub trouble: Trouble,
-    /// Every step, for a replay; not part of the report's JSON. `None` if the episode has no step to show.
+    /// Every step, for a replay; not part of the report's JSON. `None` if the episode has no steps.
     #[serde(skip)]
     pub replay: Option<Trajectory>,
 }
 
-/// What is kept of an evaluation of the expert.
+/// Replays collected during an evaluation of the expert.
 #[derive(Default)]
 pub(super) struct Diaries(Mutex<Replays>);
 
 #[derive(Default)]
 struct Replays {
     failures: BTreeMap<Place, ExpertFailure>,
-    /// The first of each sequence: one is enough to look at, and all of them would be gigabytes.
+    /// The first success of each sequence: one is enough to look at, and all of them would take gigabytes.
     successes: BTreeMap<usize, Trajectory>,
 }
 
-/// The record of an episode.
+/// The record of one episode.
 pub(super) struct Diary {
     place: Place,
     recording: Recording,
@@ -101,7 +101,7 @@ pub(super) struct Diary {
 }
 
 impl Diaries {
-    /// The failures and the first success of each sequence, in the order of the sequences.
+    /// Returns the failures and the first success of each sequence, in the order of the sequences.
     pub(super) fn into_replays(self) -> (Vec<ExpertFailure>, Vec<Trajectory>) {
         let Replays { failures, successes } = self.0.into_inner();
         (failures.into_values().collect(), successes.into_values().collect())
@@ -146,7 +146,8 @@ impl Diary {
         Self { place, recording, trouble, has_no_order: false, has_fetched: false, n_right, steps_since_gain: 0 }
     }
 
-    /// Takes a step: what was done, what for (`None` without an order of assembly), what it led to.
+    /// Records a step: the step itself, its purpose (`None` without an order of assembly), and the resulting
+    /// observation.
     fn note(&mut self, step: Step, activity: Option<Activity>, after: Observation<'_>) {
         let trouble = &mut self.trouble;
         trouble.n_steps += 1;
@@ -170,7 +171,7 @@ impl Diary {
         self.recording.push(step);
     }
 
-    /// What went wrong in an episode that ended so.
+    /// Returns the statistics of an episode with this end, including the cause.
     fn trouble(&self, end: End) -> Trouble {
         let t = &self.trouble;
         let cause = if self.has_no_order {

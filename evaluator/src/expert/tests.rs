@@ -1,4 +1,4 @@
-//! Episodes are shared out, evaluated and explained as they happened.
+//! The expert on real worlds: its success, its failures, and their causes.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -20,7 +20,7 @@ fn setup() -> EvalSetup<'static> {
 
 #[test]
 fn the_expert_builds_a_sample_of_the_catalog() {
-    // Every seventh blueprint, so that all sizes and splits are there. The whole catalog gives 99 %.
+    // Every seventh blueprint, so that all sizes and splits are included. On the whole catalog the rate is 99 %.
     let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(7).collect();
     let report = evaluate_expert(&setup(), &sample, &|| true).unwrap();
     let all = report.groups.last().unwrap();

@@ -1,4 +1,4 @@
-//! Where recorded episodes wait to be made into video clips. What finds no room is counted and dropped.
+//! The queue of recorded episodes to be rendered. When it is full, new episodes are counted and dropped.
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
@@ -7,22 +7,22 @@ use proto::Trajectory;
 use proto::metrics::FilmCounts;
 use runlog::clips::Ending;
 
-/// Episodes that may wait: three evaluations of the default films, each up to about a megabyte.
+/// Queue capacity: three evaluations of the default films, each up to about a megabyte.
 pub(super) const ROOM: usize = 32;
 
-/// An episode that becomes a film.
+/// A recorded episode to be rendered.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Clip {
     pub(super) trajectory: Trajectory,
     pub(super) n_env_steps: u64,
     pub(super) ending: Ending,
-    /// From 1 among those of the same blueprint and ending in the evaluation.
+    /// Number among the evaluation's clips of the same blueprint and ending, from 1.
     pub(super) number: u32,
-    /// What it is shown as.
+    /// TensorBoard tags.
     pub(super) tags: Vec<String>,
 }
 
-/// Where episodes wait to be made into films.
+/// A bounded queue of clips to be rendered.
 #[derive(Debug, Default)]
 pub(super) struct ClipQueue {
     state: Mutex<State>,
@@ -33,18 +33,18 @@ pub(super) struct ClipQueue {
 struct State {
     clips: VecDeque<Clip>,
     is_closed: bool,
-    /// But for what waits.
+    /// All counts except `n_waiting`.
     counts: FilmCounts,
 }
 
-/// What became of a clip.
+/// Result of processing a clip.
 pub(super) enum Made {
     Film { is_oversized: bool },
     RecordingOnly,
 }
 
 impl ClipQueue {
-    /// Leaves a clip for the thread, unless the queue is full.
+    /// Adds a clip to the queue. If the queue is full or closed, drops and counts it instead.
     pub(super) fn offer(&self, clip: Clip) {
         let mut state = self.state();
         if state.is_closed || state.clips.len() >= ROOM {
@@ -64,7 +64,7 @@ impl ClipQueue {
         self.state().all_counts()
     }
 
-    /// Waits for the next clip, and says whether the queue is closed; `None` once it is closed and empty.
+    /// Waits for the next clip and returns it with whether the queue is closed; `None` once it is closed and empty.
     pub(super) fn next(&self) -> Option<(Clip, bool)> {
         let is_idle = |state: &mut State| state.clips.is_empty() && !state.is_closed;
         let mut state = self.state();

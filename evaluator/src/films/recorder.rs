@@ -1,6 +1,6 @@
-//! The thread that makes films, and the queue on which episodes wait for it.
+//! The thread that renders films.
 //!
-//! An evaluation never waits for films: what finds no room on the queue is counted and dropped.
+//! An evaluation never waits for films: when the queue is full, new episodes are counted and dropped.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -22,12 +22,12 @@ use render::video::{Episode, Film, Miniature, miniature, mp4};
 use runlog::RunPaths;
 use runlog::clips::{ClipName, ClipStore, RECORDING};
 
-/// A thread that makes films of what evaluations leave on its queue.
+/// A thread that renders the episodes that evaluations put on its queue.
 #[derive(Debug)]
 pub(crate) struct VideoRecorder {
     config: FilmsConfig,
     queue: Arc<ClipQueue>,
-    /// Until it is closed.
+    /// `None` once closed.
     thread: Option<JoinHandle<()>>,
 }
 
@@ -36,25 +36,25 @@ struct Files {
     videos: ClipStore,
     replays: ClipStore,
     reel: Option<Reel>,
-    /// Where goals are looked up.
+    /// The catalog of goals.
     catalog: &'static Catalog,
 }
 
-/// Small films for TensorBoard, in two files of which the older one goes when the newer one is full.
+/// Small films for TensorBoard, in two files. When the newer file is full, the older one is deleted.
 struct Reel {
     folder: PathBuf,
     writer: EventWriter,
     older: Option<PathBuf>,
     n_bytes: u64,
-    /// Of one file.
+    /// Maximum size of one file.
     max_bytes: u64,
 }
 
 impl VideoRecorder {
-    /// Starts the thread. `None` if no films are asked for.
+    /// Starts the thread. Returns `None` if no films are requested.
     ///
     /// # Errors
-    /// When the event file or the thread cannot be made.
+    /// If the event file or the thread cannot be created.
     pub(crate) fn open(
         config: &FilmsConfig,
         paths: &RunPaths,
@@ -82,12 +82,12 @@ impl VideoRecorder {
         Ok(Some(Self { config: config.clone(), queue, thread: Some(thread) }))
     }
 
-    /// The films of an evaluation of `weights`.
+    /// Returns the selector of the episodes to film in an evaluation of `weights`.
     pub(crate) fn selector(&self, weights: &Arc<Weights>, acting: &[ActionMode]) -> Option<EpisodeSelector> {
         EpisodeSelector::new(&self.config, weights.clone(), *acting.first()?, self.queue.clone())
     }
 
-    /// What became of the films so far.
+    /// Returns the film counts so far.
     pub(crate) fn counts(&self) -> FilmCounts {
         self.queue.counts()
     }
@@ -98,7 +98,7 @@ impl VideoRecorder {
         self.queue.wait_until(is_reached)
     }
 
-    /// Ends the thread after the film in hand; of what waits only the recordings are kept.
+    /// Ends the thread after the current film. Of the waiting clips, only the recordings are kept.
     pub(crate) fn close(mut self) {
         self.queue.close();
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
@@ -110,7 +110,7 @@ impl VideoRecorder {
 }
 
 impl Drop for VideoRecorder {
-    /// Also where an evaluator fails before it could be closed, the thread ends.
+    /// Ends the thread even if the evaluator fails before `close`.
     fn drop(&mut self) {
         self.queue.close();
     }
@@ -139,7 +139,8 @@ impl Files {
 }
 
 impl Reel {
-    /// Beside the files with numbers, and not in one of them: readers clip what is in one folder for one row of files.
+    /// Creates the event file in a folder other than that of the scalars, because readers treat all files of a folder
+    /// as one series.
     fn create(tensorboard: &Path, room_mb: u64) -> io::Result<Self> {
         let folder = tensorboard.join("films");
         let writer = EventWriter::create(&folder)?;

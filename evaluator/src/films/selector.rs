@@ -1,5 +1,4 @@
-//! Which episodes of an evaluation are recorded: those that could be the success or the failure that a film is wanted
-//! of.
+//! Selects the episodes of an evaluation to record: those that could become a requested success or failure film.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
@@ -17,13 +16,13 @@ use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 use runlog::clips::Ending;
 
-/// Episodes that are recorded at a time; at a kilobyte for a step, some tens of megabytes.
+/// Maximum number of episodes recorded at a time. At a kilobyte per step, this takes some tens of megabytes.
 const MAX_RECORDING: usize = 256;
 
-/// The films that are wanted of one evaluation.
+/// Selects the episodes to film in one evaluation.
 ///
-/// Until one has ended nobody knows which episode will succeed, so all are recorded that may be wanted, and most of them
-/// are forgotten.
+/// It is not known in advance which episodes will succeed, so all episodes that may be needed are recorded, and most
+/// recordings are discarded.
 #[derive(Debug)]
 pub struct EpisodeSelector {
     actor: ActorId,
@@ -33,7 +32,7 @@ pub struct EpisodeSelector {
     queue: Arc<ClipQueue>,
 }
 
-/// What films are wanted of.
+/// A group or blueprint to film.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Subject {
     Group(Group),
@@ -48,7 +47,7 @@ struct Open {
 }
 
 impl EpisodeSelector {
-    /// The films of an evaluation of `weights`; what is acted otherwise than `acting` is not filmed.
+    /// Creates the selector for an evaluation of `weights`. Only episodes with the action mode `acting` are filmed.
     pub(super) fn new(
         config: &FilmsConfig,
         weights: Arc<Weights>,
@@ -128,7 +127,7 @@ impl Open {
 }
 
 impl Subject {
-    /// The name by which films can be followed from evaluation to evaluation.
+    /// Returns the name under which films of different evaluations are shown together.
     fn tag(&self) -> String {
         match self {
             Self::Group(group) => group.name().replace(' ', "-"),

@@ -53,7 +53,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     assert_eq!(written, FilmCounts { written_total: 1, ..FilmCounts::default() });
     recorder.close();
 
-    // Untrained weights with eight steps build nothing: the first episode of the first blueprint that ends is the film.
+    // Untrained weights with eight steps build nothing, so the film shows the first episode that ends.
     let [folder] = names(&dir.path().join("videos")).try_into().unwrap();
     let goal = goals.iter().find(|goal| goal.id().as_str() == folder).unwrap();
     assert_eq!(names(&dir.path().join("videos").join(&folder)), ["00000002-failure.mp4"]);
@@ -64,7 +64,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     assert_eq!(names(&dir.path().join("tb/evaluator/films")).len(), 1);
 }
 
-/// An episode of one step that ended so.
+/// Plays an episode of one step with this end; returns whether it was recorded.
 fn play(selector: &EpisodeSelector, scene: &Scene, acting: ActionMode, end: End) -> bool {
     let selector: &dyn EpisodeObserver<(), Record = Recording> = selector;
     let spec = EpisodeSpec::new(blueprint(), Start::Scattered, 1, 0);
@@ -103,7 +103,7 @@ fn nothing_is_recorded_once_every_wanted_film_is_taken() {
     for end in [success, success, success, End::TimeLimit] {
         assert!(play(&selector, &scene(), ActionMode::Greedy, end));
     }
-    // Two successes for group and blueprint alike; the third was recorded because a failure was still wanted.
+    // Two successes were taken for both group and blueprint; the third was recorded because a failure was still wanted.
     assert_eq!(queue.counts().n_waiting, 3);
     assert!(play(&selector, &scene(), ActionMode::Greedy, End::Diverged), "a diverged episode is a failure");
     assert_eq!(queue.counts().n_waiting, 4);
@@ -114,7 +114,7 @@ fn nothing_is_recorded_once_every_wanted_film_is_taken() {
 fn a_full_queue_drops_and_counts_and_nobody_waits() {
     let queue = Arc::new(ClipQueue::default());
     let config = FilmsConfig { n_of_each: 10, ..Default::default() };
-    // Nobody takes anything off this queue.
+    // Nothing consumes this queue.
     for _ in 0..ROOM / 10 + 1 {
         let selector = selector(&config, &queue);
         (0..10).for_each(|_| assert!(play(&selector, &scene(), ActionMode::Greedy, End::TimeLimit)));

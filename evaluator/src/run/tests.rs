@@ -9,7 +9,7 @@ use super::*;
 use crate::config::{EvaluatorConfig, Every, Selection};
 use crate::episodes::tests::{small_policy, small_setup, weights};
 
-/// Ends a test that waits for what does not come.
+/// Fails a test that waits for something that does not happen.
 async fn within<T>(future: impl Future<Output = T>) -> T {
     tokio::time::timeout(Duration::from_secs(120), future).await.expect("it takes a moment only")
 }
@@ -41,8 +41,8 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights();
-    // Neither evaluated nor the end: those after them are.
-    // Of a lower version: within one epoch only newer weights are pulled.
+    // Refused without ending the service: the next weights are evaluated. The version is lower because, within one
+    // epoch, only newer weights are pulled.
     let version = WeightsVersion(untrained.version.0 - 1);
     let huge = Weights { version, parameters: vec![1e6; untrained.parameters.len()], ..untrained.clone() };
     publisher.publish(Arc::new(huge)).await.unwrap();
@@ -57,7 +57,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     assert_eq!(report.summary.weights_version, untrained.version);
     assert_eq!(report.blueprints.len(), n_selected);
 
-    // Two versions later nothing is due, five later it is.
+    // Two versions later no evaluation is due; five versions later one is.
     for passed in [2, 5] {
         let version = WeightsVersion(untrained.version.0 + passed);
         publisher.publish(Arc::new(Weights { version, ..untrained.clone() })).await.unwrap();
@@ -66,7 +66,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         report.as_ref().is_some_and(|report| report.summary.weights_version.0 == untrained.version.0 + 5)
     };
     within(seen.wait_for(is_later)).await.unwrap();
-    // Not due, but the last.
+    // Not due, but the last weights.
     let last = WeightsVersion(untrained.version.0 + 6);
     publisher.publish(Arc::new(Weights { version: last, ..untrained.clone() })).await.unwrap();
     tell.send_replace(Some(last));
@@ -85,7 +85,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let evaluations = History::read(&records.history()).unwrap();
     assert_eq!(evaluations.len(), 3);
     assert_eq!(evaluations[0], Pass::new(&report, evaluations[0].ended_unix_ms));
-    // Ended in order, after 2026 began.
+    // The evaluations ended in order, after the start of 2026.
     assert!(
         1_767_225_600_000 < evaluations[0].ended_unix_ms
             && evaluations[0].ended_unix_ms <= evaluations[1].ended_unix_ms
@@ -131,7 +131,7 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     assert!(counted.borrow().is_none(), "nothing is under way");
     stop.now.cancel();
     within(service).await.unwrap().unwrap();
-    // Whoever follows the caller's channel sees whole evaluations, and a part only of one that is interrupted.
+    // The caller's channel receives complete evaluations, and a partial one only if it is interrupted.
     assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
     bus.close().await;
 }
@@ -169,7 +169,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     };
     let report = within(seen.wait_for(Option::is_some)).await.unwrap().clone().unwrap();
     assert_eq!(ids(&report), ["2_000"]);
-    // Evaluated already, but not on the last splits.
+    // Already evaluated, but not on the last splits.
     tell.send_replace(Some(untrained.version));
     assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 2 });
     let report = seen.borrow().clone().unwrap();
@@ -208,7 +208,7 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
 async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluated_again() {
     let dir = tempfile::tempdir().unwrap();
     let records = RunPaths::new(dir.path());
-    // The second resumes from the first one's weights; the third is asked for more episodes.
+    // The second run resumes from the weights of the first; the third has more episodes.
     for (n_episodes, expected) in [(1, 1), (1, 0), (2, 1)] {
         let bus = Bus::isolated(dir.path()).await.unwrap();
         let publisher = bus.weights_publisher().await.unwrap();
@@ -223,7 +223,7 @@ async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluate
     assert_eq!(History::read(&records.history()).unwrap().len(), 2);
 }
 
-/// So many greedy episodes of one goal, one after the other.
+/// A setup with `n_episodes` greedy episodes of one goal, one after another.
 fn one_goal(n_episodes: u32, records: Option<RunPaths>) -> EvaluatorSetup {
     let episodes = EpisodeConfig { n_episodes, acting: vec![ActionMode::Greedy], n_worlds: 1, ..Default::default() };
     let environment = small_setup(episodes.clone()).environment.clone();

@@ -6,7 +6,7 @@ use proto::{Gripper, Pose};
 use super::*;
 use crate::films::EpisodeSelector;
 
-/// A world in which nothing moves and a script says how each step ends.
+/// A world in which nothing moves and a script determines how each step ends.
 struct Toy {
     ends: Vec<Status>,
     n_steps: usize,
@@ -25,7 +25,7 @@ impl Env for Toy {
     }
 
     fn step(&mut self, action: &Action) -> StepResult {
-        // The steps in which a success may settle do not count as steps of an episode.
+        // Idle steps, which test whether a success is stable, do not count as steps of an episode.
         if action.moves == [[0.0; 6]; blueprints::N_BLOCKS] {
             return StepResult { reward: RewardTerms::default(), status: Status::Running };
         }
@@ -96,7 +96,7 @@ fn worlds_share_more_sequences_than_there_are_worlds() {
     let sequences = vec![sequence(&[Start::Scattered]); 5];
     let results = run(worlds, &sequences, true).unwrap();
     let steps: Vec<u32> = results.iter().map(|sequence| sequence[0].n_steps).collect();
-    // The first world ends an episode at every step, the second at the third, when the last sequence is taken already.
+    // The first world ends an episode at every step, the second at its third, when the last sequence is already taken.
     assert_eq!(steps, [1, 3, 1, 1, 1]);
     // Nothing is connected in the toy's scene, so its success proves unstable.
     assert_eq!(results[0][0].end, End::Success { stable: false });

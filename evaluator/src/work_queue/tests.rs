@@ -1,4 +1,4 @@
-//! Sequences that are taken, brought, lost and brought too late.
+//! Sequences that are taken, returned, lost, and returned too late.
 
 use blueprints::{Catalog, Split};
 use proto::unit::End;
@@ -15,7 +15,7 @@ fn sequences(n: u64) -> Vec<Vec<EpisodeSpec>> {
     (0..n).map(|idx| vec![EpisodeSpec::new(goal, Start::Scattered, 1, idx)]).collect()
 }
 
-/// What a sequence came to; `n_steps` tells who ran it.
+/// A result of a sequence; `n_steps` identifies the worker.
 fn result(specs: &[EpisodeSpec], n_steps: u32) -> Vec<EpisodeResult> {
     specs
         .iter()
@@ -28,7 +28,7 @@ fn bring(lease: Lease, n_steps: u32) {
     lease.bring(results);
 }
 
-/// Who ran each sequence.
+/// Returns the worker that ran each sequence.
 fn runners(queue: &WorkQueue) -> Vec<u32> {
     queue.clear().iter().map(|sequence| sequence[0].n_steps).collect()
 }
@@ -38,7 +38,7 @@ fn every_sequence_is_given_to_one() {
     let queue = queue();
     queue.post(&sequences(20), ActionMode::Greedy);
     let (first, second) = (WorkerGuard::new(queue.clone()), WorkerGuard::new(queue.clone()));
-    // With two remote workers beside the evaluator: 20 / 6 and (20 - 3) / 6 sequences.
+    // With two remote workers and the evaluator: 20 / 6 and (20 - 3) / 6 sequences.
     let (some, more) = (first.take().unwrap(), second.take().unwrap());
     assert_eq!((some.specs().count(), more.specs().count()), (3, 2));
     bring(some, 1);
