@@ -1,6 +1,6 @@
-//! Time of a PPO update with the paper's network, in milliseconds per sample and epoch.
+//! Measures the time of a PPO update with the paper's network, in milliseconds per sample and epoch.
 //!
-//! `cargo bench -p learner -- [SAMPLES [THREADS [FORWARD_SIZE]]]`, 1024 samples on one thread by default.
+//! `cargo bench -p learner -- [SAMPLES [THREADS [FORWARD_SIZE]]]`; the default is 1024 samples on one thread.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -14,7 +14,7 @@ use proto::{Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, T
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Steps of a segment.
+/// Number of steps per segment.
 const SEGMENT: usize = 32;
 
 fn main() {

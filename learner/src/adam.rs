@@ -1,7 +1,7 @@
-//! Adam, clipping by global norm, and the learning rate's rule, on flat vectors.
+//! Adam, global-norm clipping, and the learning-rate rule, on flat vectors.
 //!
 //! The optimizer works on the flat parameter vector that is sent to the actors. Its moments are two plain vectors, so a
-//! checkpoint is exact and needs no tree of tensors. It takes less than 1 % of an update's time.
+//! checkpoint is exact and needs no tree of tensors. The optimizer takes less than 1 % of an update's time.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,12 +24,12 @@ pub struct Adam {
 pub struct LearningRate(pub f32);
 
 impl Adam {
-    /// The initial state for `n` parameters.
+    /// Creates the initial state for `n` parameters.
     pub fn new(n: usize) -> Self {
         Self { first: vec![0.0; n], second: vec![0.0; n], n_steps: 0 }
     }
 
-    /// One step down `gradient`: `w −= lr · m̂ / (√v̂ + ε)` with bias-corrected moments.
+    /// Takes one step down `gradient`: `w −= lr · m̂ / (√v̂ + ε)` with bias-corrected moments.
     ///
     /// # Shapes
     /// `parameters` and `gradient` have one entry per parameter of this state.
@@ -56,7 +56,7 @@ impl Adam {
 }
 
 impl LearningRate {
-    /// The rate of the next update, after an update that moved the policy by `kl` nats.
+    /// Returns the rate for the next update, after one that moved the policy by `kl` nats.
     pub fn adapted(self, kl: f32, rule: &AdaptiveRate) -> Self {
         if kl > rule.high_kl {
             Self((self.0 / rule.factor).max(rule.min))

@@ -1,4 +1,5 @@
-//! Admission rules for trajectories: training goals, in a world like the learner's. Every check is cheap.
+//! Admission rules for trajectories: a training goal, the learner's number of grippers, and plausible values. Every
+//! check is cheap.
 
 use std::collections::BTreeMap;
 
@@ -9,14 +10,14 @@ use proto::{Action, Label, RewardTerms, Scene, Start, Status, Trajectory};
 /// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
 const MAX_POSITION_M: f32 = 50.0;
 
-/// Largest magnitude of a reward term per step: 120 pairs of blocks with the largest configurable weight, 10. One
+/// Largest magnitude of a reward term per step: 120 block pairs with the largest configurable weight, 10. A single
 /// larger reward would outweigh the returns of a whole batch.
 const MAX_REWARD: f32 = 1200.0;
 
-/// Largest magnitude of an entry of a move. The world clips entries to 1; the widest distributions have width 10.
+/// Largest magnitude of a move's entries. The world clips entries to [−1, 1]; the widest distributions have width 10.
 const MAX_MOVE: f32 = 1000.0;
 
-/// Range of the log-density of a sampled action: 96 entries at four standard deviations each, to 96 entries with the
+/// Range of a sampled action's log-density: from 96 entries at four standard deviations each to 96 entries with the
 /// smallest configurable standard deviation, 1e-6.
 const LOG_PROBS: std::ops::RangeInclusive<f32> = -2000.0..=2000.0;
 
@@ -31,8 +32,8 @@ pub struct Admission {
 }
 
 impl Admission {
-    /// Admits the training split of `catalog`, the run's own `tasks`, and, if given, `generated` goals, with actions of
-    /// `n_grippers` grippers.
+    /// Creates rules that admit the training split of `catalog`, the run's own `tasks`, and, if given, `generated`
+    /// goals, with actions of `n_grippers` grippers.
     pub fn new(catalog: &Catalog, tasks: &[BlueprintId], generated: Option<Draws>, n_grippers: usize) -> Self {
         let split =
             catalog.of_split(Split::Train).into_iter().map(|blueprint| (blueprint.id().clone(), blueprint.n_blocks()));
@@ -43,7 +44,7 @@ impl Admission {
     /// Checks whether a trajectory can be used for learning, regardless of the acting weights.
     ///
     /// # Errors
-    /// A description of the first broken rule.
+    /// Returns a description of the first broken rule.
     pub fn check(&self, trajectory: &Trajectory) -> Result<(), String> {
         self.check_task(trajectory)?;
         if trajectory.status == Status::Diverged {
@@ -117,12 +118,12 @@ fn check_reward(reward: &RewardTerms) -> Result<(), String> {
     odd.map_or(Ok(()), |term| Err(format!("has a reward of {term}, which no world gives")))
 }
 
-/// The learner computes its own values. These must still be finite, because checkpoints contain them.
+/// Checks that a value is finite. The learner computes its own values, but checkpoints contain these.
 fn check_value(value: f32) -> Result<(), String> {
     if value.is_finite() { Ok(()) } else { Err(format!("has a value of {value}")) }
 }
 
-/// Whether `|x| ≤ limit`; false for NaN.
+/// Returns whether `|x| ≤ limit`; false for NaN.
 fn within(x: f32, limit: f32) -> bool {
     x.abs() <= limit
 }

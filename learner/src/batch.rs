@@ -1,4 +1,4 @@
-//! The trajectories of one update as network inputs; the features are computed once for all epochs.
+//! The trajectories of one update as network inputs. Features are computed once for all epochs.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::mailbox::policy_lag;
 
 /// All samples of an update.
 ///
-/// Rows `0..n_samples` of `features` are the scenes before the actions, in segment order; the rows after them are the
+/// Rows `0..n_samples` of `features` are the scenes before the actions, in segment order. The remaining rows are the
 /// last scenes of the segments.
 #[derive(Debug)]
 pub struct Batch {
@@ -24,9 +24,9 @@ pub struct Batch {
     pub behavior_log_probs: Vec<f32>,
     /// Rewards, one per sample.
     pub rewards: Vec<f32>,
-    /// Ranges of samples, each of one episode.
+    /// Ranges of samples, each from one episode.
     pub segments: Vec<Segment>,
-    /// Whether advantages count per connection of the goal.
+    /// Whether advantages are divided by the number of connections in the goal.
     advantages_per_link: bool,
     /// Whether returns end at the time limit.
     deadline: bool,
@@ -39,15 +39,15 @@ pub struct Segment {
     pub samples: Range<usize>,
     /// The episode's status after the last sample.
     pub status: Status,
-    /// Versions between the acting weights and the newest.
+    /// Number of versions between the acting and the newest weights.
     pub policy_lag: u64,
-    /// Connections of the goal, at least 1.
+    /// Number of connections in the goal, at least 1.
     pub n_links: usize,
 }
 
 impl Batch {
-    /// Computes the features of `trajectories` for an update of weights `version`. Trajectories with a blueprint
-    /// outside the catalog are left out (the mailbox refuses those).
+    /// Computes the features of `trajectories` for an update of weights `version`. Skips trajectories with a blueprint
+    /// outside the catalog, which the mailbox refuses.
     pub fn new(
         trajectories: Vec<Trajectory>,
         version: WeightsVersion,
@@ -95,12 +95,12 @@ impl Batch {
         batch
     }
 
-    /// Number of samples.
+    /// Returns the number of samples.
     pub fn n_samples(&self) -> usize {
         self.actions.len()
     }
 
-    /// Advantages of all samples, given the `values` of all rows (both in reward units).
+    /// Computes the advantages of all samples from the `values` of all rows, both in reward units.
     pub fn advantages(&self, values: &[f32], gamma: f32, lambda: f32) -> Vec<f32> {
         let n_samples = self.n_samples();
         let mut advantages = vec![0.0; n_samples];
@@ -113,7 +113,8 @@ impl Batch {
         advantages
     }
 
-    /// Advantages as the policy loss takes them: per connection of the goal where that is set, then normalized.
+    /// Scales advantages for the policy loss: divides by the number of connections in the goal if configured, then
+    /// normalizes.
     pub fn scaled(&self, mut advantages: Vec<f32>) -> Vec<f32> {
         if self.advantages_per_link {
             for segment in &self.segments {
@@ -126,7 +127,7 @@ impl Batch {
         advantages
     }
 
-    /// Samples by policy lag: entry `i` counts the samples with lag `i`.
+    /// Returns the number of samples by policy lag: entry `i` counts the samples with lag `i`.
     pub fn lag_histogram(&self) -> Vec<u64> {
         let longest = self.segments.iter().map(|s| s.policy_lag).max().unwrap_or(0);
         let mut histogram = vec![0; longest as usize + 1];
@@ -189,7 +190,7 @@ mod tests {
         };
         // 2, 1 and 0 of 50 steps are left; the last scene is the third row.
         assert_eq!([0, 1, 2].map(last_of_node), [0.04, 0.02, 0.0]);
-        // Without rewards, γ = λ = 1 and a last scene that is worth 4.
+        // No rewards, γ = λ = 1, and a last scene with value 4.
         assert_eq!(batch(false).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [4.0, 4.0]);
         assert_eq!(batch(true).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [0.0, 0.0]);
     }

@@ -1,17 +1,17 @@
 //! Checkpoints: everything that a learner needs to resume exactly.
 //!
-//! A checkpoint is a folder `step-<environment steps>` with
+//! A checkpoint is a folder `step-<environment steps>` that contains
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
 //! - `mailbox.bin`: waiting trajectories, each as a little-endian u64 length and its wire form;
-//! - `replay.bin`: labeled segments in the same form, and `imitator.safetensors`, of which a run without imitation has
-//!   none;
+//! - `replay.bin`: labeled segments in the same form, only with imitation;
+//! - `imitator.safetensors`: the frozen imitator, only with imitation;
 //! - `model.json`: the policy's configuration, enough to act with the parameters;
 //! - `state.json`: the rest, and the length and FNV-1a hash of each file above.
 //!
-//! A checkpoint is written under a temporary name, flushed to disk, and renamed, so that a folder with the final name
-//! is complete. The lengths and hashes detect other damage, such as an interrupted copy. A write that fails, as on a
-//! full disk, leaves nothing behind; the next start removes the leftovers of a killed process.
+//! A checkpoint is written under a temporary name, flushed to disk, and renamed, so a folder with the final name is
+//! complete. The lengths and hashes detect other damage, such as an interrupted copy. A failed write, such as on a full
+//! disk, leaves nothing behind. The next start removes the leftovers of a killed process.
 
 pub(crate) mod files;
 pub(crate) mod tensors;
@@ -30,7 +30,7 @@ use crate::state::LearnerState;
 use files::FileInfo;
 pub use tensors::ParameterInfo;
 
-/// Writes a new file durably to a folder.
+/// A function that durably writes a new file to a folder.
 pub(crate) type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str, &[u8]) -> Result<FileInfo, CheckpointError>;
 
 const PARAMETERS: &str = "parameters.safetensors";
@@ -41,13 +41,13 @@ const IMITATOR: &str = "imitator.safetensors";
 const MODEL: &str = "model.json";
 const STATE: &str = "state.json";
 
-/// Version of the format; raised when older readers cannot read it.
+/// Format version, incremented when older readers cannot read the files.
 const FORMAT_VERSION: u32 = 1;
 
 /// The complete state of a learner.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
-    /// Counters, statistics, curriculum, random numbers.
+    /// Counters, statistics, curriculum, and random number generator.
     pub state: LearnerState,
     /// The policy's configuration.
     pub model: PolicyConfig,
@@ -57,7 +57,7 @@ pub struct Checkpoint {
     pub parameters: Vec<f32>,
     /// The optimizer.
     pub adam: Adam,
-    /// The frozen parameters of the imitator, once it is set, flat like `parameters`.
+    /// The frozen parameters of the imitator, once it exists, flat like `parameters`.
     pub imitator: Option<Vec<f32>>,
     /// Waiting trajectories, oldest first.
     pub mailbox: Vec<Trajectory>,
@@ -65,7 +65,7 @@ pub struct Checkpoint {
     pub replay: Vec<Arc<Trajectory>>,
 }
 
-/// Errors of writing or reading a checkpoint.
+/// Errors from writing or reading a checkpoint.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The file system returned an error.
@@ -116,15 +116,16 @@ struct StateFile {
 }
 
 impl Checkpoint {
-    /// Writes the folder `step-<n>` in `dir` and returns its path; replaces an existing one.
+    /// Writes the folder `step-<n>` in `dir`, replacing an existing one, and returns its path.
     ///
     /// # Errors
-    /// If the file system returns an error; incomplete files are removed, and an older checkpoint of the name remains.
+    /// If the file system returns an error. Incomplete files are removed, and an older checkpoint with the same name
+    /// remains.
     pub fn write(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
         self.write_with(dir, &mut files::write)
     }
 
-    /// Like [`Checkpoint::write`], with `write` for each file.
+    /// Like [`Checkpoint::write`], but writes each file with `write`.
     pub(crate) fn write_with(&self, dir: &Path, write: WriteFile<'_>) -> Result<PathBuf, CheckpointError> {
         let path = dir.join(format!("{}{}", files::STEP, self.state.n_env_steps));
         let temporary = dir.join(format!("{}{}", files::NEW, self.state.n_env_steps));
@@ -200,7 +201,7 @@ impl Checkpoint {
         Ok(Self { state: state.state, model, table: state.table, parameters, adam, imitator, mailbox, replay })
     }
 
-    /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is one.
+    /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is a checkpoint.
     ///
     /// # Errors
     /// [`CheckpointError::Absent`] if there is none; if all are damaged, the error of the newest.
@@ -221,13 +222,13 @@ impl Checkpoint {
         Err(if passed_over.is_empty() { CheckpointError::Absent(dir.into()) } else { passed_over.swap_remove(0) })
     }
 
-    /// The frozen policy, as sent to the actors.
+    /// Returns the frozen policy, as sent to the actors.
     pub fn weights(&self) -> Weights {
         self.state.weights(self.model.hash(), self.parameters.clone())
     }
 }
 
-/// Whether `dir` contains a checkpoint, valid or not.
+/// Returns whether `dir` contains a checkpoint, valid or not.
 pub fn exists(dir: &Path) -> bool {
     files::steps(dir).is_ok_and(|steps| !steps.is_empty())
 }
@@ -244,7 +245,7 @@ pub fn prune(dir: &Path, keep: usize) -> Result<(), CheckpointError> {
 }
 
 /// Removes the leftovers of interrupted writes in `dir`, and restores a checkpoint whose replacement was interrupted.
-/// No other process may be writing there.
+/// No other process may write to `dir` at the same time.
 ///
 /// # Errors
 /// If the file system returns an error.
@@ -255,7 +256,7 @@ pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
     })
 }
 
-/// For `map_err`: names the operation that failed in the file system.
+/// Returns a closure for `map_err` that names the failed file system operation.
 fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
     move |error| CheckpointError::Io { action, path: path.into(), error }
 }

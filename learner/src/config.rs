@@ -17,55 +17,55 @@ pub use reward::{RewardFactors, RewardsConfig};
 pub use schedule::Schedule;
 
 settings! {
-    /// Settings of the learner. The defaults are those of published PPO practice on long-horizon manipulation.
+    /// Settings of the learner. The defaults follow published PPO practice for long-horizon manipulation.
     pub struct LearnerConfig in "learner", check mailbox_holds_an_update {
         /// Environment steps that one update consumes.
         pub steps_per_update: usize = 8192, in 256..=1_048_576;
-        /// Samples of one gradient step. The minibatches of an epoch are all of one size, so they may be larger by a
-        /// part of the remainder.
+        /// Samples per gradient step. All minibatches of an epoch have about the same size, so each may be larger by a
+        /// share of the remainder.
         pub minibatch_size: usize = 1024,
             where |c| (1..=c.steps_per_update).contains(&c.minibatch_size) => "1..=steps_per_update";
-        /// Samples of one pass through the network, which bounds its memory: on a CPU a pass with gradients keeps about
-        /// 230 kB of each. A minibatch is split into equal pieces of about this size, which several threads share, and
-        /// their gradients are added.
+        /// Samples per pass through the network, which bounds its memory: on a CPU, a pass with gradients keeps about
+        /// 230 kB per sample. A minibatch is split into equal pieces of about this size, the threads share the pieces,
+        /// and their gradients are summed.
         pub forward_size: usize = 128, in 1..=65536;
-        /// Threads that pass pieces through the network; `None` is one for each core, and one with a GPU. Results do
-        /// not depend on it.
+        /// Threads that pass pieces through the network; `None` means one per core on a CPU, or one in total with a
+        /// GPU. Results do not depend on the number of threads.
         pub n_threads: Option<usize> = None, in 1..=256;
-        /// Passes over a batch.
+        /// Passes over each batch.
         pub n_epochs: usize = 3, in 1..=32;
-        /// Discount per step γ.
+        /// Discount γ per step.
         pub gamma: f32 = 0.99, in 0.0..=1.0;
         /// GAE's λ.
         pub lambda: f32 = 0.95, in 0.0..=1.0;
-        /// What the learner changes in the rewards.
+        /// Changes to the rewards before learning.
         pub rewards: RewardsConfig;
         /// PPO loss.
         pub loss: LossConfig;
-        /// What is learned from the expert's labels; absent, as by default, means nothing, as in the paper.
+        /// Imitation of the expert's labels; absent by default, as in the paper.
         pub imitation: Option<ImitationConfig>;
-        /// Gradient step.
+        /// Adam and its learning rate.
         pub optimizer: OptimizerConfig;
-        /// Statistics of features and value targets.
+        /// Normalization of features and value targets.
         pub normalization: NormalizationConfig;
-        /// Inbox of trajectories.
+        /// Queue of incoming trajectories.
         pub mailbox: MailboxConfig;
-        /// Which blueprints to train on.
+        /// How training blueprints are drawn as goals.
         pub curriculum: CurriculumConfig;
-        /// How far from the goal episodes begin; absent, as by default, leaves that to the actors.
+        /// How far from the goal episodes begin; absent by default, which leaves that to the actors.
         pub reverse: Option<ReverseConfig>;
-        /// When to save and how many to keep.
+        /// When to save checkpoints and how many to keep.
         pub checkpoints: CheckpointConfig;
     }
 
     /// Adam, its learning rate, and the limits of a step.
     pub struct OptimizerConfig {
-        /// Learning rate at the start.
+        /// Initial learning rate.
         pub learning_rate: f32 = 3e-4, in above(0.0);
-        /// Learning rate of the value head, which can learn faster than a policy that must not change much in one
-        /// update; `None` is the rate of the rest.
+        /// Learning rate of the value head, which can learn faster than the policy, because the policy must not change
+        /// much in one update; `None` uses the rate of the other parameters.
         pub critic_rate: Option<f32> = None, in above(0.0);
-        /// How the learning rate moves.
+        /// How the learning rate changes.
         pub rate_rule: RateRule;
         /// Adam's ε, outside the square root.
         pub epsilon: f32 = 1e-5, in above(0.0);
@@ -73,29 +73,30 @@ settings! {
         pub beta1: f64 = 0.9, in 0.0..1.0;
         /// Adam's β₂.
         pub beta2: f64 = 0.999, in 0.0..1.0;
-        /// Gradients with a larger global norm are scaled to it.
+        /// Gradients with a larger global norm are scaled down to this norm.
         pub max_grad_norm: f32 = 0.5, in above(0.0);
-        /// Ends an update after the epoch whose approximate KL divergence exceeds this; `None` is off.
+        /// Ends an update after the first epoch whose approximate KL divergence exceeds this; `None` disables the
+        /// limit.
         pub stop_kl: Option<f32> = None, in above(0.0);
     }
 
-    /// How the learning rate moves from update to update.
+    /// How the learning rate changes from update to update.
     pub enum RateRule = Adaptive {
-        /// It stays as it is.
+        /// Stays constant.
         Fixed,
-        /// It follows the KL divergence of the updates.
+        /// Adapts to the KL divergence of the updates.
         Adaptive(AdaptiveRate),
-        /// It goes along a line, whatever the learning rate at the start.
+        /// Follows a schedule, regardless of the initial learning rate.
         Line(RateLine),
     }
 
-    /// Rule that keeps the policy's change per update in a band.
+    /// A rule that keeps the policy's change per update within a band.
     pub struct AdaptiveRate {
-        /// Below this KL divergence per update the rate grows.
+        /// The rate grows after an update with a KL divergence below this.
         pub low_kl: f32 = 0.005, in above(0.0);
-        /// Above this KL divergence per update the rate shrinks.
+        /// The rate shrinks after an update with a KL divergence above this.
         pub high_kl: f32 = 0.02, where |c| c.high_kl > c.low_kl => "above low_kl";
-        /// Factor of growth and shrinkage.
+        /// Factor by which the rate grows or shrinks.
         pub factor: f32 = 1.5, in above(1.0);
         /// Lowest rate.
         pub min: f32 = 1e-5, in above(0.0);
@@ -103,42 +104,42 @@ settings! {
         pub max: f32 = 1e-3, where |c| c.max >= c.min && c.max.is_finite() => "at least min";
     }
 
-    /// Running statistics.
+    /// Settings of the running statistics.
     pub struct NormalizationConfig {
-        /// Features are shifted and scaled by their running mean and deviation.
+        /// Normalizes features by their running mean and standard deviation.
         pub features: bool = true;
-        /// Scenes after which the feature statistics no longer move.
+        /// Number of scenes after which the feature statistics are frozen.
         pub feature_samples: u64 = 500_000;
-        /// The value head learns normalized targets.
+        /// Trains the value head on normalized targets.
         pub values: bool = true;
         /// Weight of a new batch in the running statistics of the value targets.
         pub value_rate: f64 = 0.1, in above_to(0.0, 1.0);
-        /// Smallest deviation of value targets, reward units.
+        /// Minimum standard deviation of the value targets, reward units.
         pub min_value_std: f32 = 0.01, in above(0.0);
     }
 
-    /// The inbox.
+    /// Settings of the trajectory mailbox.
     pub struct MailboxConfig {
-        /// Steps from which on nothing more is accepted; at least `steps_per_update`.
+        /// Number of waiting steps at which the mailbox is full; at least `steps_per_update`.
         pub capacity_steps: usize = 16384;
-        /// Trajectories of weights older than this many versions are dropped.
+        /// Trajectories are dropped if their weights are more than this many versions old.
         pub max_policy_lag: u64 = 4, in 0..=1000;
     }
 
     /// When checkpoints are written.
     pub struct CheckpointConfig {
-        /// Updates between two checkpoints.
+        /// Updates between checkpoints.
         pub every_updates: u64 = 50, in 1..;
-        /// Newest checkpoints that stay on disk.
+        /// Number of newest checkpoints to keep on disk.
         pub keep: usize = 3, in 1..;
     }
 }
 
-/// A learning rate that is set by environment steps.
+/// A learning rate scheduled by environment steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RateLine {
-    /// Environment steps and learning rates, above 0.
+    /// Learning rates, above 0, by environment steps.
     pub points: Schedule,
 }
 
@@ -149,7 +150,7 @@ impl Section for RateLine {
 }
 
 impl LearnerConfig {
-    /// The numbers of the loss after `n_env_steps` environment steps.
+    /// Returns the loss coefficients after `n_env_steps` environment steps.
     pub fn loss_at(&self, n_env_steps: u64) -> LossTerms {
         let terms = self.loss.at(n_env_steps);
         let Some(imitation) = &self.imitation else { return terms };

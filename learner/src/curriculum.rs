@@ -1,4 +1,4 @@
-//! The curriculum: probabilities of the training blueprints as the next goal.
+//! The curriculum: the probability of each training blueprint to be the next goal.
 
 use std::collections::BTreeMap;
 
@@ -15,20 +15,21 @@ pub struct Curriculum {
     waiting: Vec<(BlueprintId, bool)>,
 }
 
-/// The curriculum's state of one blueprint.
+/// The curriculum's state for one blueprint.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TaskState {
     /// Running success rate, 0 if never tried.
     pub success_rate: f64,
     /// Probability of being the next goal.
     pub probability: f64,
-    /// Number of blocks; 0 in checkpoints of earlier versions, which a run replaces when it goes on.
+    /// Number of blocks; 0 in checkpoints of earlier versions, which a resumed run replaces.
     #[serde(default)]
     pub n_blocks: usize,
 }
 
 impl Curriculum {
-    /// All `tasks`, each with its number of blocks, equally likely, with success rates of 0.
+    /// Creates a curriculum for `tasks`, each with its number of blocks and a success rate of 0. All are equally
+    /// likely, except with [`CurriculumConfig::Widening`].
     pub fn new(config: CurriculumConfig, tasks: impl IntoIterator<Item = (BlueprintId, usize)>) -> Self {
         let start = |n_blocks| TaskState { success_rate: 0.0, probability: 0.0, n_blocks };
         let mut tasks: BTreeMap<_, _> = tasks.into_iter().map(|(id, n_blocks)| (id, start(n_blocks))).collect();
@@ -39,8 +40,8 @@ impl Curriculum {
         Self { config, tasks, waiting: Vec::new() }
     }
 
-    /// The same settings and goals with the state of a saved run, whose settings may have been others; the probabilities
-    /// change with the next batch.
+    /// Returns this curriculum with the state of a saved run, whose settings may differ. The probabilities change with
+    /// the next batch.
     #[must_use]
     pub fn with_state_of(self, saved: Self) -> Self {
         let n_blocks = |id: &BlueprintId| self.tasks.get(id).map_or(0, |task| task.n_blocks);
@@ -96,12 +97,12 @@ impl Curriculum {
         }
     }
 
-    /// State of each training blueprint.
+    /// Returns the state of each training blueprint.
     pub fn tasks(&self) -> &BTreeMap<BlueprintId, TaskState> {
         &self.tasks
     }
 
-    /// Probability of each training blueprint, as sent with the weights.
+    /// Returns the probability of each training blueprint, as sent with the weights.
     pub fn probabilities(&self) -> BTreeMap<BlueprintId, f32> {
         self.tasks.iter().map(|(id, task)| (id.clone(), task.probability as f32)).collect()
     }
@@ -112,7 +113,7 @@ fn set_probabilities(tasks: &mut BTreeMap<BlueprintId, TaskState>, weight: impl 
     tasks.values_mut().for_each(|task| task.probability = weight(task.success_rate) / total);
 }
 
-/// Distributes the probability over the numbers of blocks in use, and each share over its blueprints.
+/// Splits the probability evenly over the numbers of blocks in use, and each share over its blueprints.
 fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) {
     // Sum of the success rates, and number of blueprints, by number of blocks.
     let mut sizes: BTreeMap<usize, (f64, usize)> = BTreeMap::new();
@@ -129,7 +130,7 @@ fn widen(tasks: &mut BTreeMap<BlueprintId, TaskState>, config: &WideningConfig) 
     for task in tasks.values_mut() {
         task.probability = sizes.get(&task.n_blocks).map_or(0.0, |&(sum, n)| {
             let (n_failures, n) = (n as f64 - sum, n as f64);
-            // Where nothing fails, all are alike.
+            // If nothing fails, all blueprints are equally likely.
             let by_failures = if n_failures > 1e-9 { (1.0 - task.success_rate) / n_failures } else { 1.0 / n };
             let share = (1.0 - config.failures) / n + config.failures * by_failures;
             share / sizes.len() as f64
@@ -161,7 +162,7 @@ mod tests {
         let mut curriculum = Curriculum::new(CurriculumConfig::Learnability(config), of_two(&ids));
         curriculum.update([]);
         assert_eq!(probabilities(&curriculum), [1.0 / 3.0; 3]);
-        // Rates 0.5, 0, and 0: all learnability belongs to the first, which gets 0.1 + 0.7.
+        // Rates 0.5, 0, and 0: only the first blueprint is learnable, so it gets 0.1 + 0.7.
         curriculum.record(&ids[0], true);
         curriculum.record(&ids[1], false);
         for (p, expected) in probabilities(&curriculum).iter().zip([0.8, 0.1, 0.1]) {
@@ -185,7 +186,7 @@ mod tests {
         assert_eq!(both([true, true]), [0.5, 0.5, 0.0, 0.0]);
         assert_eq!(both([true, false]), [0.5, 0.5, 0.0, 0.0]);
         assert_eq!(both([true, true]), [0.25, 0.25, 0.5, 0.0]);
-        // Lower rates narrow it again: 0.4375 and 0.3125.
+        // Lower rates narrow the range again: 0.4375 and 0.3125.
         assert_eq!(both([false, false]), [0.5, 0.5, 0.0, 0.0]);
     }
 
@@ -197,7 +198,8 @@ mod tests {
         for (id, success) in ids.iter().zip([true, false, false]) {
             curriculum.record(id, success);
         }
-        // Rates 0.5, 0, and 0: a fifth and two fifths of the failures, of which 0.6 count; 0.4 are for all alike.
+        // Rates 0.5, 0, and 0 are 0.2, 0.4, and 0.4 of the failures, which determine 0.6 of the draws; the other 0.4 is
+        // uniform.
         for (p, expected) in probabilities(&curriculum).iter().zip([0.2, 0.4, 0.4]) {
             assert!((p - (0.4 / 3.0 + 0.6 * expected)).abs() < 1e-12);
         }

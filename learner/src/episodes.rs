@@ -16,7 +16,7 @@ pub struct EpisodeTally {
 }
 
 impl EpisodeTally {
-    /// Counts the policy's episodes that end in these segments, but not the expert's.
+    /// Counts the episodes that end in these segments, except the expert's.
     pub fn of(trajectories: &[Trajectory]) -> Self {
         let mut tally = Self::default();
         for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
@@ -36,12 +36,12 @@ impl EpisodeTally {
         *n_episodes += 1;
     }
 
-    /// Number of episodes.
+    /// Returns the number of episodes.
     pub fn n_episodes(&self) -> u64 {
         self.by_blueprint.values().map(|(_, n)| n).sum()
     }
 
-    /// The means and rates as metrics.
+    /// Returns the means and rates as metrics.
     pub fn metrics(&self) -> EpisodeMetrics {
         let n_episodes = self.n_episodes();
         let n_successes = self.by_blueprint.values().map(|(n, _)| n).sum();

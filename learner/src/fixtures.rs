@@ -7,17 +7,17 @@ use proto::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A blueprint of the built-in catalog.
+/// Returns the id of a blueprint in the built-in catalog.
 pub(crate) fn blueprint_id() -> BlueprintId {
     BlueprintId::try_from("2_000".to_owned()).unwrap()
 }
 
-/// A segment of `n_steps` steps, acted with weights `version`: different scenes, no reward.
+/// Returns a segment of `n_steps` steps from weights `version`, with varying scenes and no reward.
 pub(crate) fn trajectory(n_steps: usize, version: u64) -> Trajectory {
     random_trajectory(n_steps, version, &mut ChaCha8Rng::seed_from_u64(version))
 }
 
-/// Like [`trajectory`], with scenes and actions from `rng`.
+/// Like [`trajectory`], but draws scenes and actions from `rng`.
 pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
     let transitions = (0..n_steps)
         .map(|_| Transition {
@@ -52,7 +52,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
     }
 }
 
-/// Blocks at random positions on the ground; none is held.
+/// Returns a scene with blocks at random positions on the ground, none of them held.
 pub(crate) fn scene(rng: &mut ChaCha8Rng) -> Scene {
     let gripper = Gripper {
         held: None,

@@ -2,11 +2,11 @@
 
 use proto::Status;
 
-/// Advantages of a segment: `A_t = δ_t + γλ A_{t+1}` with `δ_t = r_t + γ v_{t+1} − v_t` and `A = 0` past the end
-/// (Schulman et al., "High-dimensional continuous control using generalized advantage estimation", eq. 16).
+/// Computes the advantages of a segment: `A_t = δ_t + γλ A_{t+1}` with `δ_t = r_t + γ v_{t+1} − v_t` and `A = 0` past
+/// the end (Schulman et al., "High-dimensional continuous control using generalized advantage estimation", eq. 16).
 ///
-/// `bootstrap` is the value after the last step, see [`bootstrap_value`]. It alone distinguishes a time limit or a cut
-/// from a true end: treating the limit as an end would teach the critic that long episodes are worthless.
+/// `bootstrap` is the value after the last step; see [`bootstrap_value`]. Only `bootstrap` distinguishes a time limit
+/// or a cut from a true end. Treating the limit as an end would teach the critic that long episodes are worthless.
 ///
 /// # Shapes
 /// `rewards`, `values`, and `advantages` have one entry per step, all in the same units.
@@ -28,8 +28,8 @@ pub fn advantages(rewards: &[f32], values: &[f32], bootstrap: f32, gamma: f32, l
     }
 }
 
-/// The value after a segment's last step: 0 after success, and at the time limit if that is a deadline; otherwise the
-/// critic's value of the last scene.
+/// Returns the value after a segment's last step: 0 after success, and at the time limit if it is a deadline; otherwise
+/// the critic's value of the last scene.
 pub fn bootstrap_value(status: Status, last_value: f32, is_deadline: bool) -> f32 {
     match status {
         Status::Success => 0.0,

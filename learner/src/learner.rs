@@ -1,4 +1,4 @@
-//! The learner without any I/O: trajectories in, weights out.
+//! The synchronous core of the learner: trajectories in, weights out.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -34,24 +34,24 @@ use crate::state::LearnerState;
 pub struct LearnerSetup {
     /// The learner's settings.
     pub config: LearnerConfig,
-    /// The policy that all services share.
+    /// The policy configuration that all services share.
     pub policy: PolicyConfig,
     /// All blueprints; trajectories can refer to those of the training split.
     pub catalog: Arc<Catalog>,
-    /// Blueprints to train on; the catalog or the generator has them.
+    /// Blueprints to train on, from the catalog or the generator.
     pub tasks: Vec<BlueprintId>,
     /// Generated structures that actors also draw as goals, if any.
     pub generated: Option<Draws>,
-    /// Determines the untrained parameters and the order of samples.
+    /// Seed of the initial parameters and of the sample order.
     pub seed: u64,
-    /// The device for gradients.
+    /// The device that computes gradients.
     pub device: DeviceKind,
-    /// A policy to start from instead of untrained parameters, with a fresh optimizer. It has the same network and
-    /// features; the settings of its standard deviations may differ, since they have no parameters.
+    /// A policy to start from instead of untrained parameters, with a fresh optimizer. Its network and features must
+    /// match; the settings of its standard deviations may differ, since they have no parameters.
     pub init: Option<Arc<Model>>,
 }
 
-/// Errors of creating a learner.
+/// Errors from creating a learner.
 #[derive(Debug, thiserror::Error)]
 pub enum LearnerError {
     /// A setting is out of range.
@@ -69,12 +69,13 @@ pub enum LearnerError {
     /// The checkpoint cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The policy to start from has another network.
+    /// The policy to start from has a different network.
     #[error("the policy to start from does not fit: {0}")]
     Init(String),
 }
 
-/// Turns trajectories into weights. Synchronous and without a clock: equal inputs in equal order give equal weights.
+/// Turns trajectories into weights. It is synchronous and uses no clock: equal inputs in equal order produce equal
+/// weights.
 #[derive(Debug)]
 pub struct Learner {
     setup: LearnerSetup,
@@ -83,20 +84,21 @@ pub struct Learner {
     mailbox: Arc<Mailbox>,
     /// Labeled scenes, if imitation is on.
     replay: Option<Replay>,
-    /// Trajectories dropped because of their generated goals.
+    /// Number of trajectories dropped because of their generated goals.
     n_unmade: u64,
 }
 
-/// Maximum number of blocks of the generated goals that one update generates, per environment step. Two grippers need
-/// at least half as many steps as a goal has blocks, so this suffices for all genuine goals of an update. Only an actor
-/// that tries to overload the learner sends more, since generating a large goal takes up to 30 ms.
+/// Maximum number of blocks in the goals that one update generates, per environment step. Two grippers need at least
+/// half as many steps as a goal has blocks, so this suffices for all genuine goals of an update. Only an actor that
+/// tries to overload the learner sends more: generating a large goal takes up to 30 ms.
 const GENERATED_BLOCKS_PER_STEP: usize = 2;
 
 impl Learner {
-    /// An untrained learner.
+    /// Creates a learner, untrained unless `setup.init` is a policy.
     ///
     /// # Errors
-    /// A setting out of range, no or unknown training blueprints, or a device that cannot be opened.
+    /// If a setting is out of range, there is no training blueprint or an unknown one, the device cannot be opened, or
+    /// `setup.init` does not fit.
     pub fn new(setup: LearnerSetup) -> Result<Self, LearnerError> {
         setup.config.validate()?;
         setup.policy.validate()?;
@@ -144,7 +146,7 @@ impl Learner {
         Ok(learner)
     }
 
-    /// Takes over the parameters and statistics of a policy.
+    /// Copies the parameters and statistics of a policy.
     fn start_from(&mut self, model: &Model) -> Result<(), LearnerError> {
         let mut theirs = model.policy.clone();
         theirs.network.scale = self.setup.policy.network.scale;
@@ -157,7 +159,7 @@ impl Learner {
         self.ppo.restore(parameters.clone(), adam, None).map_err(|error| LearnerError::Init(error.to_string()))?;
         self.state.values = ValueStatistics::new(normalization.value_mean, normalization.value_std);
         if normalization.feature_mean.iter().any(|means| !means.is_empty()) {
-            // Moments are not in a model file, so its statistics stay as they are.
+            // A model file contains no moments, so freeze its statistics.
             self.state.n_feature_scenes = u64::MAX;
         }
         self.state.normalization = normalization.clone();
@@ -195,7 +197,7 @@ impl Learner {
         let Checkpoint { state, mailbox, .. } = checkpoint;
         learner.mailbox.restore(state.version, state.mailbox, mailbox);
         let curriculum = learner.state.curriculum.with_state_of(state.curriculum);
-        // A run that turns the reverse curriculum on or off begins with the new setting.
+        // If the reverse curriculum was turned on or off, start with the new setting.
         let is_new = state.reverse.reach().is_empty() || learner.setup.config.reverse.is_none();
         let reverse = if is_new { learner.state.reverse } else { state.reverse };
         learner.state = LearnerState { curriculum, reverse, ..state };
@@ -210,18 +212,18 @@ impl Learner {
         self.mailbox.push(trajectory)
     }
 
-    /// The mailbox, which other threads fill.
+    /// Returns the mailbox, which other threads fill.
     pub fn mailbox(&self) -> Arc<Mailbox> {
         self.mailbox.clone()
     }
 
-    /// Whether the mailbox holds enough steps for an update.
+    /// Returns whether the mailbox holds enough steps for an update.
     pub fn ready(&self) -> bool {
         self.mailbox.n_steps() >= self.setup.config.steps_per_update
     }
 
-    /// Runs one update with the oldest trajectories and, with imitation, labeled scenes; `None` if there are not enough
-    /// trajectories, or none has a goal that can be used. PPO uses only trajectories with sampled actions.
+    /// Runs one update on the oldest trajectories and, with imitation, on labeled scenes. Returns `None` if there are
+    /// not enough trajectories, or if none has a usable goal. PPO uses only trajectories with sampled actions.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
         let mut trajectories = self.mailbox.take(self.setup.config.steps_per_update);
         self.drop_unusable_goals(&mut trajectories);
@@ -285,27 +287,27 @@ impl Learner {
         Some(metrics)
     }
 
-    /// The newest weights.
+    /// Returns the newest weights.
     pub fn weights(&self) -> Weights {
         self.state.weights(self.setup.policy.hash(), self.ppo.parameters().to_vec())
     }
 
-    /// Version of the newest weights.
+    /// Returns the version of the newest weights.
     pub fn version(&self) -> WeightsVersion {
         self.state.version
     }
 
-    /// Updates so far.
+    /// Returns the number of updates so far.
     pub fn n_updates(&self) -> u64 {
         self.state.n_updates
     }
 
-    /// Environment steps so far.
+    /// Returns the number of environment steps so far.
     pub fn n_env_steps(&self) -> u64 {
         self.state.n_env_steps
     }
 
-    /// Everything needed to resume.
+    /// Returns everything needed to resume.
     pub fn checkpoint(&self) -> Checkpoint {
         let (counts, mailbox) = self.mailbox.snapshot();
         Checkpoint {
@@ -320,7 +322,7 @@ impl Learner {
         }
     }
 
-    /// Writes a checkpoint below `dir` and returns its path; see [`Checkpoint::write`].
+    /// Writes a checkpoint to `dir` and returns its path; see [`Checkpoint::write`].
     ///
     /// # Errors
     /// If the file system returns an error.
@@ -329,7 +331,7 @@ impl Learner {
     }
 
     /// Generates the goals and drops the trajectories whose goal is held out, cannot be generated, or exceeds the
-    /// limit. This costs time, so it happens here: after every other check, and away from the bus.
+    /// limit. Generation takes time, so it happens here, after every other check and off the bus's threads.
     fn drop_unusable_goals(&mut self, trajectories: &mut Vec<Trajectory>) {
         let catalog = &self.setup.catalog;
         let mut n_blocks_left = GENERATED_BLOCKS_PER_STEP * self.setup.config.steps_per_update;
@@ -343,7 +345,7 @@ impl Learner {
             if let Some(&is_usable) = usable.get(goal) {
                 return is_usable;
             }
-            // The id of a generated goal says its size; any other is dropped.
+            // The id of a generated goal contains its size; any other goal is dropped.
             let n_blocks = goal.size().unwrap_or(usize::MAX);
             // Goals in the cache count too, so that a resumed run drops the same trajectories.
             if n_blocks_left < n_blocks || usable.len() >= MADE_CAPACITY.get() {
@@ -362,13 +364,13 @@ impl Learner {
         specs.map(|spec| ParameterInfo { name: spec.name.clone(), shape: spec.shape.clone() }).collect()
     }
 
-    /// Whether the feature statistics are still updated.
+    /// Returns whether the feature statistics are still updated.
     fn features_move(&self) -> bool {
         let config = &self.setup.config.normalization;
         config.features && self.state.n_feature_scenes < config.feature_samples
     }
 
-    /// Feature statistics updated with batches of raw features, and the number of scenes in these.
+    /// Returns the feature statistics updated with batches of raw features, and the number of scenes in the batches.
     fn features_after(&self, batches: [&Batch; 2]) -> (FeatureMoments, usize) {
         let mut moments = self.state.features.clone();
         batches.iter().for_each(|batch| moments.push(&batch.features));
@@ -383,12 +385,12 @@ impl Learner {
     }
 }
 
-/// Steps of the environment that a trajectory tells of: its own, and those of its episode's burn-in.
+/// Returns the number of environment steps that a trajectory accounts for: its own and those of its episode's burn-in.
 fn n_env_steps(trajectory: &Trajectory) -> usize {
     trajectory.transitions.len() + usize::from(trajectory.n_burn_in_steps)
 }
 
-/// The size of a goal: of a generated one its id says it, so it need not be made.
+/// Returns a goal's number of blocks. The id of a generated goal contains it, so the goal is not generated.
 fn n_blocks(catalog: &Catalog, id: &BlueprintId) -> usize {
     id.size().or_else(|| catalog.get(id).map(Blueprint::n_blocks)).unwrap_or(0)
 }

@@ -1,8 +1,8 @@
 //! The learner: PPO from trajectories to weights, with checkpoints, curriculum, and imitation.
 //!
-//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`], [`reverse`] → [`admission`],
-//! [`mailbox`] → [`batch`] and [`replay`] → [`learner`] (the synchronous core) → [`checkpoint`], [`model`] →
-//! [`mod@run`] (the service on the bus). [`sink`] measures the bus with a learner that computes nothing.
+//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`], [`reverse`] →
+//! [`admission`], [`mailbox`] → [`batch`] and [`replay`] → [`learner`] (the synchronous core) → [`checkpoint`],
+//! [`model`] → [`mod@run`] (the service on the bus). [`sink`] measures the bus with a learner that computes nothing.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

@@ -1,10 +1,10 @@
-//! The PPO objective: on tensors for gradients, and on slices for plain numbers.
+//! The PPO objective, on tensors for gradients and on slices for plain numbers.
 
 use burn::tensor::Tensor;
 
-/// Negative clipped surrogate of each sample, `−w · min(r A, clip(r, 1 ± ε) A)` with `r = exp(log_prob − reference)`
-/// (Schulman et al., "Proximal policy optimization algorithms", eq. 7). The weights `w` are those of the decoupled
-/// objective, 1 otherwise.
+/// Returns the negative clipped surrogate of each sample, `−w · min(r A, clip(r, 1 ± ε) A)` with
+/// `r = exp(log_prob − reference)` (Schulman et al., "Proximal policy optimization algorithms", eq. 7). The weights `w`
+/// are the importance weights of the decoupled objective; otherwise they are 1.
 ///
 /// # Shapes
 /// All `[B]`, including the result.
@@ -20,7 +20,8 @@ pub fn policy_loss(
     -((ratio * advantage).min_pair(clipped) * weight)
 }
 
-/// Half the squared error of each value; with `clip`, the maximum of it and that of the value clipped to `old ± clip`.
+/// Returns half the squared error of each value. With `clip`, returns the maximum of that and the loss of the value
+/// clipped to `old ± clip`.
 ///
 /// # Shapes
 /// All `[B]`, including the result.
@@ -60,7 +61,7 @@ impl RatioStatistics {
     }
 }
 
-/// Importance weights `π_now / π_acted` of the samples, at most `max`.
+/// Returns the importance weights `π_now / π_acted` of the samples, at most `max`.
 ///
 /// # Shapes
 /// One entry per sample.
@@ -68,7 +69,7 @@ pub fn behavior_weights(now: &[f32], acted: &[f32], max: f32) -> Vec<f32> {
     now.iter().zip(acted).map(|(now, acted)| (now - acted).exp().min(max)).collect()
 }
 
-/// `(Σw)² / (n Σw²)` of importance weights: the effective share of the samples; 1 if all weights are equal.
+/// Returns `(Σw)² / (n Σw²)` of importance weights, the effective fraction of the samples; 1 if all weights are equal.
 pub fn effective_sample_size(now: &[f32], acted: &[f32]) -> f64 {
     // Factor out the largest weight, so that nothing overflows.
     let log_weights: Vec<f64> = now.iter().zip(acted).map(|(n, a)| f64::from(*n) - f64::from(*a)).collect();
@@ -77,7 +78,8 @@ pub fn effective_sample_size(now: &[f32], acted: &[f32]) -> f64 {
     if squares > 0.0 { sum * sum / (squares * log_weights.len() as f64) } else { 0.0 }
 }
 
-/// `1 − Var(target − value) / Var(target)`: 1 for a perfect critic, 0 for a constant one and for constant targets.
+/// Returns `1 − Var(target − value) / Var(target)`: 1 for a perfect critic, 0 for a constant critic or constant
+/// targets.
 pub fn explained_variance(values: &[f32], targets: &[f32]) -> f64 {
     let variance = |xs: &mut dyn Iterator<Item = f64>| {
         let (n, sum, squares) = xs.fold((0.0, 0.0, 0.0), |(n, s, q), x| (n + 1.0, s + x, q + x * x));
@@ -105,7 +107,7 @@ mod tests {
         let targets = [1.0, 3.0];
         assert!((explained_variance(&[1.0, 3.0], &targets) - 1.0).abs() < 1e-12);
         assert!(explained_variance(&[7.0, 7.0], &targets).abs() < 1e-12);
-        // Errors −2 and 2 have variance 4, targets 1.
+        // Errors −2 and 2 have variance 4; the targets have variance 1.
         assert!((explained_variance(&[3.0, 1.0], &targets) + 3.0).abs() < 1e-12);
         assert_eq!(explained_variance(&[1.0, 3.0], &[2.0, 2.0]), 0.0);
     }

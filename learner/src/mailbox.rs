@@ -1,4 +1,5 @@
-//! The bounded inbox between the bus and the updates; it refuses and counts what is too old or does not fit.
+//! The bounded queue between the bus and the updates. It refuses and counts trajectories that are invalid, too old, or
+//! do not fit.
 
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
@@ -12,7 +13,7 @@ use crate::config::MailboxConfig;
 
 /// A bounded queue of trajectories, filled by the bus and drained by the learner.
 ///
-/// A push never waits for space: it holds a lock for one queue operation and returns the answer.
+/// A push never waits for space: it holds a lock for one queue operation and returns the result.
 #[derive(Debug)]
 pub struct Mailbox {
     config: MailboxConfig,
@@ -48,7 +49,7 @@ struct State {
 }
 
 impl Mailbox {
-    /// An empty mailbox at weights version 0 that accepts trajectories according to `admission`.
+    /// Creates an empty mailbox at weights version 0 that accepts trajectories according to `admission`.
     pub fn new(config: MailboxConfig, admission: Admission) -> Self {
         Self { config, admission, state: Mutex::default(), arrived: Condvar::new() }
     }
@@ -81,12 +82,14 @@ impl Mailbox {
         Ok(())
     }
 
-    /// Refuses every trajectory from now on as if full, so that none is acknowledged that the last checkpoint lacks.
+    /// Refuses every trajectory from now on as if full, so that no trajectory is acknowledged but missing from the last
+    /// checkpoint.
     pub fn close(&self) {
         self.lock().is_closed = true;
     }
 
-    /// Takes the oldest trajectories until they have `n_steps` steps; empty if the mailbox holds fewer.
+    /// Removes and returns the oldest trajectories, with at least `n_steps` steps in total; empty if the mailbox holds
+    /// fewer.
     pub fn take(&self, n_steps: usize) -> Vec<Trajectory> {
         let mut state = self.lock();
         let mut batch = Vec::new();
@@ -103,7 +106,7 @@ impl Mailbox {
         batch
     }
 
-    /// Waits for `n_steps` steps or until the timeout; returns whether the steps are there.
+    /// Waits until the mailbox holds `n_steps` steps or the timeout expires; returns whether it holds them.
     pub fn wait(&self, n_steps: usize, timeout: Duration) -> bool {
         let mut state = self.lock();
         self.arrived.wait_while_for(&mut state, |state| state.n_steps < n_steps, timeout);
@@ -120,17 +123,17 @@ impl Mailbox {
         state.n_steps = state.waiting.iter().map(|t| t.transitions.len()).sum();
     }
 
-    /// Waiting steps.
+    /// Returns the number of waiting steps.
     pub fn n_steps(&self) -> usize {
         self.lock().n_steps
     }
 
-    /// Trajectories so far, by result.
+    /// Returns the number of trajectories so far, by result.
     pub fn counts(&self) -> MailboxCounts {
         self.lock().counts
     }
 
-    /// A consistent snapshot of the counts and of the waiting trajectories, oldest first.
+    /// Returns a consistent snapshot of the counts and of the waiting trajectories, oldest first.
     pub fn snapshot(&self) -> (MailboxCounts, Vec<Trajectory>) {
         let state = self.lock();
         (state.counts, state.waiting.iter().cloned().collect())
@@ -148,8 +151,8 @@ impl Mailbox {
     }
 }
 
-/// Versions between the acting weights and `newest`; 0 for newer acting weights, which occur when the learner resumed
-/// from an older checkpoint.
+/// Returns the number of versions between the acting weights and `newest`; 0 for newer acting weights, which occur
+/// after the learner resumes from an older checkpoint.
 pub fn policy_lag(newest: WeightsVersion, trajectory: &Trajectory) -> u64 {
     newest.0.saturating_sub(trajectory.weights_version.0)
 }

@@ -1,4 +1,4 @@
-//! Metrics of one update; [`mod@crate::run`] adds times and the bus's counts.
+//! Metrics of one update; [`mod@crate::run`] adds timings and bus counts.
 
 use std::collections::BTreeMap;
 
@@ -44,7 +44,7 @@ pub struct UpdateMetrics {
     pub episodes: EpisodeMetrics,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
-    /// Most blocks taken off at the start, by the goal's number of blocks.
+    /// Maximum number of blocks removed at the start of an episode, by the goal's number of blocks.
     pub reverse_reach: BTreeMap<u8, u8>,
 }
 

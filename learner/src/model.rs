@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo, tensors};
 use crate::state::NormalizationFields;
 
-/// Version of the format; raised when older readers cannot read it.
+/// Format version, incremented when older readers cannot read the file.
 const FORMAT_VERSION: u32 = 1;
 
 /// Name of the metadata entry.
@@ -38,7 +38,7 @@ struct Header {
     n_env_steps: u64,
     policy: PolicyConfig,
     table: Vec<ParameterInfo>,
-    // The spelling of format version 1.
+    // Format version 1 uses this spelling.
     #[serde(rename = "normalisation", with = "NormalizationFields")]
     normalization: Normalization,
 }

@@ -1,9 +1,9 @@
-//! Running statistics of the value targets. [`policy::normalization`] has those of the features.
+//! Running statistics of the value targets. [`policy::normalization`] has the feature statistics.
 //!
-//! Feature statistics change only *after* an update, so a batch is learned with the statistics that were in force when
-//! its newest steps were acted. They freeze after a configured number of scenes. Value statistics change *before* the
-//! gradient steps, and the value head is rescaled to keep its output in reward units unchanged (PopArt: van Hasselt et
-//! al., "Learning values across many orders of magnitude", proposition 1).
+//! Feature statistics change only *after* an update, so a batch is trained on with the statistics that were in effect
+//! when its newest steps were taken. They freeze after a configured number of scenes. Value statistics change *before*
+//! the gradient steps, and the value head is rescaled to keep its output in reward units unchanged (PopArt: van Hasselt
+//! et al., "Learning values across many orders of magnitude", proposition 1).
 
 use serde::{Deserialize, Serialize};
 
@@ -26,13 +26,14 @@ impl Default for ValueStatistics {
 }
 
 impl ValueStatistics {
-    /// Statistics known from elsewhere; they move from then on as if many batches had been seen.
+    /// Creates statistics from known values; they then change as if many batches had been seen.
     pub fn new(mean: f32, std: f32) -> Self {
         let (mean, std) = (f64::from(mean), f64::from(std));
         Self { mean, std, mean_square: std * std + mean * mean, n_batches: 1_000 }
     }
 
-    /// The statistics after a batch of targets, which has weight `rate`, or more while few batches were seen.
+    /// Returns the statistics after a batch of targets, which has weight `rate`, or more while few batches have been
+    /// seen.
     pub fn after(&self, targets: &[f32], rate: f64, floor: f32) -> Self {
         if targets.is_empty() {
             return *self;
@@ -64,7 +65,7 @@ mod tests {
     #[test]
     fn rescaled_head_keeps_its_output_in_reward_units() {
         let before = ValueStatistics::default();
-        // The first batch is taken completely: mean 3, standard deviation 1.
+        // The first batch has full weight: mean 3, standard deviation 1.
         let after = before.after(&[2.0, 4.0], 0.1, 0.01);
         assert!((after.mean - 3.0).abs() < 1e-12 && (after.std - 1.0).abs() < 1e-12);
         let later = after.after(&[20.0, 40.0], 0.9, 0.01);

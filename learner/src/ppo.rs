@@ -23,7 +23,7 @@ use imitation_update::ImitationUpdate;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
 
-/// Most samples from which the KL divergence of an update is estimated.
+/// Maximum number of samples for estimating the KL divergence of an update.
 const KL_SAMPLES: usize = 2048;
 
 /// The trained network and its optimizer.
@@ -33,11 +33,11 @@ pub(crate) struct Ppo {
     /// The parameters of the workers' networks, flat.
     parameters: Vec<f32>,
     adam: Adam,
-    /// The optimizer of the value head while nothing trains the policy. The policy's own moments must not decay
-    /// meanwhile: its first steps would be many times too long. No checkpoint holds it.
+    /// The optimizer of the value head while nothing trains the policy. It is separate because the policy's moments
+    /// would decay meanwhile, and its first steps would be many times too long. Checkpoints do not contain it.
     critic_adam: Adam,
     value_head: ValueHead,
-    /// The frozen parameters of the imitator, once it is set.
+    /// The frozen parameters of the imitator, once it exists.
     imitator: Option<Vec<f32>>,
 }
 
@@ -56,9 +56,9 @@ pub(crate) struct Progress<'a> {
 /// Positions of the value head in the flat vector.
 #[derive(Clone, Debug)]
 struct ValueHead {
-    /// Of all its parameters.
+    /// Ranges of all its parameters.
     parameters: Vec<Range<usize>>,
-    /// Of its last layer.
+    /// Range of its last layer's weights.
     weights: Range<usize>,
     bias: usize,
 }
@@ -80,7 +80,7 @@ impl Steps {
 }
 
 impl Ppo {
-    /// An untrained network, evaluated by `n_threads` threads.
+    /// Creates an untrained network that `n_threads` threads evaluate.
     pub(crate) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n_threads: usize) -> Self {
         let workers = Workers::new(policy, seed, device, n_threads);
         let parameters = workers.engine().parameters();
@@ -89,7 +89,7 @@ impl Ppo {
         Self { workers, parameters, critic_adam: adam.clone(), adam, value_head, imitator: None }
     }
 
-    /// Restores the parameters and moments of a checkpoint.
+    /// Restores the parameters and moments from a checkpoint.
     pub(crate) fn restore(
         &mut self,
         parameters: Vec<f32>,
@@ -104,27 +104,27 @@ impl Ppo {
         Ok(())
     }
 
-    /// The frozen parameters of the imitator, once it is set.
+    /// Returns the frozen parameters of the imitator, once it exists.
     pub(crate) fn imitator(&self) -> Option<&[f32]> {
         self.imitator.as_deref()
     }
 
-    /// The parameters, flat.
+    /// Returns the parameters, flat.
     pub(crate) fn parameters(&self) -> &[f32] {
         &self.parameters
     }
 
-    /// The optimizer.
+    /// Returns the optimizer.
     pub(crate) fn adam(&self) -> &Adam {
         &self.adam
     }
 
-    /// Names and shapes of the parameters.
+    /// Returns the names and shapes of the parameters.
     pub(crate) fn table(&self) -> &[ParameterSpec] {
         self.workers.engine().table()
     }
 
-    /// Learns from a batch with normalized features, and from `imitation_source`.
+    /// Runs one update on a batch with normalized features and on `imitation_source`.
     pub(crate) fn update(
         &mut self,
         batch: &Batch,
@@ -163,7 +163,7 @@ impl Ppo {
         (metrics, Some(imitation_update.metrics()))
     }
 
-    /// PPO, with the imitation gradient added to every gradient step while any are left.
+    /// Runs PPO, and adds the imitation gradient to each gradient step while imitation steps are left.
     fn update_with(
         &mut self,
         batch: &Batch,
@@ -219,7 +219,7 @@ impl Ppo {
                 break;
             }
         }
-        // A policy that stands still says nothing about the rate.
+        // Adapt the rate only if the policy was trained; otherwise the KL divergence means nothing.
         let trains_policy = terms.policy > 0.0 || imitation_update.is_some();
         if let (RateRule::Adaptive(rule), true) = (&config.optimizer.rate_rule, trains_policy) {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
@@ -248,7 +248,7 @@ impl Ppo {
         }
     }
 
-    /// Visits all samples once in random order.
+    /// Runs one epoch over all samples in random order.
     #[allow(clippy::too_many_arguments, reason = "an update in pieces")]
     fn epoch(
         &mut self,
@@ -289,7 +289,7 @@ impl Ppo {
         RatioStatistics::new(&log_probs, targets.reference, config.loss.clip)
     }
 
-    /// Approximate KL(reference ‖ policy) of the policy as it is now, over evenly spaced samples, nats.
+    /// Estimates KL(reference ‖ policy) for the current policy from evenly spaced samples, nats.
     fn divergence(&mut self, batch: &Batch, reference: &[f32], config: &LearnerConfig) -> f64 {
         let n_samples = batch.n_samples();
         let rows: Vec<usize> = (0..n_samples).step_by(n_samples.div_ceil(KL_SAMPLES).max(1)).collect();
@@ -298,11 +298,11 @@ impl Ppo {
         RatioStatistics::new(&log_probs, &reference, config.loss.clip).approx_kl
     }
 
-    /// One gradient step.
+    /// Takes one gradient step.
     fn step(&mut self, gradient: &mut [f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
         let norm = clip_global_norm(gradient, config.optimizer.max_grad_norm);
         if !norm.is_finite() {
-            // One gradient that is not finite would corrupt the moments permanently.
+            // A single gradient that is not finite would corrupt the moments permanently.
             tracing::warn!(norm, "a gradient is not finite, skipping its step");
             steps.n_skipped += 1;
             return;
@@ -313,15 +313,15 @@ impl Ppo {
         self.adam.step(&mut self.parameters, gradient, rate, &config.optimizer);
         if let Some((factor, before)) = before {
             for at in self.value_head.parameters.iter().cloned().flatten() {
-                // A step of Adam is proportional to its rate.
+                // Adam's step is proportional to its learning rate.
                 self.parameters[at] = before[at] + (self.parameters[at] - before[at]) * factor;
             }
         }
         self.load();
     }
 
-    /// One gradient step of the value head alone. While nothing trains the policy, the critic's gradient must not move it
-    /// either through the layers that they share.
+    /// Takes one gradient step on the value head alone. While nothing trains the policy, the critic's gradient must not
+    /// change it through shared layers.
     fn step_critic(&mut self, gradient: &[f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
         let mut of_critic = self.workers.zeros(gradient.len());
         for range in &self.value_head.parameters {
@@ -363,7 +363,7 @@ impl Ppo {
 }
 
 impl ValueHead {
-    /// Finds all parameters named `value.*`, the last kernel named `value.mlp.*` and its bias.
+    /// Finds all parameters named `value.*`, the last kernel named `value.mlp.*`, and its bias.
     fn find(table: &[ParameterSpec]) -> Self {
         let mut found = Self { parameters: Vec::new(), weights: 0..0, bias: 0 };
         let mut at = 0;

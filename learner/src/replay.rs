@@ -13,7 +13,8 @@ use crate::config::ReplayConfig;
 
 /// A replay buffer of labeled segments, grouped by the number of blocks of their goals.
 ///
-/// If it is full, the oldest segment of the size with the most scenes is removed, so that no size displaces the others.
+/// When the buffer is full, it evicts the oldest segment of the size with the most scenes, so that no size displaces
+/// the others.
 #[derive(Clone, Debug)]
 pub struct Replay {
     config: ReplayConfig,
@@ -29,13 +30,13 @@ struct SizeGroup {
 
 #[derive(Clone, Debug)]
 struct Segment {
-    /// The goal, with the blocks of the episode's assignment.
+    /// The goal, permuted by the episode's assignment.
     blueprint: Arc<Blueprint>,
     trajectory: Arc<Trajectory>,
 }
 
 impl Replay {
-    /// An empty replay buffer.
+    /// Creates an empty replay buffer.
     pub fn new(config: ReplayConfig) -> Self {
         Self { config, groups: BTreeMap::new(), n_steps: 0 }
     }
@@ -61,7 +62,7 @@ impl Replay {
         }
     }
 
-    /// Number of labeled scenes.
+    /// Returns the number of labeled scenes.
     pub fn n_steps(&self) -> usize {
         self.n_steps
     }
@@ -103,7 +104,7 @@ impl Replay {
         labels
     }
 
-    /// All segments, grouped by size, oldest first.
+    /// Returns all segments, grouped by size, oldest first.
     pub(crate) fn segments(&self) -> Vec<Arc<Trajectory>> {
         let segments = self.groups.values().flat_map(|group| &group.segments);
         segments.map(|segment| segment.trajectory.clone()).collect()
@@ -140,7 +141,7 @@ mod tests {
         Replay::new(ReplayConfig { capacity_steps, size_power })
     }
 
-    /// Number of times that each mark is drawn.
+    /// Returns how often each mark is drawn.
     fn counts(replay: &Replay, n: usize) -> [usize; 16] {
         let mut features = FeatureBatch::new(&PolicyConfig::default().features);
         let labels = replay.draw(n, &mut ChaCha8Rng::seed_from_u64(2), &mut features);
@@ -159,7 +160,7 @@ mod tests {
             replay.push(labeled(goal, n_steps, mark), catalog);
         }
         let counts = counts(&replay, 8000);
-        // Sizes 2 : 6, and 30 : 10 steps within the first: 1500, 500, and 6000.
+        // Sizes are drawn 2 : 6, and the 30 and 10 steps of the first size uniformly: 1500, 500, and 6000.
         for (count, expected) in counts.into_iter().zip([1500, 500, 6000]) {
             assert!(count.abs_diff(expected) < 150, "{counts:?}");
         }

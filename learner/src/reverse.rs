@@ -17,19 +17,19 @@ pub struct ReverseCurriculum(BTreeMap<u8, Frontier>);
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Frontier {
-    /// Most blocks taken off; all of them means scattered starts.
+    /// Maximum number of blocks removed; all of them means scattered starts.
     pub reach: u8,
-    /// Running success rate of the episodes that begin there.
+    /// Running success rate of the episodes that begin with `reach` blocks removed.
     pub success_rate: f64,
 }
 
 impl ReverseCurriculum {
-    /// One block taken off, for goals of each of these numbers of blocks.
+    /// Creates a curriculum that removes one block from goals of each of these `sizes`.
     pub fn new(sizes: impl IntoIterator<Item = usize>) -> Self {
         Self(sizes.into_iter().map(|size| (size as u8, Frontier { reach: 1, success_rate: 0.0 })).collect())
     }
 
-    /// Records one finished episode with a goal of `n_blocks` blocks. Only those at the frontier count.
+    /// Records one finished episode with a goal of `n_blocks` blocks. Only episodes that begin at the frontier count.
     pub fn record(&mut self, start: &Start, n_blocks: usize, success: bool, config: &ReverseConfig) {
         let n_blocks = n_blocks as u8;
         let undone = match *start {
@@ -45,7 +45,7 @@ impl ReverseCurriculum {
         }
     }
 
-    /// Most blocks taken off by number of blocks, as sent with the weights.
+    /// Returns the maximum number of blocks removed, by the goal's number of blocks, as sent with the weights.
     pub fn reach(&self) -> BTreeMap<u8, u8> {
         self.0.iter().map(|(&n_blocks, frontier)| (n_blocks, frontier.reach)).collect()
     }
@@ -64,13 +64,13 @@ mod tests {
         let config = ReverseConfig { tau: 0.5, gate: 0.7 };
         let mut curriculum = ReverseCurriculum::new([2, 3]);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into());
-        // 0.5, then 0.75.
+        // Success rates 0.5, then 0.75.
         curriculum.record(&near(1), 3, true, &config);
         curriculum.record(&near(2), 3, true, &config);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into(), "an episode beyond the frontier does not count");
         curriculum.record(&near(1), 3, true, &config);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 2)].into());
-        // 0.5, 0.25, 0.625, 0.8125.
+        // Success rates 0.5, 0.25, 0.625, 0.8125.
         for success in [true, false, true, true] {
             assert_eq!(curriculum.reach()[&3], 2);
             curriculum.record(&near(2), 3, success, &config);

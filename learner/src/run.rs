@@ -1,4 +1,5 @@
-//! The learner as a service: trajectories from the bus, updates on a separate thread, weights and metrics to the bus.
+//! The learner as a service: receives trajectories from the bus, runs updates on a separate thread, and publishes
+//! weights and metrics.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,8 +23,8 @@ use crate::{Learner, LearnerSetup, MailboxCounts, UpdateMetrics};
 /// Metrics without TensorBoard curves: constants, and those with one curve per blueprint.
 const UNPLOTTED: [&str; 3] = ["schema_version", "task_probabilities", "success_by_blueprint"];
 
-/// Time that a learner waits for another one to end. A killed process appears alive for up to 6 s, and its replacement
-/// must succeed.
+/// Time that a learner waits for another one to exit. A killed process appears alive for up to 6 s, and its replacement
+/// must be able to start.
 const NAME_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Interval at which the updating thread checks for shutdown while it waits for trajectories.
@@ -39,12 +40,12 @@ pub struct RunOptions {
     pub resume: Option<PathBuf>,
     /// Environment steps after which the run ends; `None` runs until shutdown.
     pub max_env_steps: Option<u64>,
-    /// The source of trajectories between updates, instead of the bus. Nothing depends on time then.
+    /// The source of trajectories between updates, instead of the bus. Results then do not depend on time.
     pub feed: Option<Feed>,
 }
 
-/// Steps worlds with the given weights and returns the finished trajectories; true requests new episodes that depend
-/// only on the version.
+/// A function that steps worlds with the given weights and returns the finished trajectories; `true` requests new
+/// episodes that depend only on the version.
 pub type Feed = Box<dyn FnMut(&Weights, bool) -> anyhow::Result<Vec<Trajectory>> + Send>;
 
 /// The result of a run.
@@ -56,9 +57,9 @@ pub struct Summary {
     pub n_updates: u64,
     /// Environment steps, including those before a resume.
     pub n_env_steps: u64,
-    /// Seconds, including those before a resume.
+    /// Elapsed seconds, including those before a resume.
     pub run_elapsed_s: f64,
-    /// Trajectories by result.
+    /// Number of trajectories by result.
     pub mailbox: MailboxCounts,
     /// The last checkpoint.
     pub checkpoint: PathBuf,
@@ -71,10 +72,10 @@ struct Publication {
     metrics: Option<LearnerMetrics>,
 }
 
-/// Learns until `shutdown` or the configured number of steps, then saves a checkpoint.
+/// Trains until `shutdown` or the configured number of steps, then saves a checkpoint.
 ///
-/// With a `feed`, the updating thread requests trajectories between updates, and nothing depends on time: equal seeds
-/// give equal weights, even after resuming from one of the periodic checkpoints.
+/// With a `feed`, the updating thread requests trajectories between updates, and results do not depend on time: equal
+/// seeds produce equal weights, even after resuming from one of the periodic checkpoints.
 ///
 /// # Errors
 /// If the feed fails, a setting is invalid, the checkpoint cannot be resumed, the session fails, or the last checkpoint
@@ -113,7 +114,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         start: Instant::now(),
         before_s,
     };
-    // A separate thread, because an update computes for seconds and must not block tokio's workers.
+    // Use a separate thread, because an update takes seconds and must not block tokio's workers.
     std::thread::Builder::new()
         .name("learner".to_owned())
         .spawn(move || result.send(worker.work()))
@@ -143,12 +144,12 @@ async fn publish(
     Ok(())
 }
 
-/// Checks that a learner of this `setup` can begin, or go on from `resume`: a run's folder, its `checkpoints`, or one
-/// checkpoint.
+/// Checks that a learner with this `setup` can start, or resume from `resume`: a run's folder, its `checkpoints`, or
+/// one checkpoint.
 ///
 /// # Errors
-/// As [`run`] has them before it learns: no valid checkpoint, or one of another network or of other goals, or a policy to
-/// start from that does not fit.
+/// The errors that [`run`] returns before training: there is no valid checkpoint, its network or goals differ, or the
+/// policy to start from does not fit.
 pub fn check(setup: &LearnerSetup, resume: Option<&Path>) -> anyhow::Result<()> {
     match resume {
         Some(resume) => Learner::resume(setup.clone(), found(resume)?.checkpoint)?,
@@ -157,7 +158,7 @@ pub fn check(setup: &LearnerSetup, resume: Option<&Path>) -> anyhow::Result<()> 
     Ok(())
 }
 
-/// The newest valid checkpoint of a run's folder, its `checkpoints`, or one checkpoint.
+/// Reads the newest valid checkpoint of a run's folder, its `checkpoints`, or one checkpoint.
 fn found(path: &Path) -> anyhow::Result<Found> {
     let inside = RunPaths::new(path).checkpoints();
     Checkpoint::read_latest(if inside.is_dir() { &inside } else { path })
@@ -174,7 +175,7 @@ fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyh
     Ok(Learner::resume(setup, found.checkpoint)?)
 }
 
-/// Seconds that the run in a folder had taken when it had made so many environment steps; 0 if it does not say.
+/// Returns how many seconds the run in a folder had taken by `n_env_steps` environment steps; 0 if unknown.
 fn elapsed_before(run: &Path, n_env_steps: u64) -> f64 {
     let until_then = |line: &Value| line["n_env_steps"].as_u64().is_some_and(|steps| steps <= n_env_steps);
     let last = match runlog::last_line(&RunPaths::new(run), keys::METRICS_LEARNER, until_then) {
@@ -184,7 +185,7 @@ fn elapsed_before(run: &Path, n_env_steps: u64) -> f64 {
             None
         }
     };
-    // Before there was the first, the second was all that was known.
+    // Older metrics have only `elapsed_s`.
     let seconds = |key: &str| last.as_ref().and_then(|line| line[key].as_f64());
     seconds("run_elapsed_s").or_else(|| seconds("elapsed_s")).unwrap_or_default()
 }
@@ -284,7 +285,7 @@ impl Worker {
         Ok(path)
     }
 
-    /// The error of a run whose last checkpoint was not saved, with the newest valid one.
+    /// Returns the error for a run whose last checkpoint was not saved, which names the newest valid one.
     fn lost(&self, error: checkpoint::CheckpointError, checkpoints: &Path) -> anyhow::Error {
         let newest = match Checkpoint::read_latest(checkpoints) {
             Ok(found) => format!("the newest whole one is {}", found.path.display()),

@@ -1,5 +1,5 @@
-//! A learner without computation: takes trajectories through a real mailbox, drains it in batches as updates would, and
-//! publishes weights at intervals. It measures the throughput of bus and ingest.
+//! A learner that computes nothing: it accepts trajectories through a real mailbox, drains it in batches as updates
+//! would, and publishes weights at intervals. It measures the throughput of the bus and of ingest.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -80,7 +80,7 @@ pub struct Sink {
 }
 
 impl Sink {
-    /// Starts taking trajectories as `learner` would, and publishes its weights once.
+    /// Starts accepting trajectories as `learner` would, and publishes its weights once.
     ///
     /// # Errors
     /// If the session fails or the thread cannot be started.
@@ -134,7 +134,7 @@ impl Sink {
         }
     }
 
-    /// Stops and returns the result.
+    /// Stops the sink and returns the result.
     ///
     /// # Errors
     /// If the session fails or the draining thread panicked.

@@ -1,4 +1,4 @@
-//! The state of a learner without network and optimizer, stored in `state.json`.
+//! The state of a learner except its network and optimizer, stored in `state.json`.
 
 use policy::normalization::FeatureMoments;
 use proto::{Normalization, Weights, WeightsVersion};
@@ -29,25 +29,25 @@ pub struct LearnerState {
     pub rng: ChaCha8Rng,
     /// Task probabilities.
     pub curriculum: Curriculum,
-    /// Starts of episodes; empty without a reverse curriculum.
+    /// Reverse curriculum; empty if it is off.
     #[serde(default)]
     pub reverse: ReverseCurriculum,
     /// Statistics of node, edge, and global features.
     pub features: FeatureMoments,
-    /// Scenes in `features`.
+    /// Number of scenes in `features`.
     pub n_feature_scenes: u64,
     /// Statistics of the value targets.
     pub values: ValueStatistics,
-    /// Trajectories by result.
+    /// Number of trajectories by result.
     pub mailbox: MailboxCounts,
     /// Normalization that belongs to the parameters.
-    // The spelling of format version 1.
+    // Format version 1 uses this spelling.
     #[serde(rename = "normalisation", with = "NormalizationFields")]
     pub normalization: Normalization,
 }
 
 impl LearnerState {
-    /// The frozen policy with these `parameters`.
+    /// Returns the frozen policy with these `parameters`.
     pub(crate) fn weights(&self, network_hash: u64, parameters: Vec<f32>) -> Weights {
         Weights {
             version: self.version,

@@ -21,7 +21,7 @@ fn golden(name: &str) -> Value {
     serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
 }
 
-/// All numbers of a nested list, row-major.
+/// Returns all numbers of a nested list in row-major order.
 fn flat(value: &Value) -> Vec<f32> {
     match value {
         Value::Array(rows) => rows.iter().flat_map(flat).collect(),
@@ -71,7 +71,7 @@ fn gae_distinguishes_time_limit_from_termination() {
     }
 }
 
-/// The golden batch on a differentiating device.
+/// The golden batch on an autodiff device.
 struct Ppo {
     golden: Value,
     device: Device,

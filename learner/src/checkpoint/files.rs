@@ -10,13 +10,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{CheckpointError, damaged, io};
 
-/// Prefix of a checkpoint's name, before its number of environment steps.
+/// Prefix of a checkpoint's folder name; its number of environment steps follows.
 pub(super) const STEP: &str = "step-";
 
-/// Prefix of the name of a checkpoint during writing, before its number of environment steps.
+/// Prefix of the folder name while a checkpoint is being written; its number of environment steps follows.
 pub(super) const NEW: &str = ".new-";
 
-/// Prefix of the name of a checkpoint during its replacement, before its own name.
+/// Prefix of the folder name while a checkpoint is being replaced; its own name follows.
 const OLD: &str = ".old-";
 
 /// The expected length and hash of a file.
@@ -44,7 +44,7 @@ pub(super) fn read(folder: &Path, name: &str) -> Result<Vec<u8>, CheckpointError
     fs::read(&path).map_err(io("reading", &path))
 }
 
-/// Reads a file and compares it with its entry in `infos`.
+/// Reads a file and verifies it against its entry in `infos`.
 pub(super) fn read_verified(folder: &Path, name: &str, infos: &[FileInfo]) -> Result<Vec<u8>, CheckpointError> {
     let Some(info) = infos.iter().find(|info| info.name == name) else {
         return Err(damaged(folder, name, "the state file does not list it"));
@@ -65,7 +65,7 @@ pub(super) fn replace(new: &Path, path: &Path) -> Result<(), CheckpointError> {
     if !path.exists() {
         return fs::rename(new, path).map_err(io("renaming", new));
     }
-    // A folder cannot be renamed to a folder that is not empty. Move the old one aside first, and remove it last.
+    // A folder cannot be renamed to a non-empty folder, so move the old one aside first and remove it last.
     let old = path.with_file_name(format!("{OLD}{}", path.file_name().unwrap_or_default().to_string_lossy()));
     remove(&old)?;
     fs::rename(path, &old).map_err(io("renaming", path))?;
@@ -93,7 +93,7 @@ pub(super) fn remove(folder: &Path) -> Result<(), CheckpointError> {
     }
 }
 
-/// The folders `step-<n>` of `dir` by `n`; empty if `dir` does not exist.
+/// Returns the folders `step-<n>` in `dir` by `n`; empty if `dir` does not exist.
 pub(super) fn steps(dir: &Path) -> Result<BTreeMap<u64, PathBuf>, CheckpointError> {
     let step = |name: &str| name.strip_prefix(STEP)?.parse().ok();
     Ok(names(dir)?.into_iter().filter_map(|(name, path)| Some((step(&name)?, path))).collect())
@@ -106,7 +106,7 @@ pub(super) struct Leftover {
     pub(super) replaced: Option<PathBuf>,
 }
 
-/// The folders in `dir` left by interrupted writes.
+/// Returns the folders in `dir` left by interrupted writes.
 pub(super) fn leftovers(dir: &Path) -> Result<Vec<Leftover>, CheckpointError> {
     let leftover = |(name, path): (String, PathBuf)| {
         let replaced = name.strip_prefix(OLD).filter(|of| of.starts_with(STEP)).map(|of| dir.join(of));
@@ -128,7 +128,7 @@ fn names(dir: &Path) -> Result<Vec<(String, PathBuf)>, CheckpointError> {
     Ok(names)
 }
 
-/// The FNV-1a hash as 16 hexadecimal digits.
+/// Returns the FNV-1a hash as 16 hexadecimal digits.
 fn hash(bytes: &[u8]) -> String {
     format!("{:016x}", fnv1a(bytes.iter().copied()))
 }

@@ -19,7 +19,7 @@ pub struct ParameterInfo {
 }
 
 impl ParameterInfo {
-    /// Number of entries.
+    /// Returns the number of entries.
     pub fn n_entries(&self) -> usize {
         self.shape.iter().product()
     }

@@ -1,4 +1,4 @@
-//! What is learned from the expert's labels.
+//! Settings for learning from the expert's labels.
 
 use proto::setting::above;
 use proto::settings;
@@ -6,39 +6,39 @@ use proto::settings;
 use super::Schedule;
 
 settings! {
-    /// Learning from the expert's labels, alone or together with PPO: every gradient step minimizes one weighted sum.
+    /// Imitation of the expert's labels, alone or together with PPO: every gradient step minimizes one weighted sum.
     pub struct ImitationConfig {
-        /// Weight of the imitation loss. At 0 no labels are drawn.
+        /// Weight of the imitation loss. At 0, no labels are drawn.
         pub weight: Schedule = Schedule::Constant(1.0), in 0.0..=100.0;
         /// Weight of PPO's policy loss and entropies.
         pub ppo_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
-        /// Factor of the value loss. It may rise before `ppo_weight`, so that the critic knows the policy's returns
-        /// when PPO begins. While `ppo_weight` and `weight` are 0, it trains the value head alone.
+        /// Factor of the value loss. It can rise before `ppo_weight`, so that the critic knows the policy's returns
+        /// when PPO begins. While `ppo_weight` and `weight` are 0, only the value head is trained.
         pub value_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
-        /// Weight of KL(imitator ‖ policy) on PPO's samples, where the imitator is the policy when this first was above
-        /// 0.
+        /// Weight of KL(imitator ‖ policy) on PPO's samples, where the imitator is the policy frozen when this weight
+        /// was first above 0.
         pub kl_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
-        /// Weight of the loss of moves against that of block choices.
+        /// Weight of the move loss relative to the block-choice loss.
         pub move_weight: f32 = 20.0, in 0.0..;
-        /// Weight of the negative log-likelihood of the labels' moves under the standard deviations, nats per entry; the
-        /// means are held fixed in it. Above 0 the policy's noise becomes as large as its errors.
+        /// Weight of the negative log-likelihood of the labels' moves, nats per entry, which trains the standard
+        /// deviations with the means held fixed. Above 0, the policy's noise becomes as large as its errors.
         pub scale_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
-        /// Errors of a move's entries count by their square below this and by their size above.
+        /// Errors of a move's entries are squared below this and linear above.
         pub move_delta: f32 = 0.1, in above(0.0);
-        /// Scenes of one gradient step.
+        /// Scenes per gradient step.
         pub minibatch_size: usize = 256, in 1..=65536;
-        /// Gradient steps with labels in an update. PPO's steps carry them while any are left; if PPO has fewer, the rest
-        /// follow by themselves.
+        /// Gradient steps with labels per update. They are combined with PPO's steps; if PPO takes fewer, the rest
+        /// follow on their own.
         pub steps_per_update: usize = 32, in 1..=65536;
-        /// Where labeled scenes are kept.
+        /// Replay buffer of labeled scenes.
         pub replay: ReplayConfig;
     }
 
-    /// The store of labeled scenes.
+    /// Settings of the replay buffer of labeled scenes.
     pub struct ReplayConfig {
-        /// Most scenes. One takes about 1.3 KB, in memory and in a checkpoint.
+        /// Maximum number of scenes. Each takes about 1.3 KB, both in memory and in a checkpoint.
         pub capacity_steps: usize = 60_000, in 1024..;
-        /// Goals of n blocks are drawn in proportion to n to this power: 0 for all sizes alike.
+        /// Goals with n blocks are drawn in proportion to n to this power; at 0, all sizes are equally likely.
         pub size_power: f64 = 1.0, in -4.0..=4.0;
     }
 }

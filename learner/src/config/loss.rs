@@ -1,4 +1,4 @@
-//! The PPO objective's settings.
+//! Settings of the PPO objective.
 
 use proto::setting::{above, above_to};
 use proto::settings;
@@ -11,34 +11,35 @@ settings! {
     pub struct LossConfig {
         /// Probability ratios beyond 1 ± this are clipped.
         pub clip: f32 = 0.2, in above_to(0.0, 1.0);
-        /// Clip of the value's change in units of the normalized value; `None` is off, as it hurts.
+        /// Clip range of the value's change, in units of the normalized value; `None`, the default, disables clipping,
+        /// which hurts.
         pub value_clip: Option<f32> = None, in above(0.0);
         /// Weight of the value loss.
         pub value_coefficient: f32 = 0.5, in 0.0..;
-        /// Weight of the entropy of the block choice, nats. Below 0 it makes the policy decide, so that its mode does
-        /// what its samples do.
+        /// Weight of the entropy of the block choice, nats. Below 0, it makes the policy decisive, so that greedy
+        /// actions match sampled ones.
         pub block_entropy: Schedule = Schedule::Constant(0.005), in -1.0..=1.0;
         /// Weight of the expected entropy of the moves, nats.
         pub move_entropy: Schedule = Schedule::Constant(1e-4), in -1.0..=1.0;
-        /// What the ratio is taken against.
+        /// Reference policy of the probability ratio.
         pub objective: Objective = Objective::Decoupled;
-        /// With the decoupled objective the importance weight of a sample is at most this.
+        /// Maximum importance weight of a sample with the decoupled objective.
         pub max_behavior_weight: f32 = 2.0, in 1.0..;
     }
 }
 
-/// What PPO's probability ratio is taken against.
+/// The reference policy of PPO's probability ratio.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Objective {
     /// The policy that acted.
     Standard,
-    /// The policy at the start of the update; the policy that acted only weighs the sample (Hilton, Cobbe, Schulman,
-    /// "Batch size-invariance for policy optimization"). Equal to the standard one when the policy lag is 0.
+    /// The policy at the start of the update; the policy that acted only weights the sample (Hilton, Cobbe, Schulman,
+    /// "Batch size-invariance for policy optimization"). Equal to the standard objective when the policy lag is 0.
     Decoupled,
 }
 
-/// The numbers of the loss in one update.
+/// The loss coefficients of one update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossTerms {
     /// Weight of the clipped surrogate and the entropies; 1 without imitation.
@@ -58,7 +59,7 @@ pub struct LossTerms {
 }
 
 impl LossConfig {
-    /// The numbers after `n_env_steps` environment steps.
+    /// Returns the coefficients after `n_env_steps` environment steps.
     pub fn at(&self, n_env_steps: u64) -> LossTerms {
         LossTerms {
             policy: 1.0,

@@ -1,4 +1,4 @@
-//! Settings that move with the environment steps consumed.
+//! Settings that change with the environment steps consumed.
 
 use std::ops::RangeBounds;
 
@@ -6,19 +6,19 @@ use proto::InvalidSetting;
 use proto::setting::Setting;
 use serde::{Deserialize, Serialize};
 
-/// A number, or one that moves: `0.005`, or `[[0, 0.005], [1000000, 0.0]]` for a straight line between points of
-/// environment steps and value, level before the first and after the last.
+/// A constant such as `0.005`, or a piecewise linear schedule such as `[[0, 0.005], [1000000, 0.0]]`: points of
+/// environment steps and value, constant before the first and after the last.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Schedule {
-    /// The same all the time.
+    /// The same value at all steps.
     Constant(f32),
-    /// Points by ascending steps, at least one.
+    /// Points in ascending order of steps, at least one.
     Line(Vec<(u64, f32)>),
 }
 
 impl Schedule {
-    /// The value after `n_env_steps`.
+    /// Returns the value after `n_env_steps`.
     pub fn at(&self, n_env_steps: u64) -> f32 {
         let points = match self {
             Self::Constant(value) => return *value,

@@ -35,7 +35,7 @@ pub(super) struct ImitationUpdate<'a> {
 }
 
 impl<'a> ImitationUpdate<'a> {
-    /// `None` without labeled scenes, or with a weight of 0.
+    /// Creates the update; `None` without labeled scenes or with a weight of 0.
     pub(super) fn new(imitation_source: ImitationSource<'a>, n_env_steps: u64) -> Option<Self> {
         let weight = imitation_source.config.weight.at(n_env_steps);
         let scale_weight = imitation_source.config.scale_weight.at(n_env_steps);
@@ -51,12 +51,12 @@ impl<'a> ImitationUpdate<'a> {
         })
     }
 
-    /// Gradient steps that remain after those of PPO.
+    /// Returns the number of imitation gradient steps left in the update.
     pub(super) fn n_left(&self) -> usize {
         self.n_left
     }
 
-    /// Adds the weighted gradient of the imitation loss of a minibatch.
+    /// Adds the weighted imitation gradient of a random minibatch to `gradient`.
     pub(super) fn add_gradient(
         &mut self,
         workers: &mut Workers,
@@ -77,7 +77,7 @@ impl<'a> ImitationUpdate<'a> {
         self.n_steps += 1;
     }
 
-    /// Means over the scenes.
+    /// Returns the metrics, as means over the scenes.
     pub(super) fn metrics(&self) -> ImitationMetrics {
         let ImitationSums { blocks, moves, n_hits, n_scenes } = self.sums;
         let n = n_scenes.max(1) as f64;

@@ -38,7 +38,7 @@ pub(super) struct Evaluation {
 pub(super) struct Targets<'a> {
     /// Weights of the loss terms.
     pub(super) loss: LossTerms,
-    /// Reference log-probabilities of the ratio.
+    /// Reference log-probabilities for the ratio.
     pub(super) reference: &'a [f32],
     /// Weights of the samples in the policy loss.
     pub(super) weights: Vec<f32>,
@@ -95,7 +95,7 @@ pub(super) struct LossSums {
 }
 
 impl LossSums {
-    /// The weighted sum that is minimized.
+    /// Returns the weighted sum that is minimized.
     pub(super) fn total(&self, config: &LossTerms) -> f64 {
         let weighted = |coefficient: f32, sum: f64| f64::from(coefficient) * sum;
         let entropies = weighted(config.block_entropy, self.blocks) + weighted(config.move_entropy, self.moves);
@@ -125,7 +125,7 @@ impl AddAssign for ImitationSums {
 }
 
 impl Passes {
-    /// A network with the initial parameters of `seed`.
+    /// Creates a network with the initial parameters of `seed`.
     pub(super) fn new(policy: &PolicyConfig, seed: u64, device: &Device) -> Self {
         Self {
             policy: policy.clone(),
@@ -159,7 +159,7 @@ impl Passes {
         Ok(())
     }
 
-    /// Gradient of `share` × the summed imitation loss of normalized scenes.
+    /// Computes the gradient of `share` × the summed imitation loss of normalized scenes.
     pub(super) fn imitate(
         &mut self,
         batch: &ImitationBatch,
@@ -169,7 +169,7 @@ impl Passes {
         share: f32,
         spare: Vec<f32>,
     ) -> ImitationPass {
-        // Not masked: the expert may move an obstructing block that a mask would forbid.
+        // Do not mask: the expert may move an obstructing block that a mask would forbid.
         let (output, leaves) = self.engine.run_tracked(&batch.features, rows);
         let device = &self.tracked_device;
         let labels: Vec<Label> = rows.iter().map(|&row| batch.labels[row]).collect();
@@ -187,10 +187,11 @@ impl Passes {
         ImitationPass { gradient, sums: ImitationSums { blocks: sum(0), moves: sum(1), n_hits, n_scenes: rows.len() } }
     }
 
-    /// Values of `rows`, and log-probabilities of the actions of the rows that are samples; `rows` must ascend.
+    /// Computes the values of `rows` and, for rows that are samples, the log-probabilities of their actions. `rows`
+    /// must be ascending.
     pub(super) fn evaluate(&mut self, batch: &Batch, rows: &[usize]) -> Evaluation {
         let outputs = self.engine.run(&batch.features, rows);
-        // Samples come first in a batch, so those of these rows are a prefix.
+        // Samples come first in a batch, so the samples in `rows` are a prefix.
         let n_samples = rows.partition_point(|&row| row < batch.n_samples());
         let log_probs = if n_samples == 0 {
             Vec::new()
@@ -203,12 +204,12 @@ impl Passes {
         Evaluation { values: outputs.values, log_probs }
     }
 
-    /// Computes the values of `rows` alone.
+    /// Computes only the values of `rows`.
     pub(super) fn values(&mut self, batch: &Batch, rows: &[usize]) -> Vec<f32> {
         self.engine.run(&batch.features, rows).values
     }
 
-    /// Gradient of `share` × the summed loss of `samples`.
+    /// Computes the gradient of `share` × the summed loss of `samples`.
     pub(super) fn gradient(
         &mut self,
         batch: &Batch,
@@ -234,7 +235,7 @@ impl Passes {
         let (old, target) = (column(&targets.old_values), column(&targets.value_targets));
         let value = value_loss(values, old, target, config.value_clip).sum();
         let mut loss = value.clone() * config.value_coefficient;
-        // A ratio far from 1 overflows while labels move the policy, and infinity times a weight of 0 is no number.
+        // While labels move the policy, the ratio can overflow, and infinity times a weight of 0 is NaN.
         if config.policy > 0.0 {
             let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
             loss = loss + (policy.clone() - entropies) * config.policy;
@@ -272,7 +273,7 @@ impl Passes {
     }
 }
 
-/// The first `n` rows of an output.
+/// Returns the first `n` rows of an output.
 fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
     let rows = |tensor: &Tensor<3>| tensor.clone().narrow(0, 0, n);
     NetworkOutput {
@@ -283,7 +284,8 @@ fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
     }
 }
 
-/// Number of scenes in which the most probable block equals the label's for all grippers; logits `[B, G, 16]`.
+/// Returns the number of scenes in which the most probable block equals the label's for all grippers. The logits have
+/// shape `[B, G, 16]`.
 fn n_hits(logits: &[f32], labels: &[Label]) -> usize {
     let rows = logits.chunks_exact(logits.len() / labels.len().max(1));
     let right = |(row, label): (&[f32], &Label)| {

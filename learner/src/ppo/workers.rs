@@ -11,18 +11,18 @@ use super::passes::{Evaluation, GradientPass, ImitationBatch, ImitationPass, Pas
 use crate::batch::Batch;
 use crate::config::ImitationConfig;
 
-/// One set of networks per thread: each has buffers of its own, and on burn gradients of graphs that share a tensor would
+/// One set of networks per thread. Each has its own buffers, and in burn, gradients of graphs that share a tensor would
 /// block each other.
 ///
 /// The split into pieces does not depend on the number of workers, and results are combined in piece order, so the sums
-/// do not depend on it either.
+/// do not depend on that number either.
 #[derive(Debug)]
 pub(super) struct Workers {
     all: Vec<Passes>,
     spares: Spares,
 }
 
-/// Gradients that are no longer wanted: a new one of 5 MB costs more in fresh pages than its zeros.
+/// Gradient buffers for reuse: for a new 5 MB buffer, fresh pages cost more than writing the zeros.
 #[derive(Debug, Default)]
 struct Spares(Mutex<Vec<Vec<f32>>>);
 
@@ -39,13 +39,13 @@ impl Spares {
 }
 
 impl Workers {
-    /// `n` workers, at least one, whose networks have the initial parameters of `seed`.
+    /// Creates `n` workers, at least one, whose networks have the initial parameters of `seed`.
     pub(super) fn new(policy: &PolicyConfig, seed: u64, device: &Device, n: usize) -> Self {
         let all = (0..n.max(1)).map(|_| Passes::new(policy, seed, device)).collect();
         Self { all, spares: Spares::default() }
     }
 
-    /// One of the networks; all are equal.
+    /// Returns one of the networks; all are equal.
     pub(super) fn engine(&self) -> &Engine {
         self.all[0].engine()
     }
@@ -67,7 +67,7 @@ impl Workers {
         self.each(|passes, _| passes.freeze(parameters)).into_iter().collect()
     }
 
-    /// Gradients of the mean imitation loss of the batch, one for each piece of about `size` scenes.
+    /// Computes gradients of the batch's mean imitation loss, one for each piece of about `size` scenes.
     pub(super) fn imitate(
         &mut self,
         batch: &ImitationBatch,
@@ -82,7 +82,7 @@ impl Workers {
         })
     }
 
-    /// Values of all rows and log-probabilities of all actions, in pieces of about `size` rows.
+    /// Computes the values of all rows and the log-probabilities of all actions, in pieces of about `size` rows.
     pub(super) fn evaluate(&mut self, batch: &Batch, size: usize) -> Evaluation {
         let rows: Vec<usize> = (0..batch.features.n).collect();
         let mut whole = Evaluation::default();
@@ -93,18 +93,19 @@ impl Workers {
         whole
     }
 
-    /// Log-probabilities of the actions of samples, whose rows must ascend.
+    /// Computes the log-probabilities of the actions of the samples in `rows`, which must be ascending.
     pub(super) fn log_probs(&mut self, batch: &Batch, rows: &[usize], size: usize) -> Vec<f32> {
         self.map(&pieces(rows, size), |passes, rows, _| passes.evaluate(batch, rows).log_probs).concat()
     }
 
-    /// Values of all rows, in pieces of about `size` rows.
+    /// Computes the values of all rows, in pieces of about `size` rows.
     pub(super) fn values(&mut self, batch: &Batch, size: usize) -> Vec<f32> {
         let rows: Vec<usize> = (0..batch.features.n).collect();
         self.map(&pieces(&rows, size), |passes, rows, _| passes.values(batch, rows)).concat()
     }
 
-    /// Gradients of the mean loss of `samples`, one for each piece of about `size` samples; they add up to that of all.
+    /// Computes gradients of the mean loss of `samples`, one for each piece of about `size` samples; their sum is the
+    /// whole gradient.
     pub(super) fn gradients(
         &mut self,
         batch: &Batch,
@@ -118,7 +119,7 @@ impl Workers {
         })
     }
 
-    /// A gradient of `n` zeros.
+    /// Returns a gradient of `n` zeros.
     pub(super) fn zeros(&self, n: usize) -> Vec<f32> {
         let mut gradient = self.spares.take();
         gradient.clear();
@@ -131,7 +132,7 @@ impl Workers {
         self.spares.put(gradient);
     }
 
-    /// Runs `work` on every piece; the results are in piece order. Whoever is done takes the next piece, because other
+    /// Runs `work` on every piece; the results are in piece order. An idle worker takes the next piece, because other
     /// threads on the same cores make some workers slower.
     fn map<R: Send>(
         &mut self,
@@ -168,7 +169,7 @@ impl Workers {
     }
 }
 
-/// Splits `items` into pieces of equal size, at least `size` if there are that many.
+/// Splits `items` into pieces of about equal size, at least `size` if there are that many items.
 pub(super) fn pieces(items: &[usize], size: usize) -> Vec<&[usize]> {
     let n = (items.len() / size).max(1);
     (0..n).map(|i| &items[i * items.len() / n..(i + 1) * items.len() / n]).collect()

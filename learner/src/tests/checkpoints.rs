@@ -1,4 +1,4 @@
-//! Checkpoints: exact if complete, refused if not.
+//! Complete checkpoints resume exactly; incomplete ones are refused.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use crate::{Learner, LearnerError, LearnerSetup};
 fn train(setup: &LearnerSetup, learner: &mut Learner, n: u64) {
     for _ in 0..n {
         let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
-        // 40 more steps than an update takes, so that some always wait.
+        // 40 more steps than an update consumes, so that some are always waiting.
         feed(learner, bandit(setup, &learner.weights(), 296, &mut rng));
         learner.update().unwrap();
     }
@@ -155,7 +155,7 @@ fn names(dir: &Path) -> Vec<String> {
 fn failed_write_leaves_nothing_and_blocks_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let (setup, mut learner, older) = saved(dir.path(), 1);
-    // First with a checkpoint of another step, then with one that would replace the older one.
+    // First with a checkpoint that would replace the older one, then with one of another step.
     for n_updates in [0, 1] {
         train(&setup, &mut learner, n_updates);
         let checkpoint = learner.checkpoint();
@@ -224,7 +224,7 @@ fn model_round_trips_and_a_damaged_file_is_refused() {
         let error = Model::from_bytes(broken, path).unwrap_err().to_string();
         assert!(error.contains("somewhere/model.safetensors"), "{error}");
     }
-    // Only tensors, as in a checkpoint.
+    // A file with only tensors, as in a checkpoint.
     let dir = tempfile::tempdir().unwrap();
     let folder = checkpoint.write(dir.path()).unwrap();
     let alone = fs::read(folder.join("parameters.safetensors")).unwrap();

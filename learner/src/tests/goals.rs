@@ -1,4 +1,4 @@
-//! Generated goals: generated after every other check, and in bounded number.
+//! Goals are generated after every other check, and in bounded number.
 
 use blueprints::generator::{Draws, Style};
 
@@ -22,7 +22,7 @@ fn update(goals: &[String]) -> UpdateMetrics {
 
 #[test]
 fn held_out_structures_are_dropped_under_any_id() {
-    // The generator's ids of a tower of the test split and of an arch of the validation split.
+    // The generator's ids of a tower in the test split and of an arch in the validation split.
     for held_out in ["gen1-tallest-16_14_162", "gen1-arch-18_7_000"] {
         let mut goals = vec![held_out.to_owned(); 4];
         goals.resize(32, "gen1-tower-7_3_001".to_owned());
@@ -34,7 +34,7 @@ fn held_out_structures_are_dropped_under_any_id() {
 #[test]
 fn goals_generated_per_update_are_bounded() {
     let goal = |index: usize| format!("gen1-any-7_4_{index:03}");
-    // 256 steps allow 512 blocks, which are 128 goals of 4.
+    // 256 steps allow 512 blocks: 128 goals with 4 blocks each.
     let distinct: Vec<String> = (0..256).map(goal).collect();
     let all = update(&distinct);
     assert_eq!((all.unmade_total, all.n_steps), (128, 128));

@@ -14,7 +14,7 @@ use crate::config::{ImitationConfig, LearnerConfig, Objective, RateLine, RateRul
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::{Learner, LearnerSetup, Model};
 
-/// A network like the paper's, small enough for a test of seconds.
+/// Returns a setup with a network like the paper's, but small enough for tests that take seconds.
 pub(super) fn small_setup(seed: u64) -> LearnerSetup {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 2, head_dim: 16, mlp_hidden: 32, ..Default::default() });
@@ -33,7 +33,8 @@ pub(super) fn small_setup(seed: u64) -> LearnerSetup {
     }
 }
 
-/// One-step episodes in random scenes, acted with `weights`; the reward is 1 if gripper 0 chooses a goal block.
+/// Returns one-step episodes in random scenes with actions from `weights`; the reward is 1 if gripper 0 chooses a goal
+/// block.
 pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mut ChaCha8Rng) -> Vec<Trajectory> {
     let mut policy = Policy::new(&setup.policy).unwrap();
     policy.load(weights).unwrap();
@@ -150,7 +151,7 @@ fn gradient_step_that_is_not_finite_is_skipped() {
     setup.config.loss.objective = Objective::Standard;
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
-    // The lowest admitted density; the ratio overflows.
+    // The lowest admitted log-density makes the ratio overflow.
     trajectories[0].transitions[0].behavior_log_prob = -2000.0;
     feed(&learner, trajectories);
     let metrics = learner.update().unwrap();
@@ -168,7 +169,7 @@ fn rewards_without_weight_cannot_spoil_a_step() {
     let mut learner = Learner::new(setup.clone()).unwrap();
     let before = learner.weights();
     let mut trajectories = bandit(&setup, &before, 256, &mut ChaCha8Rng::seed_from_u64(3));
-    // The ratio overflows.
+    // This makes the ratio overflow.
     trajectories[0].transitions[0].behavior_log_prob = -2000.0;
     feed(&learner, trajectories);
     let metrics = learner.update().unwrap();
@@ -176,14 +177,14 @@ fn rewards_without_weight_cannot_spoil_a_step() {
     assert_ne!(learner.weights().parameters, before.parameters, "the critic learns");
 }
 
-/// The label of every scene of [`labeled`].
+/// Returns the label that [`labeled`] adds to every scene.
 fn expert_label() -> Label {
     let block = |index: u8| BlockIdx::try_from(index).ok();
     let moves = [[0.5, -0.5, 0.25, 0.0, 0.0, -0.25], [-0.5, 0.0, 0.0, 0.5, 0.0, 0.0]];
     Label { choices: [block(2), block(7)], moves }
 }
 
-/// The same trajectories with the expert's label, as if `driver` had acted.
+/// Adds the expert's label to the trajectories, as if `driver` had acted.
 pub(super) fn labeled(mut trajectories: Vec<Trajectory>, driver: Driver) -> Vec<Trajectory> {
     for trajectory in &mut trajectories {
         trajectory.driver = driver;
@@ -210,7 +211,8 @@ fn labels_are_learned_and_expert_successes_are_not_counted() {
         assert_eq!((update.episodes.success.n_episodes, update.n_episodes), (0, 0));
         assert!((update.ppo.learning_rate - 3e-3).abs() < 1e-9);
     }
-    // Two choices among 16 cost 2 ln 16 = 5.5 nats at first. A guess among blocks of one type remains.
+    // Two choices among 16 cost 2 ln 16 = 5.5 nats at first. After training, only a guess among blocks of one type
+    // remains.
     let guess = |block| (Inventory::standard().same_type(block).count() as f64).ln();
     let guesses: f64 = expert_label().choices.into_iter().flatten().map(guess).sum();
     assert!(losses[0] > guesses + 1.0 && losses[3] < guesses + 0.2, "{guesses} {losses:?}");
@@ -282,14 +284,14 @@ fn deviations_become_as_small_as_the_errors_where_labels_train_them() {
             feed(&learner, labeled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
             learner.update().unwrap();
         }
-        // The density of the label under the policy says how large its noise is.
+        // The log-density of the greedy action shows how large the policy's noise is.
         let mut policy = Policy::with_weights(&setup.policy, &learner.weights()).unwrap();
         let trajectory = random_trajectory(1, 0, &mut rng);
         let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
         let observation = Observation { scene: &trajectory.transitions[0].scene, blueprint, n_steps: 0 };
         let mut rngs = [ChaCha8Rng::seed_from_u64(1)];
         let decisions = policy.act(&[observation], &[ActionMode::Greedy], &mut rngs).unwrap();
-        // The mode's own density: 12 entries of ln(1 / (σ √2π)).
+        // The log-density of the greedy action has 12 entries of ln(1 / (σ √2π)).
         f64::from(decisions[0].log_prob)
     };
     let (untrained, trained) = (log_deviation(0.0), log_deviation(1.0));
@@ -320,7 +322,7 @@ fn a_critic_that_learns_alone_leaves_the_policy_as_it_is() {
         n_moved += usize::from(!is_same);
     }
     assert!(n_moved > 2, "{n_moved} tensors of the value head moved");
-    // The policy's training begins with the rate of the start and with an optimizer that has taken no step.
+    // The policy's training begins with the initial learning rate and an optimizer that has taken no step.
     assert_eq!(learner.checkpoint().adam.n_steps, 0);
     feed(&learner, bandit(&setup, &after, 256, &mut ChaCha8Rng::seed_from_u64(6)));
     let rate = learner.update().unwrap().ppo.learning_rate;

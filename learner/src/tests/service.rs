@@ -1,4 +1,4 @@
-//! The learner service on its own bus.
+//! The learner service on an isolated bus.
 
 use bus::{Bus, SendError};
 use proto::metrics::LearnerMetrics;
@@ -93,7 +93,7 @@ async fn failed_final_save_names_lost_and_newest_checkpoints() {
     });
     act(&bus, &setup, 1).await;
     assert!(!checkpoints.join(".new-512").exists());
-    // A file at that path makes writing fail, like a full disk.
+    // A file at that path makes the write fail, as a full disk would.
     std::fs::write(checkpoints.join(".new-512"), b"in the way").unwrap();
     shutdown.cancel();
     let error = learning.await.unwrap().unwrap_err();
