@@ -1,4 +1,4 @@
-"""The paper's network in JAX on the CPU, folded as in `policy`; prints samples per CPU-second.
+"""Times the paper's network in JAX on the CPU, folded as in `policy`, and prints samples per CPU-second.
 
 Run by tests/benches/peers.py.
 """

@@ -1,7 +1,8 @@
 //! Forward passes and updates of the paper's network in samples per CPU-second, on one thread.
 //!
-//! `cargo bench -p policy`; `tests/benches/peers.py` runs it beside jax and torch and prints the ratios. Arguments choose:
-//! `forward` or `update`, `burn` for the same on burn's tensors, `extended` for all features instead of the paper's.
+//! `cargo bench -p policy`; `tests/benches/peers.py` runs it together with JAX and PyTorch and prints the ratios.
+//! Arguments: `forward` or `update` for one of the two, `burn` to use burn's tensors, `extended` for all features
+//! instead of the paper's.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -28,7 +29,7 @@ fn main() {
     }
 }
 
-/// The kernels that a CPU uses.
+/// Builds the CPU kernels of a network.
 fn cpu(network: &Network, config: &FeatureConfig, with_gradients: bool) -> CpuNetwork {
     let layout = NetworkLayout::new(&NetworkConfig::default(), &FeatureSizes::new(config), network.table());
     CpuNetwork::new(&layout.expect("a graph network"), &parameters::flatten(network), with_gradients)
@@ -55,7 +56,7 @@ fn forward_on_burn(sizes: &FeatureSizes, b: usize) {
     });
 }
 
-/// The loss of the golden files: values + squares of logits and means + logarithms of deviations.
+/// Measures passes with the loss of the golden files: values + squares of logits and means + logarithms of deviations.
 fn update(network: &Network, config: &FeatureConfig, b: usize) {
     let (network, batch) = (cpu(network, config, true), batch(config, b));
     let (rows, mut tape): (Vec<usize>, _) = ((0..b).collect(), Tape::default());
@@ -97,7 +98,7 @@ fn batch(config: &FeatureConfig, b: usize) -> FeatureBatch {
     batch
 }
 
-/// The best of several rounds, so that other load on the machine counts little.
+/// Prints the best of several rounds, so that other load on the machine has little effect.
 fn report(name: &str, b: usize, mut work: impl FnMut()) {
     for _ in 0..3 {
         work();
@@ -115,9 +116,9 @@ fn report(name: &str, b: usize, mut work: impl FnMut()) {
     println!("{name} {b} {:.4} ms/sample {:.0} samples/s", best * 1e3, 1.0 / best);
 }
 
-/// Time that all threads spent on a CPU where the system tells (Linux), else wall time.
+/// Returns the CPU time of all threads on Linux, and wall-clock time elsewhere.
 ///
-/// All threads count: batched products run on a worker of the thread pool even when the pool has only one.
+/// Includes all threads because batched products run on a worker of the thread pool even if the pool has only one.
 fn cpu_time() -> Duration {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let spent = |path: std::path::PathBuf| -> Option<u64> {

@@ -1,6 +1,7 @@
-"""How the peers of the network are timed: as `cargo bench -p policy --bench network` times ours.
+"""Times the peer networks the same way as `cargo bench -p policy --bench network` times ours.
 
-One thread, CPU time, the best of several rounds, and the same lines as output. tests/benches/peers.py runs all sides.
+Measures CPU time on one thread, takes the best of several rounds, and prints lines in the same format.
+tests/benches/peers.py runs all of them.
 """
 
 import time
@@ -11,7 +12,7 @@ SECONDS = 4.0
 
 
 def best(work, n):
-    """Least CPU-seconds of one call of `work`, called `n` times between looks at the clock."""
+    """Returns the least CPU-seconds per call of `work`, reading the clock once every `n` calls."""
     for _ in range(3):
         work()
     least, end = float("inf"), time.monotonic() + SECONDS
@@ -24,6 +25,6 @@ def best(work, n):
 
 
 def report(kind, b, work):
-    """Times `work` on a batch of `b` and prints the line of this case."""
+    """Times `work` on a batch of `b` samples and prints the result."""
     seconds = best(work, max(64 // b, 1)) / b
     print(f"{kind} {b} {seconds * 1e3:.4f} ms/sample {1 / seconds:.0f} samples/s", flush=True)

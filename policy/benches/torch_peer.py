@@ -1,8 +1,8 @@
-"""The paper's network in PyTorch on the CPU, run eagerly, folded as in `policy`; prints samples per CPU-second.
+"""Times the paper's network in eager PyTorch on the CPU, folded as in `policy`, and prints samples per CPU-second.
 
-It is the module python/lodestone_torch.py. Beside the speeds it prints what bounds them: how fast this core multiplies two
-matrices of 512 x 512, and the operations of matrix products per sample, with the paper's features and with those that a learner
-has by default. Run by tests/benches/peers.py.
+The network is the module python/lodestone_torch.py. Besides the speeds, it prints what bounds them: how fast this core
+multiplies two 512 x 512 matrices, and the matrix-product operations per sample, with the paper's features and with the
+learner's default features. Run by tests/benches/peers.py.
 """
 
 import sys
@@ -16,12 +16,12 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "python"))
 import peer
 from lodestone_torch import Config, GraphNetwork
 
-# Numbers of features in `policy::FeatureConfig::paper` and `::default`.
+# Feature counts of `policy::FeatureConfig::paper` and `::default`.
 SIZES = {"paper": (peer.ND, peer.ED, peer.GD), "default": (10, 36, 50)}
 
 
 def network(sizes):
-    """A network with random kernels."""
+    """Returns a network with random kernels."""
     torch.manual_seed(0)
     made = GraphNetwork(Config(*sizes))
     with torch.no_grad():
@@ -32,7 +32,7 @@ def network(sizes):
 
 
 def batch(sizes, b):
-    """Nodes, edges from all senders to all receivers, globals."""
+    """Returns random nodes, edges from all senders to all receivers, and globals."""
     nd, ed, gd = sizes
     return torch.rand(b, peer.N, nd), torch.rand(b, peer.N, peer.N, ed), torch.rand(b, gd)
 
@@ -43,14 +43,14 @@ def forward(made, folded, inputs):
 
 
 def update(made, inputs):
-    """Gradients of the loss of the reference values."""
+    """Computes the gradients of the loss used for the reference values."""
     logits, locs, scales, values = made.forward_dense(*inputs)
     loss = values.sum() + logits.square().sum() + locs.square().sum() + scales.log().sum()
     torch.autograd.grad(loss, list(made.parameters()))
 
 
 def count(work):
-    """Operations of the matrix products in `work`, a multiplication and an addition counted as two."""
+    """Counts the operations of the matrix products in `work`. A multiply-add counts as two."""
     with FlopCounterMode(display=False) as counter:
         work()
     return counter.get_total_flops()

@@ -1,4 +1,4 @@
-//! Features of several scenes side by side.
+//! Batches of scene features.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::{N_GRIPPERS, Observation};
@@ -17,19 +17,19 @@ pub struct FeatureBatch {
     pub edges: Vec<f32>,
     /// `[n, gd]`
     pub globals: Vec<f32>,
-    /// `[n, 16]`: whether [`BlockMask::Blueprint`](crate::config::BlockMask) lets a gripper choose the block.
+    /// `[n, 16]`: whether [`BlockMask::Blueprint`](crate::config::BlockMask) allows a gripper to choose the block.
     pub allowed: Vec<bool>,
-    /// `[n]`: what each gripper held in the last step.
+    /// `[n]`: the block that each gripper held in the last step.
     pub held: Vec<[Option<BlockIdx>; N_GRIPPERS]>,
     /// `[n]`: steps since the episode began.
     pub n_steps: Vec<u16>,
-    /// nd, ed and gd.
+    /// nd, ed, and gd.
     pub sizes: FeatureSizes,
     config: FeatureConfig,
 }
 
 impl FeatureBatch {
-    /// An empty batch.
+    /// Creates an empty batch.
     pub fn new(config: &FeatureConfig) -> Self {
         Self {
             n: 0,
@@ -44,7 +44,7 @@ impl FeatureBatch {
         }
     }
 
-    /// Takes these scenes in place of those before.
+    /// Replaces the contents with these scenes.
     pub fn fill(&mut self, observations: &[Observation<'_>]) {
         self.clear();
         observations.iter().for_each(|seen| self.push(seen));
@@ -68,7 +68,7 @@ impl FeatureBatch {
         let allowed_at = self.allowed.len();
         self.allowed.extend(BlockIdx::all().map(|block| blueprint.contains(block)));
         for joint in &scene.joints {
-            // No connection but the blueprint's may remain, and two blocks come apart only in two grippers' hold.
+            // Wrong connections must be broken, and two blocks come apart only if a gripper holds each of them.
             self.allowed[allowed_at + joint.a.get()] = true;
             self.allowed[allowed_at + joint.b.get()] = true;
         }
@@ -88,10 +88,10 @@ impl FeatureBatch {
         self.n_steps.clear();
     }
 
-    /// The given rows, in the given order; a row may appear more than once.
+    /// Returns the given rows in the given order; a row may appear more than once.
     ///
     /// # Panics
-    /// When a row is not below `n`.
+    /// If a row is not below `n`.
     pub fn select(&self, rows: &[usize]) -> Self {
         Self {
             n: rows.len(),
@@ -108,10 +108,10 @@ impl FeatureBatch {
 }
 
 impl PolicyConfig {
-    /// The blocks that each gripper may choose in a row of a batch, `[2, 16]`; `None` if all.
+    /// Returns the blocks that each gripper may choose in a row of a batch, `[2, 16]`; `None` if all.
     ///
     /// # Panics
-    /// When the batch has no such row.
+    /// If the batch has no such row.
     pub fn choosable(&self, batch: &FeatureBatch, row: usize) -> Option<[[bool; N_BLOCKS]; N_GRIPPERS]> {
         let is_masked = self.mask == BlockMask::Blueprint;
         let keeps = !batch.n_steps[row].is_multiple_of(self.grip_steps);

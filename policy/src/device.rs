@@ -1,4 +1,4 @@
-//! The device that tensors live on, chosen at run time.
+//! Selection of the tensor device at run time.
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DeviceKind {
-    /// The CPU: kernels of our own for the graph network, burn's backend `flex` for the rest. Always built in.
+    /// The CPU: custom kernels for the graph network, burn's `flex` backend for everything else. Always available.
     #[default]
     Cpu,
-    /// burn's `wgpu` backend (Vulkan or Metal, any vendor); built in with the cargo feature `gpu`.
+    /// burn's `wgpu` backend (Vulkan or Metal, any vendor). Requires the cargo feature `gpu`.
     Gpu,
 }
 
@@ -26,10 +26,11 @@ pub enum DeviceError {
 }
 
 impl DeviceKind {
-    /// Opens the device. A GPU is probed here, once, because the backend's lazy start would panic on a worker thread.
+    /// Opens the device. A GPU is probed here, once, because the backend's lazy initialization would panic on a worker
+    /// thread.
     ///
     /// # Errors
-    /// [`DeviceError`] when the backend is not built in or no adapter can be opened.
+    /// [`DeviceError`] if the backend is not built in or no adapter can be opened.
     pub fn open(self) -> Result<Device, DeviceError> {
         match self {
             Self::Cpu => Ok(Device::flex()),
@@ -41,7 +42,7 @@ impl DeviceKind {
 #[cfg(feature = "gpu")]
 fn open_gpu() -> Result<Device, DeviceError> {
     use std::sync::OnceLock;
-    // The runtime of an adapter can be registered only once per process, so the first answer stands.
+    // An adapter's runtime can be registered only once per process, so the first result is kept.
     static GPU: OnceLock<Result<Device, DeviceError>> = OnceLock::new();
     GPU.get_or_init(|| Device::wgpu_options().init().map_err(|error| DeviceError::Unavailable(error.to_string())))
         .clone()

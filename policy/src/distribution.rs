@@ -1,7 +1,7 @@
-//! The distribution over actions of one scene, on slices: sampling, mode, log-probability, entropy.
+//! The action distribution of one scene, on slices: sampling, mode, log-probability, and entropy.
 //!
-//! Each gripper chooses one of 16 blocks; each block has a Gaussian move with a diagonal covariance. What of it counts for
-//! the joint log-probability is a [`JointForm`]. [`crate::loss_terms`] says the same on tensors.
+//! Each gripper chooses one of 16 blocks; each block has a Gaussian move with a diagonal covariance. [`JointForm`]
+//! defines which parts count in the joint log-probability. [`crate::loss_terms`] has the tensor version.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::{Action, Move, N_GRIPPERS};
@@ -26,7 +26,7 @@ pub struct ActionDistribution<'a> {
     form: JointForm,
 }
 
-/// Entropy in nats by part.
+/// Entropy by part, in nats.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Entropy {
     /// Σ over grippers of the entropy of the block choice.
@@ -36,11 +36,13 @@ pub struct Entropy {
 }
 
 impl<'a> ActionDistribution<'a> {
+    /// Borrows one row of the network's output.
+    ///
     /// # Shapes
     /// logits `[G, 16]` with masked blocks at [`MASKED_LOGIT`], locs and scales `[16, 6]`, scales above 0.
     ///
     /// # Panics
-    /// When a slice has another length, or G is not 1 or 2.
+    /// If a slice has another length, or G is not 1 or 2.
     pub fn new(logits: &'a [f32], locs: &'a [f32], scales: &'a [f32], form: JointForm) -> Self {
         let n_grippers = logits.len() / N_BLOCKS;
         assert!(logits.len() == n_grippers * N_BLOCKS && (1..=N_GRIPPERS).contains(&n_grippers), "length of logits");
@@ -48,8 +50,8 @@ impl<'a> ActionDistribution<'a> {
         Self { logits, locs, scales, form }
     }
 
-    /// Draws blocks and the moves of all 16 blocks; always the same number of random numbers, whatever is chosen. `None` if
-    /// the logits of a gripper are no distribution, because one of them is not finite.
+    /// Samples the blocks and the moves of all 16 blocks. Always draws the same number of random numbers, regardless of
+    /// the choices. Returns `None` if a gripper's logits are not a distribution, because one of them is not finite.
     pub fn sample(&self, rng: &mut ChaCha8Rng) -> Option<Action> {
         let mut choices = [None; N_GRIPPERS];
         for (choice, logits) in choices.iter_mut().zip(self.logits.chunks_exact(N_BLOCKS)) {
@@ -62,7 +64,7 @@ impl<'a> ActionDistribution<'a> {
         Some(Action { choices, moves })
     }
 
-    /// The likeliest block of each gripper (the first of equals) and the mean moves.
+    /// Returns the most probable block of each gripper (the first of equals) and the mean moves.
     pub fn mode(&self) -> Action {
         let mut choices = [None; N_GRIPPERS];
         for (choice, logits) in choices.iter_mut().zip(self.logits.chunks_exact(N_BLOCKS)) {
@@ -72,9 +74,9 @@ impl<'a> ActionDistribution<'a> {
         Action { choices, moves: self.moves(|loc, _| loc) }
     }
 
-    /// Log-probability (density) of an action.
+    /// Returns the log-probability (density) of an action.
     ///
-    /// A gripper beyond G does not count; a choice missing for a gripper within G gives −∞.
+    /// Grippers beyond G are ignored; a missing choice of a gripper within G gives −∞.
     pub fn log_prob(&self, action: &Action) -> f32 {
         let mut total = 0.0;
         let mut counts = [0.0_f32; N_BLOCKS];
@@ -96,7 +98,7 @@ impl<'a> ActionDistribution<'a> {
         total
     }
 
-    /// Entropy of the choices, and of the moves expected over the choices.
+    /// Returns the entropy of the choices, and that of the moves in expectation over the choices.
     pub fn entropy(&self) -> Entropy {
         let log_probs: Vec<_> = self.logits.chunks_exact(N_BLOCKS).map(log_softmax).collect();
         let blocks = log_probs.iter().flatten().map(|lp| -lp.exp() * lp).sum();
@@ -138,10 +140,10 @@ impl<'a> ActionDistribution<'a> {
     }
 }
 
-/// Replaces the logits of blocks that may not be chosen.
+/// Masks the logits of blocks that may not be chosen.
 ///
 /// # Shapes
-/// logits `[G, 16]`, allowed `[2, 16]`, of which the first G count.
+/// logits `[G, 16]`, allowed `[2, 16]`, of which only the first G rows are used.
 pub fn mask_logits(logits: &mut [f32], allowed: &[[bool; N_BLOCKS]; N_GRIPPERS]) {
     for (row, allowed) in logits.chunks_exact_mut(N_BLOCKS).zip(allowed) {
         for (logit, allowed) in row.iter_mut().zip(allowed) {
@@ -152,7 +154,7 @@ pub fn mask_logits(logits: &mut [f32], allowed: &[[bool; N_BLOCKS]; N_GRIPPERS])
     }
 }
 
-/// Softmax of the logits of 16 blocks.
+/// Returns the softmax of the logits of 16 blocks.
 pub(crate) fn probabilities(logits: &[f32]) -> [f32; N_BLOCKS] {
     log_softmax(logits).map(f32::exp)
 }
@@ -163,8 +165,8 @@ fn log_softmax(logits: &[f32]) -> [f32; N_BLOCKS] {
     std::array::from_fn(|b| logits[b] - max - log_sum)
 }
 
-/// The block whose share of [0, 1) holds `u`; rounding at the top end falls to the last block with any share. `None` if no
-/// block has any.
+/// Returns the block whose interval in [0, 1) contains `u`. If rounding leaves `u` above all intervals, returns the
+/// last block with nonzero probability; `None` if no block has any.
 fn draw(log_probs: &[f32; N_BLOCKS], u: f32) -> Option<BlockIdx> {
     let mut below = 0.0;
     let mut last = None;

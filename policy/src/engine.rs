@@ -1,5 +1,5 @@
-//! The network in the form that computes fastest where it runs: [`crate::cpu`] for the graph's encoder on a CPU, burn for the
-//! baseline without a graph and on a GPU.
+//! Runs the network in the fastest form for its device: [`crate::cpu`] for the graph encoder on a CPU, burn for the
+//! non-graph baseline and for GPUs.
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 
@@ -25,12 +25,12 @@ enum Form {
     Burn { plain: Box<Network>, folded: Box<Folded>, tracked: Option<Box<Network>> },
 }
 
-/// The outputs of a pass that gradients are wanted of; [`crate::cpu`] goes on from their gradients, burn needs none of them.
+/// Outputs of a tracked pass. [`crate::cpu`] backpropagates from their gradients; burn does not need them.
 #[derive(Debug)]
 pub struct Leaves(Option<NetworkOutput>);
 
 impl Engine {
-    /// A network with the initial parameters of `seed`. Without `with_gradients` it can only run forward.
+    /// Creates a network with the initial parameters of `seed`. Without `with_gradients`, it can only run forward.
     pub fn new(config: &PolicyConfig, seed: u64, device: &Device, with_gradients: bool) -> Self {
         let plain = Network::init(&config.network, &config.sizes(), seed, device);
         let table = plain.table().to_vec();
@@ -52,12 +52,12 @@ impl Engine {
         Self { table, n_grippers, device: device.clone(), with_gradients, form }
     }
 
-    /// Name, shape, and initializer of every parameter, in the order of the flat vector.
+    /// Returns the name, shape, and initializer of every parameter, in the order of the flat vector.
     pub fn table(&self) -> &[ParameterSpec] {
         &self.table
     }
 
-    /// The parameters as one flat vector.
+    /// Returns the parameters as one flat vector.
     pub fn parameters(&self) -> Vec<f32> {
         match &self.form {
             Form::Cpu { network, .. } => network.parameters().to_vec(),
@@ -65,20 +65,20 @@ impl Engine {
         }
     }
 
-    /// Replaces the parameters; on an error the old ones stay.
+    /// Replaces the parameters; after an error, the old ones stay in use.
     ///
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub fn load(&mut self, values: &[f32]) -> Result<(), ParameterError> {
         match &mut self.form {
-            // The tape stays for its memory.
+            // Reuses the tape's memory.
             Form::Cpu { layout, network, .. } => **network = CpuNetwork::new(layout, values, self.with_gradients)?,
             Form::Burn { .. } => *self = self.with(values)?,
         }
         Ok(())
     }
 
-    /// The same network with other parameters.
+    /// Returns the same network with other parameters.
     ///
     /// # Errors
     /// As for [`Engine::load`].
@@ -111,10 +111,10 @@ impl Engine {
         }
     }
 
-    /// As [`Engine::run`], on the differentiating device, and what [`Engine::gradient`] needs.
+    /// Like [`Engine::run`], on the autodiff device. Also returns what [`Engine::gradient`] needs.
     ///
     /// # Panics
-    /// As for [`Engine::run`], or if the engine was made without gradients.
+    /// As for [`Engine::run`], or if the engine was created without gradients.
     pub fn run_tracked(&mut self, batch: &FeatureBatch, rows: &[usize]) -> (NetworkOutput, Leaves) {
         match &mut self.form {
             Form::Cpu { network, tape, .. } => {
@@ -137,8 +137,9 @@ impl Engine {
         }
     }
 
-    /// Gradient of a loss in the order of the flat parameters; `leaves` are those of the engine's last tracked pass, whose
-    /// output the loss was made of. The memory of `spare`, an earlier gradient, is used again.
+    /// Returns the gradient of a loss in the order of the flat parameters. `leaves` must be those of the engine's last
+    /// tracked pass, from whose output the loss was computed. Reuses the memory of `spare`, such as an earlier
+    /// gradient.
     pub fn gradient(&mut self, leaves: Leaves, loss: &Tensor<1>, mut spare: Vec<f32>) -> Vec<f32> {
         let mut gradients = loss.backward();
         match (&mut self.form, leaves.0) {
@@ -157,8 +158,8 @@ impl Engine {
         }
     }
 
-    /// What each layer attends to in every scene of a batch: for each layer `[n, 16 receivers, heads, 16 senders]`, and the
-    /// logits `[n, G, 16]`. No layers for a network without attention.
+    /// Returns each layer's attention weights for every scene of a batch, per layer
+    /// `[n, 16 receivers, heads, 16 senders]`, and the logits `[n, G, 16]`. A network without attention has no layers.
     pub fn attention(&self, batch: &FeatureBatch) -> (Vec<Vec<f32>>, Vec<f32>) {
         match &self.form {
             Form::Cpu { network, .. } => {
@@ -178,7 +179,7 @@ fn run_on_burn(network: &Network, folded: &Folded, batch: &FeatureBatch, device:
 }
 
 impl Outputs {
-    /// The same numbers as tensors.
+    /// Converts the outputs to tensors.
     pub fn to_tensors(&self, n_grippers: usize, device: &Device) -> NetworkOutput {
         let n = self.values.len();
         let cube =

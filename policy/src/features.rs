@@ -1,9 +1,10 @@
-//! What the policy sees: numbers for nodes, edges and globals from `(Scene, Blueprint)` (paper, appendix "Observation Space").
+//! The policy's observations: node, edge, and global features of `(Scene, Blueprint)` (paper, appendix "Observation
+//! Space").
 //!
-//! Nothing depends on where the scene stands or which way it faces: vectors are in block frames and heights are the
-//! only absolute positions. A position or distance is divided by 0.5 m, a linear velocity by 3 m/s, an angular velocity
-//! by 2π rad/s, an angle by π, unless noted. Flags are the fields of [`FeatureConfig`]; an absent group shifts the
-//! ones after it down.
+//! The features are independent of the scene's horizontal position and yaw: vectors are in block frames, and heights
+//! are the only absolute positions. Unless noted, positions and distances are divided by 0.5 m, linear velocities by 3
+//! m/s, angular velocities by 2π rad/s, and angles by π. Flags are the fields of [`FeatureConfig`]; an absent group
+//! shifts the indices after it down.
 //!
 //! **Node** of block i:
 //!
@@ -14,52 +15,52 @@
 //! | 3–5 | the world's up axis | i, unit vector | `up_axis` |
 //! | 6 | belongs to the blueprint | 0 or 1 | `membership` |
 //! | 7–9 | half extents | i, m / 0.2 | `block_shape` |
-//! | 10–12 | the up axis of the structure on the side on which its plan builds it | i, unit vector | `plan` |
+//! | 10–12 | up axis of the structure, standing as its plan builds it | i, unit vector | `plan` |
 //! | 13 | height of its center above the ground in that structure | m / 0.5 | `plan` |
-//! | 14 | its number in the order of the plan, the first being 1 | 1/16 | `plan` |
-//! | 15–17 | from its place to the beginning of its way in | i in its place, m / 0.5 | `plan` |
-//! | 18–20 | from its place to the middle of the structure | i in its place, m / 0.5 | `plan` |
-//! | 21 | radius of the structure about its middle, seen from above | m / 0.5 | `plan` |
-//! | 22 | number of blocks that hang together with it by right connections, itself included | 1/16 | `pieces` |
-//! | 23 | steps that are left, of those of the episode | 0 to 1 | `remaining_time` |
+//! | 14 | its rank in the order of the plan, from 1 | 1/16 | `plan` |
+//! | 15–17 | from its place to the start of its approach path | i in its place, m / 0.5 | `plan` |
+//! | 18–20 | from its place to the center of the structure | i in its place, m / 0.5 | `plan` |
+//! | 21 | radius of the structure about its center, seen from above | m / 0.5 | `plan` |
+//! | 22 | number of blocks joined to it by correct connections, itself included | 1/16 | `pieces` |
+//! | 23 | remaining fraction of the episode's steps | 0 to 1 | `remaining_time` |
 //!
 //! Entries 10–21 are 0 for blocks outside the blueprint. The plan is a function of the blueprint alone
-//! ([`Blueprint::plan`]); several sides and orders are possible, and without these entries nothing tells which one an expert
-//! has chosen.
+//! ([`Blueprint::plan`]). A blueprint can be built on several sides and in several orders, and without these entries
+//! nothing shows which one an expert has chosen.
 //!
-//! **Edge** from sender j to receiver i, all in i's frame; D is the pose of j relative to i in the blueprint. Entries 0–17
-//! and 24–35 are 0 when the blueprint lacks i or j, entries 0–8 also when it does not connect the two. 6-D orientations
-//! are the first two columns of a rotation matrix, first column first.
+//! **Edge** from sender j to receiver i, all in i's frame. C and D are the orientations of j relative to i in the scene
+//! and in the blueprint. Entries 0–17 and 24–35 are 0 if the blueprint lacks i or j, and entries 0–8 also if it does
+//! not connect the two. 6-D orientations are the first two columns of a rotation matrix, first column first.
 //!
 //! | index | meaning | unit | flag |
 //! |---|---|---|---|
-//! | 0–2 | change in position of j's magnets that would align them with i's (mean over the pairs) | m / 0.5 | base |
-//! | 3–8 | rotation that would align them: D Cᵀ, C being j's current orientation relative to i | 6-D | base |
-//! | 9–11 | current minus wanted relative position of j | m / 0.5 | base |
-//! | 12–17 | current relative to wanted orientation: C Dᵀ | 6-D | base |
+//! | 0–2 | shift of j's magnets that would align them with i's (mean over the pairs) | m / 0.5 | base |
+//! | 3–8 | rotation that would align them: D Cᵀ | 6-D | base |
+//! | 9–11 | current minus target position of j relative to i | m / 0.5 | base |
+//! | 12–17 | current relative to target orientation: C Dᵀ | 6-D | base |
 //! | 18–20 | center of j minus center of i | m / 0.5 | base |
 //! | 21 | the two should be connected | 0 or 1 | base |
-//! | 22 | the two are connected (rightly or not) | 0 or 1 | base |
+//! | 22 | the two are connected (correctly or not) | 0 or 1 | base |
 //! | 23 | both belong to the blueprint | 0 or 1 | base |
 //! | 24–26 | move that i needs if j stays | m / 0.5 | `needed_moves` |
 //! | 27–29 | the same, each entry tanh(x / 6 cm) | – | `needed_moves` |
 //! | 30–32 | turn that i needs if j stays, rotation vector | rad / π | `needed_moves` |
 //! | 33–35 | the same, each entry tanh(x / 0.25 rad) | – | `needed_moves` |
-//! | 36 | the two hang together by right connections | 0 or 1 | `pieces` |
+//! | 36 | the two are joined by correct connections | 0 or 1 | `pieces` |
 //!
-//! Edges come sender-major without self-edges: `for j in 0..16 { for i in 0..16 { if i != j } }`, 240 in all. The receiver
-//! gathers the messages and emits the move, in the same frame.
+//! Edges are ordered sender-major without self-edges: `for j in 0..16 { for i in 0..16 { if i != j } }`, 240 in all.
+//! The receiver gathers the messages and outputs its move in the same frame.
 //!
-//! **Globals**, one group of 25 per gripper, in order of grippers; all 0 for a gripper that the scene lacks:
+//! **Globals**, one group of 25 per gripper, in the order of the grippers; all 0 for a gripper that the scene lacks:
 //!
 //! | index | meaning | frame, unit | flag |
 //! |---|---|---|---|
 //! | 0–2 | the world's up axis (orientation without its yaw) | gripper, unit vector | base |
 //! | 3–5 | commanded linear velocity of the last step | gripper, (m/s) / 3 | base |
 //! | 6–8 | commanded angular velocity of the last step | gripper, (rad/s) / 2π | base |
-//! | 9–24 | one-hot of the block held in the last step, all 0 when none | 0 or 1 | base |
+//! | 9–24 | one-hot of the block held in the last step, all 0 if none | 0 or 1 | base |
 //!
-//! The network finds the one-hot in the last 16 entries of each group.
+//! The network reads the one-hot from the last 16 entries of each group.
 
 use blueprints::assembly::Plan;
 use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS, UNIT_M};
@@ -101,7 +102,7 @@ pub struct FeatureSizes {
 }
 
 impl FeatureSizes {
-    /// The lengths that a configuration gives; (3, 24, 50) for [`FeatureConfig::paper`].
+    /// Returns the lengths for a configuration; (3, 24, 50) for [`FeatureConfig::paper`].
     pub fn new(config: &FeatureConfig) -> Self {
         let on = |flag: bool, n: usize| if flag { n } else { 0 };
         Self {
@@ -119,19 +120,19 @@ impl FeatureSizes {
 }
 
 impl PolicyConfig {
-    /// Lengths of the feature vectors.
+    /// Returns the lengths of the feature vectors.
     pub fn sizes(&self) -> FeatureSizes {
         FeatureSizes::new(&self.features)
     }
 }
 
-/// Writes the features of a scene; the module page lists them.
+/// Writes the features of a scene, as listed in the module documentation.
 ///
 /// # Shapes
-/// nodes `[16, nd]`, edges `[240, ed]`, globals `[gd]`, row-major, sizes by [`FeatureSizes::new`].
+/// nodes `[16, nd]`, edges `[240, ed]`, globals `[gd]`, row-major, with the sizes of [`FeatureSizes::new`].
 ///
 /// # Panics
-/// When a slice has another length.
+/// If a slice has another length.
 pub fn write_features(
     observation: &Observation<'_>,
     config: &FeatureConfig,
@@ -198,7 +199,7 @@ fn write_node(
     }
 }
 
-/// What the plan has for a block, zeros if it does not have it.
+/// Writes a block's part of the plan; zeros if the plan does not contain the block.
 fn write_plan(blueprint: &Blueprint, plan: Option<&Plan>, block: BlockIdx, to: &mut Writer<'_>) {
     let planned = plan.and_then(|plan| Some((plan, blueprint.placement(block)?, blueprint.plan_step(plan, block)?)));
     let Some((plan, placement, step)) = planned else { return };
@@ -215,7 +216,7 @@ fn write_plan(blueprint: &Blueprint, plan: Option<&Plan>, block: BlockIdx, to: &
     to.number(plan.radius_m / POSITION_SCALE_M);
 }
 
-/// Sender and receiver of every edge.
+/// Iterates over the sender and receiver of every edge.
 fn pairs() -> impl Iterator<Item = (BlockIdx, BlockIdx)> {
     BlockIdx::all().flat_map(|j| BlockIdx::all().filter(move |i| *i != j).map(move |i| (j, i)))
 }
@@ -243,7 +244,7 @@ fn write_edges(
             let wanted_offset = wanted.position_m();
             if blueprint.link(receiver, sender).is_some() {
                 let magnets = mean_magnet(receiver, sender, wanted);
-                // Where the same magnets of j sit now, seen from i.
+                // Current position of the same magnets of j in i's frame.
                 let now = offset + current * wanted_rotation.tr_mul(&(magnets - wanted_offset));
                 let mut writer = Writer::new(&mut edge[0..9]);
                 writer.vector(&((magnets - now) / POSITION_SCALE_M));
@@ -263,7 +264,7 @@ fn write_edges(
     }
 }
 
-/// The move that takes the receiver to its place beside a sender that stays, in the receiver's frame.
+/// Writes the move, in the receiver's frame, that brings the receiver to its target pose relative to a fixed sender.
 fn write_needed_move(
     offset: &Vector3<f32>,
     current: &Matrix3<f32>,
@@ -271,7 +272,7 @@ fn write_needed_move(
     wanted: &Matrix3<f32>,
     to: &mut [f32],
 ) {
-    // In i's frame j sits at (offset, C); i is wanted at (m, T) with offset = m + T·wanted_offset and C = T·D.
+    // In i's frame, j is at (offset, C). The target (m, T) of i satisfies offset = m + T·wanted_offset and C = T·D.
     let turn = current * wanted.transpose();
     let shift = offset - turn * wanted_offset;
     let turn = rotation_vector(&turn);
@@ -282,7 +283,7 @@ fn write_needed_move(
     writer.vector(&turn.map(|x| (x / FINE_TURN_RAD).tanh()));
 }
 
-/// Mean position in i's frame of the magnets of i that a right connection with j joins, m.
+/// Returns the mean position in i's frame of the magnets of i that a correct connection with j joins, m.
 fn mean_magnet(i: BlockIdx, j: BlockIdx, wanted: blueprints::RelativePlacement) -> Vector3<f32> {
     let inventory = Inventory::standard();
     let pairs = inventory.magnet_pairs(i, j, wanted);
@@ -306,7 +307,7 @@ fn write_gripper(gripper: Option<&Gripper>, part: &mut [f32]) {
     }
 }
 
-/// World z in the frame with the given axes: the third row.
+/// Returns the world's z axis in the frame with the given axes: the third row.
 fn up_axis(axes: &Matrix3<f32>) -> Vector3<f32> {
     axes.row(2).transpose()
 }
@@ -315,7 +316,7 @@ fn matrix(rows: [[i32; 3]; 3]) -> Matrix3<f32> {
     Matrix3::from_fn(|i, j| rows[i][j] as f32)
 }
 
-/// Fills a slice from the front; what is not written stays zero.
+/// Fills a slice from the front; the rest stays zero.
 struct Writer<'a> {
     rest: std::slice::IterMut<'a, f32>,
 }

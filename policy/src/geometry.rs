@@ -1,9 +1,9 @@
-//! Small rotation helpers for features.
+//! Rotation helpers for features.
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use proto::Pose;
 
-/// Position and rotation of a block with the rotation ready as a matrix.
+/// Position and rotation of a block, with the rotation as a matrix.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
     /// Center, m.
@@ -17,21 +17,21 @@ impl Frame {
         Self { position: Vector3::from(pose.position), axes: rotation(pose.orientation) }
     }
 
-    /// A world vector in this frame.
+    /// Rotates a world vector into this frame.
     pub(crate) fn localize(&self, v: &Vector3<f32>) -> Vector3<f32> {
         self.axes.tr_mul(v)
     }
 }
 
-/// The rotation of a quaternion x, y, z, w, normalized first.
+/// Returns the rotation matrix of a quaternion x, y, z, w, which is normalized first.
 pub(crate) fn rotation([x, y, z, w]: [f32; 4]) -> Matrix3<f32> {
     *UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix().matrix()
 }
 
-/// Axis times angle of a rotation, angle in 0..=π rad.
+/// Returns axis times angle of a rotation, with the angle in 0..=π rad.
 pub(crate) fn rotation_vector(m: &Matrix3<f32>) -> Vector3<f32> {
     let q = quaternion(m);
-    // Both signs are the same rotation; the one with w ≥ 0 turns by at most π.
+    // Both signs are the same rotation; the one with w ≥ 0 has an angle of at most π.
     let q = if q.w < 0.0 { -q } else { q };
     let v = q.imag();
     let sine = v.norm();
@@ -39,7 +39,7 @@ pub(crate) fn rotation_vector(m: &Matrix3<f32>) -> Vector3<f32> {
     if sine < 1e-6 { v * 2.0 } else { v * (2.0 * sine.atan2(q.w) / sine) }
 }
 
-/// The quaternion of a rotation matrix, by the largest diagonal entry, so that half turns stay exact.
+/// Returns the quaternion of a rotation matrix. Pivots on the largest diagonal entry, so that half turns stay exact.
 fn quaternion(m: &Matrix3<f32>) -> Quaternion<f32> {
     let trace = m.trace();
     let q = if trace > 0.0 {

@@ -1,4 +1,4 @@
-//! How far a policy is from the expert's labels, on tensors.
+//! Distances of a policy from the expert's labels and from another policy, on tensors.
 
 use blueprints::N_BLOCKS;
 use burn::tensor::{Device, Tensor, TensorData, activation};
@@ -25,11 +25,11 @@ pub struct LabelTensors {
 pub struct ImitationTensors {
     /// Σ over grippers of the cross-entropy of the block choice, nats, `[B]`.
     pub blocks: Tensor<1>,
-    /// Σ over labeled blocks of the mean smooth L1 distance between mean move and label, `[B]`. A block that both grippers
-    /// hold counts once, as it moves once.
+    /// Σ over labeled blocks of the mean smooth L1 distance between mean move and label, `[B]`. A block that both
+    /// grippers hold counts once, because it moves once.
     pub moves: Tensor<1>,
-    /// Σ over labeled blocks of the mean of `ln σ + (μ − label)² / 2σ²` over entries with the mean move μ held fixed, nats
-    /// without the constant, `[B]`.
+    /// Σ over labeled blocks of the mean over entries of `ln σ + (μ − label)² / 2σ²` with the mean move μ held fixed,
+    /// nats without the constant, `[B]`.
     pub scales: Tensor<1>,
 }
 
@@ -57,7 +57,8 @@ impl LabelTensors {
     }
 }
 
-/// Loss of the network's distribution against labels; errors of moves are squared below `delta` and linear above.
+/// Returns the loss of the network's distribution against labels. Move errors are squared below `delta` and linear
+/// above.
 pub fn imitation(output: &NetworkOutput, labels: &LabelTensors, delta: f32) -> ImitationTensors {
     let log_probs = activation::log_softmax(output.logits.clone(), 2) * labels.choices.clone();
     let blocks = log_probs.flatten::<2>(1, 2).sum_dim(1).squeeze_dim(1).neg();
@@ -74,10 +75,11 @@ pub fn imitation(output: &NetworkOutput, labels: &LabelTensors, delta: f32) -> I
     ImitationTensors { blocks, moves: by_block(smooth), scales: by_block(likelihood) }
 }
 
-/// KL(`reference` ‖ `output`) of the block choices and of those moves that the reference may choose, nats, `[B]`.
+/// Returns KL(`reference` ‖ `output`) of the block choices, plus that of each block's move, weighted by the probability
+/// that the reference chooses the block, nats, `[B]`.
 ///
 /// # Shapes
-/// Both outputs are of the same scenes; no gradient should flow into `reference`.
+/// Both outputs are of the same scenes. `reference` should be detached from the graph.
 pub fn divergence(reference: &NetworkOutput, output: &NetworkOutput) -> Tensor<1> {
     let log_p = activation::log_softmax(reference.logits.clone(), 2);
     let p = log_p.clone().exp();
@@ -90,7 +92,7 @@ pub fn divergence(reference: &NetworkOutput, output: &NetworkOutput) -> Tensor<1
         .expect("there is at least one gripper");
     let chosen = nobody.neg().add_scalar(1.0);
     let (s, t) = (reference.scales.clone(), output.scales.clone());
-    // ln(t/s) + (s² + (μ − ν)²) / 2t² − ½ for each entry.
+    // ln(t/s) + (s² + (μ − ν)²) / 2t² − ½ per entry.
     let distance = (s.clone().powi_scalar(2) + (reference.locs.clone() - output.locs.clone()).powi_scalar(2))
         / t.clone().powi_scalar(2).mul_scalar(2.0);
     let by_block = (t.log() - s.log() + distance).sub_scalar(0.5).sum_dim(2).squeeze_dim::<2>(2);
@@ -108,7 +110,7 @@ mod tests {
         let device = Device::flex();
         let tensor =
             |values: Vec<f32>, shape: [usize; 3]| Tensor::<3>::from_data(TensorData::new(values, shape), &device);
-        // Gripper 0: ln 3 above all others for block 2; gripper 1: all alike.
+        // Gripper 0: the logit of block 2 is ln 3 above all others. Gripper 1: all logits are equal.
         let mut logits = vec![0.0; 2 * 2 * N_BLOCKS];
         for row in 0..2 {
             logits[row * 2 * N_BLOCKS + 2] = 3.0_f32.ln();
@@ -131,9 +133,9 @@ mod tests {
         let values = |tensor: Tensor<1>| tensor.into_data().try_to_vec::<f32>().unwrap();
         // −ln(3/18) and −ln(1/16).
         let blocks = (18.0_f32 / 3.0).ln() + 16.0_f32.ln();
-        // First scene: block 2 is off by 0.5 (0.45) and 0.05 (0.0125), block 7 by 0.6 (0.55), over 6 entries each. Second:
-        // block 2 once, off by 0.12 (0.07).
-        // ln 1 is 0; half the squared errors, 0.25 + 0.0025 + 0.36 and 0.0144, over 6 entries.
+        // First scene: block 2 is off by 0.5 (loss 0.45) and 0.05 (0.0125), block 7 by 0.6 (0.55), over 6 entries each.
+        // Second scene: block 2 once, off by 0.12 (0.07). For the scales, ln 1 is 0, leaving half the squared errors,
+        // 0.25 + 0.0025 + 0.36 and 0.0144, over 6 entries.
         let scales = [0.6125 / 12.0, 0.0144 / 12.0];
         let losses = [(loss.blocks, [blocks; 2]), (loss.moves, [1.0125 / 6.0, 0.07 / 6.0]), (loss.scales, scales)];
         for (found, expected) in losses {
@@ -148,8 +150,8 @@ mod tests {
         let device = Device::flex();
         let tensor =
             |values: Vec<f32>, shape: [usize; 3]| Tensor::<3>::from_data(TensorData::new(values, shape), &device);
-        // The reference is sure of block 3; the other one gives all blocks the same. Of block 3's moves one is off by 0.4
-        // and all deviations are 0.5 instead of 0.25.
+        // The reference is certain of block 3; the other output gives all blocks the same probability. One entry of
+        // block 3's move is off by 0.4, and all deviations are 0.5 instead of 0.25.
         let output = |sure: f32, loc: f32, scale: f32| {
             let mut logits = vec![0.0; N_BLOCKS];
             logits[3] = sure;
@@ -165,7 +167,7 @@ mod tests {
         let kl = |a: &NetworkOutput, b: &NetworkOutput| divergence(a, b).into_data().try_to_vec::<f32>().unwrap()[0];
         let reference = output(60.0, 0.4, 0.25);
         assert!(kl(&reference, &reference).abs() < 1e-6);
-        // ln 16, and for six entries ln 2 + 0.0625/0.5 − 0.5, and 0.16/0.5 for the one that is off.
+        // ln 16, plus ln 2 + 0.0625/0.5 − 0.5 for each of the six entries, plus 0.16/0.5 for the entry that is off.
         let expected = 16.0_f32.ln() + 6.0 * (2.0_f32.ln() + 0.125 - 0.5) + 0.32;
         let found = kl(&reference, &output(0.0, 0.0, 0.5));
         assert!((found - expected).abs() < 1e-4, "{found} {expected}");

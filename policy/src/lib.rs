@@ -1,8 +1,8 @@
 //! From a scene to an action: graph features, the network, the action distribution, and parameters as flat vectors.
 //!
-//! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`cpu`] → [`engine`] → [`parameters`] → [`distribution`] →
-//! [`policy`] (inference) and [`loss_terms`] (the same distribution on tensors, for training) and
-//! [`imitation`] (its distance from the expert's labels and from another policy).
+//! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`cpu`] → [`engine`] → [`parameters`] →
+//! [`distribution`] → [`policy`] (inference), [`loss_terms`] (the same distribution on tensors, for training), and
+//! [`imitation`] (distances from the expert's labels and from another policy).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

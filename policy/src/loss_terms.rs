@@ -1,4 +1,4 @@
-//! The action distribution on tensors, for losses; the same numbers as [`crate::distribution`].
+//! The action distribution on tensors, for losses; equals [`crate::distribution`].
 
 use blueprints::N_BLOCKS;
 use burn::tensor::{Bool, Device, Tensor, TensorData, activation};
@@ -11,7 +11,7 @@ use crate::network::NetworkOutput;
 /// Entries of a move.
 const MOVE: usize = 6;
 
-/// Actions of a batch of B steps on a device, with G grippers.
+/// Actions of a batch of B steps with G grippers, on a device.
 #[derive(Clone, Debug)]
 pub struct ActionTensors {
     /// One-hot of each gripper's choice `[B, G, 16]`.
@@ -20,7 +20,7 @@ pub struct ActionTensors {
     pub moves: Tensor<3>,
 }
 
-/// Entropy in nats by part, one value per step.
+/// Entropy by part, in nats, one value per step.
 #[derive(Clone, Debug)]
 pub struct EntropyTensors {
     /// Σ over grippers of the entropy of the block choice, `[B]`.
@@ -53,7 +53,8 @@ impl ActionTensors {
 /// Sets the logits of blocks that may not be chosen to −1e9.
 ///
 /// # Shapes
-/// logits `[B, G, 16]`, allowed `[B, 2, 16]`, of which the first G grippers count; `None` allows all → `[B, G, 16]`
+/// logits `[B, G, 16]`, allowed `[B, 2, 16]`, of which only the first G grippers are used; `None` allows all →
+/// `[B, G, 16]`
 pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[[bool; N_BLOCKS]; N_GRIPPERS]>]) -> Tensor<3> {
     if allowed.iter().all(Option::is_none) {
         return logits;
@@ -68,7 +69,7 @@ pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[[bool; N_BLOCKS]; N_GRI
     logits.mask_fill(mask, MASKED_LOGIT)
 }
 
-/// Joint log-probability of the actions.
+/// Returns the joint log-probability of the actions.
 ///
 /// # Shapes
 /// → `[B]`
@@ -85,7 +86,7 @@ pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm
     choice + weighted.sum_dim(1).squeeze_dim(1)
 }
 
-/// Entropy of the choices, and of the moves expected over the choices.
+/// Returns the entropy of the choices, and that of the moves in expectation over the choices.
 ///
 /// # Shapes
 /// → `[B]` each
@@ -110,12 +111,12 @@ pub fn entropy(output: &NetworkOutput, form: JointForm) -> EntropyTensors {
     EntropyTensors { blocks, moves: weighted.sum_dim(1).squeeze_dim(1) }
 }
 
-/// Sum over grippers: `[B, G, 16]` → `[B, 16]`.
+/// Sums over grippers: `[B, G, 16]` → `[B, 16]`.
 fn counts(choices: &Tensor<3>) -> Tensor<2> {
     choices.clone().sum_dim(1).squeeze_dim(1)
 }
 
-/// Sum of everything but the batch: `[B, G, 16]` → `[B]`.
+/// Sums over everything except the batch: `[B, G, 16]` → `[B]`.
 fn per_row(x: Tensor<3>) -> Tensor<1> {
     x.flatten::<2>(1, 2).sum_dim(1).squeeze_dim(1)
 }

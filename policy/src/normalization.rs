@@ -1,20 +1,20 @@
-//! Running statistics of features, and their use; one function for actors, evaluator and learner.
+//! Running statistics of features, and normalization, shared by actors, evaluator, and learner.
 
 use proto::Normalization;
 use serde::{Deserialize, Serialize};
 
 use crate::FeatureBatch;
 
-/// Smallest standard deviation that is divided by.
+/// Minimum standard deviation used as a divisor.
 ///
-/// Most edges carry zeros (pairs outside the blueprint), so standard deviations are small by sparsity, not by unit; without
-/// the floor the few entries that matter would be blown up.
+/// Most edge features are zero (pairs outside the blueprint), so their standard deviations are small because of
+/// sparsity, not because of the unit. Without this minimum, the few entries that matter would become huge.
 pub const MIN_FEATURE_STD: f32 = 0.1;
 
-/// Normalized features are clipped to ± this.
+/// Normalized features are clipped to ± this value.
 pub const MAX_NORMALIZED: f32 = 10.0;
 
-/// Count, mean and sum of squared deviations of each feature (Welford), in `f64`.
+/// Count, mean, and sum of squared deviations of each feature (Welford), in `f64`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FeatureMoments {
     groups: [Moments; 3],
@@ -25,12 +25,12 @@ struct Moments {
     count: f64,
     mean: Vec<f64>,
     squares: Vec<f64>,
-    /// Features seen with nothing but 0 and 1: bits and one-hots, which are left as they are.
+    /// Features whose values so far are only 0 and 1: bits and one-hots, which are not normalized.
     is_bit: Vec<bool>,
 }
 
 impl FeatureMoments {
-    /// Takes in a batch of features that are not normalized.
+    /// Adds a batch of unnormalized features.
     pub fn push(&mut self, batch: &FeatureBatch) {
         let values =
             [(&batch.nodes, batch.sizes.node), (&batch.edges, batch.sizes.edge), (&batch.globals, batch.sizes.global)];
@@ -39,7 +39,7 @@ impl FeatureMoments {
         }
     }
 
-    /// Writes the mean and standard deviation so far into `to`; the fields of the values stay as they are.
+    /// Writes the current mean and standard deviation into `to`; its value statistics stay unchanged.
     pub fn freeze_into(&self, to: &mut Normalization) {
         for (k, group) in self.groups.iter().enumerate() {
             (to.feature_mean[k], to.feature_std[k]) = group.freeze();
@@ -71,10 +71,11 @@ impl Moments {
     }
 }
 
-/// `(x − mean) / std`, clipped to ±[`MAX_NORMALIZED`], for each group that has statistics; the others stay as they are.
+/// Replaces each feature by `(x − mean) / std`, clipped to ±[`MAX_NORMALIZED`], in each group that has statistics. The
+/// other groups stay unchanged.
 ///
 /// # Panics
-/// When statistics are given in another number than there are features; [`crate::Policy::load`] checks that.
+/// If the number of statistics differs from the number of features; [`crate::Policy::load`] checks this.
 pub fn normalize(batch: &mut FeatureBatch, normalization: &Normalization) {
     let groups = [&mut batch.nodes, &mut batch.edges, &mut batch.globals];
     for (k, values) in groups.into_iter().enumerate() {

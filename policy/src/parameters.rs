@@ -1,9 +1,9 @@
 //! Parameters as one flat vector in a documented order, and their initial values.
 //!
 //! The order is that of [`crate::Network`]'s [`table`](crate::Network::table): encoder (graph: `embed_node`,
-//! `embed_edge`, `embed_global`, then per layer `message`, `query`, `key`, `node_proj`, `ln_attn`, `mlp_node`, `ln_mlp`,
-//! `mlp_global`, `ln_global`; flat: `in`, the residual blocks, `to_nodes`, `to_global`), policy head, value head; a
-//! kernel before its bias, each row-major `[in, out]`. With attention off, `query` and `key` do not exist.
+//! `embed_edge`, `embed_global`, then per layer `message`, `query`, `key`, `node_proj`, `ln_attn`, `mlp_node`,
+//! `ln_mlp`, `mlp_global`, `ln_global`; flat: `in`, the residual blocks, `to_nodes`, `to_global`), policy head, value
+//! head. Each kernel precedes its bias and is row-major `[in, out]`. Without attention, `query` and `key` do not exist.
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
@@ -13,35 +13,36 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::Network;
 
-/// Name, shape and initial values of one parameter.
+/// Name, shape, and initializer of one parameter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParameterSpec {
     /// For example `layer0.message.w`.
     pub name: String,
-    /// `[in, out]` for kernels, `[out]` for the others.
+    /// `[in, out]` for kernels, `[out]` for all others.
     pub shape: Vec<usize>,
-    /// How it begins.
+    /// Initial values.
     pub initializer: Initializer,
 }
 
 /// Initial values of one parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Initializer {
-    /// All the same.
+    /// The same value everywhere.
     Constant(f32),
-    /// Haiku's default for kernels: normal with σ = 1/√fan_in truncated at 2σ. Its variance is *not* corrected for the
-    /// truncation, so the values' standard deviation is 0.88 σ.
+    /// Haiku's default for kernels: normal with σ = 1/√fan_in, truncated at 2σ. The variance is *not* corrected for the
+    /// truncation, so the standard deviation of the values is 0.88 σ.
     HaikuLinear,
-    /// Haiku's `VarianceScaling(scale)`: as [`Initializer::HaikuLinear`] with σ = √(scale / fan_in), corrected for the truncation.
+    /// Haiku's `VarianceScaling(scale)`: like [`Initializer::HaikuLinear`] with σ = √(scale / fan_in), corrected for
+    /// the truncation.
     FanIn(f32),
     /// Haiku's `VarianceScaling(scale, fan_out, uniform)`: uniform in ±√(3 · scale / fan_out).
     UniformFanOut(f32),
 }
 
-/// Why a vector of parameters is refused.
+/// Why a parameter vector is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ParameterError {
-    /// Not one value per parameter of the network.
+    /// The number of values differs from the number of parameters.
     #[error("{given} parameters given, the network has {expected}")]
     Count {
         /// Length of the vector.
@@ -49,7 +50,7 @@ pub enum ParameterError {
         /// Number of parameters.
         expected: usize,
     },
-    /// NaN or infinite.
+    /// A value is NaN or infinite.
     #[error("parameter {index} is not finite")]
     NotFinite {
         /// Position in the flat vector.
@@ -58,28 +59,28 @@ pub enum ParameterError {
 }
 
 impl ParameterSpec {
-    /// Number of values.
+    /// Returns the number of values.
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }
 
-    /// Whether there are none.
+    /// Whether the parameter has no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 }
 
-/// All parameters of `network`, in the order of its table.
+/// Returns all parameters of `network` in the order of its table.
 pub fn flatten(network: &Network) -> Vec<f32> {
     let mut visitor = Flatten { values: Vec::with_capacity(network.n_parameters()) };
     network.visit(&mut visitor);
     visitor.values
 }
 
-/// The network with its parameters replaced.
+/// Returns the network with its parameters replaced.
 ///
 /// # Errors
-/// When the number of values is wrong or one of them is not finite.
+/// If the number of values is wrong or one of them is not finite.
 pub fn load(network: Network, values: &[f32]) -> Result<Network, ParameterError> {
     check(values, network.n_parameters())?;
     Ok(network.map(&mut Load { values, at: 0 }))
@@ -93,16 +94,16 @@ pub(crate) fn check(values: &[f32], expected: usize) -> Result<(), ParameterErro
     values.iter().position(|x| !x.is_finite()).map_or(Ok(()), |index| Err(ParameterError::NotFinite { index }))
 }
 
-/// Gradients of all parameters in the order of the table; 0 where the loss does not depend on one.
+/// Returns the gradients of all parameters in the order of the table; 0 where the loss does not depend on a parameter.
 ///
-/// `network` must be the one whose forward pass made the loss.
+/// `network` must be the one whose forward pass computed the loss.
 pub fn flatten_gradients(network: &Network, gradients: &mut Gradients) -> Vec<f32> {
     let mut visitor = FlattenGradients { gradients, values: Vec::with_capacity(network.n_parameters()) };
     network.visit(&mut visitor);
     visitor.values
 }
 
-/// Initial values of the parameters in `table`, one stream of random numbers per call.
+/// Draws initial values of the parameters in `table`, from one stream of random numbers per call.
 pub fn initial_values(table: &[ParameterSpec], seed: u64) -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut values = Vec::with_capacity(table.iter().map(ParameterSpec::len).sum());

@@ -1,4 +1,4 @@
-//! Inference: the newest weights, folded once, applied to batches of scenes.
+//! Inference with the newest weights, folded once, on batches of scenes.
 
 mod attention;
 mod trial;
@@ -21,7 +21,7 @@ pub use attention::Attention;
 /// Why a policy or its weights are refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyError {
-    /// The configuration is not valid.
+    /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] InvalidSetting),
     /// The weights belong to another network.
@@ -39,38 +39,38 @@ pub enum PolicyError {
     Parameters {
         /// Version of the weights.
         version: WeightsVersion,
-        /// What is wrong with them.
+        /// The error.
         source: ParameterError,
     },
-    /// The statistics do not fit.
+    /// The normalization statistics do not fit.
     #[error("weights {version:?} have normalization {field} of length {given}, must be 0 or {expected}")]
     NormalizationLength {
         /// Version of the weights.
         version: WeightsVersion,
-        /// Which statistics.
+        /// Name of the statistics.
         field: &'static str,
         /// Their length.
         given: usize,
         /// Number of features.
         expected: usize,
     },
-    /// A statistic is not finite, or a standard deviation not above 0.
+    /// A statistic is not finite, or a standard deviation is not above 0.
     #[error("weights {version:?} have {field} = {value}, must be finite and, for a standard deviation, above 0")]
     NormalizationValue {
         /// Version of the weights.
         version: WeightsVersion,
-        /// Which statistic.
+        /// Name of the statistic.
         field: &'static str,
         /// The value.
         value: f32,
     },
-    /// A forward pass gave numbers that are no distribution over actions, or no value: the parameters are finite but so
-    /// large that sums overflow.
+    /// The output of a forward pass is not a distribution over actions, or not a value: the parameters are finite, but
+    /// so large that sums overflow.
     #[error("weights {version:?} give {output} = {value} for a scene, must be a number in −1e6..=1e6")]
     NoDistribution {
         /// Version of the weights; `None` for untrained parameters.
         version: Option<WeightsVersion>,
-        /// Which output of the network.
+        /// Name of the network output.
         output: &'static str,
         /// The value.
         value: f32,
@@ -78,8 +78,8 @@ pub enum PolicyError {
 }
 
 impl PolicyError {
-    /// Whether these weights alone are at fault: a process goes on with those that it had and may be sent better ones.
-    /// What belongs to another network, or a configuration that is not valid, does not get better by waiting.
+    /// Whether only these weights are at fault, so that a process can keep its previous weights and wait for better
+    /// ones. Waiting does not help with weights of another network or an invalid configuration.
     pub fn is_of_weights(&self) -> bool {
         match self {
             Self::Config(_) | Self::OtherNetwork { .. } => false,
@@ -91,8 +91,8 @@ impl PolicyError {
     }
 }
 
-/// Largest magnitude of an output that is taken for a number: what is beyond could not be sent in a trajectory, and is far
-/// from what any network says that has learned something.
+/// Maximum magnitude of an output. Larger numbers could not be sent in a trajectory, and are far beyond the outputs of
+/// any trained network.
 const LARGEST_OUTPUT: f32 = 1e6;
 
 /// A frozen policy on the CPU.
@@ -102,15 +102,15 @@ pub struct Policy {
     engine: Engine,
     normalization: Normalization,
     version: Option<WeightsVersion>,
-    /// Kept for its memory.
+    /// Kept to reuse its memory.
     batch: FeatureBatch,
 }
 
 impl Policy {
-    /// An untrained policy; the parameters are those of seed 0 until [`Policy::load`].
+    /// Creates an untrained policy; its parameters are those of seed 0 until [`Policy::load`].
     ///
     /// # Errors
-    /// When the configuration is not valid.
+    /// If the configuration is invalid.
     pub fn new(config: &PolicyConfig) -> Result<Self, PolicyError> {
         config.validate()?;
         let engine = Engine::new(config, 0, &Device::flex(), false);
@@ -119,30 +119,32 @@ impl Policy {
         Ok(Self { config: config.clone(), engine, normalization, version: None, batch })
     }
 
-    /// A policy that acts by `weights`.
+    /// Creates a policy that acts with `weights`.
     ///
     /// # Errors
-    /// When the configuration is not valid, or the weights are refused as by [`Policy::load`].
+    /// If the configuration is invalid, or [`Policy::load`] refuses the weights.
     pub fn with_weights(config: &PolicyConfig, weights: &Weights) -> Result<Self, PolicyError> {
         let mut policy = Self::new(config)?;
         policy.load(weights)?;
         Ok(policy)
     }
 
-    /// Version of the loaded weights; `None` before the first.
+    /// Returns the version of the loaded weights; `None` before the first.
     pub fn version(&self) -> Option<WeightsVersion> {
         self.version
     }
 
-    /// The configuration that it was made with.
+    /// Returns the configuration.
     pub fn config(&self) -> &PolicyConfig {
         &self.config
     }
 
-    /// Takes over new weights, after a forward pass on a scene; on an error the old ones stay.
+    /// Loads new weights after testing them with a forward pass on a scene. After an error, the old weights stay in
+    /// use.
     ///
     /// # Errors
-    /// When the weights are of another network, of the wrong length, not finite, or so large that they give no distribution.
+    /// If the weights are of another network, of the wrong length, not finite, or so large that they give no
+    /// distribution.
     pub fn load(&mut self, weights: &Weights) -> Result<(), PolicyError> {
         let version = weights.version;
         let expected = self.config.hash();
@@ -166,22 +168,22 @@ impl Policy {
         Ok(())
     }
 
-    /// Values of the observed scenes, in reward units.
+    /// Returns the values of the observed scenes, in reward units.
     ///
     /// # Errors
-    /// [`PolicyError::NoDistribution`] if a forward pass gives none for one of the scenes.
+    /// [`PolicyError::NoDistribution`] if the forward pass gives no distribution for one of the scenes.
     pub fn values(&mut self, observations: &[Observation<'_>]) -> Result<Vec<f32>, PolicyError> {
         Ok(self.run(observations)?.values)
     }
 
-    /// Decides as [`Agent::act`] does, for features instead of scenes: those of a batch as [`FeatureBatch::push`] writes them,
-    /// with their `allowed`. Afterwards they are normalized.
+    /// Acts like [`Agent::act`], but on features, which must be those that [`FeatureBatch::push`] writes, including
+    /// `allowed`. Normalizes the features in place.
     ///
     /// # Errors
-    /// [`PolicyError::NoDistribution`] if a forward pass gives none for one of the rows.
+    /// [`PolicyError::NoDistribution`] if the forward pass gives no distribution for one of the rows.
     ///
     /// # Panics
-    /// When there are not as many generators and modes as rows, or the features have other sizes.
+    /// If the number of generators or modes differs from the number of rows, or the features have other sizes.
     pub fn act_on(
         &mut self,
         batch: &mut FeatureBatch,
@@ -218,7 +220,7 @@ impl Policy {
         })
     }
 
-    /// Lends the batch that is kept for its memory.
+    /// Lends the kept batch to `with`.
     fn with_batch<T>(&mut self, with: impl FnOnce(&mut Self, &mut FeatureBatch) -> T) -> T {
         let mut batch = std::mem::replace(&mut self.batch, FeatureBatch::new(&self.config.features));
         let result = with(self, &mut batch);
@@ -247,7 +249,7 @@ impl Policy {
     }
 
     fn check(&self, output: &'static str, numbers: &[f32]) -> Result<(), PolicyError> {
-        // NaN is in no range.
+        // No range contains NaN.
         let odd = numbers.iter().copied().find(|x| !(-LARGEST_OUTPUT..=LARGEST_OUTPUT).contains(x));
         odd.map_or(Ok(()), |value| Err(self.no_distribution(output, value)))
     }
@@ -289,10 +291,10 @@ impl Policy {
 impl Agent for Policy {
     type Error = PolicyError;
 
-    /// [`PolicyError::NoDistribution`] if a forward pass gives none for one of the scenes.
+    /// Returns [`PolicyError::NoDistribution`] if the forward pass gives no distribution for one of the scenes.
     ///
     /// # Panics
-    /// When there are not as many generators and modes as observations.
+    /// If the number of generators or modes differs from the number of observations.
     fn act(
         &mut self,
         observations: &[Observation<'_>],

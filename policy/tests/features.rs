@@ -1,4 +1,4 @@
-//! Feature vectors: hand-worked scenes, and what they must not depend on.
+//! Feature vectors: hand-worked scenes, and invariances.
 
 #![allow(clippy::unwrap_used)]
 
@@ -24,7 +24,7 @@ fn quaternion(coordinates: [f32; 4]) -> UnitQuaternion<f32> {
     UnitQuaternion::from_quaternion(Quaternion::from(coordinates))
 }
 
-/// Blocks far apart in a row, no grippers' doing.
+/// Blocks far apart in a row, with idle grippers.
 fn row_scene() -> Scene {
     let gripper = Gripper { held: None, orientation: IDENTITY, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
     Scene {
@@ -63,7 +63,7 @@ fn sizes_are_the_papers_without_extensions() {
 #[test]
 fn nodes_and_globals_of_a_hand_made_scene() {
     let mut scene = row_scene();
-    // Block 2 stands on its −x face: its x axis points up.
+    // Block 2 stands on its −x face, so its x axis points up.
     let up = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -std::f32::consts::FRAC_PI_2);
     scene.blocks[2] = pose(Vector3::new(1.0, 2.0, 0.25), up);
     scene.grippers[1] = Some(Gripper {
@@ -78,7 +78,7 @@ fn nodes_and_globals_of_a_hand_made_scene() {
     assert!(close(&node[0..6], &[0.5, 0.0, 1.0, 1.0, 0.0, 0.0]), "{node:?}");
     assert!(close(&node[7..10], &[0.25; 3]), "{node:?}");
     let second = &batch.globals[25..50];
-    // The world's z is the block's x, y stays y: 1.5 / 3 and π / 2π.
+    // The world's z is the gripper's x, and y stays y: 1.5 / 3 and π / 2π.
     assert!(close(&second[0..9], &[1.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.5, 0.0]), "{second:?}");
     assert_eq!(second[9..].iter().position(|x| *x == 1.0), Some(2));
     assert!(batch.globals[9..25].iter().all(|x| *x == 0.0), "gripper 0 holds nothing");
@@ -112,7 +112,7 @@ fn a_structure_that_stands_as_planned_looks_like_the_plan() {
     for blueprint in Catalog::builtin().iter().step_by(7) {
         let plan = blueprint.plan().unwrap();
         let mut scene = row_scene();
-        // The shortest turn that brings the plan's up to the world's, and the ground to z = 0.
+        // Rotates the plan's up axis to the world's by the shortest turn, and moves the ground to z = 0.
         let up = Vector3::from(plan.up.map(|x| x as f32));
         let turn = UnitQuaternion::rotation_between(&up, &Vector3::z())
             .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI));
@@ -147,7 +147,7 @@ fn pieces_are_what_hangs_together_by_right_connections_alone() {
         (sizes, batch.edges.chunks_exact(37).map(|edge| edge[36]).sum::<f32>())
     };
     assert_eq!(told(&scene), (vec![1.0, 1.0], 0.0));
-    // The right blocks at a wrong pose are no piece; at the right one they are, seen from either of them.
+    // The right blocks in a wrong relative pose do not form a piece; in the right one they do, seen from either block.
     let wrong = link.relative.inverse();
     assert_ne!(wrong, link.relative);
     scene.joints = vec![Joint { a: link.a, b: link.b, relative: wrong }];
@@ -167,7 +167,7 @@ fn a_pair_outside_the_blueprint_shows_its_offset_alone() {
     assert!(close(edge(&batch, j, i), &expected));
 }
 
-/// A scene with all blocks anywhere, in any orientation.
+/// A scene with all blocks at random positions, in random orientations.
 fn any_scene() -> impl Strategy<Value = Scene> {
     let pose = (prop::array::uniform3(-1.0_f32..1.0), prop::array::uniform4(-1.0_f32..1.0))
         .prop_filter("not near zero", |(_, q)| q.iter().map(|x| x * x).sum::<f32>() > 0.1)
@@ -212,7 +212,7 @@ proptest! {
         );
         prop_assert!(close(&a.nodes, &b.nodes));
         prop_assert!(close(&a.globals, &b.globals));
-        // A turn of almost π may flip its axis under rounding, so rotation vectors are compared where they are shorter.
+        // Rounding may flip the axis of a turn of almost π, so only shorter rotation vectors are compared.
         for (a, b) in a.edges.chunks(36).zip(b.edges.chunks(36)) {
             prop_assert!(close(&a[..27], &b[..27]));
             let angle = a[30..33].iter().map(|x| x * x).sum::<f32>().sqrt();

@@ -1,4 +1,4 @@
-//! Inference: what is refused, what a decision depends on, and the initial values.
+//! Inference: refused weights, the inputs of a decision, and the initial values.
 
 #![allow(clippy::unwrap_used)]
 
@@ -18,7 +18,7 @@ use proto::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A network small enough for a test that is not about its size.
+/// A small network, for tests that do not depend on its size.
 fn small() -> PolicyConfig {
     let gat = GatConfig { n_layers: 1, n_heads: 2, head_dim: 8, mlp_hidden: 16, ..GatConfig::default() };
     PolicyConfig {
@@ -69,12 +69,12 @@ fn scenes(seeds: &[u64]) -> Vec<Scene> {
     seeds.iter().map(|seed| scene(*seed)).collect()
 }
 
-/// The first goal of the catalog in each of the scenes.
+/// The scenes, each with the first goal of the catalog.
 fn observations(scenes: &[Scene]) -> Vec<Observation<'_>> {
     scenes.iter().map(|scene| Observation { scene, blueprint: blueprint(), n_steps: 0 }).collect()
 }
 
-/// Decisions in the scenes of these seeds, each with the generator of its own.
+/// Acts in the scenes of these seeds, each with its own generator.
 fn act(policy: &mut Policy, seeds: &[u64]) -> Vec<Decision> {
     let modes = vec![ActionMode::Sampled; seeds.len()];
     policy.act(&observations(&scenes(seeds)), &modes, &mut rngs(seeds)).unwrap()
@@ -97,7 +97,7 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
     type Spoil = fn(&mut Weights);
     let cases: [(Spoil, &str); 9] = [
         (|w| w.network_hash ^= 1, "this process runs"),
-        // Finite, but their sums are not, or not near anything that a network says.
+        // Finite, but their sums overflow or are far beyond any trained network's output.
         (|w| w.parameters.fill(1e30), "must be a number in −1e6..=1e6"),
         (|w| w.parameters.fill(1e6), "must be a number in −1e6..=1e6"),
         (|w| w.normalization.value_std = 1e38, "give a value = "),
@@ -121,7 +121,8 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
 fn a_scene_without_a_distribution_is_an_error() {
     let config = small();
     let mut policy = Policy::new(&config).unwrap();
-    // Global features 9..25 say which block the first gripper holds: in the scene of the trial one of the goal's.
+    // Global features 9..25 are the one-hot of the block that the first gripper holds; in the trial scene it is a goal
+    // block.
     let stray = BlockIdx::all().find(|block| !blueprint().contains(*block)).unwrap();
     let mut trap = weights(&config, 1);
     let network = Network::init(&config.network, &config.sizes(), 1, &Device::flex());
@@ -255,7 +256,7 @@ fn a_grip_holds_for_its_steps_and_then_another_block_may_be_chosen() {
     assert_eq!((config.choosable(&batch, 0), config.choosable(&batch, 3)), (None, None));
     let [first, second] = config.choosable(&batch, 1).unwrap();
     assert_eq!(first, std::array::from_fn(|block| block == 5));
-    // Nothing to keep: any block.
+    // The second gripper holds nothing, so it may choose any block.
     assert_eq!(second, [true; N_BLOCKS]);
 
     let mut policy = Policy::new(&config).unwrap();
@@ -311,7 +312,7 @@ fn initial_values_follow_haiku() {
             let part = &values[at..at + spec.len()];
             at += spec.len();
             let (fan_in, fan_out) = (spec.shape[0] as f32, spec.shape[spec.shape.len() - 1] as f32);
-            // A unit normal truncated at 2 has the standard deviation 0.8796.
+            // A unit normal truncated at ±2 has standard deviation 0.8796.
             let (std, limit) = match spec.initializer {
                 Initializer::Constant(x) => {
                     assert!(part.iter().all(|y| *y == x), "{}", spec.name);

@@ -1,4 +1,4 @@
-//! What a pass over a few graphs computes on its way, and what it begins with.
+//! Inputs and activations of a pass over a few graphs.
 
 use super::ops::Normalized;
 use super::spans::Shape;
@@ -8,19 +8,19 @@ use crate::network::listed_index;
 /// Number of nodes of a graph.
 const N: usize = blueprints::N_BLOCKS;
 
-/// Graphs that go through the encoder together: what they leave for the backward pass fits into the second-level cache.
+/// Number of graphs encoded together: their activations for the backward pass fit into the L2 cache.
 pub(super) const GRAPHS: usize = 8;
 
-/// A few graphs on their way; the memory is kept from one use to the next.
+/// Activations of a few graphs; the memory is reused between passes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Activations {
     /// Number of graphs b; `rows` below is 16 b.
     pub(super) n: usize,
     /// Whether the first layer attends to raw features.
     pub(super) is_raw: bool,
-    /// Raw features and a 1, `[rows, nd + 1]`.
+    /// Raw features followed by a 1, `[rows, nd + 1]`.
     pub(super) raw: Vec<f32>,
-    /// `[rows, 16, ed]` and `[rows, ed, 16]`, see `attend`.
+    /// `[rows, 16, ed]` and `[rows, ed, 16]`; see `attend`.
     pub(super) edges: Vec<f32>,
     pub(super) edges_t: Vec<f32>,
     /// `[b, gd]`
@@ -29,16 +29,16 @@ pub(super) struct Activations {
     pub(super) embedded: Vec<f32>,
     pub(super) embedded_global: Vec<f32>,
     pub(super) layers: Vec<LayerActivations>,
-    /// Input of the grippers' keys, `[b, 2w]`, the keys `[b, G, w]`, and the blocks' keys `[rows, w]`.
+    /// Input of the grippers' keys `[b, 2w]`, the keys `[b, G, w]`, and the blocks' keys `[rows, w]`.
     pub(super) grip_input: Vec<f32>,
     pub(super) grip: Vec<f32>,
     pub(super) block_keys: Vec<f32>,
 }
 
-/// Those of one layer, with h hidden units and H heads.
+/// Activations of one layer with h hidden units and H heads.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LayerActivations {
-    /// `[rows, H, n]`, `[rows, H, ed]` and `[rows, H, 16]`, see `attend`.
+    /// `[rows, H, n]`, `[rows, H, ed]`, and `[rows, H, 16]`; see `attend`.
     pub(super) compare_nodes: Vec<f32>,
     pub(super) compare_edges: Vec<f32>,
     pub(super) weights: Vec<f32>,
@@ -62,7 +62,7 @@ pub(super) struct LayerActivations {
 }
 
 impl Activations {
-    /// Takes the features of `rows` of a batch.
+    /// Reads the features of `rows` of a batch.
     pub(super) fn read(&mut self, shape: &Shape, batch: &FeatureBatch, rows: &[usize]) {
         let (nd, ed, gd) = (batch.sizes.node, batch.sizes.edge, batch.sizes.global);
         self.n = rows.len();

@@ -1,4 +1,4 @@
-//! Attention over 16 nodes and the edges between them, forward and backward, a graph at a time.
+//! Attention over 16 nodes and the edges between them, forward and backward, one graph at a time.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -8,7 +8,7 @@ use super::ops::{softmax, softmax_backward};
 /// Number of nodes of a graph.
 const N: usize = blueprints::N_BLOCKS;
 
-/// What both passes read; `n` is the length of a node's vector, `rows` the number of nodes of all graphs.
+/// Input of both passes; `n` is the length of a node's vector, `rows` the number of nodes of all graphs.
 #[derive(Clone, Copy)]
 pub(super) struct Graphs<'a> {
     pub(super) n_heads: usize,
@@ -17,11 +17,11 @@ pub(super) struct Graphs<'a> {
     pub(super) ed: usize,
     /// `[rows, n]`
     pub(super) nodes: &'a [f32],
-    /// For each receiver its 16 edges, `[rows, 16, ed]`, zeros for an edge that does not exist.
+    /// The 16 edges of each receiver, `[rows, 16, ed]`, with zeros for edges that do not exist.
     pub(super) edges: &'a [f32],
-    /// The same transposed, `[rows, ed, 16]`.
+    /// `edges` transposed, `[rows, ed, 16]`.
     pub(super) edges_t: &'a [f32],
-    /// What senders and edges are compared with, `[rows, H, n]` and `[rows, H, ed]`.
+    /// Vectors compared with senders and edges, `[rows, H, n]` and `[rows, H, ed]`.
     pub(super) compare_nodes: &'a [f32],
     pub(super) compare_edges: &'a [f32],
 }
@@ -31,8 +31,8 @@ pub(super) fn attend(arch: Arch, graphs: Graphs<'_>, weights: &mut [f32], means:
     arch.dispatch(Attend { graphs, weights, means });
 }
 
-/// From the gradients of the means to those of what was compared; with `nodes`, adds the part of the senders' gradient
-/// that comes through this layer's attention, `[rows, n]`.
+/// Computes the gradients of the compared vectors from those of the means. If `nodes` is given, adds the part of the
+/// senders' gradient that flows through this layer's attention, `[rows, n]`.
 pub(super) fn attend_backward(
     arch: Arch,
     graphs: Graphs<'_>,
@@ -123,7 +123,7 @@ impl WithSimd for AttendBackward<'_> {
     }
 }
 
-/// The 16 rows of a graph, each of `per_node` numbers.
+/// Returns the 16 rows of a graph, each of `per_node` numbers.
 #[inline(always)]
 fn graph_of(values: &[f32], per_node: usize, graph: usize) -> &[f32] {
     &values[graph * N * per_node..][..N * per_node]

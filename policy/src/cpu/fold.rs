@@ -1,18 +1,19 @@
-//! The attention's matrices multiplied into each other, and their gradients taken apart again.
+//! Multiplies the matrices of the attention into each other, and unfolds their gradients.
 //!
-//! The equations are those of [`crate::network`]'s encoder (`gat.rs`). One step further, the first layer attends over raw node
-//! features: its nodes are x̃ Ẽ with x̃ = (x, 1) and Ẽ the kernel of the embedding with its bias as last row, so its
-//! matrices are Ẽ A Ẽᵀ and the like, of a few rows instead of 64.
+//! The equations are those of [`crate::network`]'s encoder (`gat.rs`). In addition, the first layer attends to raw node
+//! features: its nodes are x̃ Ẽ, where x̃ = (x, 1) and Ẽ is the embedding's kernel with its bias as last row. Its
+//! matrices are therefore Ẽ A Ẽᵀ and so on, with a few rows instead of 64.
 
 use pulp::Arch;
 
 use super::matmul::{add_transposed, multiply, multiply_transposed};
 use super::spans::{Context, LayerSpans, Span};
 
-/// What one head of a layer multiplies by, with w the width, d the head's width, `ed` and `nd` the numbers of raw features.
+/// The matrices of one head of a layer, with w the width, d the head's width, and `ed` and `nd` the numbers of raw
+/// features.
 #[derive(Clone, Debug)]
 struct Head {
-    /// Parameters by head, each `[w, d]`; the key is divided by √d.
+    /// The head's parameters, each `[w, d]`; the key is divided by √d.
     key: Vec<f32>,
     query: [Vec<f32>; 2],
     message: [Vec<f32>; 2],
@@ -26,13 +27,13 @@ struct Head {
     carry: [Vec<f32>; 2],
 }
 
-/// A layer's matrices, and what their gradients need.
+/// A layer's folded matrices, and the intermediate products that their gradients need.
 #[derive(Clone, Debug)]
 pub(super) struct Fold {
     heads: Vec<Head>,
     /// Whether nodes are raw features.
     is_raw: bool,
-    /// Entries of a node: w, or nd + 1 for raw features.
+    /// Length of a node's vector: w, or nd + 1 for raw features.
     pub(super) n_in: usize,
     /// `[n_in, H · n_in]` and `[n_in, H · ed]`
     pub(super) to_node: Vec<f32>,
@@ -44,7 +45,7 @@ pub(super) struct Fold {
     pub(super) constant: Vec<f32>,
 }
 
-/// Gradients of a layer's matrices, of the same shapes.
+/// Gradients of a layer's folded matrices, with the same shapes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FoldGradient {
     pub(super) to_node: Vec<f32>,
@@ -116,7 +117,7 @@ impl Fold {
         }
     }
 
-    /// Adds the gradients of the parameters that these matrices are made of.
+    /// Adds the gradients of the parameters from which these matrices are computed.
     pub(super) fn unfold(&self, net: Context<'_>, layer: usize, folded: &FoldGradient, gradient: &mut [f32]) {
         let Context { arch, shape, spans, .. } = net;
         let (w, ed, d) = (shape.width, shape.sizes.edge, shape.head_dim);
@@ -132,7 +133,7 @@ impl Fold {
             let mut carry = folded.from_nodes[h * self.n_in * w..(h + 1) * self.n_in * w].to_vec();
             let from_edges = &folded.from_edges[h * ed * w..(h + 1) * ed * w];
             if self.is_raw {
-                // Of Ẽ in Ẽ A Ẽᵀ: G Ẽ Aᵀ + Gᵀ Ẽ A; and of A: Ẽᵀ G Ẽ.
+                // The gradient of Ẽ in Ẽ A Ẽᵀ is G Ẽ Aᵀ + Gᵀ Ẽ A; that of A is Ẽᵀ G Ẽ.
                 let left = multiply_transposed(arch, embed, &head.compare[0], w);
                 let right = multiply(arch, embed, &head.compare[0], w);
                 let mut embedding = multiply(arch, &compare, &left, self.n_in);
@@ -156,7 +157,7 @@ impl Fold {
                     add_columns(&mut gradient[query.clone()][part * w * inner..], inner, h * d, &of_query, d);
                 }
             }
-            // The edge encoder's bias reaches the residual through Me O only.
+            // The edge encoder's bias reaches the residual only through Me O.
             let mut carry_edge = transposed_multiply(arch, embed_edge, w, from_edges, w);
             for (row, bias) in carry_edge.chunks_exact_mut(w).zip(edge_bias) {
                 row.iter_mut().zip(&folded.constant).for_each(|(g, c)| *g += bias * c);
@@ -185,7 +186,7 @@ impl Head {
             columns(&net.of(span)[part * w * inner..(part + 1) * w * inner], inner, h * d, d)
         };
         let scale = 1.0 / (d as f32).sqrt();
-        // Keys and queries of zeros weigh all edges alike, which is what a layer without attention does.
+        // Without attention, keys and queries of zeros give all edges the same weight.
         let or_zeros = |span: &Option<Span>, part: usize| {
             span.as_ref().map_or_else(|| vec![0.0; w * d], |span| by_head(span, part))
         };
@@ -200,7 +201,7 @@ impl Head {
     }
 }
 
-/// `aᵀ · b`.
+/// Computes `aᵀ · b`.
 ///
 /// # Shapes
 /// a `[rows, m]`, b `[rows, n]` → `[m, n]`
@@ -215,18 +216,18 @@ fn add(to: &mut [f32], from: &[f32]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
 }
 
-/// Matrices of `n` columns beside each other.
+/// Concatenates matrices of `n` columns horizontally.
 fn beside(matrices: &[Vec<f32>], n: usize) -> Vec<f32> {
     let n_rows = matrices.first().map_or(0, |matrix| matrix.len() / n);
     (0..n_rows).flat_map(|row| matrices.iter().flat_map(move |m| m[row * n..(row + 1) * n].iter().copied())).collect()
 }
 
-/// Columns `first..first + n` of a matrix with `n_all`.
+/// Returns the columns `first..first + n` of a matrix with `n_all` columns.
 fn columns(matrix: &[f32], n_all: usize, first: usize, n: usize) -> Vec<f32> {
     matrix.chunks_exact(n_all).flat_map(|row| row[first..first + n].iter().copied()).collect()
 }
 
-/// Adds a matrix of `n` columns to the columns from `first` on.
+/// Adds a matrix of `n` columns to the columns starting at `first`.
 fn add_columns(to: &mut [f32], n_all: usize, first: usize, from: &[f32], n: usize) {
     for (to, from) in to.chunks_exact_mut(n_all).zip(from.chunks_exact(n)) {
         add(&mut to[first..first + n], from);

@@ -1,4 +1,4 @@
-//! The policy's and the value's heads (paper, sections "Policy" and "Critic" and the listing).
+//! The policy head and the value head (paper, sections "Policy" and "Critic" and the listing).
 
 use super::activations::Activations;
 use super::layer::Flow;
@@ -13,7 +13,7 @@ const N: usize = blueprints::N_BLOCKS;
 /// Entries of a move.
 const MOVE: usize = 6;
 
-/// What the network says about B scenes with G grippers; see [`crate::NetworkOutput`].
+/// Network output for B scenes with G grippers; see [`crate::NetworkOutput`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outputs {
     /// Means of the moves `[B, 16, 6]`.
@@ -26,17 +26,17 @@ pub struct Outputs {
     pub values: Vec<f32>,
 }
 
-/// Kernels of the policy's head, or their transposes.
+/// Kernels of the policy head, or their transposes.
 #[derive(Clone, Debug)]
 pub(super) struct PolicyKernels {
     act: [Packed; 2],
     input_global: Packed,
     grip_key: Packed,
-    /// The rows of the blocks' keys that act on nodes.
+    /// The rows of the block key kernel that act on nodes.
     block_key: Packed,
 }
 
-/// Kernels of the value's head, or their transposes.
+/// Kernels of the value head, or their transposes.
 #[derive(Clone, Debug)]
 pub(super) struct ValueKernels {
     input_global: Packed,
@@ -44,7 +44,7 @@ pub(super) struct ValueKernels {
     mlp: Vec<Packed>,
 }
 
-/// Inputs and hidden units of the value's MLP for a whole batch.
+/// Inputs and hidden units of the value MLP for a whole batch.
 #[derive(Clone, Debug, Default)]
 pub(super) struct ValueActivations {
     /// `[B, gd]` and `[B, w]`
@@ -66,7 +66,7 @@ impl PolicyKernels {
         }
     }
 
-    /// Appends what the last layer's nodes and graphs say.
+    /// Appends the outputs computed from the last layer's nodes and globals.
     pub(super) fn forward(&self, net: Context<'_>, x: &mut Activations, out: &mut Outputs) {
         let Context { arch, shape, spans, .. } = net;
         let (w, g) = (shape.width, shape.n_grippers);
@@ -109,8 +109,8 @@ impl PolicyKernels {
         }
     }
 
-    /// Sets the gradient of the last layer's nodes and adds to that of its graphs; `self` has the transposes. `gradients` are those
-    /// of these scenes' means, unbounded deviations, and logits.
+    /// Sets the gradient of the last layer's nodes and adds to that of its globals; `self` holds the transposes. The
+    /// input gradients are those of these scenes' means, unbounded deviations, and logits.
     pub(super) fn backward(
         &self,
         net: Context<'_>,
@@ -184,7 +184,7 @@ impl ValueKernels {
         }
     }
 
-    /// Values of all scenes; their choices are read from the logits.
+    /// Computes the values of all scenes; reads the choices from the logits.
     pub(super) fn forward(&self, net: Context<'_>, x: &mut ValueActivations, out: &mut Outputs) {
         let Context { arch, shape, spans, .. } = net;
         let (w, n_choices) = (shape.width, shape.n_grippers * N);
@@ -218,7 +218,8 @@ impl ValueKernels {
         }
     }
 
-    /// The gradient of the graphs, `[B, w]`; `self` has the transposes. None flows into the choices (listing).
+    /// Returns the gradient of the globals, `[B, w]`; `self` holds the transposes. No gradient flows into the choices
+    /// (listing).
     pub(super) fn backward(
         &self,
         net: Context<'_>,
@@ -254,7 +255,7 @@ impl ValueKernels {
     }
 }
 
-/// See [`ScaleConfig`].
+/// Maps the head's output to a standard deviation; see [`ScaleConfig`].
 fn scale(config: &ScaleConfig, x: f32) -> f32 {
     let x = x + config.offset();
     let s = x.max(0.0) + (-x.abs()).exp().ln_1p() + config.floor;
@@ -264,7 +265,7 @@ fn scale(config: &ScaleConfig, x: f32) -> f32 {
     }
 }
 
-/// From the gradient of deviations to that of the numbers that they were made from.
+/// Computes the gradient of the numbers from which the deviations were computed.
 pub(super) fn unscale(config: &ScaleConfig, deviations: &[f32], gradient: &[f32]) -> Vec<f32> {
     let slope = |deviation: f32| {
         let (bounded, unbounded) = match config.max_std {
@@ -285,7 +286,7 @@ fn raw_len(shape: &Shape) -> usize {
     shape.sizes.global
 }
 
-/// Which block a gripper held: the last 16 entries of its part of the raw globals.
+/// Returns the one-hot of the block that a gripper held: the last 16 entries of its part of the raw globals.
 fn held<'a>(shape: &Shape, raw: &'a [f32], gripper: usize) -> &'a [f32] {
     let part = raw.len() / shape.n_grippers;
     &raw[(gripper + 1) * part - N..(gripper + 1) * part]

@@ -1,4 +1,4 @@
-//! One layer of the encoder: attention, the nodes' MLP, the graph's MLP.
+//! One layer of the encoder: attention, node MLP, and global MLP.
 
 use super::activations::{Activations, LayerActivations};
 use super::attend::{Graphs, attend, attend_backward};
@@ -7,30 +7,30 @@ use super::matmul::{Base, Packed, add_transposed, product};
 use super::ops::{add_rows, add_to_nodes, layer_norm, layer_norm_backward, relu_backward, sum_nodes};
 use super::spans::{Context, LayerSpans};
 
-/// A layer's parameters, ready to be multiplied by.
+/// A layer's kernels, packed for multiplication.
 #[derive(Clone, Debug)]
 pub(super) struct Layer {
     spans: LayerSpans,
     pub(super) fold: Fold,
     forward: Kernels,
-    /// Transposed; only where gradients are wanted.
+    /// Transposes; present only if gradients are needed.
     backward: Option<Kernels>,
 }
 
-/// Its kernels, or their transposes.
+/// Kernels of a layer, or their transposes.
 #[derive(Clone, Debug)]
 struct Kernels {
     to_node: Packed,
     to_edge: Packed,
     from_nodes: Packed,
     from_edges: Packed,
-    /// The first layer of the nodes' MLP, by rows: on the node and on its graph.
+    /// The first layer of the node MLP, split by rows: those for the node and those for its global.
     mlp_node: [Packed; 2],
     mlp_node_out: Packed,
     mlp_global: [Packed; 2],
 }
 
-/// Gradients of what a layer put out, on their way to gradients of what went in.
+/// Gradients that flow backward through a layer, from its output to its input.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Flow {
     /// `[rows, w]`
@@ -79,7 +79,7 @@ impl Layer {
         }
     }
 
-    /// Computes layer `l` of `x` from what the layers before it left.
+    /// Computes layer `l` of `x` from the activations of the layers before it.
     pub(super) fn forward(&self, net: Context<'_>, l: usize, x: &mut Activations) {
         let Context { arch, shape, .. } = net;
         let (w, heads, hidden) = (shape.width, shape.n_heads, shape.gat.mlp_hidden);
@@ -132,7 +132,7 @@ impl Layer {
         layer_norm(arch, [before.global, &sums], norm, &mut y.ln_global, &mut y.global);
     }
 
-    /// Turns the gradient of this layer's output into that of its input, and adds those of its parameters.
+    /// Turns the gradient of this layer's output into that of its input, and adds the gradients of its parameters.
     pub(super) fn backward(
         &self,
         net: Context<'_>,
@@ -149,7 +149,7 @@ impl Layer {
         let spans = &self.spans;
         let back = self.backward.as_ref().expect("the network was made for gradients");
 
-        // The graph's MLP.
+        // Global MLP.
         let Flow { nodes, global, hidden: of_hidden, shared, global_hidden, global_input, means, compare } = flow;
         let norm = gradient.get_disjoint_mut(spans.ln_global.clone()).expect("parameters lie apart");
         layer_norm_backward(arch, &y.ln_global, net.of(&spans.ln_global[0]), global, norm);
@@ -171,7 +171,7 @@ impl Layer {
         }
         add_to_nodes(arch, &sums, w, nodes);
 
-        // The nodes' MLP.
+        // Node MLP.
         let norm = gradient.get_disjoint_mut(spans.ln_mlp.clone()).expect("parameters lie apart");
         layer_norm_backward(arch, &y.ln_mlp, net.of(&spans.ln_mlp[0]), nodes, norm);
         let [first, second] = &spans.mlp_node;
@@ -189,7 +189,7 @@ impl Layer {
         product(arch, shared, &back.mlp_node[1], Base::Kept, false, global);
         product(arch, of_hidden, &back.mlp_node[0], Base::Kept, false, nodes);
 
-        // The attention; its residual leaves the gradient of the nodes as it is.
+        // Attention. Its residual connection passes the nodes' gradient through unchanged.
         let norm = gradient.get_disjoint_mut(spans.ln_attn.clone()).expect("parameters lie apart");
         layer_norm_backward(arch, &y.ln_attn, net.of(&spans.ln_attn[0]), nodes, norm);
         let n_in = self.fold.n_in;
@@ -227,9 +227,9 @@ impl Layer {
     }
 }
 
-/// What a layer reads.
+/// The input of a layer.
 pub(super) struct Before<'a> {
-    /// What it attends to: raw features in the first layer, where that is cheaper.
+    /// The vectors attended to: raw features in the first layer if that is cheaper.
     input: &'a [f32],
     /// `[rows, w]` and `[b, w]`
     nodes: &'a [f32],
@@ -239,7 +239,7 @@ pub(super) struct Before<'a> {
 }
 
 impl Activations {
-    /// What layer `l` reads, and what it writes.
+    /// Returns the input of layer `l` and the activations that it writes.
     fn split(&mut self, l: usize) -> (Before<'_>, &mut LayerActivations) {
         let Self { raw, is_raw, edges, edges_t, embedded, embedded_global, layers, .. } = self;
         let (before, from) = layers.split_at_mut(l);

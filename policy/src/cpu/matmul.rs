@@ -1,17 +1,18 @@
-//! Products of row-major matrices, in registers: the only place where a machine's vector width matters.
+//! Products of row-major matrices in registers: the only code in which a machine's vector width matters.
 //!
-//! Safe code over [`pulp`], compiled for AVX-512, AVX2, NEON and plain scalars; the first that the machine has is used. A tile of
-//! up to 6 rows and 4 vectors of the result stays in registers while one matrix is read front to back.
+//! Safe code on top of [`pulp`], compiled for AVX-512, AVX2, NEON, and scalars; uses the first that the machine
+//! supports. A tile of the result, of up to 6 rows and 4 vectors, stays in registers while one matrix is read from
+//! front to back.
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// Columns of a panel: a whole number of vectors on every machine, and 16 rows of it fit into the first-level cache.
+/// Columns of a panel: a whole number of vectors on every machine; 16 rows of a panel fit into the L1 cache.
 const PANEL: usize = 64;
 
-/// Rows that are summed up at a time by [`add_transposed`], so that what is read stays in the cache.
+/// Number of rows that [`add_transposed`] sums at a time, so that its inputs stay in the cache.
 const ROWS: usize = 256;
 
-/// A matrix on the right of a product, cut into panels of 64 columns that are each contiguous.
+/// The right-hand matrix of a product, split into contiguous panels of 64 columns.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Packed {
     k: usize,
@@ -19,16 +20,16 @@ pub(super) struct Packed {
     data: Vec<f32>,
 }
 
-/// What a product is added to.
+/// The values to which a product is added.
 #[derive(Clone, Copy)]
 pub(super) enum Base<'a> {
-    /// Nothing.
+    /// Zeros.
     Zero,
-    /// What is there.
+    /// The current contents of the result.
     Kept,
-    /// The same row for all, `[n]`.
+    /// The same row for all rows, `[n]`.
     Bias(&'a [f32]),
-    /// One row for every 16, `[m / 16, n]`.
+    /// One row for every 16 rows, `[m / 16, n]`.
     PerGraph(&'a [f32]),
 }
 
@@ -62,7 +63,7 @@ impl Packed {
     }
 }
 
-/// `c = base + a · w`, and with `relu` what of it is above 0.
+/// Computes `c = base + a · w`, followed by a ReLU if `relu` is set.
 ///
 /// # Shapes
 /// a `[m, k]`, w `[k, n]`, c `[m, n]`
@@ -71,7 +72,7 @@ pub(super) fn product(arch: Arch, a: &[f32], w: &Packed, base: Base<'_>, relu: b
     arch.dispatch(Product { a, w, base, relu, c });
 }
 
-/// `a · b` of plain matrices.
+/// Computes `a · b` of plain matrices.
 ///
 /// # Shapes
 /// a `[m, k]`, b `[k, n]` → `[m, n]`
@@ -82,7 +83,7 @@ pub(super) fn multiply(arch: Arch, a: &[f32], b: &[f32], k: usize) -> Vec<f32> {
     c
 }
 
-/// `a · bᵀ` of plain matrices.
+/// Computes `a · bᵀ` of plain matrices.
 ///
 /// # Shapes
 /// a `[m, k]`, b `[n, k]` → `[m, n]`
@@ -93,7 +94,7 @@ pub(super) fn multiply_transposed(arch: Arch, a: &[f32], b: &[f32], k: usize) ->
     c
 }
 
-/// `c += aᵀ · b`: the gradient of a kernel from its input and the gradient of its output.
+/// Computes `c += aᵀ · b`: the gradient of a kernel from its input and the gradient of its output.
 ///
 /// # Shapes
 /// a `[rows, m]`, b `[rows, n]`, c `[m, n]`
@@ -126,7 +127,7 @@ impl WithSimd for Product<'_> {
     }
 }
 
-/// A panel and where its columns go.
+/// A panel, and the position of its columns in the result.
 struct Block<'a> {
     k: usize,
     /// `[k, width]`
@@ -134,13 +135,13 @@ struct Block<'a> {
     width: usize,
     /// First column in the result.
     first: usize,
-    /// Columns of the result.
+    /// Number of columns of the result.
     n: usize,
     base: Base<'a>,
     relu: bool,
 }
 
-/// `c = base + a · b` for a narrow `b` that needs no packing, inside a dispatched operation.
+/// Computes `c = base + a · b` for a narrow `b` that needs no packing, inside a dispatched operation.
 ///
 /// # Shapes
 /// a `[m, k]`, b `[k, n]`, c `[m, n]`
@@ -150,7 +151,7 @@ pub(super) fn small_product<S: Simd>(simd: S, a: &[f32], b: &[f32], k: usize, ba
     simd.vectorize(SmallProduct { a, block: Block { k, panel: b, width: n, first: 0, n, base, relu: false }, c });
 }
 
-/// `c += aᵀ · b` inside a dispatched operation.
+/// Computes `c += aᵀ · b` inside a dispatched operation.
 ///
 /// # Shapes
 /// As in [`add_transposed`].
@@ -189,12 +190,12 @@ impl Block<'_> {
         }
     }
 
-    /// All columns of `M` rows.
+    /// Computes all columns of `M` rows.
     #[inline(always)]
     fn rows<S: Simd, const M: usize>(&self, simd: S, a: &[f32], row: usize, c: &mut [f32]) -> usize {
         let lanes = S::F32_LANES;
         let mut column = 0;
-        // With 8 lanes there are 16 registers, which 6 rows of 2 vectors fill.
+        // 8 lanes mean AVX2 with 16 registers, which 6 rows of 2 vectors fill.
         while lanes != 8 && column + 4 * lanes <= self.width {
             self.tile::<S, M, 4>(simd, a, row, column, c);
             column += 4 * lanes;
@@ -208,7 +209,7 @@ impl Block<'_> {
             column += lanes;
         }
         if column < self.width && self.width >= lanes && matches!(self.base, Base::Zero) {
-            // Some columns are computed again, which takes less time than to load a part of a vector.
+            // Recomputes some columns, which takes less time than loading a partial vector.
             self.tile::<S, M, 1>(simd, a, row, self.width - lanes, c);
         } else if column < self.width {
             self.tail::<S, M>(simd, a, row, column, c);
@@ -243,7 +244,7 @@ impl Block<'_> {
         }
     }
 
-    /// The columns that do not fill a vector.
+    /// Computes the columns that do not fill a vector.
     #[inline(always)]
     fn tail<S: Simd, const M: usize>(&self, simd: S, a: &[f32], row: usize, column: usize, c: &mut [f32]) {
         let k = self.k;
@@ -275,7 +276,7 @@ impl Block<'_> {
     }
 }
 
-/// The first `V` vectors of a slice.
+/// Returns the first `V` vectors of a slice.
 #[inline(always)]
 fn vectors<S: Simd, const V: usize>(values: &[f32]) -> [S::f32s; V] {
     let (values, _) = S::as_simd_f32s(&values[..V * S::F32_LANES]);
@@ -285,7 +286,7 @@ fn vectors<S: Simd, const V: usize>(values: &[f32]) -> [S::f32s; V] {
     vectors
 }
 
-/// The first `M` rows of a matrix of `k` columns.
+/// Returns the first `M` rows of a matrix of `k` columns.
 #[inline(always)]
 fn rows<const M: usize>(a: &[f32], k: usize) -> [&[f32]; M] {
     let mut rows = [&a[..k]; M];
@@ -295,9 +296,9 @@ fn rows<const M: usize>(a: &[f32], k: usize) -> [&[f32]; M] {
     rows
 }
 
-/// `M` rows times `V` vectors of the columns of a panel `[k, width]`.
+/// Multiplies `M` rows by `V` vectors of columns of a panel `[k, width]`.
 ///
-/// Lengths and places are plain arguments and every row is cut to `k`: then no bound is checked in the loop.
+/// Lengths and positions are plain arguments, and every row is cut to `k`, so the loop needs no bounds checks.
 #[inline(always)]
 fn sum_tile<S: Simd, const M: usize, const V: usize>(
     simd: S,
@@ -358,7 +359,7 @@ impl WithSimd for AddTransposed<'_> {
     }
 }
 
-/// `M` rows and `V` vectors of columns of a sum of outer products of the rows of a and b.
+/// Computes `M` rows and `V` vectors of columns of a sum of outer products of the rows of a and b.
 #[inline(always)]
 fn sum_outer<S: Simd, const M: usize, const V: usize>(
     simd: S,
@@ -380,7 +381,7 @@ fn sum_outer<S: Simd, const M: usize, const V: usize>(
     sums
 }
 
-/// A sum of outer products of rows.
+/// A sum of outer products of the rows of a and b.
 struct Sum<'a> {
     a: &'a [f32],
     m: usize,
@@ -389,7 +390,7 @@ struct Sum<'a> {
 }
 
 impl Sum<'_> {
-    /// All rows of `V` vectors of columns.
+    /// Computes all rows of `V` vectors of columns.
     #[inline(always)]
     fn columns<S: Simd, const V: usize>(&self, simd: S, column: usize, c: &mut [f32]) {
         let mut row = 0;
@@ -422,7 +423,7 @@ impl Sum<'_> {
         M
     }
 
-    /// The columns that do not fill a vector.
+    /// Computes the columns that do not fill a vector.
     #[inline(always)]
     fn tail<S: Simd>(&self, simd: S, column: usize, c: &mut [f32]) {
         for row in 0..self.m {
@@ -445,7 +446,7 @@ mod tests {
         (0..n).map(|i| ((i * 37 + seed * 101) % 19) as f32 / 4.0 - 2.0).collect()
     }
 
-    /// Sums of eighths and sixteenths of small integers are exact, whatever their order.
+    /// Sums of eighths and sixteenths of small integers are exact in any order.
     fn expected(a: &[f32], b: &[f32], k: usize) -> Vec<f32> {
         let n = b.len() / k;
         let entry = |row: usize, column: usize| (0..k).map(|p| a[row * k + p] * b[p * n + column]).sum::<f32>();

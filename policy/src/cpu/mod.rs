@@ -1,11 +1,11 @@
-//! The graph network on the CPU: forward and backward passes written out.
+//! The graph network on the CPU, with handwritten forward and backward passes.
 //!
-//! The same numbers as [`crate::Network`] on burn, which is the oracle of its tests, and what runs on a GPU and for
-//! the baseline without a graph. Here large buffers are kept from pass to pass, a few graphs at a time stay in the cache, and the first layer attends to
-//! raw features.
+//! Computes the same numbers as [`crate::Network`] on burn, which its tests use as the oracle, and which runs on GPUs
+//! and for the non-graph baseline. Here, large buffers are reused between passes, a few graphs at a time stay in the
+//! cache, and the first layer attends to raw features.
 //!
-//! Reading order: `matmul` and `ops` (what everything is made of) → `spans` (where parameters lie) → `fold` → `attend` → `layer` →
-//! `heads`.
+//! Reading order: `matmul` and `ops` (building blocks) → `spans` (positions of the parameters) → `fold` → `attend` →
+//! `layer` → `heads`.
 
 mod activations;
 mod attend;
@@ -44,25 +44,25 @@ pub struct CpuNetwork {
     layers: Vec<Layer>,
     policy: PolicyKernels,
     value: ValueKernels,
-    /// Transposes of the heads' kernels, where gradients are wanted.
+    /// Transposes of the heads' kernels, if gradients are needed.
     backward: Option<(PolicyKernels, ValueKernels)>,
 }
 
-/// What a forward pass leaves for the backward pass; the memory is kept from one pass to the next.
+/// Intermediate results of a forward pass for the backward pass; the memory is reused between passes.
 #[derive(Clone, Debug, Default)]
 pub struct Tape {
     parts: Vec<Activations>,
     n_parts: usize,
     value: ValueActivations,
     flow: Flow,
-    /// Gradients by the folded matrices of each layer.
+    /// Gradients of the folded matrices of each layer.
     folded: Vec<FoldGradient>,
     outputs: Outputs,
 }
 
 impl Tape {
-    /// The weights of the edges in each layer of the last forward pass, `[n, 16 receivers, heads, 16 senders]`; without
-    /// attention they are equal, for one head.
+    /// Returns the edge weights of each layer in the last forward pass, `[n, 16 receivers, heads, 16 senders]`. Without
+    /// attention, they are equal, with one head.
     pub fn attention(&self) -> Vec<Vec<f32>> {
         let parts = &self.parts[..self.n_parts];
         let n_layers = parts.first().map_or(0, |part| part.layers.len());
@@ -72,10 +72,11 @@ impl Tape {
 }
 
 impl CpuNetwork {
-    /// A network with `parameters`. Without `with_gradients` it can only run forward, and takes less time to make.
+    /// Creates a network with `parameters`. Without `with_gradients`, it can only run forward and takes less time to
+    /// create.
     ///
     /// # Errors
-    /// When the number of parameters is wrong or one is not finite.
+    /// If the number of parameters is wrong or one is not finite.
     pub fn new(network: &NetworkLayout, parameters: &[f32], with_gradients: bool) -> Result<Self, ParameterError> {
         let NetworkLayout { shape, spans } = network.clone();
         parameters::check(parameters, spans.n_parameters)?;
@@ -97,12 +98,12 @@ impl CpuNetwork {
         })
     }
 
-    /// Whether its layers attend, rather than average.
+    /// Whether its layers use attention instead of averaging.
     pub fn attends(&self) -> bool {
         self.shape.gat.attention
     }
 
-    /// The parameters, flat.
+    /// Returns the parameters as a flat vector.
     pub fn parameters(&self) -> &[f32] {
         &self.parameters
     }
@@ -117,7 +118,7 @@ impl CpuNetwork {
         self.run(batch, rows, tape)
     }
 
-    /// As [`CpuNetwork::forward`], without a way back: all graphs use the same memory.
+    /// Like [`CpuNetwork::forward`], but without support for a backward pass: all graphs use the same memory.
     ///
     /// # Panics
     /// As for [`CpuNetwork::forward`].
@@ -164,12 +165,13 @@ impl CpuNetwork {
         }
     }
 
-    /// Sets `gradient` to that of a loss in the order of the flat parameters, from its gradient by the outputs of the last forward
-    /// pass on this tape. Whoever passes the same vector again spares the system the pages of a new one.
+    /// Computes the gradient of a loss from its gradient with respect to the outputs of the last forward pass on this
+    /// tape. Overwrites `gradient`, in the order of the flat parameters; reusing the vector avoids allocating new
+    /// memory pages.
     ///
     /// # Panics
-    /// When the network was made without gradients, the last pass on the tape was not a [`CpuNetwork::forward`], or `by_output` has
-    /// other lengths than its outputs.
+    /// If the network was created without gradients, the last pass on the tape was not a [`CpuNetwork::forward`], or
+    /// the lengths of `by_output` differ from its outputs.
     pub fn backward(&self, tape: &mut Tape, by_output: &Outputs, gradient: &mut Vec<f32>) {
         let net = self.context();
         let Context { arch, shape, spans, .. } = net;
@@ -215,7 +217,7 @@ impl CpuNetwork {
     }
 }
 
-/// What [`CpuNetwork`] needs to know of a network besides its parameters.
+/// Layout of a network: everything that [`CpuNetwork`] needs except the parameters.
 #[derive(Clone, Debug)]
 pub struct NetworkLayout {
     shape: Shape,
@@ -223,7 +225,8 @@ pub struct NetworkLayout {
 }
 
 impl NetworkLayout {
-    /// Of a configuration whose parameters are listed in `table`; `None` if its encoder is not the graph's.
+    /// Creates the layout for a configuration whose parameters are listed in `table`; `None` if the encoder is not the
+    /// graph encoder.
     pub fn new(config: &NetworkConfig, sizes: &FeatureSizes, table: &[ParameterSpec]) -> Option<Self> {
         let shape = Shape::new(config, sizes)?;
         let spans = Spans::new(&shape, table);

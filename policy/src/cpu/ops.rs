@@ -1,15 +1,15 @@
-//! What stands between the products: softmax, LayerNorm, sums over rows. Written over arrays of 16, which the compiler turns into
-//! vectors of whatever width the machine has.
+//! Operations between the products: softmax, LayerNorm, sums over rows. They are written over arrays of 16, which the
+//! compiler turns into vectors of the machine's width.
 
 use pulp::Arch;
 
 /// Added to the variance in a LayerNorm (Haiku's default).
 const EPSILON: f32 = 1e-5;
 
-/// Numbers that are worked on side by side.
+/// Number of values processed in parallel.
 const LANES: usize = 16;
 
-/// What the backward pass of a LayerNorm needs of its forward pass.
+/// Intermediate results of a LayerNorm for its backward pass.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Normalized {
     /// Rows with mean 0 and variance 1, before scale and offset, `[rows, width]`.
@@ -18,7 +18,7 @@ pub(super) struct Normalized {
     pub(super) inverse_std: Vec<f32>,
 }
 
-/// Sum of `f` over the entries of two rows, in 16 partial sums.
+/// Sums `f` over the entries of two rows, in 16 partial sums.
 #[inline(always)]
 fn sum_of(a: &[f32], b: &[f32], f: impl Fn(f32, f32) -> f32) -> f32 {
     let (a_lanes, a_rest) = a.as_chunks::<LANES>();
@@ -43,15 +43,16 @@ fn fold(mut lanes: [f32; LANES], f: impl Fn(f32, f32) -> f32) -> f32 {
     lanes[0]
 }
 
-/// `Σ aᵢ bᵢ`.
+/// Computes `Σ aᵢ bᵢ`.
 #[inline(always)]
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
     sum_of(a, b, |a, b| a * b)
 }
 
-/// eˣ for x ≤ 0, within two units in the last place; below −87 it stays at e⁻⁸⁷.
+/// Computes eˣ for x ≤ 0, within two units in the last place; below −87 the result stays at e⁻⁸⁷.
 ///
-/// x is split into n ln 2 + r with |r| ≤ ln 2 / 2; adding 1.5 · 2²³ rounds to the integer n and leaves it in the low bits.
+/// Splits x into n ln 2 + r with |r| ≤ ln 2 / 2. Adding 1.5 · 2²³ rounds to the integer n and leaves it in the low
+/// bits.
 #[inline(always)]
 pub(super) fn exp_of_negative(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0;
@@ -72,7 +73,7 @@ pub(super) fn exp_of_negative(x: f32) -> f32 {
     f32::from_bits(e.to_bits().wrapping_add(shifted.to_bits() << 23))
 }
 
-/// Softmax of 16 logits in place; the one at `absent` gets a probability of 0.
+/// Computes the softmax of 16 logits in place; the one at `absent` gets probability 0.
 #[inline(always)]
 pub(super) fn softmax(row: &mut [f32; LANES], absent: Option<usize>) {
     if let Some(absent) = absent {
@@ -91,7 +92,7 @@ pub(super) fn softmax(row: &mut [f32; LANES], absent: Option<usize>) {
     }
 }
 
-/// From the gradient of a softmax's probabilities to that of its logits, in place: `p (g − Σ p g)`.
+/// Computes the gradient of a softmax's logits from that of its probabilities, in place: `p (g − Σ p g)`.
 #[inline(always)]
 pub(super) fn softmax_backward(probabilities: &[f32; LANES], gradient: &mut [f32; LANES]) {
     let mut products = *gradient;
@@ -104,7 +105,7 @@ pub(super) fn softmax_backward(probabilities: &[f32; LANES], gradient: &mut [f32
     }
 }
 
-/// `y = LayerNorm(a + b)`, the rows of a and b added.
+/// Computes `y = LayerNorm(a + b)`, adding the rows of a and b.
 ///
 /// # Shapes
 /// a, b, y `[rows, width]`, scale and offset `[width]`
@@ -139,10 +140,11 @@ pub(super) fn layer_norm(
     );
 }
 
-/// From the gradient of a LayerNorm's output to that of its input, in place; the gradients of scale and offset are added.
+/// Computes the gradient of a LayerNorm's input from that of its output, in place, and adds the gradients of scale and
+/// offset.
 ///
 /// # Shapes
-/// gradient `[rows, width]`, the others `[width]`
+/// gradient `[rows, width]`, all others `[width]`
 pub(super) fn layer_norm_backward(
     arch: Arch,
     kept: &Normalized,
@@ -172,7 +174,7 @@ pub(super) fn layer_norm_backward(
     );
 }
 
-/// Sets the gradient to 0 where a ReLU gave 0.
+/// Sets the gradient to 0 where the output of a ReLU is 0.
 pub(super) fn relu_backward(arch: Arch, output: &[f32], gradient: &mut [f32]) {
     arch.dispatch(
         #[inline(always)]
@@ -184,7 +186,7 @@ pub(super) fn relu_backward(arch: Arch, output: &[f32], gradient: &mut [f32]) {
     );
 }
 
-/// `to += Σ` over the rows.
+/// Adds all rows to `to`.
 ///
 /// # Shapes
 /// rows `[n, width]`, to `[width]`
@@ -196,7 +198,7 @@ pub(super) fn add_rows(arch: Arch, rows: &[f32], to: &mut [f32]) {
     );
 }
 
-/// Sum of every 16 rows.
+/// Sums every 16 rows.
 ///
 /// # Shapes
 /// rows `[16 n, width]`, to `[n, width]`
@@ -212,7 +214,7 @@ pub(super) fn sum_nodes(arch: Arch, rows: &[f32], width: usize, to: &mut [f32]) 
     );
 }
 
-/// Adds a row to each of its 16 nodes' rows.
+/// Adds each row of `to_each` to the rows of its 16 nodes.
 ///
 /// # Shapes
 /// rows `[16 n, width]`, to_each `[n, width]`
@@ -262,7 +264,7 @@ mod tests {
         let mut row = [0.0; LANES];
         row[3] = 2.0_f32.ln();
         softmax(&mut row, Some(5));
-        // 2 and fourteen times 1 of 16.
+        // The weights are one 2 and fourteen 1s, 16 in total.
         assert!((row[3] - 2.0 / 16.0).abs() < 1e-7 && (row[0] - 1.0 / 16.0).abs() < 1e-7);
         assert_eq!(row[5], 0.0);
     }
@@ -275,7 +277,7 @@ mod tests {
         // 1 + 0 and 2 + 1: mean 2, variance 1.
         layer_norm(arch, [&[1.0, 2.0], &[0.0, 1.0]], [&[2.0, 2.0], &[0.5, 0.5]], &mut kept, &mut y);
         assert!((y[0] + 1.5).abs() < 1e-4 && (y[1] - 2.5).abs() < 1e-4, "{y:?}");
-        // With two entries the output does not depend on the input but for its sign.
+        // With two entries, the output depends only on the sign of the input difference.
         let mut gradient = [1.0, 0.0];
         let (mut ds, mut db) = ([0.0; 2], [0.0; 2]);
         layer_norm_backward(arch, &kept, &[2.0, 2.0], &mut gradient, [&mut ds, &mut db]);

@@ -1,4 +1,4 @@
-//! Where each parameter lies in the flat vector.
+//! Positions of the parameters in the flat vector.
 
 use std::ops::Range;
 
@@ -8,25 +8,26 @@ use crate::config::{EncoderConfig, GatConfig, NetworkConfig, ScaleConfig};
 use crate::features::FeatureSizes;
 use crate::parameters::ParameterSpec;
 
-/// A network as every pass over it sees it.
+/// The parts of a network that every pass needs.
 #[derive(Clone, Copy)]
 pub(super) struct Context<'a> {
     pub(super) arch: Arch,
     pub(super) shape: &'a Shape,
     pub(super) spans: &'a Spans,
-    /// Flat.
+    /// The flat vector.
     pub(super) parameters: &'a [f32],
 }
 
-/// Places in the flat vector.
+/// A range in the flat vector.
 pub(super) type Span = Range<usize>;
 
-/// Numbers that all shapes follow from.
+/// The dimensions that determine all shapes.
 #[derive(Clone, Debug)]
 pub(super) struct Shape {
     pub(super) sizes: FeatureSizes,
     pub(super) gat: GatConfig,
-    /// Heads of a layer and the width of each. Heads that all average alike add up to one, so there is one without attention.
+    /// Number of attention heads and width of each. Without attention, all heads compute the same average, so they are
+    /// merged into one.
     pub(super) n_heads: usize,
     pub(super) head_dim: usize,
     pub(super) width: usize,
@@ -60,11 +61,11 @@ pub(super) struct LayerSpans {
     pub(super) ln_global: Norm,
 }
 
-/// The whole network.
+/// Positions of all parameters of the network.
 #[derive(Clone, Debug)]
 pub(super) struct Spans {
     pub(super) n_parameters: usize,
-    /// Kernel and bias beside each other: `[nd + 1, w]`.
+    /// Kernel followed by its bias: `[nd + 1, w]`.
     pub(super) embed_node: Span,
     pub(super) embed_edge: Linear,
     pub(super) embed_global: Linear,
@@ -80,14 +81,14 @@ pub(super) struct Spans {
 }
 
 impl<'a> Context<'a> {
-    /// One parameter.
+    /// Returns one parameter.
     pub(super) fn of(&self, span: &Span) -> &'a [f32] {
         &self.parameters[span.clone()]
     }
 }
 
 impl Shape {
-    /// None if the encoder is not the graph's.
+    /// Returns `None` if the encoder is not the graph encoder.
     pub(super) fn new(config: &NetworkConfig, sizes: &FeatureSizes) -> Option<Self> {
         let EncoderConfig::Gat(gat) = config.encoder else { return None };
         let (n_heads, head_dim) =
@@ -103,7 +104,8 @@ impl Shape {
         })
     }
 
-    /// Whether a layer's attention acts on raw node features: they are linear in what the first layer reads, and fewer.
+    /// Whether a layer attends to raw node features. Only the first layer's input is linear in them; it does so if they
+    /// are fewer.
     pub(super) fn attends_to_raw(&self, layer: usize) -> bool {
         layer == 0 && self.sizes.node + 1 < self.width
     }

@@ -1,16 +1,17 @@
 //! The graph-attention encoder (paper, section "Graph Neural Network Encoder" and its listing), computed folded.
 //!
-//! The listing encodes every edge to 64 numbers and makes a query and a message of 256 from each. All these maps are
-//! linear, so they are pushed to where there are few rows. For receiver r, sender s, head h, with raw edge features x,
-//! edge encoder (E, b), query kernel split in rows (Qn, Qe), key kernel K, message kernel (Mn, Me), output kernel O:
+//! The listing encodes every edge to 64 numbers and computes a query and a message of 256 numbers from each. All these
+//! maps are linear, so they can be moved to where there are few rows. For receiver r, sender s, head h, with raw edge
+//! features x, edge encoder (E, b), query kernel split by rows (Qn, Qe), key kernel K, message kernel (Mn, Me), output
+//! kernel O:
 //!
-//! - logit · √d = (nₛQn + (xE + b)Qe) · (nᵣK) = nₛ · (nᵣ K Qnᵀ) + x · (nᵣ K Qeᵀ Eᵀ) + a term that does not depend on s and
-//!   so cancels in the softmax over s: the matrices `K Qnᵀ` and `K Qeᵀ Eᵀ` act on 16 nodes instead of 240 edges;
-//! - Σₛ w (nₛMn + (xE + b)Me) O = (Σₛ w nₛ) Mn O + (Σₛ w x) E Me O + b Me O, as the weights sum to 1: nodes and *raw* edge
-//!   features are averaged first, and the projections act on 16 rows.
+//! - logit · √d = (nₛQn + (xE + b)Qe) · (nᵣK) = nₛ · (nᵣ K Qnᵀ) + x · (nᵣ K Qeᵀ Eᵀ) + a term that does not depend on s
+//!   and so cancels in the softmax over s: the matrices `K Qnᵀ` and `K Qeᵀ Eᵀ` act on 16 nodes instead of 240 edges;
+//! - Σₛ w (nₛMn + (xE + b)Me) O = (Σₛ w nₛ) Mn O + (Σₛ w x) E Me O + b Me O, because the weights sum to 1: nodes and
+//!   *raw* edge features are averaged first, and the projections act on 16 rows.
 //!
-//! The result equals the naive form up to rounding; a test compares the two. Folding is part of the graph in training
-//! and done once per weights version for inference.
+//! The result equals the unfolded form up to rounding; a test compares the two. In training, folding is part of the
+//! autodiff graph; for inference, it is done once per weights version.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, activation};
@@ -38,7 +39,7 @@ pub struct GatEncoder {
     config: GatConfig,
 }
 
-/// One layer's parameters; layers share none.
+/// Parameters of one layer; layers do not share parameters.
 #[derive(Module, Debug)]
 struct GatLayer {
     message: Projection,
@@ -52,23 +53,23 @@ struct GatLayer {
     ln_global: LayerNorm,
 }
 
-/// The edge path of one layer after folding; H heads, width w, `ed` raw edge features.
+/// The edge path of one layer after folding, for H heads, width w, and `ed` raw edge features.
 #[derive(Clone, Debug)]
 struct FoldedLayer {
-    /// `[w, H·w]` and `[w, H·ed]`: from a receiver to what its senders and its edges are compared with, scaled by 1/√d.
-    /// None without attention.
+    /// `[w, H·w]` and `[w, H·ed]`: map a receiver to the vectors compared with its senders and its edges, scaled by
+    /// 1/√d. `None` without attention.
     attend: Option<[Tensor<2>; 2]>,
-    /// `[H·w, w]`, or `[w, w]` without attention: from averaged senders to the residual.
+    /// `[H·w, w]`, or `[w, w]` without attention: maps averaged senders to the residual.
     from_nodes: Tensor<2>,
-    /// `[H·ed, w]`, or `[ed, w]` without attention: from averaged raw edge features to the residual.
+    /// `[H·ed, w]`, or `[ed, w]` without attention: maps averaged raw edge features to the residual.
     from_edges: Tensor<2>,
-    /// `[1, w]`: the edge encoder's bias on its way to the residual.
+    /// `[1, w]`: the edge encoder's bias, mapped to the residual.
     constant: Tensor<2>,
     /// First layer of the node MLP, split by rows: `[w, hidden]` for the node, `[w, hidden]` for the global.
     mlp_node: [Tensor<2>; 2],
 }
 
-/// All layers after folding; valid for the parameters it was made from.
+/// All layers after folding; valid only for the parameters from which it was computed.
 #[derive(Clone, Debug)]
 pub struct FoldedGat {
     layers: Vec<FoldedLayer>,
@@ -101,7 +102,7 @@ impl GatEncoder {
         Self { embed_node, embed_edge, embed_global, layers, config: *config }
     }
 
-    /// Multiplies the matrices that follow each other without a non-linearity between them.
+    /// Multiplies consecutive matrices that have no nonlinearity between them.
     pub fn fold(&self) -> FoldedGat {
         FoldedGat { layers: self.layers.iter().map(|layer| self.fold_layer(layer)).collect() }
     }
@@ -111,7 +112,7 @@ impl GatEncoder {
         let [_, width] = layer.node_proj.w.dims();
         let [ed, _] = self.embed_edge.w.dims();
         let embed = self.embed_edge.w.val();
-        // Rows of a two-part kernel by head: `[H, width, head_dim]`.
+        // Rows of a two-part kernel, split by head: `[H, width, head_dim]`.
         let by_head = |w: Tensor<2>, part: usize| {
             w.slice_dim(0, part * width..(part + 1) * width).reshape([width, n_heads, head_dim]).swap_dims(0, 1)
         };
@@ -134,7 +135,7 @@ impl GatEncoder {
         let (from_nodes, from_edges) = if attend.is_some() {
             (from_nodes.reshape([n_heads * width, width]), from_edges.reshape([n_heads * ed, width]))
         } else {
-            // All heads average alike, so their projections add up.
+            // All heads compute the same average, so their projections add up.
             (from_nodes.sum_dim(0).squeeze_dim(0), from_edges.sum_dim(0).squeeze_dim(0))
         };
         let mlp = layer.mlp_node[0].w.val();
@@ -171,7 +172,7 @@ impl GatEncoder {
         (nodes, global)
     }
 
-    /// Softmax weights over the edges that enter a node, `[B, 16, H, 16]`.
+    /// Returns the softmax weights over the incoming edges of each node, `[B, 16, H, 16]`.
     fn weights(
         &self,
         nodes: &Tensor<2>,
@@ -195,7 +196,7 @@ impl GatEncoder {
         activation::softmax(logits, 3)
     }
 
-    /// The residual of all nodes, `[B·16, w]`, with these weights of the edges that enter a node.
+    /// Returns the residual of all nodes, `[B·16, w]`, with these weights for the incoming edges.
     fn attended(&self, nodes: &Tensor<2>, edges: &Tensor<3>, weights: Tensor<4>, folded: &FoldedLayer) -> Tensor<2> {
         let heads = self.config.n_heads;
         let [rows, width] = nodes.dims();
@@ -209,7 +210,7 @@ impl GatEncoder {
             + folded.constant.clone()
     }
 
-    /// The residual of all nodes, `[B·16, w]`, with equal weights.
+    /// Returns the residual of all nodes, `[B·16, w]`, with equal weights.
     fn averaged(&self, nodes: &Tensor<2>, mean_edges: &Tensor<2>, folded: &FoldedLayer) -> Tensor<2> {
         let [rows, width] = nodes.dims();
         let each = nodes.clone().reshape([rows / N, N, width]);
@@ -224,7 +225,7 @@ impl GatEncoder {
             + folded.constant.clone()
     }
 
-    /// Mean raw features of the edges that enter each node, `[B·16, ed]`; absent edges hold zeros.
+    /// Returns the mean raw features of the incoming edges of each node, `[B·16, ed]`; absent edges are zeros.
     fn mean_edges(&self, edges: &Tensor<3>) -> Tensor<2> {
         let n_senders = if self.config.self_edges { N } else { N - 1 };
         edges.clone().sum_dim(1).squeeze_dim::<2>(1).div_scalar(n_senders as f32)
@@ -239,7 +240,7 @@ impl GatLayer {
     fn update_nodes(&self, folded: &FoldedLayer, y: Tensor<2>, global: Tensor<2>) -> Tensor<2> {
         let [rows, width] = y.dims();
         let [on_node, on_global] = &folded.mlp_node;
-        // The global's half of the first layer is computed once per graph, not once per node.
+        // The global's half of the first layer is computed once per graph, not per node.
         let shared = global.matmul(on_global.clone()) + self.mlp_node[0].b.val().unsqueeze();
         let [b, hidden] = shared.dims();
         let own = y.clone().matmul(on_node.clone()).reshape([b, N, hidden]);

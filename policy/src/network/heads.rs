@@ -14,7 +14,7 @@ const N: usize = blueprints::N_BLOCKS;
 /// Entries of a move.
 const MOVE: usize = 6;
 
-/// From node and global vectors to the action distribution.
+/// Maps node and global vectors to the action distribution.
 #[derive(Module, Debug)]
 pub struct PolicyHead {
     input_global: Projection,
@@ -26,7 +26,7 @@ pub struct PolicyHead {
     scale: ScaleConfig,
 }
 
-/// From global vectors and the block choice to the value.
+/// Maps global vectors and the block choice to the value.
 #[derive(Module, Debug)]
 pub struct ValueHead {
     input_global: Projection,
@@ -48,6 +48,8 @@ impl PolicyHead {
         }
     }
 
+    /// Computes the action distribution.
+    ///
     /// # Shapes
     /// nodes `[B·16, w]`, global `[B, w]`, raw globals `[B, gd]` → locs and scales `[B, 16, 6]`, logits `[B, G, 16]`
     pub fn forward(&self, nodes: &Tensor<2>, global: &Tensor<2>, raw: &Tensor<2>) -> (Tensor<3>, Tensor<3>, Tensor<3>) {
@@ -64,11 +66,11 @@ impl PolicyHead {
         (locs, scales, logits)
     }
 
-    /// See [`ScaleConfig`].
+    /// Maps the layer's output to standard deviations; see [`ScaleConfig`].
     fn scales(&self, x: Tensor<2>) -> Tensor<2> {
         let s = activation::softplus(x.add_scalar(self.scale.offset()), 1.0).add_scalar(self.scale.floor);
         match self.scale.max_std {
-            // The floor holds: tanh only lowers, and max_std is above it by validation.
+            // The floor is kept: tanh only lowers, and validation ensures that `max_std` is above it.
             Some(max) => s.div_scalar(max).tanh().mul_scalar(max).clamp_min(self.scale.floor),
             None => s,
         }
@@ -89,7 +91,7 @@ impl ValueHead {
         }
     }
 
-    /// No gradient flows into `logits`: the value shall not steer the choice of blocks (listing).
+    /// No gradient flows into `logits`, so that the value does not affect the choice of blocks (listing).
     ///
     /// # Shapes
     /// global `[B, w]`, raw globals `[B, gd]`, logits `[B, G, 16]` → `[B]`
@@ -105,7 +107,7 @@ impl ValueHead {
     }
 }
 
-/// Which gripper held which block: the last 16 entries of each gripper's part of the raw globals.
+/// Returns which gripper held which block: the last 16 entries of each gripper's part of the raw globals.
 ///
 /// # Shapes
 /// `[B, gd]` → `[B, 16, G]`

@@ -1,4 +1,4 @@
-//! The two kinds of layers that everything is made of, and the builder that lists the parameters as it makes them.
+//! The basic layers of the network, and the builder that lists their parameters.
 
 use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, module};
@@ -34,6 +34,8 @@ pub struct LayerNorm {
 }
 
 impl Linear {
+    /// Applies the layer.
+    ///
     /// # Shapes
     /// `[rows, in]` → `[rows, out]`
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
@@ -42,6 +44,8 @@ impl Linear {
 }
 
 impl LayerNorm {
+    /// Normalizes each row.
+    ///
     /// # Shapes
     /// `[rows, width]` → `[rows, width]`
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
@@ -49,7 +53,7 @@ impl LayerNorm {
     }
 }
 
-/// Makes layers of zeros and notes the name, shape and initializer of each parameter in the order of creation.
+/// Creates layers of zeros and records the name, shape, and initializer of each parameter in the order of creation.
 pub(crate) struct Builder<'a> {
     device: &'a Device,
     pub(crate) specs: Vec<ParameterSpec>,
@@ -84,7 +88,7 @@ impl<'a> Builder<'a> {
         }
     }
 
-    /// Layers `name.0`, `name.1`, … between the given widths.
+    /// Creates layers `name.0`, `name.1`, … between the given widths.
     pub(crate) fn mlp(&mut self, name: &str, widths: &[usize]) -> Vec<Linear> {
         let pairs = widths.windows(2).enumerate();
         pairs.map(|(j, w)| self.linear(&format!("{name}.{j}"), [w[0], w[1]], Initializer::HaikuLinear)).collect()

@@ -1,4 +1,5 @@
-//! The network: an encoder, a policy head and a value head; shapes in [`BatchTensors`] and [`NetworkOutput`].
+//! The network: an encoder, a policy head, and a value head. For the shapes, see [`BatchTensors`] and
+//! [`NetworkOutput`].
 
 mod gat;
 mod heads;
@@ -21,7 +22,7 @@ use crate::features::FeatureSizes;
 use crate::parameters::{self, ParameterSpec};
 use layers::Builder;
 
-/// The actor-critic of the paper; one module for training and inference.
+/// The actor-critic network of the paper, for both training and inference.
 #[derive(Module, Debug)]
 pub struct Network {
     encoder: Encoder,
@@ -42,7 +43,7 @@ pub enum Encoder {
     Resnet(ResnetEncoder),
 }
 
-/// What the network says about a batch of B scenes with G grippers.
+/// Network output for a batch of B scenes with G grippers.
 #[derive(Clone, Debug)]
 pub struct NetworkOutput {
     /// Means of the moves `[B, 16, 6]`, fractions of the speed limits.
@@ -51,18 +52,18 @@ pub struct NetworkOutput {
     pub scales: Tensor<3>,
     /// Logits of each gripper's choice `[B, G, 16]`, not masked.
     pub logits: Tensor<3>,
-    /// Values `[B]`, in the unit of the value targets that trained it (normalized, see `Normalization`).
+    /// Values `[B]`, in the unit of the value targets used in training (normalized, see `Normalization`).
     pub values: Tensor<1>,
 }
 
-/// The part of a forward pass that depends on parameters alone; valid until they change.
+/// The part of a forward pass that depends only on parameters; valid until they change.
 #[derive(Clone, Debug)]
 pub struct Folded(Option<FoldedGat>);
 
 impl Network {
-    /// A network with Haiku's initial values; the same seed gives the same values.
+    /// Creates a network with Haiku's initial values; the same seed gives the same values.
     ///
-    /// On `device.autodiff()` its parameters are tracked for training. `config` must be valid.
+    /// On `device.autodiff()`, its parameters are tracked for training. `config` must be valid.
     pub fn init(config: &NetworkConfig, sizes: &FeatureSizes, seed: u64, device: &Device) -> Self {
         let network = Self::zeros(config, sizes, device);
         let values = parameters::initial_values(&network.table, seed);
@@ -82,22 +83,22 @@ impl Network {
         Self { encoder, head, value, table: builder.specs, layout: EdgeLayout::of(config) }
     }
 
-    /// Name, shape and initializer of every parameter, in the order of the flat vector.
+    /// Returns the name, shape, and initializer of every parameter, in the order of the flat vector.
     pub fn table(&self) -> &[ParameterSpec] {
         &self.table
     }
 
-    /// Number of parameters; 1 238 157 with the paper's sizes.
+    /// Returns the number of parameters; 1 238 157 with the paper's sizes.
     pub fn n_parameters(&self) -> usize {
         self.table.iter().map(ParameterSpec::len).sum()
     }
 
-    /// How this network wants its edges, for [`BatchTensors::new`].
+    /// Returns the edge layout that this network needs, for [`BatchTensors::new`].
     pub fn edge_layout(&self) -> EdgeLayout {
         self.layout
     }
 
-    /// Folds and runs the network, in one graph.
+    /// Folds and runs the network as one graph.
     ///
     /// # Shapes
     /// As in [`BatchTensors`] and [`NetworkOutput`].
@@ -105,7 +106,7 @@ impl Network {
         self.forward_folded(&self.fold(), batch)
     }
 
-    /// The work that inference shares between batches.
+    /// Computes the part that inference shares between batches.
     pub fn fold(&self) -> Folded {
         Folded(match &self.encoder {
             Encoder::Gat(gat) => Some(gat.fold()),
@@ -113,13 +114,13 @@ impl Network {
         })
     }
 
-    /// Runs the network with `folded` from its present parameters.
+    /// Runs the network with `folded`, which must be computed from its current parameters.
     ///
     /// # Shapes
     /// As in [`BatchTensors`] and [`NetworkOutput`].
     ///
     /// # Panics
-    /// When `folded` comes from a network with another encoder.
+    /// If `folded` comes from a network with another encoder.
     pub fn forward_folded(&self, folded: &Folded, batch: &BatchTensors) -> NetworkOutput {
         let (nodes, global) = match (&self.encoder, &folded.0) {
             (Encoder::Gat(gat), Some(folded)) => gat.forward(folded, batch),

@@ -14,7 +14,8 @@ const N: usize = blueprints::N_BLOCKS;
 
 /// The flat encoder's parameters.
 ///
-/// The paper does not say how its output feeds the heads; `to_nodes` and `to_global` stand in for the graph's.
+/// The paper does not say how the output feeds the heads; `to_nodes` and `to_global` replace the graph encoder's
+/// outputs.
 #[derive(Module, Debug)]
 pub struct ResnetEncoder {
     input: Linear,

@@ -11,7 +11,7 @@ const N: usize = blueprints::N_BLOCKS;
 /// How edges are laid out on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EdgeLayout {
-    /// `[B, 256, ed]`, receiver-major, zeros where a block would send to itself: what the graph encoder multiplies.
+    /// `[B, 256, ed]`, receiver-major, zeros for self-edges: the layout that the graph encoder multiplies.
     Dense,
     /// `[B, E, ed]` in the order of [`FeatureBatch`].
     Listed,
@@ -22,14 +22,14 @@ pub enum EdgeLayout {
 pub struct BatchTensors {
     /// `[B, 16, nd]`
     pub nodes: Tensor<3>,
-    /// `[B, 256, ed]` or `[B, E, ed]`, see [`EdgeLayout`].
+    /// `[B, 256, ed]` or `[B, E, ed]`; see [`EdgeLayout`].
     pub edges: Tensor<3>,
     /// `[B, gd]`, gripper-major, each gripper's part ending with the one-hot of the block it held.
     pub globals: Tensor<2>,
 }
 
 impl EdgeLayout {
-    /// The layout that a network with this configuration reads.
+    /// Returns the layout for a network with this configuration.
     pub fn of(config: &NetworkConfig) -> Self {
         match config.encoder {
             EncoderConfig::Gat(_) => Self::Dense,
@@ -61,9 +61,9 @@ fn tensor(values: Vec<f32>, shape: [usize; 3], device: &Device) -> Tensor<3> {
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
-/// Position of edge `sender → receiver` in a sender-major list with or without self-edges.
+/// Returns the index of edge `sender → receiver` in a sender-major list with or without self-edges.
 ///
-/// `None` for a self-edge in a list without them.
+/// Returns `None` for a self-edge in a list without them.
 pub(crate) fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> Option<usize> {
     if self_edges {
         return Some(sender * N + receiver);
@@ -71,7 +71,7 @@ pub(crate) fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> 
     (sender != receiver).then(|| sender * (N - 1) + receiver - usize::from(receiver > sender))
 }
 
-/// From sender-major lists of 240 or 256 edges to receiver-major 16×16, with zeros for edges that are not listed.
+/// Converts sender-major lists of 240 or 256 edges to receiver-major 16×16, with zeros for unlisted edges.
 ///
 /// # Shapes
 /// `[b, 240, ed]` or `[b, 256, ed]` → `[b, 256, ed]`

@@ -1,4 +1,4 @@
-//! What the network looks at in a scene: read out beside a forward pass, which keeps nothing of it otherwise.
+//! Reads out the network's attention in a scene, which normal forward passes do not keep.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::Observation;
@@ -8,7 +8,7 @@ use crate::FeatureBatch;
 use crate::distribution::{mask_logits, probabilities};
 use crate::normalization::normalize;
 
-/// Who attends to whom in one scene.
+/// Attention weights and block choices in one scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attention {
     n_heads: usize,
@@ -19,43 +19,43 @@ pub struct Attention {
 }
 
 impl Attention {
-    /// Number of layers of the graph encoder that attend; 0 for an encoder that weighs all blocks alike.
+    /// Returns the number of graph encoder layers with attention; 0 if the encoder has none.
     pub fn n_layers(&self) -> usize {
         self.weights.len() / (N_BLOCKS * N_BLOCKS * self.n_heads.max(1))
     }
 
-    /// Number of heads of each layer.
+    /// Returns the number of heads per layer.
     pub fn n_heads(&self) -> usize {
         self.n_heads
     }
 
-    /// Number of grippers.
+    /// Returns the number of grippers.
     pub fn n_grippers(&self) -> usize {
         self.choices.len() / N_BLOCKS
     }
 
-    /// How much of what `receiver` gathers in a head comes from each block, 0 to 1; the 16 sum to 1. A block gathers
-    /// nothing from itself unless the configuration has self-edges.
+    /// Returns the weight with which `receiver` attends to each block in a head, 0 to 1; the 16 weights sum to 1. A
+    /// block does not attend to itself unless the configuration has self-edges.
     ///
     /// # Panics
-    /// When there is no such layer or head.
+    /// If there is no such layer or head.
     pub fn row(&self, layer: usize, head: usize, receiver: BlockIdx) -> &[f32] {
         assert!(head < self.n_heads, "head {head} of {}", self.n_heads);
         let at = ((layer * N_BLOCKS + receiver.get()) * self.n_heads + head) * N_BLOCKS;
         &self.weights[at..at + N_BLOCKS]
     }
 
-    /// Probability with which a gripper chooses each block, the mask applied; the 16 sum to 1.
+    /// Returns the probability with which a gripper chooses each block, after masking; the 16 probabilities sum to 1.
     ///
     /// # Panics
-    /// When the network has no such gripper.
+    /// If the network has no such gripper.
     pub fn choice(&self, gripper: usize) -> &[f32] {
         &self.choices[gripper * N_BLOCKS..(gripper + 1) * N_BLOCKS]
     }
 }
 
 impl Policy {
-    /// What the network attends to in every observed scene, in their order.
+    /// Returns the attention in every observed scene, in order.
     pub fn attention(&self, observations: &[Observation<'_>]) -> Vec<Attention> {
         if observations.is_empty() {
             return Vec::new();

@@ -1,12 +1,12 @@
-//! The scene on which new weights are tried before they act.
+//! The scene on which new weights are tested before they act.
 
 use blueprints::{Blueprint, N_BLOCKS};
 use proto::{Gripper, Pose, Scene};
 
-/// Blocks in a spiral on the ground, two of the goal's held: no entry of the features that can be other than 0 is 0
-/// throughout but for those of connections.
+/// Blocks on a rising spiral, two of the goal's blocks held. Every feature is nonzero somewhere, except those of
+/// connections.
 pub(super) fn scene(goal: &Blueprint) -> Scene {
-    // A turn by 2 atan(3/4) about an axis between x and z.
+    // A rotation by 2 atan(3/4) about an axis between x and z.
     let orientation = [0.36, 0.0, 0.48, 0.8];
     let mut held = goal.placements().iter().map(|placement| placement.block);
     let mut gripper = || {

@@ -1,10 +1,10 @@
-//! Readers of the golden files and the generator of their parameters and inputs.
+//! Readers for the golden files, and the generator of their parameters and inputs.
 
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-/// `tests/golden/<name>`.
+/// Returns the path of `tests/golden/<name>`.
 pub(crate) fn golden_path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)
 }
@@ -14,7 +14,7 @@ pub(crate) fn read_json(path: &Path) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// All numbers of a nested array in row-major order.
+/// Returns all numbers of a nested array in row-major order.
 pub(crate) fn numbers(value: &Value) -> Vec<f64> {
     match value {
         Value::Array(items) => items.iter().flat_map(numbers).collect(),
@@ -26,7 +26,7 @@ pub(crate) fn floats(value: &Value) -> Vec<f32> {
     numbers(value).into_iter().map(|x| x as f32).collect()
 }
 
-/// The golden files' generator: `n` numbers in [−1, 1) for a tensor's name and a seed, exact in `f32`.
+/// The golden files' generator: returns `n` numbers in [−1, 1) for a tensor name and a seed, exact in `f32`.
 pub(crate) fn generate(name: &str, seed: u64, n: usize) -> Vec<f64> {
     const GOLDEN_RATIO: u64 = 0x9E37_79B9_7F4A_7C15;
     let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3));
@@ -41,7 +41,7 @@ pub(crate) fn generate(name: &str, seed: u64, n: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Largest |x − y| relative to the largest |y|.
+/// Returns the largest |x − y| relative to the largest |y|.
 pub(crate) fn relative_error(x: &[f32], y: &[f64]) -> f64 {
     assert_eq!(x.len(), y.len());
     let scale = y.iter().fold(0.0_f64, |m, v| m.max(v.abs()));

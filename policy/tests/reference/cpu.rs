@@ -1,4 +1,4 @@
-//! The kernels for a CPU against burn, in shapes that the golden files do not have.
+//! The CPU kernels against burn, in shapes that the golden files do not cover.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
@@ -38,7 +38,7 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
     let noise = numbers("parameters", network.n_parameters());
     let values: Vec<f32> = parameters::flatten(&network).iter().zip(noise).map(|(p, x)| p + 0.1 * x).collect();
     let network = parameters::load(network, &values).unwrap();
-    // More rows than the batch has scenes, in another order.
+    // More rows than scenes in the batch, in another order.
     let batch = batch(sizes, n);
     let rows: Vec<usize> = (0..n).rev().chain([0]).collect();
     let inputs = BatchTensors::new(&batch.select(&rows), network.edge_layout(), &device);
@@ -95,8 +95,8 @@ fn kernels_equal_burn_whatever_the_shape() {
     check("all features", &default, FeatureSizes::new(&FeatureConfig::default()), 11);
     check("self-edges", &with(GatConfig { self_edges: true, ..gat }), paper, 2);
     check("equal weights", &with(GatConfig { attention: false, ..gat }), paper, 3);
-    // Nodes have more features than the network is wide, so the first layer does not attend to them; nothing is a multiple of a
-    // vector's width.
+    // Nodes have more features than the network's width, so the first layer does not attend to raw features. No size is
+    // a multiple of a vector's width.
     let odd = NetworkConfig {
         width: 20,
         n_grippers: 1,

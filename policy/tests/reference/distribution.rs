@@ -1,4 +1,4 @@
-//! The action distribution, slices and tensors, against vectors made with JAX in `f64`, and its sampling.
+//! The action distribution on slices and tensors against JAX vectors in `f64`, and its sampling.
 
 use crate::common::{floats, golden_path, numbers, read_json, relative_error};
 use blueprints::{BlockIdx, N_BLOCKS};
@@ -19,11 +19,11 @@ const FORMS: [(JointForm, &str); 3] = [
     (JointForm::Matrix, "matrix_all"),
 ];
 
-/// Two actions per item that differ only where both grippers chose the same block.
+/// Returns two actions per item that differ only where both grippers chose the same block.
 ///
-/// In the golden file each gripper has its own move in the per-gripper form. An [`Action`] has one per block, so a block
-/// chosen twice takes gripper 0's move in one action and gripper 1's in the other: the mean of the two log-probabilities
-/// is then the file's.
+/// In the golden file's per-gripper form, each gripper has its own move, but an [`Action`] has one per block. A block
+/// chosen twice therefore gets gripper 0's move in one action and gripper 1's in the other, and the mean of the two
+/// log-probabilities equals the file's.
 fn actions(golden: &Value, form: JointForm) -> [Vec<Action>; 2] {
     let blocks = numbers(&golden["action"]["block"]);
     let matrix = floats(&golden["action"]["move_matrix_16x6"]);
@@ -68,7 +68,7 @@ impl Heads {
 
     fn tensors(&self, device: &Device) -> NetworkOutput {
         let b = self.logits.len() / 32;
-        // Tracking is refused on a device without autodiff.
+        // A device without autodiff does not support tracking.
         let leaf = |values: &[f32], shape: [usize; 3]| {
             let tensor = Tensor::from_data(TensorData::new(values.to_vec(), shape), device);
             if device.is_autodiff() { tensor.require_grad() } else { tensor }
@@ -209,7 +209,7 @@ fn samples_follow_the_distribution() {
     }
     let (share, mean) = (hits as f64 / f64::from(n), sum / f64::from(n));
     let std = (squares / f64::from(n) - mean * mean).sqrt();
-    // Block 5 has weight 3 of 18. Bounds are 4 standard errors.
+    // Block 5 has a weight of 3 out of 18. Bounds are 4 standard errors.
     assert!((share - 3.0 / 18.0).abs() < 4.0 * 0.373 / 141.0, "{share}");
     assert!((mean - 0.25).abs() < 4.0 * 0.5 / 141.0, "{mean}");
     assert!((std - 0.5).abs() < 4.0 * 0.5 / 200.0, "{std}");
@@ -218,7 +218,7 @@ fn samples_follow_the_distribution() {
 proptest! {
     #[test]
     fn nothing_is_drawn_from_what_is_no_distribution(
-        // Finite numbers of any size, infinities and NaN.
+        // Finite numbers of any size, infinities, and NaN.
         logits in prop::collection::vec(prop::num::f32::ANY, 32),
         sane in prop::collection::vec(-1e6_f32..1e6, 32),
         seed in any::<u64>(),

@@ -1,5 +1,5 @@
-//! The network and the action distribution against values from elsewhere: the files in `tests/golden`, made with the
-//! paper's listing in JAX, and a naive form of the graph encoder.
+//! The network and the action distribution against external reference values: the files in `tests/golden`, made with
+//! the paper's listing in JAX, and an unfolded form of the graph encoder.
 
 #![allow(clippy::unwrap_used)]
 

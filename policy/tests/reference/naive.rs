@@ -1,7 +1,7 @@
-//! The folded graph encoder against the listing's own way of computing it: every edge encoded, queried and projected.
+//! The folded graph encoder against the listing's unfolded form, which encodes, queries, and projects every edge.
 //!
-//! The oracle is plain `f64` arithmetic over the flat parameters; the sizes are not the paper's, so that no two happen
-//! to be equal.
+//! The oracle is plain `f64` arithmetic over the flat parameters. The sizes differ from the paper's, so that no two are
+//! equal by coincidence.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ use policy::{
 
 const N: usize = 16;
 
-/// `x` is `[rows, n_in]` row-major, so is the kernel.
+/// A kernel `[n_in, n_out]`, row-major.
 struct Matrix {
     values: Vec<f64>,
     n_in: usize,
@@ -37,7 +37,7 @@ struct Oracle {
     gat: GatConfig,
     grippers: usize,
     value_layers: usize,
-    /// Attention as it was computed: by layer, receiver and head the weight of each sender.
+    /// Attention weights of the senders, by layer, receiver, and head.
     seen: RefCell<BTreeMap<(String, usize, usize), [f64; N]>>,
 }
 
@@ -99,7 +99,7 @@ impl Oracle {
         add(&nodes[r], &self.project(&format!("{layer}.node_proj"), &gathered))
     }
 
-    /// Means, standard deviations, logits and value of one scene.
+    /// Returns means, standard deviations, logits, and value of one scene.
     fn run(&self, nodes: &[Vec<f64>], edges: &BTreeMap<(usize, usize), Vec<f64>>, raw: &[f64]) -> [Vec<f64>; 4] {
         let edges = edges.iter().map(|(k, e)| (*k, self.linear("embed_edge", e))).collect();
         let mut nodes: Vec<_> = nodes.iter().map(|n| self.linear("embed_node", n)).collect();

@@ -1,9 +1,9 @@
 //! The network against vectors made with the paper's own listing in `f64` (JAX, Haiku, jraph).
 //!
-//! Outputs agree within 2e-5 of the largest entry of their tensor. Of each gradient the file holds five numbers: `first`
-//! and `last` agree within 2e-5 of its largest entry; `l2`, `sum` and `dot` (with a fixed pseudo-random vector) within
-//! 2e-5 of `l2`, times √n for `sum` and `dot`, which is what n such errors can add up to at most. The value-only gradients
-//! come with fewer of the five.
+//! Outputs agree within 2e-5 of the largest entry of their tensor. For each gradient, the file has five numbers:
+//! `first` and `last` agree within 2e-5 of its largest entry; `l2`, `sum`, and `dot` (with a fixed pseudo-random
+//! vector) agree within 2e-5 of `l2`, times √n for `sum` and `dot`, which is the most that n such errors can add up to.
+//! The value-only gradients have fewer of the five.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ impl Golden {
         values
     }
 
-    /// Nodes, listed edges, and globals.
+    /// Returns nodes, listed edges, and globals.
     fn features(&self) -> [Vec<f32>; 3] {
         let FeatureSizes { node, edge, global } = self.sizes;
         let b = self.batch;
@@ -128,7 +128,7 @@ impl Golden {
         }
     }
 
-    /// Gradients of the inputs in the order of the golden file.
+    /// Returns the gradients of the inputs in the order of the golden file.
     fn input_gradients(
         &self,
         inputs: &BatchTensors,
@@ -147,7 +147,7 @@ impl Golden {
         ]
     }
 
-    /// From receiver-major 16×16 to the sender-major list.
+    /// Converts receiver-major 16×16 to the sender-major list.
     fn listed(&self, dense: &[f32]) -> Vec<f32> {
         let ed = self.sizes.edge;
         let mut listed = Vec::new();
@@ -187,7 +187,7 @@ impl Golden {
             ours.push((spec.name.clone(), flat[at..at + spec.len()].to_vec()));
             at += spec.len();
         }
-        // The value-only gradients are given for parameters alone.
+        // The value-only gradients are given only for parameters.
         ours.retain(|(name, _)| !name.starts_with("in.") || !expected[name].is_null());
         assert_eq!(ours.len(), expected.as_object().unwrap().len());
         for (name, ours) in ours {
@@ -262,7 +262,7 @@ fn check(path: &Path) {
     }
 }
 
-/// The kernels for a CPU against the same file, if they can run its network.
+/// Checks the CPU kernels against the same file if they support its network.
 fn check_cpu(golden: &Golden, table: &[ParameterSpec], parameters: &[f32]) {
     let Some(layout) = NetworkLayout::new(&golden.config, &golden.sizes, table) else { return };
     let network = CpuNetwork::new(&layout, parameters, true).unwrap();
@@ -325,7 +325,7 @@ fn resnet_matches_the_listing() {
     check(&golden_path("set_e_resnet_h128.compact.json"));
 }
 
-/// More files of the same kind, of any dimensions, from the folder named by `LODESTONE_GOLDEN_DIR`.
+/// Checks additional golden files, of any dimensions, in the folder named by `LODESTONE_GOLDEN_DIR`.
 #[test]
 fn every_set_in_the_given_folder_matches() {
     let Some(folder) = std::env::var_os("LODESTONE_GOLDEN_DIR").map(PathBuf::from) else { return };

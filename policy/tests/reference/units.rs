@@ -1,4 +1,4 @@
-//! LayerNorm at small variances, the softplus and the log-softmax, against values and gradients made in `f64`.
+//! LayerNorm at small variances, softplus, and log-softmax against values and gradients computed in `f64`.
 
 use crate::common::{floats, generate, golden_path, numbers, read_json, relative_error};
 use burn::module::Param;
@@ -32,8 +32,9 @@ fn layer_norm_matches_at_every_variance() {
         let x = matrix("x").require_grad();
         let y = layer.forward(x.clone());
         let gradients = (y.clone() * matrix("dy")).sum().backward();
-        // Centering x ≈ 0.7 in f32 loses 0.7 · 2⁻²⁴ / sd of each normalized entry, below the common tolerance only for
-        // larger standard deviations; equal rows (sd 0) may keep one rounding of the mean, divided by √ε.
+        // Centering x ≈ 0.7 in f32 loses 0.7 · 2⁻²⁴ / sd of each normalized entry, which is below the common tolerance
+        // only for larger standard deviations. Equal rows (sd 0) may keep one rounding error of the mean, divided by
+        // √ε.
         let sd = case["sd"].as_f64().unwrap();
         let tolerance = TOLERANCE.max(1e-7 / sd.max(1e-5_f64.sqrt()));
         for (name, ours, expected) in [
