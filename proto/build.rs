@@ -1,4 +1,4 @@
-//! Compiles the protobuf definitions with a compiler written in Rust, so that building does not need `protoc`.
+//! Compiles the protobuf definitions with a compiler written in Rust, so that the build does not need `protoc`.
 
 use anyhow::Context;
 
@@ -9,7 +9,7 @@ fn main() -> anyhow::Result<()> {
     // The generated types are private to the codec; the comments in the .proto file are the reference.
     prost_build::Config::new()
         .disable_comments(["."])
-        // Megabytes, which every actor decodes: the message keeps a part of the received buffer instead of a copy.
+        // Every actor decodes these megabytes, so the message keeps a slice of the received buffer instead of a copy.
         .bytes([".lodestone.v1.Weights.parameters"])
         .compile_fds(descriptors)
         .context("generating Rust code from proto/lodestone.proto")?;

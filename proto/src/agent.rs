@@ -1,25 +1,25 @@
-//! Who acts: what the policy and the scripted expert have in common for whoever steps worlds.
+//! The agent interface of the policy and the scripted expert, for code that steps worlds.
 
 use blueprints::Blueprint;
 use rand_chacha::ChaCha8Rng;
 
 use crate::{Action, ActionMode, Scene};
 
-/// What an agent sees of a world.
+/// An agent's observation of a world.
 #[derive(Clone, Copy, Debug)]
 pub struct Observation<'a> {
     /// The world after its last reset or step.
     pub scene: &'a Scene,
-    /// The goal, on the blocks that the episode's assignment gives it.
+    /// The goal, permuted by the episode's assignment.
     pub blueprint: &'a Blueprint,
     /// Steps since the episode began.
     pub n_steps: u16,
 }
 
-/// An action and what the agent thought of it.
+/// An action with its log-probability and the agent's value estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decision {
-    /// What to do.
+    /// The chosen action.
     pub action: Action,
     /// Joint log-probability of the action in the policy's configured form, nats; 0 if the agent has no distribution.
     pub log_prob: f32,
@@ -27,18 +27,18 @@ pub struct Decision {
     pub value: f32,
 }
 
-/// Chooses the actions of many worlds at a time.
+/// Chooses actions for many worlds at once.
 pub trait Agent {
-    /// Why there are no decisions.
+    /// The error if the agent cannot decide.
     type Error;
 
-    /// Decides for every observation, in their order.
+    /// Returns one decision per observation, in order.
     ///
-    /// `modes` and `rngs` hold one entry for each. A generator is touched only where something is drawn, which
-    /// [`ActionMode::Greedy`] never does. From one call to the next, a row may turn to another world.
+    /// `modes` and `rngs` have one entry per observation. A generator is used only if something is drawn, which
+    /// [`ActionMode::Greedy`] never does. An entry may belong to a different world in the next call.
     ///
     /// # Errors
-    /// When the agent has no decision for one of the observations; then it has none for any.
+    /// If the agent cannot decide for one of the observations; then it returns no decisions at all.
     fn act(
         &mut self,
         observations: &[Observation<'_>],

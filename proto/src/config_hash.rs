@@ -1,17 +1,18 @@
-//! A hash that tells whether two processes have the same configuration.
+//! A hash for checking that two processes have the same configuration.
 
 use blueprints::hash::fnv1a;
 use serde::Serialize;
 use serde_json::Value;
 
-/// Hash of the configuration's canonical form: JSON without spaces, with sorted keys and without `null` values.
+/// Returns the hash of the configuration's canonical form: JSON without spaces, with sorted keys and without `null`
+/// values.
 ///
 /// Only the keys and values of the configuration file matter, not the names or order of types, variants, and fields in
 /// the program. An optional key that is absent does not change the hash. Renaming a key does; tests pin the hashes of
 /// the presets to detect it.
 ///
 /// # Panics
-/// If `config` has no JSON form, such as a map with keys that are not strings; no configuration does.
+/// If `config` has no JSON form, such as a map with non-string keys. Every configuration has a JSON form.
 pub fn config_hash(config: &impl Serialize) -> u64 {
     let value = serde_json::to_value(config).expect("a configuration is JSON");
     let mut text = String::new();
@@ -41,7 +42,7 @@ fn write(value: &Value, text: &mut String) {
             }
             text.push(']');
         }
-        // Numbers have the fewest digits that are exact.
+        // Numbers are written with the fewest digits that are exact.
         leaf => text.push_str(&leaf.to_string()),
     }
 }

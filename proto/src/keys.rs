@@ -4,7 +4,7 @@
 
 use crate::ActorId;
 
-/// Whether `run` is a valid run name: 1 to 64 characters of `a-z`, `0-9`, `-`.
+/// Returns whether `run` is a valid run name: 1 to 64 characters of `a-z`, `0-9`, `-`.
 pub fn is_valid_run(run: &str) -> bool {
     (1..=64).contains(&run.len()) && run.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-')
 }
@@ -15,12 +15,12 @@ pub const ROOT: &str = "lodestone";
 /// Key expression of the liveliness tokens of all runs, relative to [`ROOT`].
 pub const LIVE_IN_ALL_RUNS: &str = "*/live/**";
 
-/// The prefix of all keys in a run.
+/// Returns the prefix of all keys in a run.
 pub fn namespace(run: &str) -> String {
     format!("{ROOT}/{run}")
 }
 
-/// Key of an actor's trajectories, sent as queries to the learner.
+/// Returns the key of an actor's trajectories, sent as queries to the learner.
 pub fn ingest(actor: &ActorId) -> String {
     format!("ingest/{actor}")
 }
@@ -31,7 +31,7 @@ pub const INGEST_ALL: &str = "ingest/*";
 /// The prefix of an ingest key.
 pub const INGEST_PREFIX: &str = "ingest/";
 
-/// Key of the copies of an actor's trajectories for viewers.
+/// Returns the key of the copies of an actor's trajectories for viewers.
 pub fn trajectories(actor: &ActorId) -> String {
     format!("trajectories/{actor}")
 }
@@ -45,15 +45,15 @@ pub const WEIGHTS_LATEST: &str = "weights/latest";
 /// Key expression on which the learner publishes notices of newer weights; it matches every key of [`weights_version`].
 pub const WEIGHTS_VERSION_ALL: &str = "weights/version/*";
 
-/// Key on which the session `session` subscribes to notices of newer weights.
+/// Returns the key on which the session `session` subscribes to notices of newer weights.
 ///
-/// Each session has its own key, because the time that a zenoh router takes to add a subscriber to a key grows with the
-/// square of their number: with 3000 on one key it does not finish.
+/// Each session has its own key, because the time that a zenoh router takes to add subscribers to a key grows with the
+/// square of their number; with 3000 on one key, it does not finish.
 pub fn weights_version(session: &str) -> String {
     format!("weights/version/{session}")
 }
 
-/// Key on which a remote worker receives units.
+/// Returns the key on which a remote worker receives units.
 pub fn worker(worker: &str) -> String {
     format!("worker/{worker}")
 }
@@ -67,17 +67,17 @@ pub const METRICS_LEARNER: &str = "learner";
 /// Key suffix of the evaluator's summary.
 pub const METRICS_EVAL_SUMMARY: &str = "eval/summary";
 
-/// Key suffix of an actor's metrics.
+/// Returns the key suffix of an actor's metrics.
 pub fn metrics_actor(actor: &ActorId) -> String {
     format!("actor/{actor}")
 }
 
-/// Key suffix of the evaluation of one blueprint.
+/// Returns the key suffix of one blueprint's evaluation.
 pub fn metrics_eval(split: blueprints::Split, blueprint: &blueprints::BlueprintId) -> String {
     format!("eval/{split}/{blueprint}")
 }
 
-/// Key of the metrics with this suffix; `**` for all.
+/// Returns the key of the metrics with this suffix; `**` matches all.
 pub fn metrics(suffix: &str) -> String {
     format!("metrics/{suffix}")
 }
@@ -96,7 +96,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// The role as used in keys.
+    /// Returns the role's name in keys.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Actor => "actor",
@@ -107,12 +107,12 @@ impl Role {
     }
 }
 
-/// Key of a liveliness token.
+/// Returns the key of a liveliness token.
 pub fn live(role: Role, id: &str) -> String {
     format!("live/{}/{id}", role.as_str())
 }
 
-/// Key expression of all liveliness tokens of a role.
+/// Returns the key expression of all liveliness tokens of a role.
 pub fn live_all(role: Role) -> String {
     live(role, "*")
 }

@@ -1,7 +1,7 @@
-//! The interface between processes: validated plain types, their wire format, and key expressions. No I/O.
+//! The interface between processes: validated plain types, their wire format, and key expressions. It does no I/O.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`] and the reports [`metrics`],
-//! [`mod@unit`] of distributed evaluations → [`codec`] → [`keys`].
+//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`], the reports [`metrics`],
+//! and the units [`mod@unit`] of distributed evaluations → [`codec`] → [`keys`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 

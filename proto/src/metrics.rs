@@ -1,6 +1,6 @@
 //! Reports of the services, as JSON on `metrics/…` and as lines of `metrics.jsonl`.
 //!
-//! A schema version only gains fields, and readers ignore unknown fields.
+//! Fields are only ever added to a schema version, and readers ignore unknown fields.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::wilson::SuccessRate;
 use crate::{ActorId, RewardTerms, WeightsVersion};
 
-/// Version of all structs in this module.
+/// Schema version of all structs in this module.
 pub const METRICS_SCHEMA_VERSION: u32 = 1;
 
 /// The learner's state after an update; key `metrics/learner`.
@@ -31,7 +31,7 @@ pub struct LearnerMetrics {
     pub n_episodes: u64,
     /// Time since the learner's start, seconds.
     pub elapsed_s: f64,
-    /// Time that all learners of the run have taken, those before a resume included, seconds; 0 if it is not known.
+    /// Time taken by all learner processes of the run, including those before a resume, seconds; 0 if unknown.
     #[serde(default)]
     pub run_elapsed_s: f64,
     /// Environment steps consumed per second since the last report.
@@ -46,7 +46,7 @@ pub struct LearnerMetrics {
     pub policy_lag_histogram: Vec<u64>,
     /// Environment steps waiting in the mailbox.
     pub n_mailbox: u64,
-    /// Trajectories that became too old in the mailbox, so far.
+    /// Trajectories that became too old in the mailbox so far.
     pub expired_total: u64,
     /// Accepted trajectories that were dropped since the start of the process because their generated goal is a
     /// held-out structure, cannot be generated, or exceeded the number of goals generated per update.
@@ -65,8 +65,8 @@ pub struct LearnerMetrics {
     pub bus: BusCounts,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
-    /// Most blocks taken off at the start of an episode, by the goal's number of blocks; empty without a reverse
-    /// curriculum.
+    /// Maximum number of blocks removed at the start of an episode, by the goal's number of blocks; empty without a
+    /// reverse curriculum.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub reverse_reach: BTreeMap<u8, u8>,
 }
@@ -86,7 +86,7 @@ pub struct PpoMetrics {
     pub entropy_blocks: f64,
     /// Part of the entropy from the moves of the chosen blocks (expected over the choice), nats.
     pub entropy_moves: f64,
-    /// Estimate of KL(reference ‖ current) over the last epoch, nats; the learner's objective defines the reference.
+    /// Estimate of KL(reference ‖ current) after the last epoch, nats; the learner's objective defines the reference.
     pub approx_kl: f64,
     /// Fraction of samples whose ratio was clipped in the last epoch, 0 to 1.
     pub clip_fraction: f64,
@@ -136,7 +136,7 @@ pub struct ImitationMetrics {
 /// Statistics of finished episodes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeMetrics {
-    /// All episodes.
+    /// Success rate of all episodes.
     pub success: SuccessRate,
     /// Mean steps per episode, 0 without episodes.
     pub mean_steps: f64,
@@ -167,7 +167,7 @@ pub struct ActorMetrics {
     pub env_steps_per_s: f64,
     /// Episodes finished so far.
     pub n_episodes: u64,
-    /// Learner's version in the last answer − version of the acting weights, versions.
+    /// Learner's version in its last answer − version of the acting weights, versions.
     pub policy_lag: u64,
     /// Trajectories accepted by the learner so far.
     pub n_trajectories_acked: u64,
@@ -184,11 +184,11 @@ pub struct ActorMetrics {
 pub struct ActorDrops {
     /// Refused by the learner as stale.
     pub stale_total: u64,
-    /// Pushed out of a full backlog by newer ones while the learner had all it can hold.
+    /// Displaced from a full backlog by newer ones while a learner was present.
     pub full_total: u64,
     /// Refused by the learner as invalid.
     pub invalid_total: u64,
-    /// Refused because another live process owns the actor's name; the actor then ends.
+    /// Refused because another live process owns the actor's name; the actor then exits.
     #[serde(default)]
     pub name_taken_total: u64,
     /// Replaced by newer ones while no learner was present, or dropped when the actor ended.
@@ -229,8 +229,8 @@ pub struct EvalBlueprint {
 pub struct EvalOutcome {
     /// Success rate and interval; diverged episodes count as failures.
     pub success: SuccessRate,
-    /// Rate of stable successes, which held for several steps in a row at low speed after the grippers had let go; the
-    /// same convention.
+    /// Rate of stable successes, which held for several steps in a row at low speed after the grippers let go; diverged
+    /// episodes count as failures.
     pub stable_success: SuccessRate,
     /// Mean steps of all episodes, 0 without any.
     pub mean_steps: f64,
@@ -277,7 +277,7 @@ pub struct EvalSummary {
     pub films: Option<FilmCounts>,
 }
 
-/// Films of an evaluator since its start. Most films of an evaluation are made after its summary.
+/// Films of an evaluator since its start. Most films of an evaluation are written after its summary.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FilmCounts {
     /// Files written.
@@ -294,7 +294,7 @@ pub struct FilmCounts {
     pub oversized_total: u64,
 }
 
-/// Default of `is_complete`: early versions only wrote a summary at the end of an evaluation.
+/// Returns the default of `is_complete`: early versions wrote a summary only at the end of an evaluation.
 fn complete() -> bool {
     true
 }
@@ -354,7 +354,7 @@ pub struct BusCounts {
     pub notices_invalid_total: u64,
     /// Weights that could not be decoded or broke a rule.
     pub weights_invalid_total: u64,
-    /// Valid weights that were not used because they give no distribution over actions or do not fit the network.
+    /// Valid weights that were not used because they yield no action distribution or do not fit the network.
     #[serde(default)]
     pub weights_refused_total: u64,
     /// Pulls of weights that failed and were retried.
@@ -373,19 +373,19 @@ pub struct BusCounts {
     pub viewed_dropped_total: u64,
     /// Copies for viewers that could not be sent.
     pub views_failed_total: u64,
-    /// Liveliness keys without a valid name, or of more names than are followed.
+    /// Liveliness keys without a valid name, or beyond the number of names that are tracked.
     pub tokens_invalid_total: u64,
 }
 
-/// What became of the trajectories that reached a learner: every one is counted in `received_total` and in exactly
-/// one of the others.
+/// Results of the trajectories that reached a learner. Each is counted in `received_total` and in exactly one other
+/// field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IngestCounts {
-    /// All that arrived, of whatever quality.
+    /// All that arrived, valid or not.
     pub received_total: u64,
-    /// Taken by the handler.
+    /// Accepted by the handler.
     pub accepted_total: u64,
-    /// Retries of one that was taken before; acknowledged again, not handled again.
+    /// Retries of already accepted ones; acknowledged again, but not handled again.
     pub duplicates_total: u64,
     /// Refused because of old weights.
     pub stale_total: u64,

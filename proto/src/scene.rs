@@ -21,7 +21,7 @@ pub struct Joint {
     pub a: BlockIdx,
     /// The higher block index.
     pub b: BlockIdx,
-    /// Nominal pose of `b` seen from `a`; equal to that of a [`blueprints::Link`] if the connection is correct.
+    /// Nominal pose of `b` relative to `a`; equal to that of a [`blueprints::Link`] if the connection is correct.
     pub relative: RelativePlacement,
 }
 
@@ -49,13 +49,13 @@ pub struct Scene {
     pub joints: Vec<Joint>,
     /// Grippers; the second is `None` in single-gripper worlds.
     pub grippers: [Option<Gripper>; N_GRIPPERS],
-    /// Contacts with more force than the threshold during the last step.
+    /// Number of contacts with a force above the threshold during the last step.
     pub n_heavy_contacts: u8,
 }
 
 impl Scene {
-    /// For each block, the lowest block index in its component, where blocks are joined by connections that `goal`
-    /// requires. Blocks of one component have the same value.
+    /// Returns, for each block, the lowest block index in its component, where connections that `goal` requires join
+    /// blocks into components. Blocks of one component have the same value.
     pub fn pieces(&self, goal: &Blueprint) -> [usize; N_BLOCKS] {
         let mut pieces: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
         for joint in &self.joints {

@@ -1,4 +1,4 @@
-//! Settings: type, default, unit and range in one place, and one wording of what is refused.
+//! Settings: type, default, unit, and range in one place, with uniform error messages.
 //!
 //! ```
 //! use proto::setting::above_to;
@@ -6,9 +6,9 @@
 //! proto::settings! {
 //!     /// An inbox.
 //!     pub struct InboxConfig in "inbox" {
-//!         /// Most letters.
+//!         /// Maximum number of letters.
 //!         pub capacity: usize = 64, in 1..=1024;
-//!         /// Letters from which on somebody looks.
+//!         /// Number of letters at which the inbox is checked.
 //!         pub enough: usize = 8, where |c| c.enough <= c.capacity => "at most capacity";
 //!         /// How the postman walks.
 //!         pub walk: WalkConfig;
@@ -37,12 +37,12 @@ pub struct InvalidSetting {
     pub key: String,
     /// The given value.
     pub value: String,
-    /// The expected values.
+    /// The valid values.
     pub expected: String,
 }
 
 impl InvalidSetting {
-    /// Checks `ok` and names the key if it is false. A value that is not a number must make `ok` false.
+    /// Returns an error that names the key if `ok` is false. NaN must make `ok` false.
     ///
     /// # Errors
     /// If `ok` is false.
@@ -54,12 +54,12 @@ impl InvalidSetting {
     }
 }
 
-/// A part of the configuration with keys of its own. [`settings!`](crate::settings) implements it.
+/// A part of the configuration with its own keys. [`settings!`](crate::settings) implements this trait.
 pub trait Section {
-    /// Checks every setting; `path` is where the section stands, for example `learner.loss`, or empty for the whole tree.
+    /// Checks every setting. `path` is the section's key, for example `learner.loss`, or empty for the whole tree.
     ///
     /// # Errors
-    /// The first setting that is refused.
+    /// Returns the first invalid setting.
     fn validate_at(&self, path: &str) -> Result<(), InvalidSetting>;
 }
 
@@ -69,21 +69,21 @@ impl<T: Section> Section for Option<T> {
     }
 }
 
-/// A value with a range: a number, or what consists of numbers that share the range.
+/// A value with a range: a number, or a collection of numbers that share the range.
 pub trait Setting {
-    /// What the range is made of.
+    /// The type of the range's bounds.
     type Number: Number;
 
     /// Checks every number in the value.
     ///
     /// # Errors
-    /// The first number that is infinite or outside the range.
+    /// Returns the first number that is infinite or outside the range.
     fn check_in(&self, key: &str, range: &impl RangeBounds<Self::Number>) -> Result<(), InvalidSetting>;
 }
 
-/// A number, whole or not.
+/// An integer or floating-point number.
 pub trait Number: Copy + PartialOrd + Display {
-    /// Whether it is neither infinite nor NaN.
+    /// Returns whether the number is neither infinite nor NaN.
     fn is_finite(self) -> bool;
 }
 
@@ -135,17 +135,17 @@ collections! {
     [const N: usize] [T; N];
 }
 
-/// All numbers above `low`.
+/// Returns the range of all numbers above `low`.
 pub fn above<T>(low: T) -> (Bound<T>, Bound<T>) {
     (Bound::Excluded(low), Bound::Unbounded)
 }
 
-/// All numbers above `low` up to `high`, which belongs to them.
+/// Returns the range of all numbers above `low`, up to and including `high`.
 pub fn above_to<T>(low: T, high: T) -> (Bound<T>, Bound<T>) {
     (Bound::Excluded(low), Bound::Included(high))
 }
 
-/// A range as errors say it.
+/// Describes a range for error messages.
 fn expected<T: Number>(range: &impl RangeBounds<T>) -> String {
     let low = match range.start_bound() {
         Bound::Included(low) => format!("at least {low}"),
@@ -161,24 +161,25 @@ fn expected<T: Number>(range: &impl RangeBounds<T>) -> String {
     }
 }
 
-/// The key of a field of the section at `path`.
+/// Returns the key of a field in the section at `path`.
 pub fn key(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
 }
 
-/// Defines sections of the configuration: their types with serde's derives, defaults, ranges and checks.
+/// Defines sections of the configuration: types with serde derives, defaults, ranges, and checks.
 ///
 /// A field is one of
 /// - `pub name: Type = default;`
-/// - `pub name: Type = default, in range;` for a [`Setting`](crate::setting::Setting) and what it must lie in,
+/// - `pub name: Type = default, in range;` for a [`Setting`](crate::setting::Setting) and its valid range,
 /// - `pub name: Type = default, where |c| predicate => "what is expected";` for a rule about the section `c`, also
 ///   after `in`,
-/// - `pub name: Section;` for a part that is a [`Section`](crate::setting::Section) or an `Option` of one.
+/// - `pub name: Section;` for a nested [`Section`](crate::setting::Section) or an `Option` of one.
 ///
-/// Default and range join the field's documentation. `struct Name in "key"` also gets `validate()` for a section of that
-/// key. `struct Name, check method` calls `method(&self, path: &str)` last, for what the forms above cannot say.
+/// The default and range are appended to the field's documentation. `struct Name in "key"` also gets `validate()` for a
+/// section with that key. `struct Name, check method` calls `method(&self, path: &str)` last, for rules that the forms
+/// above cannot express.
 ///
-/// `enum Name = Variant { … }` is a choice by `kind`, of which `Variant` with the defaults of its section is the default.
+/// `enum Name = Variant { … }` is a choice by `kind`. The default is `Variant` with the defaults of its section.
 #[macro_export]
 macro_rules! settings {
     () => {};
@@ -250,7 +251,7 @@ macro_rules! settings {
             /// Checks every setting.
             ///
             /// # Errors
-            /// Names the first setting that is refused, its value and what is expected.
+            /// The error names the first invalid setting, its value, and what is expected.
             $vis fn validate(&self) -> ::core::result::Result<(), $crate::InvalidSetting> {
                 $crate::setting::Section::validate_at(self, $root)
             }
@@ -300,7 +301,7 @@ mod tests {
         struct Outer in "outer", check even {
             /// Number.
             n: usize = 2, in 1..=64;
-            /// Numbers of one range.
+            /// Numbers that share a range.
             rates: Vec<f32> = vec![0.5], in 0.0..1.0, where |c| !c.rates.is_empty() => "at least one";
             /// No range.
             name: String = "a".to_owned();

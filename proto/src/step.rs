@@ -20,7 +20,7 @@ pub struct Action {
 }
 
 impl Action {
-    /// Leaves the world alone: no gripper chooses a block.
+    /// An action without effect: no gripper chooses a block.
     pub const IDLE: Self = Self { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_BLOCKS] };
 }
 
@@ -39,7 +39,7 @@ pub struct RewardTerms {
     pub force: f32,
 }
 
-/// The choice of actions from the policy's distribution.
+/// How actions are chosen from the policy's distribution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActionMode {
@@ -57,7 +57,7 @@ pub enum ActionMode {
 pub struct InvalidActionMode(pub String);
 
 impl ActionMode {
-    /// The name used in reports: `mode` or `sampled`.
+    /// Returns the name used in reports: `mode` or `sampled`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Greedy => "mode",
@@ -84,7 +84,7 @@ impl std::str::FromStr for ActionMode {
 pub enum Status {
     /// The episode continues.
     Running,
-    /// The blueprint stands; the value of the next state is 0.
+    /// The blueprint is complete; the value of the next state is 0.
     Success,
     /// The step limit was reached; the value of the next state is V(s_T).
     TimeLimit,
@@ -107,7 +107,7 @@ impl std::ops::Add for RewardTerms {
 }
 
 impl RewardTerms {
-    /// Sum of all terms.
+    /// Returns the sum of all terms.
     pub fn total(&self) -> f32 {
         self.connected + self.wrong + self.magnets + self.blocks + self.force
     }

@@ -1,4 +1,4 @@
-//! A segment of one episode, from an actor to the learner.
+//! A segment of one episode, sent from an actor to the learner.
 
 use std::fmt;
 use std::str::FromStr;
@@ -29,9 +29,9 @@ pub struct ActorId(String);
 pub enum Start {
     /// All blocks scattered on the ground.
     Scattered,
-    /// Another blueprint stands, and the other blocks are scattered.
+    /// Another blueprint is already built, and the other blocks are scattered.
     Prebuilt(BlueprintId),
-    /// The goal stands except for its last `undone` connections (an extension for learning).
+    /// The goal is built except for `undone` blocks, which lie near their places (an extension for learning).
     NearGoal {
         /// Number of blocks removed, at least 1.
         undone: u8,
@@ -82,7 +82,7 @@ pub struct Label {
 /// The source of an episode's actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Driver {
-    /// A sample of the policy's distribution, the only source suited to policy gradients.
+    /// Actions sampled from the policy's distribution, the only source suited to policy gradients.
     #[default]
     Sampled,
     /// The policy's most probable action, with noise.
@@ -92,7 +92,7 @@ pub enum Driver {
 }
 
 impl fmt::Display for Start {
-    /// In the words of `reset` in the package for Python.
+    /// Uses the start names of `reset` in the Python package.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Scattered => f.write_str("scattered"),
@@ -104,7 +104,7 @@ impl fmt::Display for Start {
 }
 
 impl Label {
-    /// The label of an expert's action; `None` if a gripper of the world has no block.
+    /// Returns the label of an expert's action; `None` if a gripper of the world has no block.
     pub fn new(action: &Action, n_grippers: usize) -> Option<Self> {
         let mut label = Self { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_GRIPPERS] };
         for gripper in 0..n_grippers.min(N_GRIPPERS) {
@@ -144,8 +144,8 @@ pub struct Trajectory {
     pub driver: Driver,
     /// Index of the first transition in its episode.
     pub first_step: u16,
-    /// Steps before the first transition that are in no segment, because they were not learned from; on the first segment
-    /// of an episode only.
+    /// Steps before the first transition that are in no segment, because they are not used for learning. Nonzero only
+    /// in an episode's first segment.
     pub n_burn_in_steps: u16,
     /// At least one step.
     pub transitions: Vec<Transition>,
@@ -160,8 +160,8 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// A hash of the sender and the sequence number. If two processes counted the same trajectories, their wrapping
-    /// sums of fingerprints are equal.
+    /// Returns a hash of the sender and the sequence number. If two processes counted the same trajectories, their
+    /// wrapping sums of fingerprints are equal.
     pub fn fingerprint(&self) -> u64 {
         let text = self.actor.as_str().bytes();
         let bytes = text.chain(self.epoch.to_le_bytes()).chain(self.seq.to_le_bytes());
@@ -210,7 +210,7 @@ impl fmt::Display for ActorId {
 }
 
 impl ActorId {
-    /// The name.
+    /// Returns the name.
     pub fn as_str(&self) -> &str {
         &self.0
     }

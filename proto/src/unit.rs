@@ -14,9 +14,10 @@ pub struct EvalUnit {
     pub pass: PassId,
     /// The weights, if the remote worker lacks them.
     pub weights: Option<Weights>,
-    /// Whether actions are sampled; otherwise the most probable action is taken.
+    /// Whether actions are sampled; otherwise they are greedy.
     pub is_sampled: bool,
-    /// 1 to [`MAX_UNIT_SEQUENCES`] sequences of as many tasks; the tasks of a sequence run in turn in one world.
+    /// 1 to [`MAX_UNIT_SEQUENCES`] sequences of 1 to as many tasks. The tasks of a sequence run one after another in
+    /// one world.
     pub sequences: Vec<Vec<Task>>,
 }
 
@@ -36,7 +37,7 @@ pub enum EvalAnswer {
     Episodes(Vec<Vec<EvalEpisode>>),
     /// The remote worker does not have the weights of the evaluation.
     NeedsWeights,
-    /// The remote worker does not run units of this evaluator, for a human-readable reason.
+    /// The remote worker does not run this evaluator's units, for the given human-readable reason.
     Refused(String),
 }
 
@@ -56,9 +57,9 @@ pub struct EvalEpisode {
 /// The end of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The blueprint stands.
+    /// The blueprint is complete.
     Success {
-        /// Whether it still stood some steps later.
+        /// Whether it was still complete some steps later.
         stable: bool,
     },
     /// The episode reached the time limit.

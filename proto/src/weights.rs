@@ -14,7 +14,7 @@ pub struct WeightsVersion(pub u64);
 pub struct Normalization {
     /// Mean of each node, edge and global feature, in the order of the feature vectors; empty means none.
     pub feature_mean: [Vec<f32>; 3],
-    /// Standard deviation of each, at least a small floor; same lengths.
+    /// Standard deviation of each feature, at least a small floor; same lengths as `feature_mean`.
     pub feature_std: [Vec<f32>; 3],
     /// Mean of the value targets, in reward units.
     pub value_mean: f32,
@@ -37,13 +37,13 @@ pub struct Weights {
     pub normalization: Normalization,
     /// Probability of each training blueprint; sums to 1.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
-    /// Most blocks taken off at the start of an episode, by the goal's number of blocks; all of them means a scattered
-    /// start. Empty without a reverse curriculum.
+    /// Maximum number of blocks removed at the start of an episode, by the goal's number of blocks; all of them means a
+    /// scattered start. Empty without a reverse curriculum.
     pub reverse_reach: BTreeMap<u8, u8>,
 }
 
 impl Default for Normalization {
-    /// No feature statistics; values stay unchanged.
+    /// Returns no feature statistics, and leaves values unchanged.
     fn default() -> Self {
         Self { feature_mean: Default::default(), feature_std: Default::default(), value_mean: 0.0, value_std: 1.0 }
     }

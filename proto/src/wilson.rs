@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The quantile of the normal distribution for 95 %, two-sided.
+/// The two-sided 95 % quantile of the standard normal distribution.
 const Z_95: f64 = 1.959_963_984_540_054;
 
 /// A success rate with its 95 % Wilson score interval.
@@ -21,7 +21,7 @@ pub struct SuccessRate {
 }
 
 impl SuccessRate {
-    /// The rate and interval of these counts.
+    /// Computes the rate and interval of these counts.
     ///
     /// # Panics
     /// If there are more successes than episodes.
@@ -32,10 +32,11 @@ impl SuccessRate {
     }
 }
 
-/// The 95 % Wilson score interval of a success probability (E. B. Wilson, 1927, doi:10.1080/01621459.1927.10502953).
+/// Returns the 95 % Wilson score interval of a success probability (E. B. Wilson, 1927,
+/// doi:10.1080/01621459.1927.10502953).
 ///
-/// Unlike the normal approximation, it is valid for no success and for all successes, which is where evaluations begin
-/// and end. Without episodes it is (0, 1).
+/// Unlike the normal approximation, it is valid for zero successes and for all successes, where evaluations begin and
+/// end. Without episodes it is (0, 1).
 ///
 /// # Panics
 /// If there are more successes than episodes.

@@ -1,4 +1,5 @@
-//! Validation rules shared by the decoders. Each returns the checked value or names the field and the invalid value.
+//! Validation rules shared by the decoders. Each returns the checked value or an error that names the field and the
+//! invalid value.
 
 use blueprints::{BlockIdx, BlueprintId};
 
@@ -23,7 +24,7 @@ pub(super) fn present<T>(field: &'static str, value: Option<T>) -> Result<T, Dec
     value.ok_or(DecodeError::Missing { field })
 }
 
-/// A finite number of plausible size.
+/// Checks that a number is finite and of plausible size.
 pub(super) fn number(field: &'static str, value: f32) -> Result<f32, DecodeError> {
     if value.abs() <= LARGEST_MAGNITUDE { Ok(value) } else { Err(invalid(field, value, "a number in −1e6..=1e6")) }
 }
@@ -44,7 +45,7 @@ pub(super) fn probability(field: &'static str, value: f32) -> Result<f32, Decode
     if (0.0..=1.0).contains(&value) { Ok(value) } else { Err(invalid(field, value, "a number in 0..=1")) }
 }
 
-/// Exactly `N` finite numbers of plausible size.
+/// Checks that there are exactly `N` numbers, finite and of plausible size.
 pub(super) fn numbers<const N: usize>(field: &'static str, values: &[f32]) -> Result<[f32; N], DecodeError> {
     let values: [f32; N] = array(field, values)?;
     values.iter().try_for_each(|&v| number(field, v).map(drop))?;
@@ -77,7 +78,7 @@ pub(super) fn blueprint_id(field: &'static str, id: String) -> Result<BlueprintI
     BlueprintId::try_from(id.clone()).map_err(|_| invalid(field, id, "the id of a blueprint"))
 }
 
-/// An integer that fits a narrower type.
+/// Converts an integer to a narrower type.
 pub(super) fn narrow<T: TryFrom<u32>>(
     field: &'static str,
     value: u32,

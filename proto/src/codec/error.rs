@@ -1,4 +1,4 @@
-//! Errors of decoding.
+//! Decoding errors.
 
 /// Bytes that are not a valid message.
 #[derive(Debug, thiserror::Error)]

@@ -1,4 +1,4 @@
-//! Conversion between plain types and protobuf bytes. Decoding validates every message, so a decoded value keeps every
+//! Conversion between plain types and protobuf bytes. Decoding validates every message, so a decoded value obeys every
 //! rule that its type documents.
 
 mod check;
@@ -24,7 +24,7 @@ pub use weights::{
     encode_weights,
 };
 
-/// The only version that this process writes and reads.
+/// The only protocol version that this process writes and reads.
 pub const PROTOCOL_VERSION: u32 = 1;
 
 /// Size limit of messages that hold a few numbers.

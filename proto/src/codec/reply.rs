@@ -9,14 +9,14 @@ use crate::{WeightsVersion, wire};
 /// Maximum length of a refusal's explanation, in characters.
 const MAX_DETAIL_CHARS: usize = 500;
 
-/// The learner took the trajectory, now or at an earlier attempt.
+/// Confirmation that the learner accepted the trajectory, now or on an earlier attempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ack {
     /// Version of the learner's current weights.
     pub weights_version: WeightsVersion,
 }
 
-/// The learner's reason to refuse a trajectory.
+/// The learner's reason for refusing a trajectory.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     /// The weights that acted are too old.
@@ -28,7 +28,7 @@ pub enum Refusal {
     /// The message breaks the rule given in the text; sending it again is pointless.
     #[error("invalid: {0}")]
     Invalid(String),
-    /// Another live process owned the actor's name first.
+    /// Another live process already owns the actor's name.
     #[error("another live actor has this name")]
     NameTaken,
 }
@@ -57,7 +57,7 @@ pub fn decode_ack(bytes: &[u8]) -> Result<Ack, DecodeError> {
     Ok(Ack { weights_version: WeightsVersion(ack.weights_version) })
 }
 
-/// Encodes a refusal; an explanation over 500 characters is cut.
+/// Encodes a refusal; an explanation over 500 characters is truncated.
 pub fn encode_refused(refused: &Refused) -> Vec<u8> {
     let (reason, detail) = match &refused.refusal {
         Refusal::Stale => (wire::RefusalReason::Stale, String::new()),

@@ -6,11 +6,11 @@ use super::DecodeError;
 use super::check::{array, block, invalid, narrow, not_negative, number, numbers, present, unit_quaternion};
 use crate::{Action, Gripper, Joint, Label, N_GRIPPERS, Pose, RewardTerms, Scene, wire};
 
-/// Numbers in a pose: position and orientation.
+/// Number of values in a pose: position and orientation.
 const POSE_LEN: usize = 7;
-/// Numbers in a move: linear and angular velocity.
+/// Number of values in a move: linear and angular velocity.
 const MOVE_LEN: usize = 6;
-/// Maximum offset of two touching blocks of at most 4 units along an axis, in half units.
+/// Maximum offset along an axis between two touching blocks of at most 4 units, in half units.
 const MAX_OFFSET_HALF_UNITS: i32 = 8;
 
 pub(super) fn scene_to_wire(scene: &Scene) -> wire::Scene {

@@ -50,7 +50,7 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
 /// Decodes a trajectory and checks every rule that [`Trajectory`] documents.
 ///
 /// # Errors
-/// Names the first field that breaks a rule, and its value.
+/// The error names the first field that breaks a rule, and its value.
 pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
     let message: wire::Trajectory = parse("Trajectory", bytes, MAX_TRAJECTORY_BYTES)?;
     check_version(message.protocol_version)?;
@@ -83,7 +83,7 @@ pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
     Ok(trajectory)
 }
 
-/// Checks that the grippers stay the same in all scenes, and that the actions have choices for exactly those.
+/// Checks that the grippers stay the same in all scenes, and that actions and labels have choices for exactly those.
 fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
     let grippers = |scene: &Scene| scene.grippers.map(|g| g.is_some());
     let expected = grippers(&trajectory.last_scene);

@@ -1,4 +1,4 @@
-//! Units of an evaluation and the answers to them.
+//! Evaluation units and the answers to them.
 
 use prost::Message;
 
@@ -11,7 +11,7 @@ use super::{PROTOCOL_VERSION, check_version, parse};
 use crate::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, MAX_UNIT_SEQUENCES, PassId};
 use crate::wire;
 
-/// Maximum size of an encoded unit, in bytes: the weights, and tasks of 100 bytes.
+/// Maximum size of an encoded unit, in bytes: the weights, plus tasks of 100 bytes each.
 pub const MAX_UNIT_BYTES: usize = MAX_WEIGHTS_BYTES + MAX_ANSWER_BYTES;
 
 /// Maximum size of an encoded answer, in bytes; the 10 000 episodes of a large unit take less than 1 MiB.
@@ -38,7 +38,7 @@ pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
 /// Decodes a unit and checks every rule that [`EvalUnit`] documents.
 ///
 /// # Errors
-/// Names the first field that breaks a rule, and its value.
+/// The error names the first field that breaks a rule, and its value.
 pub fn decode_unit(bytes: &[u8]) -> Result<EvalUnit, DecodeError> {
     let message: wire::EvalUnit = parse("EvalUnit", bytes, MAX_UNIT_BYTES)?;
     check_version(message.protocol_version)?;
@@ -72,10 +72,10 @@ pub fn encode_answer(answer: &EvalAnswer) -> Vec<u8> {
     wire::EvalAnswer { protocol_version: PROTOCOL_VERSION, answer: Some(answer) }.encode_to_vec()
 }
 
-/// Decodes an answer and checks every rule that [`EvalAnswer`] documents, except that its shape fits the unit.
+/// Decodes an answer and checks every rule that [`EvalAnswer`] documents, except that its shape must match the unit.
 ///
 /// # Errors
-/// Names the first field that breaks a rule, and its value.
+/// The error names the first field that breaks a rule, and its value.
 pub fn decode_answer(bytes: &[u8]) -> Result<EvalAnswer, DecodeError> {
     use wire::eval_answer::Answer;
     let message: wire::EvalAnswer = parse("EvalAnswer", bytes, MAX_ANSWER_BYTES)?;

@@ -7,7 +7,7 @@ use crate::{Start, WeightsVersion};
 
 const GOLDEN: &str = include_str!("../../../tests/golden/v1.txt");
 
-/// The golden line of one message; also checks that its bytes decode to the same value.
+/// Returns the golden line of one message, and checks that its bytes decode to the same value.
 #[track_caller]
 fn line<T: PartialEq + std::fmt::Debug>(
     name: &str,

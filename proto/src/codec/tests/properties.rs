@@ -1,4 +1,4 @@
-//! Every value round-trips; all other bytes give an error, never a panic.
+//! Every value round-trips; all other bytes return an error, never a panic.
 
 use blueprints::{CubeRotation, Inventory, N_BLOCKS, RelativePlacement};
 use proptest::prelude::*;
@@ -134,7 +134,7 @@ prop_compose! {
     }
 }
 
-/// Runs all decoders; they must return without a panic.
+/// Runs all decoders; they must return without panicking.
 fn decode_all(bytes: &[u8]) {
     let _ = decode_trajectory(bytes);
     let _ = decode_weights(Bytes::copy_from_slice(bytes));
@@ -174,7 +174,7 @@ proptest! {
         decode_all(&bytes);
     }
 
-    /// Far more of these than of arbitrary bytes reach the validation rules.
+    /// Far more changed messages than arbitrary bytes reach the validation rules.
     #[test]
     fn changed_messages_never_panic(
         which in 0..3usize,
@@ -194,7 +194,7 @@ proptest! {
             bytes.truncate(keep.index(bytes.len()));
         }
         decode_all(&bytes);
-        // Accepted bytes decode to a valid value, so it can be encoded again.
+        // Accepted bytes decode to a valid value, which can be encoded again.
         if let Ok(trajectory) = decode_trajectory(&bytes) {
             prop_assert_eq!(decode_trajectory(&encode_trajectory(&trajectory)).unwrap(), trajectory);
         }

@@ -1,4 +1,4 @@
-//! Sample values for tests and the golden bytes; every field differs from its default.
+//! Sample values for tests and the golden bytes; most fields differ from their defaults.
 
 use std::collections::BTreeMap;
 
@@ -37,7 +37,7 @@ fn joint(a: u8, b: u8, rotation: u8) -> Joint {
     Joint { a: block(a), b: block(b), relative: RelativePlacement { offset_half_units: [2, -1, 0], rotation } }
 }
 
-/// Two steps, cut before the episode's end.
+/// Returns two steps, cut before the episode's end.
 pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
     let transition = |height: f32| Transition {
         scene: scene(height),
@@ -57,7 +57,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         weights_version: WeightsVersion(12),
         task: Task {
             blueprint: "3_001".parse().unwrap(),
-            // Swaps blocks 0 and 1, which are of one type.
+            // Swaps blocks 0 and 1, which have the same type.
             assignment: std::array::from_fn(|i| block([1, 0].get(i).copied().unwrap_or(i as u8))),
             start: Start::Prebuilt("2_004".parse().unwrap()),
             seed: 99,
@@ -73,7 +73,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
     }
 }
 
-/// The same trajectory, ended by success.
+/// Returns the same trajectory, ended by success.
 pub(crate) fn successful(actor: &str, seq: u64) -> Trajectory {
     Trajectory {
         status: Status::Success,
@@ -87,7 +87,7 @@ pub(crate) fn successful(actor: &str, seq: u64) -> Trajectory {
     }
 }
 
-/// The same trajectory in a world with one gripper.
+/// Returns the same trajectory in a world with one gripper.
 pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
     let mut trajectory = running(actor, seq);
     trajectory.last_scene.grippers[1] = None;
@@ -98,7 +98,7 @@ pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
     trajectory
 }
 
-/// The same trajectory, driven by the expert, with a label at the first step.
+/// Returns the same trajectory, driven by the expert, with a label at the first step.
 pub(crate) fn labeled(actor: &str, seq: u64) -> Trajectory {
     let mut trajectory = running(actor, seq);
     trajectory.driver = Driver::Expert;
@@ -128,7 +128,7 @@ pub(crate) fn weights(version: u64) -> Weights {
     }
 }
 
-/// Two sequences, the first with two tasks, without weights.
+/// Returns a unit of two sequences, the first with two tasks, without weights.
 pub(crate) fn unit() -> EvalUnit {
     let task = |start| Task { start, ..running("x", 0).task };
     EvalUnit {
@@ -140,7 +140,7 @@ pub(crate) fn unit() -> EvalUnit {
     }
 }
 
-/// An answer to it with every kind of end.
+/// Returns an answer to [`unit`] with every kind of end.
 pub(crate) fn episodes() -> EvalAnswer {
     let episode_return = RewardTerms { connected: 2.0, wrong: -3.0, magnets: 0.5, blocks: 0.25, force: -1.0 };
     let episode = |end, forced_reset| EvalEpisode { end, n_steps: 42, episode_return, forced_reset };
