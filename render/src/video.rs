@@ -1,9 +1,9 @@
 //! Films of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
 //!
-//! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode through a
-//! camera that follows what is built) → `film` (frames with the goal and the score next to the world) → `mp4` and `gif` (frames →
-//! bytes) → `miniature` (a small GIF of bounded size) → `strip` (an episode as one picture) → `attention` and `heads`
-//! (a policy's attention in an episode).
+//! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode seen through
+//! a camera that follows the construction) → `film` (frames with the goal and the score next to the world) → `mp4` and
+//! `gif` (frames → bytes) → `miniature` (a small GIF of bounded size) → `strip` (an episode as one picture) →
+//! `attention` and `heads` (a policy's attention in an episode).
 
 mod attention;
 mod collect;
@@ -53,7 +53,7 @@ pub enum VideoError {
         /// Height in pixels.
         height: usize,
     },
-    /// The encoder refused a frame.
+    /// The encoder rejected a frame.
     #[error("encoding H.264: {0}")]
     Encoder(#[from] openh264::Error),
     /// The encoder skipped a frame.

@@ -66,7 +66,7 @@ const MAP_SINE: f32 = 0.9;
 const NEAREST: f32 = 0.05;
 
 impl View {
-    /// The name in captions.
+    /// Returns the name in captions.
     pub fn caption(self) -> &'static str {
         match self {
             Self::FrontQuarter => "front right",
@@ -77,7 +77,7 @@ impl View {
         }
     }
 
-    /// Angle around z from the front toward +x, and angle above the ground, in degrees.
+    /// Returns the angle around z from the front toward +x, and the angle above the ground, in degrees.
     fn angles_deg(self) -> [f32; 2] {
         match self {
             Self::FrontQuarter => [32.0, 28.0],
@@ -94,8 +94,8 @@ impl View {
 }
 
 impl Camera {
-    /// A camera for an image of `width` × `height` pixels that shows all `points` (m, world) as large as possible with
-    /// `margin_px` pixels on each side and at most `max_px_per_m` pixels per meter.
+    /// Creates a camera for an image of `width` × `height` pixels that shows all `points` (m, world) as large as
+    /// possible with `margin_px` pixels on each side and at most `max_px_per_m` pixels per meter.
     pub fn framing(
         view: View,
         points: &[Point3<f32>],
@@ -131,7 +131,7 @@ impl Camera {
         }
     }
 
-    /// The smallest rectangle around all `points` (m, world) that are in front of the viewer.
+    /// Returns the smallest rectangle around all `points` (m, world) that are in front of the viewer.
     pub(crate) fn window(&self, points: &[Point3<f32>]) -> Option<Window> {
         let at = |point| self.project(point).map(|at| [at.x, at.y]);
         let placed = points.iter().filter_map(at).map(|px| {
@@ -141,8 +141,8 @@ impl Camera {
         placed.reduce(|all, window| all.with(&window))
     }
 
-    /// The same view of this part of its image plane: as large as possible, with `margin_px` pixels on each side and at
-    /// most `max_px_per_m` pixels per meter.
+    /// Returns the same view of this part of its image plane: as large as possible, with `margin_px` pixels on each
+    /// side and at most `max_px_per_m` pixels per meter.
     ///
     /// This moves the image rather than the viewer, so that parallels and verticals are the same in all pictures.
     pub(crate) fn on(&self, window: &Window, margin_px: f32, max_px_per_m: f32) -> Self {
@@ -154,37 +154,37 @@ impl Camera {
         Self { scale, center_px, ..self.clone() }
     }
 
-    /// Width and height of the image in pixels.
+    /// Returns the width and height of the image in pixels.
     pub fn size_px(&self) -> [usize; 2] {
         self.size_px
     }
 
-    /// Pixels per meter at the center of the framed points.
+    /// Returns the pixels per meter at the center of the framed points.
     pub(super) fn px_per_m(&self) -> f32 {
         self.scale
     }
 
-    /// Unit vector toward the light: above, and left of and slightly behind the viewer.
+    /// Returns the unit vector toward the light: above, and left of and slightly behind the viewer.
     pub(super) fn light(&self) -> &Vector3<f32> {
         &self.light
     }
 
-    /// Sine of the angle between the line of sight at the target and the ground.
+    /// Returns the sine of the angle between the line of sight at the target and the ground.
     pub(super) fn elevation_sine(&self) -> f32 {
         self.axes[2].z
     }
 
-    /// Cosine of the angle between a unit vector and the direction to the viewer, 0 if it points away.
+    /// Returns the cosine of the angle between a unit vector and the direction to the viewer, 0 if it points away.
     pub(super) fn facing(&self, normal: &Vector3<f32>) -> f32 {
         normal.dot(&self.axes[2]).max(0.0)
     }
 
-    /// Distance by which a block is in front of the target, in meters.
+    /// Returns the distance by which a block is in front of the target, in meters.
     pub(super) fn nearness(&self, pose: &Isometry3<f32>) -> f32 {
         self.axes[2].dot(&(Point3::from(pose.translation.vector) - self.target))
     }
 
-    /// Whether the outer side of a surface through `point` with the outward `normal` faces the camera.
+    /// Returns whether the outer side of a surface through `point` with the outward `normal` faces the camera.
     pub(super) fn faces(&self, point: &Point3<f32>, normal: &Vector3<f32>) -> bool {
         // The direction from the point to the eye, divided by the eye's distance, which may be infinite.
         let to_eye = self.axes[2] - (point - self.target) * self.closeness;
@@ -207,7 +207,7 @@ impl Camera {
         Some(Projected { x: x * zoom, y: y * zoom, nearness, zoom })
     }
 
-    /// Homogeneous coordinates: the position in pixels times the depth, and the depth (1 at the target).
+    /// Returns homogeneous coordinates: the position in pixels times the depth, and the depth (1 at the target).
     pub(super) fn project_undivided(&self, point: &Point3<f32>) -> [f32; 3] {
         let from_target = point - self.target;
         let [right, up, back] = self.axes.map(|axis| axis.dot(&from_target));
@@ -217,7 +217,7 @@ impl Camera {
 }
 
 impl Window {
-    /// The smallest rectangle around both.
+    /// Returns the smallest rectangle around both.
     pub(crate) fn with(&self, other: &Self) -> Self {
         Self {
             low: std::array::from_fn(|axis| self.low[axis].min(other.low[axis])),
@@ -225,13 +225,13 @@ impl Window {
         }
     }
 
-    /// Height of the smallest picture of such an aspect, width by height, that contains it.
+    /// Returns the height of the smallest picture with this aspect ratio (width / height) that contains the window.
     pub(crate) fn height_at(&self, aspect: f32) -> f32 {
         let [width, height] = [0, 1].map(|axis| self.high[axis] - self.low[axis]);
         height.max(width / aspect)
     }
 
-    /// The sides between those of `self` and, at a `share` of 1, `other`.
+    /// Interpolates the sides from those of `self` to those of `other` at a `share` of 1.
     pub(crate) fn toward(&self, other: &Self, share: f32) -> Self {
         let between =
             |from: [f32; 2], to: [f32; 2]| std::array::from_fn(|axis| from[axis] + share * (to[axis] - from[axis]));
@@ -239,7 +239,7 @@ impl Window {
     }
 }
 
-/// Center and radius (at least a millimeter) of the ball around the points' bounding box.
+/// Returns the center and radius (at least a millimeter) of the ball around the points' bounding box.
 fn ball_around(points: &[Point3<f32>]) -> (Point3<f32>, f32) {
     let Some(first) = points.first() else { return (Point3::origin(), 1.0) };
     let (low, high) = points.iter().fold((*first, *first), |(low, high), point| (low.inf(point), high.sup(point)));

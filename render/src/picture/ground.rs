@@ -49,7 +49,7 @@ struct Area {
 }
 
 impl Ground {
-    /// The ground around and under these blocks.
+    /// Returns the ground around and under these blocks.
     pub fn under(blocks: &[Block]) -> Self {
         let all = corners(blocks);
         let Some(first) = all.first() else { return Self { center: Point2::origin(), radius_m: 4.0 * UNIT_M } };
@@ -118,14 +118,15 @@ impl Ground {
     }
 }
 
-/// `f32::round` for numbers below four million, without the slow call on processors that lack the instruction.
+/// Rounds like `f32::round` for numbers below four million, without the slow call on processors that lack the
+/// instruction.
 fn nearest_whole(x: f32) -> f32 {
     // Adding 1.5 · 2²³ leaves no fractional bits.
     const SHIFT: f32 = 12_582_912.0;
     (x + SHIFT) - SHIFT
 }
 
-/// The homography from pixels to the ground; its third coordinate is positive in front of the viewer.
+/// Returns the homography from pixels to the ground; its third coordinate is positive in front of the viewer.
 fn to_ground(camera: &Camera) -> Option<Matrix3<f32>> {
     // The origin and the two directions determine a projection, all before the division by depth.
     let column = |x: f32, y: f32| Vector3::from(camera.project_undivided(&Point3::new(x, y, 0.0)));

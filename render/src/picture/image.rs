@@ -15,33 +15,33 @@ pub struct Image {
 }
 
 impl Image {
-    /// An image of one color; both sides are in pixels, and 0 counts as 1.
+    /// Creates an image of one color. Both sides are in pixels, and 0 counts as 1.
     pub fn filled(width: usize, height: usize, color: Rgb) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         Self { width, height, pixels: vec![color; width * height] }
     }
 
-    /// Width in pixels, at least 1.
+    /// Returns the width in pixels, at least 1.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Height in pixels, at least 1.
+    /// Returns the height in pixels, at least 1.
     pub fn height(&self) -> usize {
         self.height
     }
 
-    /// All pixels.
+    /// Returns all pixels.
     pub fn pixels(&self) -> &[Rgb] {
         &self.pixels
     }
 
-    /// The pixel in column `x` from the left and row `y` from the top, or `None` outside.
+    /// Returns the pixel in column `x` from the left and row `y` from the top, or `None` outside.
     pub fn get(&self, x: usize, y: usize) -> Option<Rgb> {
         (x < self.width && y < self.height).then(|| self.pixels[y * self.width + x])
     }
 
-    /// A row from the top.
+    /// Returns the row with this index from the top.
     pub(crate) fn row_mut(&mut self, y: usize) -> &mut [Rgb] {
         &mut self.pixels[y * self.width..(y + 1) * self.width]
     }

@@ -55,7 +55,7 @@ pub(super) struct Side {
     pub(super) is_positive: bool,
 }
 
-/// The blocks of a blueprint in its own frame.
+/// Returns the blocks of a blueprint in its own frame.
 pub fn of_blueprint(blueprint: &Blueprint) -> Vec<Block> {
     let pose = |at: &blueprints::Placement| {
         Isometry3::from_parts(Translation3::from(at.position_m()), at.rotation.quaternion())
@@ -64,7 +64,7 @@ pub fn of_blueprint(blueprint: &Blueprint) -> Vec<Block> {
     placed.map(|at| Block { block: at.block, pose: pose(at), finish: Finish::Plain }).collect()
 }
 
-/// All blocks of a world; held blocks are framed in the gripper's color.
+/// Returns all blocks of a world; held blocks are framed in the gripper's color.
 pub fn of_scene(scene: &Scene) -> Vec<Block> {
     let finish = |block: BlockIdx| {
         let holds = |gripper: &Option<proto::Gripper>| gripper.is_some_and(|gripper| gripper.held == Some(block));
@@ -81,13 +81,13 @@ pub fn of_scene(scene: &Scene) -> Vec<Block> {
         .collect()
 }
 
-/// The corners of all blocks (m, world), for framing.
+/// Returns the corners of all blocks (m, world), for framing.
 pub fn corners(blocks: &[Block]) -> Vec<Point3<f32>> {
     blocks.iter().flat_map(Block::corners).collect()
 }
 
 impl Block {
-    /// The color of the block's type, or of its finish.
+    /// Returns the color of the block's type, or of its finish.
     pub(super) fn color(&self) -> Rgb {
         if let Finish::Shaded { fill, .. } = self.finish {
             return fill;
@@ -105,7 +105,7 @@ impl Block {
         (0..8).map(move |k| self.pose * Point3::new(sign(k, 0), sign(k, 1), sign(k, 2)))
     }
 
-    /// The six sides: +x −x +y −y +z −z.
+    /// Returns the six sides: +x −x +y −y +z −z.
     pub(super) fn sides(&self) -> impl Iterator<Item = Side> {
         let half = self.half_extents_m();
         (0..6).map(move |k| {

@@ -23,7 +23,7 @@ struct Group {
 }
 
 impl Palette {
-    /// The palette of the pixels with at most `n_colors` colors (1 to 256); exact if the image has no more.
+    /// Builds a palette of the pixels with at most `n_colors` colors (1 to 256); exact if the image has no more.
     ///
     /// Otherwise the group with the largest variation is split at its mean until there are enough groups. A color that
     /// many pixels share (background, flat sides) stays exact.
@@ -44,12 +44,12 @@ impl Palette {
         Self { colors, known }
     }
 
-    /// The colors by index.
+    /// Returns the colors by index.
     pub(crate) fn colors(&self) -> &[Rgb] {
         &self.colors
     }
 
-    /// The palette indices of the pixels that the palette was built from.
+    /// Returns the palette indices of the pixels that the palette was built from.
     pub(crate) fn indices(&self, pixels: &[Rgb]) -> Vec<u8> {
         let mut last = (Rgb::default(), None);
         let number = |color: &Rgb| {
@@ -68,7 +68,7 @@ impl Palette {
     }
 }
 
-/// Each color in order with its number of pixels.
+/// Returns each color in order with its number of pixels.
 fn counted(pixels: &[Rgb]) -> Vec<(Rgb, u32)> {
     let mut sorted = pixels.to_vec();
     sorted.sort_unstable();
@@ -95,14 +95,14 @@ impl Group {
         Self { members, mean: mean.map(|x| x as f32), channel, spread: spreads[channel] as f32 }
     }
 
-    /// The colors below and above the mean.
+    /// Splits the colors into those below and those above the mean.
     fn split(self) -> (Self, Self) {
         let (channel, mean) = (self.channel, self.mean[self.channel]);
         let (low, high) = self.members.into_iter().partition(|(color, _)| f32::from(color[channel]) < mean);
         (Self::new(low), Self::new(high))
     }
 
-    /// The most frequent color if half of the pixels have it, otherwise the mean.
+    /// Returns the most frequent color if half of the pixels have it, otherwise the mean.
     fn color(&self) -> Rgb {
         let total: u32 = self.members.iter().map(|(_, n)| n).sum();
         let commonest = self.members.iter().max_by_key(|(_, n)| *n).filter(|(_, n)| 2 * n >= total);

@@ -7,11 +7,11 @@ use super::palette::Palette;
 
 /// Encodes the image as a PNG of at most `n_colors` colors, 1 to 256; equal arguments give equal bytes.
 ///
-/// A drawing with flat colors looks the same with 256 colors and takes two fifths of the space. With a hundred colors
-/// it takes a sixth less again, but wide soft shadows show banding.
+/// A drawing with flat colors looks the same with 256 colors and takes two fifths of the space. A hundred colors save
+/// another sixth, but wide soft shadows show banding.
 ///
 /// # Errors
-/// If a side exceeds the limit of the format.
+/// Returns an error if a side exceeds the limit of the format.
 pub fn encode(image: &Image, n_colors: usize) -> Result<Vec<u8>, EncodingError> {
     let palette = Palette::of(image.pixels(), n_colors);
     let side = |n: usize| u32::try_from(n).map_err(|_| EncodingError::LimitsExceeded);

@@ -44,8 +44,8 @@ impl Linear {
 }
 
 impl Surface {
-    /// Change of the two coordinates at corner 0, per pixel along the image's x and y; `None` if the surface is seen
-    /// edge-on.
+    /// Returns the change of the two coordinates at corner 0, per pixel along the image's x and y; `None` if the
+    /// surface is seen edge-on.
     pub(super) fn gradients(&self) -> Option<[[f32; 2]; 2]> {
         let [a, b, _, d] = &self.corners;
         let (bx, by, dx, dy) = (b.x - a.x, b.y - a.y, d.x - a.x, d.y - a.y);
@@ -55,14 +55,14 @@ impl Surface {
             .then(|| [[first * dy / area, -first * dx / area], [-second * by / area, second * bx / area]])
     }
 
-    /// The surface in sample coordinates.
+    /// Returns the surface in sample coordinates.
     fn on_samples(&self) -> [Projected; 4] {
         let factor = OVERSAMPLING as f32;
         self.corners.map(|at| Projected { x: at.x * factor, y: at.y * factor, ..at })
     }
 }
 
-/// The linear quantity with these values at three corners.
+/// Returns the linear quantity with these values at three corners.
 fn linear([a, b, d]: [&Projected; 3], values: [f32; 3]) -> Linear {
     let (bx, by, dx, dy) = (b.x - a.x, b.y - a.y, d.x - a.x, d.y - a.y);
     let (b_value, d_value) = (values[1] - values[0], values[2] - values[0]);
@@ -97,7 +97,7 @@ pub(super) fn scan(corners: &[Projected; 4], [width, height]: [usize; 2], mut ro
     }
 }
 
-/// The smallest range that contains both; either may be empty.
+/// Returns the smallest range that contains both; either may be empty.
 fn union(a: &Range<usize>, b: Range<usize>) -> Range<usize> {
     match (a.is_empty(), b.is_empty()) {
         (true, _) => b,

@@ -38,7 +38,7 @@ const MARGIN: f32 = 0.08;
 /// Minimum length shown, in meters, so that small structures do not fill the picture.
 const MIN_SHOWN_M: f32 = 4.0 * blueprints::UNIT_M;
 
-/// A card of one blueprint: name, title, and size above four views, and a legend of its blocks below.
+/// Draws a card of one blueprint: name, title, and size above four views, and a legend of its blocks below.
 ///
 /// `width` is in pixels, at least 320 to fit the text; the height depends on it and on the number of block types.
 pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image {
@@ -75,7 +75,7 @@ pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image
     image
 }
 
-/// A grid of three-quarter views of at most [`MAX_TILES`] blueprints, each with name and title.
+/// Draws a grid of three-quarter views of at most [`MAX_TILES`] blueprints, each with name and title.
 pub fn sheet(painter: &mut Painter, blueprints: &[&Blueprint]) -> Image {
     let shown = &blueprints[..blueprints.len().min(MAX_TILES)];
     // One row if possible, otherwise slightly wider than high.
@@ -99,7 +99,7 @@ pub fn sheet(painter: &mut Painter, blueprints: &[&Blueprint]) -> Image {
     image
 }
 
-/// A picture of the blueprint alone.
+/// Draws a picture of the blueprint alone.
 fn picture(painter: &mut Painter, blueprint: &Blueprint, view: View, size_px: [usize; 2]) -> Image {
     let blocks = of_blueprint(blueprint);
     let shorter = size_px[0].min(size_px[1]) as f32;
@@ -107,7 +107,7 @@ fn picture(painter: &mut Painter, blueprint: &Blueprint, view: View, size_px: [u
     painter.paint(&blocks, &camera, Ground::under(&blocks))
 }
 
-/// Size along x, y, and z in units.
+/// Returns the size along x, y, and z in units.
 fn extent(blueprint: &Blueprint) -> String {
     let inventory = Inventory::standard();
     let size = |axis: usize| {
@@ -121,7 +121,7 @@ fn extent(blueprint: &Blueprint) -> String {
     format!("{} × {} × {}", size(0), size(1), size(2))
 }
 
-/// Color and label of each block type in use, then of the magnets.
+/// Returns the color and label of each block type in use, then of the magnets.
 fn legend(blueprint: &Blueprint) -> Vec<(Rgb, String)> {
     let inventory = Inventory::standard();
     let mut entries = Vec::new();
@@ -137,7 +137,7 @@ fn legend(blueprint: &Blueprint) -> Vec<(Rgb, String)> {
     entries
 }
 
-/// A colored square next to a line of small text.
+/// Draws a colored square next to a line of small text.
 fn swatch(image: &mut Image, [x, y]: [usize; 2], color: Rgb) {
     let side = Type::Body.height();
     image.fill([x, y], [side, side], INK);

@@ -33,12 +33,12 @@ impl Type {
         }
     }
 
-    /// Height of a line in pixels.
+    /// Returns the height of a line in pixels.
     pub(crate) fn height(self) -> usize {
         self.raster_height().val()
     }
 
-    /// Width of a text in pixels.
+    /// Returns the width of a text in pixels.
     pub(crate) fn width(self, text: &str) -> usize {
         get_raster_width(self.weight(), self.raster_height()) * text.chars().count()
     }
@@ -58,7 +58,7 @@ pub(crate) fn write(image: &mut Image, [left, top]: [usize; 2], text: &str, kind
     }
 }
 
-/// The text, or the prefix that fits into `width_px` followed by two dots.
+/// Returns the text, or the prefix that fits into `width_px` followed by two dots.
 pub(crate) fn fitted(text: &str, kind: Type, width_px: usize) -> String {
     if kind.width(text) <= width_px {
         return text.to_owned();

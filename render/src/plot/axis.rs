@@ -10,7 +10,7 @@ pub(super) struct StepUnit {
 }
 
 impl StepUnit {
-    /// The unit for steps up to `most`.
+    /// Returns the unit for steps up to `most`.
     pub(super) fn of(most: f64) -> Self {
         let (n_steps, title) = match most {
             most if most >= 2e9 => (1e9, "environment steps (billions)"),
@@ -21,14 +21,15 @@ impl StepUnit {
         Self { n_steps, title }
     }
 
-    /// A number of steps in this unit, without trailing zeros.
+    /// Formats a number of steps in this unit, without trailing zeros.
     pub(super) fn label(self, n_steps: f64) -> String {
         let text = format!("{:.3}", n_steps / self.n_steps);
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
     }
 }
 
-/// Round numbers from `low` to `high`, 1, 2, or 5 times a power of ten apart, at most `n_max` of them (2 or more).
+/// Returns round numbers from `low` to `high`, 1, 2, or 5 times a power of ten apart, at most `n_max` of them (2 or
+/// more).
 pub(super) fn ticks(low: f64, high: f64, n_max: usize) -> Vec<f64> {
     let span = high - low;
     if span.is_nan() || span <= 0.0 {
@@ -44,7 +45,7 @@ pub(super) fn ticks(low: f64, high: f64, n_max: usize) -> Vec<f64> {
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
-/// Borders between cells around sorted places: halfway between neighbors, and equally far beyond the ends.
+/// Returns the borders between cells around sorted places: halfway between neighbors, and equally far beyond the ends.
 pub(super) fn borders(places: &[u64]) -> Vec<f64> {
     let places: Vec<f64> = places.iter().map(|place| *place as f64).collect();
     match places[..] {

@@ -59,7 +59,7 @@ pub(super) enum Scale {
 }
 
 impl Scale {
-    /// Minimum and maximum value.
+    /// Returns the minimum and maximum value.
     pub(super) fn range(self) -> [f64; 2] {
         match self {
             Self::Rate => [0.0, 1.0],
@@ -67,7 +67,7 @@ impl Scale {
         }
     }
 
-    /// The color of a value; values outside the range have the color of its end.
+    /// Returns the color of a value; values outside the range have the color of its end.
     pub(super) fn color(self, value: f64) -> Rgb {
         let [low, high] = self.range();
         let share = ((value - low) / (high - low)).clamp(0.0, 1.0);
@@ -82,7 +82,7 @@ impl Scale {
 pub(super) const CURVES: [Rgb; 6] =
     [[0, 114, 178], [230, 159, 0], [0, 158, 115], [213, 94, 0], [150, 80, 160], [86, 180, 233]];
 
-/// The color at `share` of the way, 0 to 1.
+/// Returns the color at `share` of the way, 0 to 1.
 fn along(colors: &[Rgb], share: f64) -> Rgb {
     let place = share * (colors.len() - 1) as f64;
     let i = (place as usize).min(colors.len() - 2);

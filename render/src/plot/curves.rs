@@ -42,8 +42,8 @@ struct Curve {
     n_blueprints: usize,
 }
 
-/// Curves of the evaluated groups with 95 % Wilson intervals; the evaluations have increasing steps. `None` if there is
-/// nothing to draw.
+/// Draws the curves of the evaluated groups with 95 % Wilson intervals. The evaluations have increasing steps. Returns
+/// `None` if there is nothing to draw.
 pub fn curves(passes: &[&Pass], acting: ActionMode, title: &str, subtitle: &str) -> Option<Drawing> {
     let mut by_group: BTreeMap<Group, Curve> = BTreeMap::new();
     for pass in passes {
@@ -62,8 +62,8 @@ pub fn curves(passes: &[&Pass], acting: ActionMode, title: &str, subtitle: &str)
     draw(&by_group.into_values().collect::<Vec<_>>(), title, subtitle)
 }
 
-/// Curves of at most [`MAX_RUNS`] named runs on the blueprints that all of them evaluated; the evaluations have
-/// increasing steps. `None` if there are no such blueprints.
+/// Draws the curves of at most [`MAX_RUNS`] named runs on the blueprints that all of them evaluated. The evaluations
+/// have increasing steps. Returns `None` if there are no such blueprints.
 pub fn comparison(runs: &[(String, Vec<&Pass>)], acting: ActionMode, title: &str, subtitle: &str) -> Option<Drawing> {
     let rates = common_rates(runs.iter().map(|(_, passes)| &passes[..]), acting)?;
     let named = runs.iter().zip(rates.of_runs).enumerate();
@@ -100,7 +100,7 @@ fn draw(curves: &[Curve], title: &str, subtitle: &str) -> Option<Drawing> {
     Some(drawing)
 }
 
-/// The y coordinate of a rate, in pixels from the top.
+/// Returns the y coordinate of a rate, in pixels from the top.
 fn y(rate: f64) -> f64 {
     TOP + (1.0 - rate) * PLOT[1]
 }

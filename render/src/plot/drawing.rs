@@ -37,7 +37,7 @@ pub(super) enum Anchor {
 }
 
 impl Drawing {
-    /// An empty page.
+    /// Creates an empty page.
     pub(super) fn new(width: usize, height: usize) -> Self {
         Self { width, height, shapes: Vec::new() }
     }

@@ -31,8 +31,8 @@ pub struct GroupRow {
     pub n_diverged: u64,
 }
 
-/// The rows of an evaluation: the paper's groups in its order, the validation split, all blueprints, and the reset-free
-/// runs; those that were not evaluated are left out.
+/// Returns the rows of an evaluation: the paper's groups in its order, the validation split, all blueprints, and the
+/// reset-free runs; those that were not evaluated are left out.
 pub fn rows(pass: &Pass) -> Vec<GroupRow> {
     let mut rows = Vec::new();
     for group in Group::ALL.map(Some).into_iter().chain([None]) {
@@ -73,7 +73,7 @@ fn row(name: &str, acting: ActionMode, n_blueprints: usize, outcomes: &[&EvalOut
     })
 }
 
-/// The rows as a Markdown table, rates in percent with the 95 % interval.
+/// Formats the rows as a Markdown table, rates in percent with the 95 % interval.
 pub fn markdown(rows: &[GroupRow]) -> String {
     let mut text = "| group | blueprints | actions | episodes | success | 95 % interval | stable | steps to success | \
                     return | diverged |\n|---|---|---|---|---|---|---|---|---|---|\n"
@@ -97,7 +97,7 @@ pub fn markdown(rows: &[GroupRow]) -> String {
     text
 }
 
-/// The rows as comma-separated values with a header; rates from 0 to 1, missing numbers empty.
+/// Formats the rows as comma-separated values with a header; rates from 0 to 1, missing numbers empty.
 pub fn csv(rows: &[GroupRow]) -> String {
     let mut text =
         "group,n_blueprints,acting,n_episodes,n_successes,success,wilson_low,wilson_high,n_stable_successes,\

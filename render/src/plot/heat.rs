@@ -34,12 +34,12 @@ const BAR_LABELS: usize = 96;
 /// Distance from the color bar to the center of its title, pixels.
 const BAR_TITLE: f64 = 70.0;
 
-/// Heat map of success rates; the title describes the values, and the subtitle names the run.
+/// Draws a heat map of success rates; the title describes the values, and the subtitle names the run.
 pub fn success_map(grid: &Grid, title: &str, subtitle: &str) -> Drawing {
     heat_map(grid, Scale::Rate, title, subtitle)
 }
 
-/// Heat map of differences between success rates: blue if the first run is better, red if the second is.
+/// Draws a heat map of differences between success rates: blue if the first run is better, red if the second is.
 pub fn difference_map(difference: &Difference, title: &str, subtitle: &str) -> Drawing {
     heat_map(&difference.grid, Scale::Difference, title, subtitle)
 }

@@ -12,16 +12,16 @@ const N_COLORS: usize = 256;
 const N_SCANLINES: usize = 8;
 
 impl Drawing {
-    /// The bytes of a PNG file.
+    /// Returns the bytes of a PNG file.
     ///
     /// # Errors
-    /// If a side exceeds the limit of the format.
+    /// Returns an error if a side exceeds the limit of the format.
     pub fn to_png(&self) -> Result<Vec<u8>, EncodingError> {
         encode(&paint(self), N_COLORS)
     }
 }
 
-/// The drawing as an image.
+/// Paints the drawing as an image.
 pub(super) fn paint(drawing: &Drawing) -> Image {
     let mut image = Image::filled(drawing.width, drawing.height, WHITE);
     for shape in &drawing.shapes {
@@ -45,7 +45,7 @@ struct Mask {
 }
 
 impl Mask {
-    /// The part around the points with a margin in pixels, clipped to the image.
+    /// Creates a mask of the part around the points with a margin in pixels, clipped to the image.
     fn around(image: &Image, points: &[[f64; 2]], margin: f64) -> Self {
         let span = |axis: usize, side: usize| {
             let places = points.iter().map(|point| point[axis]);
@@ -86,7 +86,7 @@ fn line(image: &mut Image, points: &[[f64; 2]], width: f64, color: Rgb) {
     mask.blend_into(image, color, 255.0);
 }
 
-/// Distance from a point to the nearest point of a segment.
+/// Returns the distance from a point to the nearest point of a segment.
 fn distance(point: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
     let along = [to[0] - from[0], to[1] - from[1]];
     let away = [point[0] - from[0], point[1] - from[1]];

@@ -12,7 +12,7 @@ const LETTER_EM: f64 = 0.6;
 const MIDDLE_EM: f64 = 0.34;
 
 impl Drawing {
-    /// The text of an SVG file.
+    /// Returns the text of an SVG file.
     pub fn to_svg(&self) -> String {
         write(self)
     }
@@ -76,7 +76,7 @@ fn push(svg: &mut String, shape: &Shape) -> std::fmt::Result {
     }
 }
 
-/// `#rrggbb`.
+/// Formats a color as `#rrggbb`.
 pub(super) fn hex([red, green, blue]: Rgb) -> String {
     format!("#{red:02x}{green:02x}{blue:02x}")
 }

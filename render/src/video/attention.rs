@@ -1,4 +1,4 @@
-//! A policy's attention through an episode: the numbers, and the world with blocks shaded by them.
+//! A policy's attention over an episode: the numbers, and the world with blocks shaded by them.
 
 use std::fmt;
 
@@ -13,7 +13,7 @@ use crate::picture::{Finish, GRIPPER_COLORS, Image, Painter, Rgb, mix, of_scene}
 /// Colors of no attention, of some, and of [`FULL`] or more.
 const RAMP: [Rgb; 3] = [[240, 242, 246], [247, 164, 66], [140, 14, 84]];
 
-/// The share of attention with the last color; few heads give more to one block.
+/// Share of attention at the end of the color scale; few heads give more to one block.
 pub(super) const FULL: f32 = 0.5;
 
 /// Minimum share of attention for which a line is drawn from a block to another.
@@ -79,7 +79,7 @@ pub struct Shares {
 }
 
 impl Shares {
-    /// The sum, field by field.
+    /// Adds the shares field by field.
     fn plus(self, other: Self) -> Self {
         Self { planned: self.planned + other.planned, joined: self.joined + other.joined, held: self.held + other.held }
     }
@@ -88,7 +88,7 @@ impl Shares {
         Self { planned: self.planned * factor, joined: self.joined * factor, held: self.held * factor }
     }
 
-    /// Their mean; 0 of none.
+    /// Returns the mean of the shares; zeros for an empty iterator.
     pub fn mean(all: impl IntoIterator<Item = Self>) -> Self {
         let (sum, n) = all.into_iter().fold((Self::default(), 0), |(sum, n), shares| (sum.plus(shares), n + 1));
         sum.times(1.0 / n.max(1) as f32)
@@ -99,7 +99,7 @@ impl<'e> EpisodeAttention<'e> {
     /// Computes the attention of `policy` in the episode, regardless of which agent acted.
     ///
     /// # Errors
-    /// If the policy's network has no attention, or a different number of grippers than the episode.
+    /// Returns an error if the policy's network has no attention, or a different number of grippers than the episode.
     pub fn new(policy: &Policy, episode: &'e Episode) -> Result<Self, AttentionError> {
         let network = usize::from(policy.config().network.n_grippers);
         let grippers = episode.scenes()[0].grippers.iter().flatten().count();
@@ -122,12 +122,12 @@ impl<'e> EpisodeAttention<'e> {
         Ok(Self { episode, scenes, self_edges })
     }
 
-    /// Layers of the network.
+    /// Returns the number of layers of the network.
     pub fn n_layers(&self) -> usize {
         self.scenes[0].n_layers()
     }
 
-    /// Heads of each layer.
+    /// Returns the number of heads per layer.
     pub fn n_heads(&self) -> usize {
         self.scenes[0].n_heads()
     }
@@ -136,7 +136,7 @@ impl<'e> EpisodeAttention<'e> {
         self.scenes[0].n_grippers()
     }
 
-    /// All attention sources: grippers first, then the heads layer by layer.
+    /// Returns all attention sources: grippers first, then the heads layer by layer.
     pub fn sources(&self) -> impl Iterator<Item = AttentionSource> + use<> {
         let (n_layers, n_heads) = (self.n_layers(), self.n_heads());
         let heads =
@@ -144,12 +144,13 @@ impl<'e> EpisodeAttention<'e> {
         (0..self.n_grippers()).map(AttentionSource::Gripper).chain(heads)
     }
 
-    /// Number of scenes in the episode.
+    /// Returns the number of scenes in the episode.
     pub fn n_scenes(&self) -> usize {
         self.scenes.len()
     }
 
-    /// Share of attention on each block after `n_done` steps: that of a gripper, or the mean over the goal's blocks.
+    /// Returns the share of attention on each block after `n_done` steps: that of a gripper, or the mean over the
+    /// goal's blocks.
     pub fn received(&self, source: AttentionSource, n_done: usize) -> [f32; N_BLOCKS] {
         let seen = &self.scenes[n_done];
         let mut received = [0.0; N_BLOCKS];
@@ -166,12 +167,12 @@ impl<'e> EpisodeAttention<'e> {
         received
     }
 
-    /// Shares of a head's attention after `n_done` steps.
+    /// Returns the shares of a head's attention after `n_done` steps.
     pub fn shares(&self, layer: usize, head: usize, n_done: usize) -> Shares {
         self.shares_of(n_done, |receiver, sender| self.scenes[n_done].row(layer, head, receiver)[sender.get()])
     }
 
-    /// What the shares after `n_done` steps would be if every block got as much.
+    /// Returns the shares after `n_done` steps for uniform attention over all blocks.
     pub fn uniform_shares(&self, n_done: usize) -> Shares {
         let n_senders = if self.self_edges { N_BLOCKS } else { N_BLOCKS - 1 };
         let weight = 1.0 / n_senders as f32;
@@ -195,7 +196,7 @@ impl<'e> EpisodeAttention<'e> {
         shares
     }
 
-    /// The world after `n_done` steps, with blocks shaded by attention and lines to the blocks they attend to.
+    /// Paints the world after `n_done` steps, with blocks shaded by attention and lines to the blocks they attend to.
     pub(super) fn picture(
         &self,
         source: AttentionSource,
@@ -235,7 +236,7 @@ fn is_held(scene: &Scene, block: BlockIdx) -> bool {
     scene.grippers.iter().flatten().any(|gripper| gripper.held == Some(block))
 }
 
-/// The color of a share of attention.
+/// Returns the color of a share of attention.
 pub(super) fn shade(share: f32) -> Rgb {
     // Uniform attention, 1 of 15, should look pale but different from none.
     let along = (share / FULL).clamp(0.0, 1.0).powf(0.8) * 2.0;
@@ -243,7 +244,7 @@ pub(super) fn shade(share: f32) -> Rgb {
 }
 
 impl AttentionSource {
-    /// Name and color in captions.
+    /// Returns the name and color in captions.
     pub(super) fn caption(self, n_grippers: usize) -> (String, Rgb) {
         match self {
             Self::Gripper(_) if n_grippers == 1 => ("gripper's choice".to_owned(), GRIPPER_COLORS[0]),

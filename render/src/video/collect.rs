@@ -42,7 +42,7 @@ impl Collector {
         None
     }
 
-    /// Number of segments of episodes that are incomplete.
+    /// Returns the number of dropped segments, which belong to incomplete episodes.
     pub fn n_left_out(&self) -> u64 {
         self.n_left_out
     }

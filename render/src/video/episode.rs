@@ -4,7 +4,7 @@ use blueprints::{BlockIdx, Blueprint, BlueprintId, N_BLOCKS};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use proto::{Joint, Pose, RewardTerms, Scene, Status, Trajectory};
 
-/// Length of a control step in seconds, which trajectories do not contain; other worlds are shown at this pace.
+/// Length of a control step in seconds. Trajectories do not contain it, so all worlds are shown at this pace.
 pub const STEP_S: f32 = 0.1;
 
 /// All scenes of an episode, or of a part of it.
@@ -49,7 +49,7 @@ pub enum EpisodeError {
     },
 }
 
-/// Whether two segments belong to the same episode: same actor process and same task.
+/// Returns whether two segments belong to the same episode: same actor process and same task.
 pub fn is_same_episode(a: &Trajectory, b: &Trajectory) -> bool {
     (&a.actor, a.epoch, &a.task) == (&b.actor, b.epoch, &b.task)
 }
@@ -58,7 +58,8 @@ impl Episode {
     /// Builds the episode of these segments, in any order; `goal` is its blueprint from the catalog.
     ///
     /// # Errors
-    /// If there is no segment, one belongs to another episode, the goal differs, or steps are missing or duplicate.
+    /// Returns an error if there is no segment, one belongs to another episode, the goal differs, or steps are missing
+    /// or duplicate.
     pub fn new(segments: &[Trajectory], goal: &Blueprint) -> Result<Self, EpisodeError> {
         let mut ordered: Vec<&Trajectory> = segments.iter().collect();
         ordered.sort_by_key(|segment| segment.first_step);
@@ -89,61 +90,61 @@ impl Episode {
         Ok(Self { goal, first_step, scenes, returns, status: last.status })
     }
 
-    /// The goal with the blocks of this episode.
+    /// Returns the goal with the blocks of this episode.
     pub fn goal(&self) -> &Blueprint {
         &self.goal
     }
 
-    /// Index of the first step shown, from 0.
+    /// Returns the index of the first step shown, from 0.
     pub fn first_step(&self) -> usize {
         self.first_step
     }
 
-    /// Number of steps.
+    /// Returns the number of steps.
     pub fn n_steps(&self) -> usize {
         self.scenes.len() - 1
     }
 
-    /// The status after the last step; `Running` if the recording ends before the episode.
+    /// Returns the status after the last step; `Running` if the recording ends before the episode.
     pub fn status(&self) -> Status {
         self.status
     }
 
-    /// Length in seconds of simulated time.
+    /// Returns the length in seconds of simulated time.
     pub fn length_s(&self) -> f32 {
         self.n_steps() as f32 * STEP_S
     }
 
-    /// Number of steps finished at a time in seconds.
+    /// Returns the number of steps finished at a time in seconds.
     pub(super) fn n_done(&self, time_s: f32) -> usize {
         // A thousandth of a step compensates rounding in accumulated times.
         ((time_s / STEP_S + 1e-3).max(0.0) as usize).min(self.n_steps())
     }
 
-    /// Cumulative reward at a time in seconds.
+    /// Returns the cumulative reward at a time in seconds.
     pub(super) fn return_at(&self, time_s: f32) -> f32 {
         self.return_after(self.n_done(time_s)).total()
     }
 
-    /// Cumulative reward of the first `n_done` steps by term.
+    /// Returns the cumulative reward of the first `n_done` steps by term.
     pub fn return_after(&self, n_done: usize) -> RewardTerms {
         self.returns[n_done]
     }
 
-    /// All scenes.
+    /// Returns all scenes.
     pub fn scenes(&self) -> &[Scene] {
         &self.scenes
     }
 
-    /// Number of the goal's connections that exist after `n_done` steps.
+    /// Returns the number of the goal's connections that exist after `n_done` steps.
     pub fn n_connected(&self, n_done: usize) -> usize {
         let is_right =
             |joint: &&Joint| self.goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
         self.scenes[n_done].joints.iter().filter(is_right).count()
     }
 
-    /// The largest piece of the goal that stands after `n_done` steps; of pieces of one size, that with the lowest block.
-    /// No blocks if none are connected.
+    /// Returns the largest piece of the goal that is assembled after `n_done` steps. Of pieces of equal size, returns
+    /// the one with the lowest block index. Empty if no blocks are connected.
     pub(super) fn largest_piece(&self, n_done: usize) -> Vec<BlockIdx> {
         let pieces = self.scenes[n_done].pieces(&self.goal);
         let members = |piece: usize| BlockIdx::all().filter(move |block| pieces[block.get()] == piece);
@@ -151,7 +152,7 @@ impl Episode {
         largest.map(|piece| members(piece).collect()).filter(|piece: &Vec<_>| piece.len() > 1).unwrap_or_default()
     }
 
-    /// The scene at a time in seconds; block poses are interpolated between steps.
+    /// Returns the scene at a time in seconds; block poses are interpolated between steps.
     pub(super) fn scene_at(&self, time_s: f32) -> Scene {
         let n_done = self.n_done(time_s);
         let Some(after) = self.scenes.get(n_done + 1) else { return self.scenes[n_done].clone() };
@@ -174,7 +175,7 @@ fn between(before: &Pose, after: &Pose, share: f32) -> Pose {
         let [x, y, z, w] = pose.orientation;
         UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
     });
-    // Half a turn in a step has no shortest path; no block turns that fast.
+    // A half turn within a step has no shortest path; no block turns that fast.
     let turn = turn_from.try_slerp(&turn_to, share, 1e-6).unwrap_or(turn_to);
     Pose { position: from.lerp(&to, share).into(), orientation: turn.coords.into() }
 }

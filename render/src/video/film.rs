@@ -21,10 +21,10 @@ const TRACK: Rgb = [222, 226, 235];
 const GREEN: Rgb = [24, 132, 84];
 const AMBER: Rgb = [186, 104, 10];
 
-/// Duration of the last scene, in seconds: the camera comes near and then stays for a moment.
+/// Duration of the last scene in seconds: the camera moves closer and then pauses.
 pub const LAST_S: f32 = 2.0;
 
-/// Wider frames use larger text, pixels.
+/// Frames wider than this use larger text, pixels.
 const WIDE_PX: usize = 800;
 
 /// Draws frames of one episode.
@@ -53,8 +53,8 @@ struct Layout {
 }
 
 impl<'a> Film<'a> {
-    /// A film with frames of `width` pixels, clamped to [`MIN_WIDTH`] and [`MAX_WIDTH`] and rounded to even; the height
-    /// is nine sixteenths of that, also rounded to even.
+    /// Creates a film with frames of `width` pixels, clamped to [`MIN_WIDTH`] and [`MAX_WIDTH`] and rounded to even.
+    /// The height is nine sixteenths of the width, also rounded to even.
     pub fn new(episode: &'a Episode, width: usize) -> Self {
         let width = width.clamp(MIN_WIDTH, MAX_WIDTH) / 2 * 2;
         let size_px = [width, width * 9 / 32 * 2];
@@ -64,21 +64,21 @@ impl<'a> Film<'a> {
         Self { episode, stage, painter, size_px, panel, layout }
     }
 
-    /// Width and height of the frames in pixels, both even.
+    /// Returns the width and height of the frames in pixels, both even.
     pub fn size_px(&self) -> [usize; 2] {
         self.size_px
     }
 
-    /// All frames in order, `fps` (at least 1) per second, from the first scene to the last, to which the camera comes
-    /// nearer before it stays for a moment.
+    /// Returns all frames in order, `fps` (at least 1) per second. On the last scene, the camera moves closer and then
+    /// pauses.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
         let per_second = fps.max(1) as f32;
         let n_frames = (self.episode.length_s() * per_second).ceil() as usize + 1 + (LAST_S * per_second) as usize;
         (0..n_frames).map(move |i| self.frame(i as f32 / per_second))
     }
 
-    /// The frame at a time in seconds since the first scene; after the end, the last scene, to which the camera comes
-    /// nearer.
+    /// Returns the frame at a time in seconds since the first scene. After the end, this is the last scene with the
+    /// camera moving closer.
     pub fn frame(&mut self, time_s: f32) -> Image {
         let n_done = time_s / STEP_S;
         let time_s = time_s.clamp(0.0, self.episode.length_s());
@@ -128,7 +128,7 @@ impl<'a> Film<'a> {
     }
 }
 
-/// The text and color of a status.
+/// Returns the text and color of a status.
 pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
     match status {
         Status::Success => ("success", GREEN),
@@ -138,7 +138,7 @@ pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
     }
 }
 
-/// Name of the held block's type, `None` for an absent gripper.
+/// Returns the name of the held block's type, `None` for an absent gripper.
 fn held(scene: &Scene, gripper_idx: usize) -> Option<&'static str> {
     let gripper = scene.grippers[gripper_idx].as_ref()?;
     Some(gripper.held.map_or("free", |block| Inventory::standard().block_type(block).name.as_str()))
@@ -150,7 +150,7 @@ fn row(image: &mut Image, [x, y]: [usize; 2], room: usize, words: Type, name: &s
     write(image, [(x + room).saturating_sub(words.width(value)), y], value, words, INK);
 }
 
-/// A picture of the goal, with its size in pixels.
+/// Draws a picture of the goal with this size in pixels.
 pub(super) fn goal_picture(painter: &mut Painter, episode: &Episode, [width, height]: [usize; 2]) -> Image {
     let blocks = of_blueprint(episode.goal());
     let shorter = width.min(height) as f32;

@@ -18,7 +18,7 @@ const N_COLORS: usize = 255;
 /// so that the number of frames stays the same.
 ///
 /// # Errors
-/// If there is no frame, or the format does not support the frame rate or size (see [`VideoError`]).
+/// Returns an error if there is no frame, or the format does not support the frame rate or size (see [`VideoError`]).
 pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>, VideoError> {
     if !(1..=MAX_GIF_FPS).contains(&fps) {
         return Err(VideoError::Rate { fps, most: MAX_GIF_FPS });
@@ -60,7 +60,8 @@ pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>,
     Ok(encoder.into_inner()?)
 }
 
-/// Bounds of the changed pixels, as columns and rows (start inclusive, end exclusive); one pixel if nothing changed.
+/// Returns the bounds of the changed pixels, as columns and rows (start inclusive, end exclusive); one pixel if nothing
+/// changed.
 fn changed(last: &Image, image: &Image) -> [[usize; 2]; 2] {
     let width = image.width();
     let (mut x, mut y) = ([width, 0], [image.height(), 0]);
@@ -75,7 +76,7 @@ fn changed(last: &Image, image: &Image) -> [[usize; 2]; 2] {
     if y[1] == 0 { [[0, 1], [0, 1]] } else { [x, y] }
 }
 
-/// The pixels of a part of an image, and which of them are unchanged.
+/// Returns the pixels of a part of an image, and which of them are unchanged.
 fn cut(last: Option<&Image>, image: &Image, x: [usize; 2], y: [usize; 2]) -> (Vec<Rgb>, Vec<bool>) {
     let part = |of: &Image| -> Vec<Rgb> {
         of.pixels().chunks_exact(of.width()).take(y[1]).skip(y[0]).flat_map(|row| &row[x[0]..x[1]]).copied().collect()

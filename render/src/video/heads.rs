@@ -1,4 +1,4 @@
-//! Films and strips of attention: the attention of every head of every layer to the blocks, through an episode.
+//! Films and strips of attention: the attention that every head of every layer pays to the blocks over an episode.
 
 use super::attention::{AttentionSource, EpisodeAttention, FULL, Shares, shade};
 use super::film::{GRAY, HAIRLINE, INK, goal_picture};
@@ -38,8 +38,8 @@ pub struct AttentionFilm<'g> {
 }
 
 impl<'g> AttentionFilm<'g> {
-    /// A film with frames of `width` pixels, clamped to [`MIN_WIDTH`](super::MIN_WIDTH) and
-    /// [`MAX_WIDTH`](super::MAX_WIDTH) and rounded to even; the height depends on the number of layers.
+    /// Creates a film with frames of `width` pixels, clamped to [`MIN_WIDTH`](super::MIN_WIDTH) and
+    /// [`MAX_WIDTH`](super::MAX_WIDTH) and rounded to even. The height depends on the number of layers.
     pub fn new(attention: &'g EpisodeAttention<'g>, width: usize) -> Self {
         let width = width.clamp(super::MIN_WIDTH, super::MAX_WIDTH) / 2 * 2;
         let n_columns = attention.n_heads().max(MIN_COLUMNS);
@@ -52,7 +52,7 @@ impl<'g> AttentionFilm<'g> {
         Self { attention, stage, painter, goal, n_columns, tile_px, size_px: [width, height.next_multiple_of(2)] }
     }
 
-    /// All frames in order, `fps` (at least 1) per second; the last stays for a moment.
+    /// Returns all frames in order, `fps` (at least 1) per second, with a pause on the last one.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
         let per_second = fps.max(1) as f32;
         let length_s = self.attention.episode.length_s();
@@ -67,7 +67,7 @@ impl<'g> AttentionFilm<'g> {
         })
     }
 
-    /// The frame after `n_done` steps; attention is not interpolated between steps.
+    /// Returns the frame after `n_done` steps; attention is not interpolated between steps.
     fn frame(&mut self, n_done: usize) -> Image {
         let (attention, episode) = (self.attention, self.attention.episode);
         let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
@@ -120,8 +120,8 @@ impl<'g> AttentionFilm<'g> {
     }
 }
 
-/// Rows of pictures at `n_moments` (at least 2) evenly spaced steps: the world, then the attention of each gripper and
-/// each head of each layer. The image is about `width` pixels wide (at least 480).
+/// Draws rows of pictures at `n_moments` (at least 2) evenly spaced steps: the world, then the attention of each
+/// gripper and of each head of each layer. The image is about `width` pixels wide (at least 480).
 pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width: usize) -> Image {
     let (n_moments, episode) = (n_moments.max(2), attention.episode);
     let tile_width = (width.max(super::MIN_WIDTH) - MARGIN) / n_moments - GAP;

@@ -20,7 +20,7 @@ const FPS: u32 = 5;
 /// Maximum number of frames before the last one.
 const MAX_FRAMES: usize = 60;
 
-/// Number of frames of the last scene, while the camera comes nearer.
+/// Number of frames of the last scene, while the camera moves closer.
 const LAST_FRAMES: usize = 6;
 
 /// Height of the line of text, and size of the goal in the upper right corner.
@@ -40,7 +40,7 @@ pub struct Miniature {
 /// `None` if it never fits.
 ///
 /// # Errors
-/// Those of [`gif()`].
+/// Returns the errors of [`gif()`].
 pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
     let [width, height] = MINIATURE_PX;
     let stage = Stage::new(episode, [width, height - FOOT_PX]);
@@ -65,7 +65,7 @@ pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
     }
 }
 
-/// The frame at a time in steps; after the end, the last scene.
+/// Returns the frame at a time in steps; after the end, the last scene.
 fn frame(episode: &Episode, time: usize, goal: &Image, stage: &Stage, painter: &mut Painter) -> Image {
     let n_done = time.min(episode.n_steps());
     let [width, height] = MINIATURE_PX;

@@ -14,7 +14,7 @@ use crate::picture::Image;
 /// Interval between key frames in seconds, for seeking.
 const KEY_FRAME_INTERVAL_S: u32 = 2;
 
-/// Quantization parameter, 0 to 51: thin lines stay sharp, and a second takes some tens of kilobytes.
+/// Quantization parameter, 0 to 51: thin lines stay sharp, and a second takes a few tens of kilobytes.
 const QP: u8 = 24;
 
 /// Encodes the frames as MP4, `fps` (1 to [`MAX_FPS`]) per second. Equal frames give equal bytes on one machine.
@@ -22,7 +22,8 @@ const QP: u8 = 24;
 /// Frames are consumed one at a time, so that a film need not fit into memory.
 ///
 /// # Errors
-/// If there is no frame, the frame rate or size is not supported (see [`VideoError`]), or the encoder fails.
+/// Returns an error if there is no frame, the frame rate or size is not supported (see [`VideoError`]), or the encoder
+/// fails.
 pub fn mp4(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>, VideoError> {
     if !(1..=MAX_FPS).contains(&fps) {
         return Err(VideoError::Rate { fps, most: MAX_FPS });
@@ -66,7 +67,7 @@ fn config(fps: u32) -> EncoderConfig {
         .complexity(Complexity::Medium)
         .intra_frame_period(IntraFramePeriod::from_num_frames(KEY_FRAME_INTERVAL_S * fps))
         .scene_change_detect(false)
-        // More threads would split a frame into as many slices, and the bytes would depend on the number of cores.
+        // More threads would split a frame into slices, and the bytes would depend on the number of cores.
         .num_threads(1)
         // The conversion from RGB uses this matrix; without it, players guess another one from the size.
         .vui(VuiConfig::bt709().matrix_coefficients(MatrixCoefficients::Smpte170M))

@@ -1,4 +1,4 @@
-//! An episode through a camera that follows what is being built.
+//! Views an episode through a camera that follows the construction.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use nalgebra::{Point3, Vector2};
@@ -7,47 +7,49 @@ use proto::Scene;
 use super::episode::Episode;
 use crate::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, Window, corners, of_scene};
 
-/// Loose blocks farther than this from the middle of the goal's blocks, in meters along x or y, are not framed, so that a
-/// block that was thrown away does not make the others small.
+/// Loose blocks farther than this from the middle of the goal's blocks, in meters along x or y, are not framed, so that
+/// a block that was thrown away does not shrink the others.
 const REACH_M: f32 = 1.6;
 
-/// What is farther than this from the origin along an axis, in meters, fell off the world.
+/// Blocks farther than this from the origin along an axis, in meters, have fallen off the world.
 const WORLD_M: f32 = 10.0;
 
-/// Steps that the camera takes to follow: it opens that long before a block needs room, and closes that long after.
+/// Number of steps over which the camera moves: it zooms out this long before a block needs room, and zooms in this
+/// long after.
 const FOLLOW_STEPS: usize = 14;
 
-/// Steps for which the camera shall stay where it goes.
+/// Look-ahead for a new camera position, in steps, so that the camera can stay there for a while.
 const HOLD_STEPS: usize = 3 * FOLLOW_STEPS;
 
-/// The camera goes nearer once what is needed takes less than this share of the picture's side.
+/// The camera moves closer once the required view takes less than this share of the picture's side.
 const CLOSER_FROM: f32 = 0.8;
 
-/// Steps after the last one until the camera has come as near as it can.
+/// Number of steps after the last one until the camera is as close as possible.
 pub(super) const SETTLING_STEPS: usize = FOLLOW_STEPS;
 
-/// Margin around what is framed, as a share of the height.
+/// Margin around the framed blocks, as a share of the height.
 const MARGIN: f32 = 0.05;
 
-/// Least length that the shorter side of a picture shows, in meters, so that two blocks still lie somewhere.
+/// Minimum length in meters that the shorter side of a picture shows, so that two blocks still have visible
+/// surroundings.
 const MIN_SHOWN_M: f32 = 6.0 * blueprints::UNIT_M;
 
-/// The world of an episode, seen from one side; the camera comes nearer as blocks come together.
+/// The world of an episode, seen from one side. The camera moves closer as blocks come together.
 ///
-/// In the frame after each step are the largest right piece of the goal, what grippers hold of it, and its other blocks
-/// within [`REACH_M`]. As blocks are joined, fewer lie around, and the structure fills the picture.
+/// The view after each step contains the largest correct piece of the goal, the goal's blocks held by grippers, and its
+/// other blocks within [`REACH_M`]. As blocks are joined, fewer lie around, and the structure fills the picture.
 #[derive(Clone, Debug)]
 pub(super) struct Stage {
     view: Camera,
     ground: Ground,
     margin_px: f32,
     max_px_per_m: f32,
-    /// The part of the view that is shown after each step, and while the camera settles.
+    /// The part of the view shown after each step and while the camera settles.
     windows: Vec<Window>,
 }
 
 impl Stage {
-    /// A stage that shows an episode in pictures of `size_px` pixels.
+    /// Creates a stage that shows an episode in pictures of `size_px` pixels.
     pub(super) fn new(episode: &Episode, size_px: [usize; 2]) -> Self {
         let margin_px = MARGIN * size_px[1] as f32;
         let max_px_per_m = size_px[0].min(size_px[1]) as f32 / MIN_SHOWN_M;
@@ -59,7 +61,7 @@ impl Stage {
         Self { ground: Ground::under(&all), margin_px, max_px_per_m, windows: smooth(&needed, aspect), view }
     }
 
-    /// The camera after `n_done` steps of those that the episode shows, or at a time between two of them.
+    /// Returns the camera after `n_done` steps of the shown episode; fractions interpolate between steps.
     pub(super) fn camera(&self, n_done: f32) -> Camera {
         let (first, share) = (n_done.max(0.0) as usize, n_done.max(0.0).fract());
         let at = |step: usize| self.windows.get(step).or(self.windows.last());
@@ -74,7 +76,7 @@ impl Stage {
         self.paint(painter, &of_scene(scene), n_done)
     }
 
-    /// Draws these blocks instead of the scene's.
+    /// Draws these blocks instead of those of a scene.
     pub(super) fn paint(&self, painter: &mut Painter, blocks: &[Block], n_done: f32) -> Image {
         painter.paint(blocks, &self.camera(n_done), self.ground)
     }
@@ -98,7 +100,7 @@ impl Stage {
     }
 }
 
-/// The blocks that are to be seen after `n_done` steps.
+/// Returns the blocks to frame after `n_done` steps.
 fn framed(episode: &Episode, n_done: usize) -> Vec<Block> {
     let scene = &episode.scenes()[n_done];
     let mut is_goal = [false; N_BLOCKS];
@@ -116,7 +118,7 @@ fn framed(episode: &Episode, n_done: usize) -> Vec<Block> {
     let is_wanted = |block: &Block| {
         let at = block.pose.translation.vector;
         let is_near = (at.xy() - middle).amax() < REACH_M;
-        // Written so that no number is far away too.
+        // These comparisons are false for NaN, so a diverged block counts as far away.
         is_goal[block.block.get()]
             && at.iter().all(|value| value.abs() < WORLD_M)
             && (is_near || piece.contains(&block.block) || is_held(block.block))
@@ -124,16 +126,16 @@ fn framed(episode: &Episode, n_done: usize) -> Vec<Block> {
     of_scene(scene).into_iter().filter(is_wanted).collect()
 }
 
-/// For each step, and while the camera settles, a window that contains the one needed then and moves slowly.
+/// Returns, for each step and while the camera settles, a window that moves slowly and contains the one needed then.
 ///
-/// Each is a mean of windows that all contain what is needed, so it does too.
+/// Each window is a mean of windows that all contain what is needed, so it does too.
 fn smooth(needed: &[Option<Window>], aspect: f32) -> Vec<Window> {
     let held = hold(needed, aspect);
     let mean = |step: usize| {
         let mut sum: Option<(Window, f32)> = None;
         for back in 0..=FOLLOW_STEPS {
             let Some(window) = held.get(step.saturating_sub(back)).or(held.last()).copied().flatten() else { continue };
-            // The most in the middle, so that the camera neither starts nor stops suddenly.
+            // The weight is highest in the middle, so that the camera neither starts nor stops suddenly.
             let weight = (1 + back.min(FOLLOW_STEPS - back)) as f32;
             sum = Some(match sum {
                 Some((mean, total)) => (mean.toward(&window, weight / (total + weight)), total + weight),
@@ -144,14 +146,15 @@ fn smooth(needed: &[Option<Window>], aspect: f32) -> Vec<Window> {
     };
     let mut windows: Vec<Window> = Vec::new();
     for step in 0..needed.len() + SETTLING_STEPS {
-        // Where nothing can be seen the camera stays.
+        // Without visible blocks, the camera stays where it is.
         windows.extend(mean(step).or(windows.last().copied()));
     }
     windows
 }
 
-/// For each step a window that contains those needed until the camera could have followed. It stays the same until it is
-/// too small, or much too large: pictures of a camera at rest take a fraction of the bytes, and are easier to watch.
+/// Returns, for each step, a window that contains all windows needed until the camera could have followed. It changes
+/// only when it is too small or much too large: frames of a camera at rest take a fraction of the bytes, and are easier
+/// to watch.
 fn hold(needed: &[Option<Window>], aspect: f32) -> Vec<Option<Window>> {
     let union = |from: usize, n_steps: usize| {
         let some = &needed[from..needed.len().min(from + n_steps + 1)];
@@ -162,7 +165,7 @@ fn hold(needed: &[Option<Window>], aspect: f32) -> Vec<Option<Window>> {
     for step in 0..needed.len() {
         let (soon, long) = (union(step, FOLLOW_STEPS), union(step, HOLD_STEPS));
         held = match (held, soon, long) {
-            // Nothing moves any more.
+            // At the last step, nothing moves any more.
             (_, Some(soon), _) if step + 1 == needed.len() => Some(soon),
             (Some(held), Some(soon), Some(long)) => {
                 let is_enough = held.with(&soon) == held;
@@ -187,14 +190,14 @@ mod tests {
 
     const SIZE_PX: [usize; 2] = [640, 360];
 
-    /// Steps that each block is carried.
+    /// Number of steps for which each block is carried.
     const CARRY_STEPS: usize = 5;
 
     fn goal() -> &'static Blueprint {
         Catalog::builtin().get(&"14_003".parse().unwrap()).unwrap()
     }
 
-    /// One block after the other is carried from where it lies to its place beside them.
+    /// An episode in which blocks are carried one by one from their initial place to their place in the structure.
     fn assembly() -> Episode {
         let blocks = of_blueprint(goal());
         let n_steps = CARRY_STEPS * blocks.len();
@@ -225,14 +228,14 @@ mod tests {
         Episode::new(&[whole], goal()).unwrap()
     }
 
-    /// Pixels from the left and top of all corners, first the least and then the most.
+    /// Smallest and largest pixel coordinates of all corners, from the left and from the top.
     fn extent(camera: &Camera, blocks: &[Block]) -> [[f32; 2]; 2] {
         let places: Vec<[f32; 2]> = corners(blocks).iter().map(|corner| camera.place(corner).unwrap()).collect();
         let along = |axis: usize, pick: fn(f32, f32) -> f32| places.iter().map(|at| at[axis]).reduce(pick).unwrap();
         [[along(0, f32::min), along(1, f32::min)], [along(0, f32::max), along(1, f32::max)]]
     }
 
-    /// The larger of the shares of width and height that the blocks take.
+    /// The share of the picture's width or height that the blocks occupy, whichever is larger.
     fn share(camera: &Camera, blocks: &[Block]) -> f32 {
         let [low, high] = extent(camera, blocks);
         (0..2).map(|axis| (high[axis] - low[axis]) / SIZE_PX[axis] as f32).fold(0.0, f32::max)
@@ -245,7 +248,7 @@ mod tests {
         for n_done in 0..=episode.n_steps() {
             let blocks = framed(&episode, n_done);
             assert!(goal().placements().iter().all(|at| blocks.iter().any(|block| block.block == at.block)));
-            // Up to the next step, in which the held block moves.
+            // Also halfway to the next step, in which the held block moves.
             for time in [n_done as f32, n_done as f32 + 0.5] {
                 let camera = stage.camera(time);
                 let [low, high] = extent(&camera, &blocks);
@@ -254,7 +257,7 @@ mod tests {
                 assert!(share(&camera, &blocks) > 0.4, "after {time} steps: {low:?} to {high:?}");
             }
         }
-        // The end: nothing else is needed, so the structure has all but the margins.
+        // At the end nothing else is needed, so the structure fills all but the margins.
         let settled = stage.camera((episode.n_steps() + SETTLING_STEPS) as f32);
         let structure: Vec<Block> = framed(&episode, episode.n_steps());
         assert!((share(&settled, &structure) - (1.0 - 2.0 * MARGIN)).abs() < 0.01, "{}", share(&settled, &structure));
@@ -266,7 +269,7 @@ mod tests {
         let stage = Stage::new(&episode, SIZE_PX);
         for n_done in 0..episode.n_steps() + SETTLING_STEPS {
             let [before, after] = [n_done, n_done + 1].map(|n_done| stage.camera(n_done as f32));
-            // Where a point at rest is seen; a step has three frames.
+            // The position at which a fixed point appears; a step has three frames.
             let [from, to] = [before, after].map(|camera| camera.place(&Point3::new(-0.7, -0.7, 0.0)).unwrap());
             let moved_px = (to[0] - from[0]).hypot(to[1] - from[1]);
             assert!(moved_px < 0.1 * SIZE_PX[0] as f32, "{moved_px} pixels after {n_done} steps");
@@ -285,12 +288,12 @@ mod tests {
             let episode = Episode::new(std::slice::from_ref(segment), pair).unwrap();
             framed(&episode, episode.n_steps()).iter().map(|block| block.block).collect::<Vec<_>>()
         };
-        // The median of two is the second one, in order.
+        // The median of two values is the larger one.
         assert_eq!(far(&segment).len(), 1);
         let relative = pair.link(a, b).unwrap().relative;
         segment.last_scene.joints = vec![Joint { a, b, relative }];
         assert_eq!(far(&segment), [a, b]);
-        // What fell off the world is seen by nobody.
+        // Blocks that fell off the world are not framed.
         segment.last_scene.blocks[a.get()].position = [f32::NAN, 0.0, 1e9];
         assert_eq!(far(&segment), [b]);
     }

@@ -15,8 +15,8 @@ const N_COLUMNS: usize = 4;
 const GAP: usize = 8;
 const FOOT: usize = 26;
 
-/// Pictures in rows of four: the goal, then `n_frames` (at least 2) pictures of the world. The image is `width` pixels
-/// wide (at least 480).
+/// Draws pictures in rows of four: the goal, then `n_frames` (at least 2) pictures of the world. The image is `width`
+/// pixels wide (at least 480).
 pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let n_frames = n_frames.max(2);
     let tile = (width.max(super::MIN_WIDTH) - (N_COLUMNS - 1) * GAP) / N_COLUMNS;
@@ -38,7 +38,7 @@ pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let n_links = episode.goal().links().len();
     for i in 0..n_frames {
         let n_done = i * episode.n_steps() / (n_frames - 1);
-        // The last picture is taken when the camera has come near.
+        // The last picture shows the scene after the camera has settled.
         let settled = if i + 1 == n_frames { SETTLING_STEPS } else { 0 };
         let picture = stage.picture(&mut painter, &episode.scenes()[n_done], (n_done + settled) as f32);
         let end = match episode.status() {

@@ -15,7 +15,7 @@ fn goal() -> &'static Blueprint {
     Catalog::builtin().iter().next().unwrap()
 }
 
-/// Blocks in rows of four; the first one is held and `along_m` to the side.
+/// Blocks in rows of four. The first one is held and moved aside by `along_m`.
 fn scene(along_m: f32) -> Scene {
     let row = |i: usize| [(i % 4) as f32 * 0.5, (i / 4) as f32 * 0.5, 0.05];
     let mut blocks = std::array::from_fn(|i| Pose { position: row(i), orientation: STILL });
@@ -26,7 +26,7 @@ fn scene(along_m: f32) -> Scene {
     Scene { blocks, speeds_mps, joints: Vec::new(), grippers: [Some(gripper), None], n_heavy_contacts: 0 }
 }
 
-/// Steps `first` to `last` of an episode of four; the first block moves 0.4 m per step, for a reward of 1 each.
+/// Steps `first` to `last` of an episode of four. The first block moves 0.4 m per step, for a reward of 1 each.
 pub(super) fn segment(first: u16, last: u16) -> Trajectory {
     let action = Action { choices: [BlockIdx::all().next(), None], moves: [[0.0; 6]; N_BLOCKS] };
     let reward = RewardTerms { connected: 1.0, ..RewardTerms::default() };
@@ -122,7 +122,7 @@ fn film_shows_the_goal_next_to_the_world() {
     assert_ne!(banner(&frame), banner(&last));
 }
 
-/// The content of a box of an MP4 file by its path.
+/// The content of the box at `path` in an MP4 file.
 fn mp4_box<'a>(bytes: &'a [u8], path: &[&str]) -> &'a [u8] {
     let Some((name, rest)) = path.split_first() else { return bytes };
     let mut at = bytes;
