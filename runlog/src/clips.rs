@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use blueprints::BlueprintId;
 use proto::WeightsVersion;
 
-/// The end of a clip's episode.
+/// The outcome of a clip's episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Ending {
-    /// The blueprint stands.
+    /// The blueprint was completed.
     Success,
-    /// The blueprint does not stand.
+    /// The blueprint was not completed.
     Failure,
 }
 
@@ -20,7 +20,7 @@ impl Ending {
     /// Both endings.
     pub const ALL: [Self; 2] = [Self::Success, Self::Failure];
 
-    /// The name in file names: `success` or `failure`.
+    /// Returns the name in file names: `success` or `failure`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Success => "success",
@@ -35,7 +35,7 @@ pub const RECORDING: &str = "trajectory";
 /// A store for clip files of one kind.
 #[derive(Clone, Debug)]
 pub struct ClipStore {
-    /// The folder with one folder per blueprint.
+    /// The folder with one subfolder per blueprint.
     pub folder: PathBuf,
     /// File extension of the clips.
     pub kind: &'static str,
@@ -48,14 +48,14 @@ pub struct ClipStore {
 pub struct ClipName {
     /// Version of the acting weights.
     pub version: WeightsVersion,
-    /// The end of the episode.
+    /// The outcome of the episode.
     pub ending: Ending,
     /// Number among clips of the same version and ending, from 1; the file name omits a 1.
     pub number: u32,
 }
 
 impl ClipName {
-    /// The file name without the extension; the names of a blueprint sort by version.
+    /// Returns the file name without the extension; the names of a blueprint sort by version.
     pub fn name(&self) -> String {
         let (version, ending) = (self.version.0, self.ending.name());
         match self.number {
@@ -64,7 +64,7 @@ impl ClipName {
         }
     }
 
-    /// Parses a name written by [`name`](Self::name); foreign files give `None`.
+    /// Parses a name written by [`name`](Self::name); returns `None` for foreign files.
     fn of(name: &str) -> Option<Self> {
         let mut parts = name.splitn(3, '-');
         let version = WeightsVersion(parts.next()?.parse().ok()?);
@@ -122,7 +122,7 @@ pub struct Clip {
     pub number: u32,
 }
 
-/// The clips of a folder, newest first, without foreign files; empty if the folder cannot be read.
+/// Returns the clips of a folder, newest first, without foreign files; empty if the folder cannot be read.
 pub fn clips(folder: &Path) -> Vec<Clip> {
     let names = |folder: &Path| {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();

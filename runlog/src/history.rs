@@ -33,7 +33,7 @@ pub struct Pass {
     pub n_env_steps: u64,
     /// Seed of the start states.
     pub seed: u64,
-    /// Each blueprint, ordered by split, size and id.
+    /// Results by blueprint, ordered by split, size, and id.
     pub blueprints: Vec<EvalBlueprint>,
     /// Reset-free runs, if there were any.
     pub reset_free: Option<EvalResetFree>,
@@ -63,7 +63,7 @@ pub enum HistoryError {
         .0.display()
     )]
     Missing(PathBuf),
-    /// A newer program version wrote it.
+    /// A newer version of the program wrote the file.
     #[error(
         "the history {} has schema version {found}, this program knows {SCHEMA_VERSION}: use the newer program",
         path.display()
@@ -74,13 +74,13 @@ pub enum HistoryError {
         /// Its schema version.
         found: i64,
     },
-    /// It is a database with other tables.
+    /// The file is a database with other tables.
     #[error("{} is a database of something else, not a history of evaluations: move it away", path.display())]
     Foreign {
         /// The file.
         path: PathBuf,
     },
-    /// Another writer has it open.
+    /// Another writer has the file open.
     #[error("another evaluator writes the history {}: give this one another run directory", .0.display())]
     Taken(PathBuf),
     /// The lock file cannot be created.
@@ -134,7 +134,7 @@ impl History {
         rows::append(&mut self.db, pass).map_err(|error| HistoryError::Database { path: path.clone(), error })
     }
 
-    /// Reads all evaluations of the history at `path` in writing order, also while a writer has it open.
+    /// Reads all evaluations of the history at `path` in writing order, even while a writer has it open.
     ///
     /// # Errors
     /// If it does not exist, has a newer version, is not a history, or cannot be read.
@@ -157,7 +157,7 @@ fn configure(db: &Connection) -> rusqlite::Result<()> {
     db.pragma_update(None, "foreign_keys", true)
 }
 
-/// Creates the folder and takes the lock. The system releases the lock when the process ends, however it ends.
+/// Creates the folder and acquires the lock. The system releases the lock when the process ends, however it ends.
 fn lock(history: &Path) -> Result<File, HistoryError> {
     let mut path = history.as_os_str().to_owned();
     path.push(".lock");

@@ -11,10 +11,10 @@ use crate::series::{Row, group_of, group_rates, outcome_of};
 use blueprints::Group;
 use proto::ActionMode;
 
-/// Version of the overview's schema. A version only gains fields.
+/// Version of the overview's schema. Within a version, fields are only added.
 pub const SCHEMA_VERSION: u32 = 1;
 
-/// Maximum number of evaluations kept. Above it, every second one is dropped; the newest always stays.
+/// Maximum number of evaluations kept. Above it, every other one is dropped; the newest always stays.
 const MAX_PASSES: usize = 400;
 
 /// The evaluations of a run, with increasing environment steps.
@@ -52,9 +52,9 @@ pub struct Head {
     /// Environment steps that the learner had consumed when it published the weights.
     pub n_env_steps: u64,
     seed: u64,
-    /// The paper's groups in its order.
+    /// Results by group: the paper's in its order, then validation.
     pub groups: Vec<GroupView>,
-    /// All blueprints.
+    /// Results of all blueprints.
     pub all: GroupView,
 }
 
@@ -64,7 +64,7 @@ pub struct GroupView {
     /// `all`, or the group's name.
     pub name: &'static str,
     n_blueprints: usize,
-    /// Success rate with the most probable actions; `None` if not evaluated.
+    /// Success rate with greedy actions; `None` if not evaluated.
     pub mode: Option<SuccessRate>,
     /// Success rate with sampled actions; `None` if not evaluated.
     pub sampled: Option<SuccessRate>,
@@ -115,12 +115,12 @@ impl Passes {
         }
     }
 
-    /// The newest evaluation.
+    /// Returns the newest evaluation.
     pub fn last(&self) -> Option<&Head> {
         Some(&self.kept.last()?.head)
     }
 
-    /// Successes and episodes of the newest evaluation, as `(blueprint, action mode, counts)`.
+    /// Returns successes and episodes of the newest evaluation, as `(blueprint, action mode, counts)`.
     pub fn newest(&self) -> impl Iterator<Item = (&Row, ActionMode, Counts)> {
         let rates = self.kept.last().into_iter().flat_map(|pass| &pass.rates);
         rates.flat_map(|(row, [mode, sampled])| {
@@ -129,12 +129,12 @@ impl Passes {
         })
     }
 
-    /// The overview with its schema version, for the bus.
+    /// Returns the overview with its schema version, for the bus.
     pub fn overview(&self) -> Overview<'_> {
         Overview { schema_version: SCHEMA_VERSION, passes: self.view() }
     }
 
-    /// The overview.
+    /// Returns the overview.
     pub fn view(&self) -> PassesView<'_> {
         let mut rows: Vec<&Row> = self.kept.iter().flat_map(|pass| pass.rates.keys()).collect();
         rows.sort();
@@ -260,7 +260,7 @@ mod tests {
         for steps in 0..=MAX_PASSES as u64 {
             passes.push(&pass(steps, &[]));
         }
-        // Of 401 evaluations, every second one counted from the newest stays: 400, 398, and so on to 0, which are 201.
+        // Of 401 evaluations, every other one stays, counted from the newest: 400, 398, and so on to 0, 201 in total.
         assert_eq!((passes.kept.len(), passes.n_left_out), (201, 200));
         assert_eq!(passes.last().map(|head| head.n_env_steps), Some(400));
     }

@@ -41,10 +41,10 @@ pub struct Difference {
     pub max_apart: u64,
 }
 
-/// The evaluations that led to the last one, with increasing environment steps.
+/// Returns the evaluations that led to the last one, with increasing environment steps.
 ///
-/// A run resumed from an older checkpoint repeats some steps. The evaluations of the abandoned weights are left out,
-/// and of weights that were evaluated twice, the first evaluation.
+/// A run resumed from an older checkpoint repeats some steps. The result leaves out the evaluations of the abandoned
+/// weights, and the first evaluation of weights that were evaluated twice.
 pub fn lineage(passes: &[Pass]) -> Vec<&Pass> {
     let mut kept: Vec<&Pass> = Vec::new();
     for pass in passes {
@@ -56,7 +56,7 @@ pub fn lineage(passes: &[Pass]) -> Vec<&Pass> {
     kept
 }
 
-/// The outcome for one action mode; `None` if it was not evaluated.
+/// Returns the outcome for one action mode; `None` if it was not evaluated.
 pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutcome> {
     let outcome = match acting {
         ActionMode::Greedy => &score.mode,
@@ -65,7 +65,7 @@ pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutc
     (outcome.success.n_episodes > 0).then_some(outcome)
 }
 
-/// Success rates of an evaluation by blueprint.
+/// Returns the success rates of an evaluation by blueprint.
 fn rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
     let rate = |score: &EvalBlueprint| {
         let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
@@ -74,12 +74,12 @@ fn rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
     pass.blueprints.iter().filter_map(rate).collect()
 }
 
-/// The group of a blueprint; `None` for a size outside the paper's groups.
+/// Returns the group of a blueprint; `None` for a size outside the paper's groups.
 pub fn group_of(score: &EvalBlueprint) -> Option<Group> {
     Group::of(score.split, usize::try_from(score.n_blocks).ok()?)
 }
 
-/// Success rates of an evaluation by group, with the number of blueprints.
+/// Returns the success rates of an evaluation by group, with the number of blueprints.
 pub fn group_rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Group, (SuccessRate, usize)> {
     let mut counts: BTreeMap<Group, (u64, u64, usize)> = BTreeMap::new();
     for score in &pass.blueprints {
@@ -102,7 +102,8 @@ pub struct Common {
     pub of_runs: Vec<Vec<(u64, SuccessRate)>>,
 }
 
-/// Success rates of runs, each with increasing steps, on their shared blueprints; `None` if they share none.
+/// Returns the success rates of runs, each with increasing steps, on their shared blueprints; `None` if they share
+/// none.
 pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: ActionMode) -> Option<Common> {
     let runs: Vec<Vec<Evaluated>> = runs.map(|passes| evaluated(passes, acting)).collect();
     let mut passes = runs.iter().flatten();
@@ -122,7 +123,7 @@ pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: Acti
 }
 
 impl Grid {
-    /// Success rates of evaluations with increasing steps; `None` if none of them used this action mode.
+    /// Builds a grid of the success rates of evaluations with increasing steps; `None` if none used this action mode.
     pub fn success(passes: &[&Pass], acting: ActionMode) -> Option<Self> {
         let columns = passes.iter().map(|pass| {
             let rates = rates(pass, acting).into_iter().map(|(row, rate)| (row, rate.rate)).collect();
@@ -145,7 +146,8 @@ impl Grid {
 }
 
 impl Difference {
-    /// The success rate of `run` minus that of `other`, both with increasing steps; `None` without a shared blueprint.
+    /// Computes the success rate of `run` minus that of `other`, both with increasing steps; `None` if they share no
+    /// blueprint.
     ///
     /// Two evaluations form a column if each is the other's nearest in environment steps. So no evaluation appears
     /// twice, and steps that only one run reached have no column.
@@ -174,13 +176,13 @@ impl Difference {
 
 type Evaluated = (u64, BTreeMap<Row, SuccessRate>);
 
-/// Steps and success rates of the evaluations with this action mode.
+/// Returns steps and success rates of the evaluations with this action mode.
 fn evaluated(passes: &[&Pass], acting: ActionMode) -> Vec<Evaluated> {
     let all = passes.iter().map(|pass| (pass.n_env_steps, rates(pass, acting)));
     all.filter(|(_, rates)| !rates.is_empty()).collect()
 }
 
-/// The evaluation nearest to `steps`; the earlier one if two are equally near.
+/// Returns the evaluation nearest to `steps`; the earlier one if two are equally near.
 fn nearest(passes: &[Evaluated], steps: u64) -> Option<&Evaluated> {
     passes.iter().min_by_key(|(their_steps, _)| their_steps.abs_diff(steps))
 }

@@ -57,7 +57,7 @@ struct Tensor {
     strings: Vec<Vec<u8>>,
 }
 
-/// Which of TensorBoard's pages shows a value.
+/// The TensorBoard plugin that shows a value.
 #[derive(Clone, PartialEq, Message)]
 struct Metadata {
     #[prost(message, optional, tag = "1")]
@@ -88,7 +88,7 @@ struct SessionStart {
     start_time: f64,
 }
 
-/// The parts of `google.protobuf.Value` that a setting takes.
+/// The parts of `google.protobuf.Value` that a setting uses.
 #[derive(Clone, PartialEq, Message)]
 struct Setting {
     #[prost(oneof = "SettingKind", tags = "2, 3, 4")]
@@ -177,8 +177,8 @@ impl EventWriter {
         self.summary(step, vec![Tagged { tag: tag.to_owned(), tensor, metadata, ..Tagged::default() }])
     }
 
-    /// Sets the run's row in TensorBoard's table of hyperparameters: every setting under its path, `learner.gamma`. A list
-    /// is shown as JSON.
+    /// Sets the run's row in TensorBoard's table of hyperparameters: every setting under its path, such as
+    /// `learner.gamma`. Lists are shown as JSON.
     ///
     /// # Errors
     /// If writing fails.
@@ -188,12 +188,12 @@ impl EventWriter {
         let session = Some(SessionStart { by_name, start_time: since_1970() });
         let content = Hyperparameters { session }.encode_to_vec();
         let metadata = Some(Metadata { plugin: Some(Plugin { name: "hparams".to_owned(), content }) });
-        // The tag by which TensorBoard finds them.
+        // TensorBoard finds them by this tag.
         let tag = "_hparams_/session_start_info".to_owned();
         self.summary(0, vec![Tagged { tag, metadata, ..Tagged::default() }])
     }
 
-    /// The path of the file.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -232,7 +232,7 @@ fn fields<'v>(value: &'v Value, skipped: &[&str]) -> impl Iterator<Item = (&'v S
     value.as_object().into_iter().flatten().filter(|(name, _)| !skipped.contains(&name.as_str()))
 }
 
-/// Adds the settings below `path` by their own paths.
+/// Adds the settings below `path` under their own paths.
 fn collect(path: &str, value: &Value, settings: &mut BTreeMap<String, Setting>) {
     let kind = match value {
         Value::Null => return,
@@ -256,7 +256,7 @@ fn record(data: &[u8]) -> Vec<u8> {
     [&length[..], &masked_checksum(&length), data, &masked_checksum(data)].concat()
 }
 
-/// The checksum as stored: rotated and offset, so that it stays robust for data that contains checksums.
+/// Returns the checksum as stored: rotated and offset, so that it stays robust for data that contains checksums.
 fn masked_checksum(data: &[u8]) -> [u8; 4] {
     crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }

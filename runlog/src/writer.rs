@@ -21,7 +21,7 @@ pub struct MetricsWriter {
 /// Errors of writing metrics.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// Writing fails.
+    /// A file or folder cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Io {
         /// The file or folder.
@@ -87,21 +87,22 @@ impl MetricsWriter {
         write().map_err(|source| WriteError::Io { path: self.path.clone(), source })
     }
 
-    /// Shows the settings of the run, the text of its `config.toml`: as they are, and in the table of hyperparameters.
+    /// Writes the settings of the run, the text of its `config.toml`, verbatim and to the table of hyperparameters.
     ///
     /// # Errors
     /// If writing fails.
     pub fn settings(&mut self, config: &str) -> Result<(), WriteError> {
         let mut write = || {
             self.tensorboard.text(0, "settings", &format!("```toml\n{config}```"))?;
-            // What is no TOML is still shown as it is.
+            // Text that is not TOML is still shown verbatim.
             toml::from_str::<Value>(config).map_or(Ok(()), |settings| self.tensorboard.hyperparameters(&settings))
         };
         write().map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
     }
 
-    /// Adds a point to each named curve at a number of environment steps. Counts, and what PPO reports, have no points where
-    /// they are 0, so that TensorBoard does not open on a page of zeros while labels teach and nothing is dropped.
+    /// Adds a point to each named curve at a number of environment steps. Counts and PPO metrics have no points where
+    /// they are 0, so that TensorBoard does not open on a page of zeros while the policy learns from labels and nothing
+    /// is dropped.
     ///
     /// # Errors
     /// If writing fails.
@@ -119,12 +120,13 @@ impl MetricsWriter {
     }
 }
 
-/// The last line of `metrics.jsonl` under `key` that is accepted, among the last 4 MiB; `None` if there is none.
+/// Returns the last line of `metrics.jsonl` under `key` that `accepts` accepts, among the last 4 MiB; `None` if there
+/// is none.
 ///
 /// # Errors
-/// If the file is there and cannot be read.
+/// If the file exists and cannot be read.
 pub fn last_line(paths: &RunPaths, key: &str, accepts: impl Fn(&Value) -> bool) -> io::Result<Option<Value>> {
-    /// Hundreds of updates, each below 20 KB.
+    /// Holds hundreds of updates, each below 20 KB.
     const TAIL: u64 = 4 << 20;
     let mut file = match fs::File::open(paths.metrics()) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -134,7 +136,7 @@ pub fn last_line(paths: &RunPaths, key: &str, accepts: impl Fn(&Value) -> bool) 
     file.seek(SeekFrom::Start(start))?;
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes)?;
-    // What was cut off at the front, or by a kill at the end, is no JSON.
+    // A line cut off at the front, or at the end by a kill, is not valid JSON.
     let lines = bytes.rsplit(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice::<Value>(line).ok());
     Ok(lines.filter(|line| line["key"] == key).find(accepts))
 }

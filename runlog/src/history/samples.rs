@@ -6,7 +6,7 @@ use proto::wilson::SuccessRate;
 use proto::{RewardTerms, WeightsVersion};
 use runlog::Pass;
 
-/// An outcome with this many successes in ten episodes and plausible other values.
+/// Returns an outcome with this many successes in ten episodes and plausible other values.
 pub(crate) fn outcome(n_successes: u64) -> EvalOutcome {
     EvalOutcome {
         success: SuccessRate::new(n_successes, 10),
@@ -18,7 +18,8 @@ pub(crate) fn outcome(n_successes: u64) -> EvalOutcome {
     }
 }
 
-/// An evaluation of blueprints given as id, split, size, and successes in ten greedy episodes, without sampled ones.
+/// Returns an evaluation of blueprints given as id, split, size, and successes in ten greedy episodes, without sampled
+/// ones.
 pub(crate) fn pass(n_env_steps: u64, scores: &[(&str, Split, u64, u64)]) -> Pass {
     let weights_version = WeightsVersion(n_env_steps / 10);
     let score = |&(id, split, n_blocks, n_successes): &(&str, Split, u64, u64)| EvalBlueprint {

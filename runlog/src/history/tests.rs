@@ -1,4 +1,4 @@
-//! Evaluations are read back whole or not at all.
+//! Evaluations read back whole or not at all.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -13,7 +13,7 @@ fn small(n_env_steps: u64) -> Pass {
     pass(n_env_steps, &[("2_003", Split::Train, 2, 4), ("10_000", Split::Train, 10, 0)])
 }
 
-/// A hundred blueprints, which fill several pages of the database.
+/// Returns an evaluation of a hundred blueprints, which fill several pages of the database.
 fn large(n_env_steps: u64) -> Pass {
     let ids: Vec<String> = (0..100).map(|i| format!("3_{i:03}")).collect();
     let scores: Vec<_> = ids.iter().map(|id| (id.as_str(), Split::Train, 3, 5)).collect();
@@ -120,7 +120,7 @@ fn killed_writer_leaves_complete_evaluations() {
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
     lines.find(|line| line == "written 9").unwrap();
-    // The child writes the eleventh evaluation, or a later one.
+    // The child is now writing the eleventh evaluation, or a later one.
     child.kill().unwrap();
     child.wait().unwrap();
     let mut history = History::open(&path).unwrap();
