@@ -1,4 +1,4 @@
-//! Arbitrary text as a blueprint file: the checks never panic, and what passes them survives a round trip.
+//! Arbitrary text as a blueprint file: the checks never panic, and every accepted file survives a round trip.
 #![no_main]
 
 use blueprints::checks::check_text;

@@ -1,4 +1,4 @@
-//! Arbitrary bytes as each message of the bus: decoding never panics, and what it accepts survives a round trip.
+//! Arbitrary bytes as each message of the bus: decoding never panics, and every accepted message survives a round trip.
 #![no_main]
 
 use std::fmt::Debug;
@@ -18,13 +18,13 @@ fuzz_target!(|bytes: &[u8]| {
     round_trip(bytes, decode_unit, encode_unit);
     round_trip(bytes, decode_answer, encode_answer);
     round_trip(bytes, decode_ack, |ack| encode_ack(*ack));
-    // The encoder cuts long explanations, so only what it has written itself comes back unchanged.
+    // The encoder truncates long explanations, so only its own output round-trips unchanged.
     if let Ok(refused) = decode_refused(bytes) {
         round_trip(&encode_refused(&refused), decode_refused, encode_refused);
     }
 });
 
-/// What `decode` makes of `bytes` must be the same after it was encoded and decoded once more.
+/// Checks that a decoded value stays the same after encoding and decoding it again.
 fn round_trip<T: PartialEq + Debug>(
     bytes: &[u8],
     decode: impl Fn(&[u8]) -> Result<T, DecodeError>,
