@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Makes a virtual environment with the packages of a requirements file.
+"""Creates a virtual environment with the packages of a requirements file.
 
     python3 python/environment.py target/python python/requirements.txt
 
-uv fetches packages side by side: PyPI's torch for Linux with the CUDA that it brings, 3 GB, takes 40 s where pip takes three to
-five minutes. If PyTorch's own index can be reached, torch comes from there, built for CPUs alone. uv keeps what it has fetched.
+uv downloads packages in parallel: PyPI's torch for Linux with its CUDA libraries, 3 GB, takes 40 s instead of the three
+to five minutes that pip takes. If PyTorch's own index is reachable, the CPU-only build of torch comes from there. uv
+caches its downloads.
 """
 
 import subprocess
@@ -16,7 +17,7 @@ UV = "uv==0.13.9"
 
 
 def main() -> int:
-    """Exits with the code of the installation; uv has said what went wrong."""
+    """Returns the exit code of the installation. uv reports any error itself."""
     if len(sys.argv) != 3:
         sys.exit(f"usage: python3 {sys.argv[0]} FOLDER REQUIREMENTS")
     folder, requirements = Path(sys.argv[1]), sys.argv[2]

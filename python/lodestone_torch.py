@@ -1,25 +1,26 @@
-"""Lodestone's policy in PyTorch: the folded graph-attention network, in one file.
+"""Lodestone's policy in PyTorch: the folded graph attention network, in one file.
 
     policy = Policy.load("policy.safetensors")              # what `lodestone export` writes
     logits, locs, scales, values = policy(nodes, edges, globals_)
     policy.export_onnx("policy.onnx")
 
-`python lodestone_torch.py policy.safetensors policy.onnx` does the last. `Policy` acts: it normalizes features, and it
-folds its parameters once. `GraphNetwork` is what learns: it folds in each pass, so gradients reach every parameter.
+`python lodestone_torch.py policy.safetensors policy.onnx` does the same as the last line. `Policy` is for inference: it
+normalizes features and folds its parameters once. `GraphNetwork` is for training: it folds in every forward pass, so
+gradients reach every parameter.
 
-Shapes, for a batch of B scenes; policy/src/features.rs lists the features, `nd`, `ed` and `gd` are their numbers:
+Shapes for a batch of B scenes, where `nd`, `ed`, and `gd` count the features listed in policy/src/features.rs:
 
 | tensor | shape | meaning |
 |---|---|---|
 | nodes | [B, 16, nd] | features of the blocks |
 | edges | [B, 240, ed] | features of pairs: for each sender, for each other block as the receiver |
-| globals | [B, gd] | features of the grippers; each one's part ends with the one-hot of the block that it held |
+| globals | [B, gd] | features of the grippers; each gripper's part ends with a one-hot of the block that it held |
 | logits | [B, G, 16] | each gripper's choice of a block, not masked |
 | locs, scales | [B, 16, 6] | mean and standard deviation of each block's move, in fractions of the speed limits |
 | values | [B] | expected return |
 
-Why folding is the same network: every map between an edge and its attention is linear, so the maps are multiplied into
-each other. They then act on 16 nodes instead of 240 edges (policy/src/network/gat.rs has the algebra).
+Folding does not change the network: all maps between an edge and its attention are linear, so their matrices can be
+multiplied together. They then act on 16 nodes instead of 240 edges (policy/src/network/gat.rs has the algebra).
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ NO_EDGE = -1e9
 
 
 class Output(NamedTuple):
-    """What the network says about a batch; shapes as in the table above."""
+    """The network's output for a batch. The table above lists the shapes."""
 
     logits: Tensor
     locs: Tensor
@@ -66,7 +67,7 @@ class Folded(NamedTuple):
 
 @dataclass(frozen=True)
 class Config:
-    """Sizes of features and network; the defaults are the paper's."""
+    """Feature and network sizes. The defaults are the paper's."""
 
     node: int = 3
     edge: int = 24
@@ -98,7 +99,7 @@ class Config:
         return cls(**sizes, **rest, **encoder, **network["scale"], value_hidden=tuple(network["value_hidden"]))
 
     def scale_offset(self) -> float:
-        """The constant before the softplus, so that an input of 0 gives `init_std`."""
+        """Returns the constant added before the softplus so that an input of 0 yields `init_std`."""
         if self.init_std is None:
             return 0.0
         std = self.init_std
@@ -108,7 +109,7 @@ class Config:
 
 
 class Linear(nn.Module):
-    """y = x w + b with a kernel [in, out], as Lodestone stores it."""
+    """y = x w + b with a kernel [in, out], which is Lodestone's layout."""
 
     def __init__(self, n_in: int, n_out: int, bias: bool = True):
         super().__init__()
@@ -136,7 +137,7 @@ def mlp(*widths: int) -> nn.ModuleList:
 
 
 class GraphLayer(nn.Module):
-    """Attention over the senders of each block, then an MLP per node and one for the scene."""
+    """Attention over each block's senders, then a per-node MLP and a scene MLP."""
 
     def __init__(self, c: Config):
         super().__init__()
@@ -154,7 +155,7 @@ class GraphLayer(nn.Module):
         self.ln_global = LayerNorm(c.width)
 
     def fold(self, embed_edge: Linear) -> Folded:
-        """Multiplies the matrices that follow each other without a non-linearity between them."""
+        """Multiplies together the matrices with no nonlinearity between them."""
         c = self.config
 
         def by_head(w: Tensor) -> Tensor:  # [w, H·d] -> [H, w, d]
@@ -165,7 +166,7 @@ class GraphLayer(nn.Module):
         constant = embed_edge.b @ from_embedded.sum(0)
         from_edges = embed_edge.w @ from_embedded
         if not c.attention:
-            # All heads average alike, so their projections add up.
+            # All heads compute the same average, so their projections add up.
             none = self.message.w.new_empty(0)
             return Folded(none, none, from_nodes.sum(0), from_edges.sum(0), constant)
         key = by_head(self.key.w) / math.sqrt(c.head_dim)
@@ -180,7 +181,7 @@ class GraphLayer(nn.Module):
         )
 
     def attend(self, nodes: Tensor, edges: Tensor, no_edge: Tensor, folded: Folded) -> Tensor:
-        """Attention weights [B, 16 receivers, H, 16 senders]."""
+        """Returns the attention weights [B, 16 receivers, H, 16 senders]."""
         c, ed = self.config, edges.shape[-1]
         by_node = (nodes @ folded.to_node).reshape(-1, N_BLOCKS * c.n_heads, c.width)
         by_edge = (nodes @ folded.to_edge).reshape(-1, N_BLOCKS, c.n_heads, ed)
@@ -188,7 +189,7 @@ class GraphLayer(nn.Module):
         return torch.softmax(logits + by_edge @ edges.transpose(2, 3) + no_edge, -1)
 
     def residual(self, nodes: Tensor, edges: Tensor, no_edge: Tensor, folded: Folded) -> Tensor:
-        """What the edges bring to each node, [B, 16, w]."""
+        """Returns the edges' contribution to each node, [B, 16, w]."""
         c, ed = self.config, edges.shape[-1]
         if c.attention:
             weights = self.attend(nodes, edges, no_edge, folded)
@@ -219,7 +220,7 @@ class GraphLayer(nn.Module):
 
 
 class PolicyHead(nn.Module):
-    """From nodes and scene to the action distribution."""
+    """Maps nodes and scene to the action distribution."""
 
     def __init__(self, c: Config):
         super().__init__()
@@ -244,7 +245,7 @@ class PolicyHead(nn.Module):
 
 
 class ValueHead(nn.Module):
-    """From the scene and the choice of blocks to the value."""
+    """Maps the scene and the block choice probabilities to the value."""
 
     def __init__(self, c: Config):
         super().__init__()
@@ -254,7 +255,7 @@ class ValueHead(nn.Module):
 
     def forward(self, scene: Tensor, raw: Tensor, logits: Tensor) -> Tensor:
         """scene [B, w], features of the scene [B, gd], logits [B, G, 16] -> [B]."""
-        # The value shall not steer the choice of blocks.
+        # Detached so that the value loss does not influence the choice of blocks.
         choice = torch.softmax(logits.detach(), -1).flatten(1)
         x = torch.cat([self.input_global(raw), self.graph_global(scene), choice], -1)
         for j, layer in enumerate(self.mlp):
@@ -263,7 +264,7 @@ class ValueHead(nn.Module):
 
 
 class GraphNetwork(nn.Module):
-    """The actor-critic. Names and order of `state_dict()` are those of the file; parameters begin at 0."""
+    """The actor-critic network. `state_dict()` has the file's names and order. Linear parameters start at 0."""
 
     def __init__(self, config: Config):
         super().__init__()
@@ -284,7 +285,7 @@ class GraphNetwork(nn.Module):
         return [self.get_submodule(f"layer{n}") for n in range(self.config.n_layers)]
 
     def fold(self) -> list[Folded]:
-        """The part of a pass that depends on parameters alone; valid until they change."""
+        """Computes the matrices that depend on parameters only. They are valid until the parameters change."""
         return [layer.fold(self.embed_edge) for layer in self.layers()]
 
     def dense_edges(self, edges: Tensor) -> Tensor:
@@ -293,11 +294,11 @@ class GraphNetwork(nn.Module):
         return dense.reshape(-1, N_BLOCKS, N_BLOCKS, edges.shape[-1])
 
     def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor, folded: list[Folded] | None = None) -> Output:
-        """Features as the network learned to read them -> output; values in the unit of the targets of training."""
+        """Normalized features -> output. The values are normalized like the training targets."""
         return self.forward_dense(nodes, self.dense_edges(edges), globals_, folded)
 
     def forward_dense(self, nodes: Tensor, edges: Tensor, raw: Tensor, folded: list[Folded] | None = None) -> Output:
-        """The same with edges as `dense_edges` gives them."""
+        """Like `forward`, but takes edges in the format that `dense_edges` returns."""
         n, g = self.embed_node(nodes), self.embed_global(raw)
         for layer, matrices in zip(self.layers(), folded or self.fold()):
             n, g = layer(n, g, edges, self.no_edge, matrices)
@@ -306,8 +307,11 @@ class GraphNetwork(nn.Module):
 
 
 def listed(self_edges: bool) -> Tensor:
-    """[256]: where the edge to receiver i from sender j stands in the list of edges, for i, for j. The list has no
-    self-edges as a rule; they stand behind its end, where `dense_edges` puts zeros."""
+    """Returns the index of the edge to receiver i from sender j in the edge list, for each i, for each j: [256].
+
+    Without `self_edges`, the list has no self-edges, and they get the index just past its end, where `dense_edges` pads
+    with zeros.
+    """
     n = N_BLOCKS
 
     def at(sender: int, receiver: int) -> int:
@@ -321,9 +325,9 @@ def listed(self_edges: bool) -> Tensor:
 
 
 class Policy(nn.Module):
-    """A policy that acts: it takes features as they are, and its values are returns.
+    """A policy for inference. Takes raw features and returns values in units of return.
 
-    Its parameters are folded once and get no gradients. After training `network`, make a new one with it and the same
+    Parameters are folded once and receive no gradients. After training `network`, create a new policy with the same
     header: `Policy(network, policy.header)`.
     """
 
@@ -331,12 +335,12 @@ class Policy(nn.Module):
         super().__init__()
         self.network = network
         self.header = header
-        # The spelling of format version 1.
+        # Format version 1 spells the key this way.
         normalization = header["normalisation"]
         self.value_mean, self.value_std = normalization["value_mean"], normalization["value_std"]
         sizes = (network.config.node, network.config.edge, network.config.global_)
         for k, size in enumerate(sizes):
-            # Features without statistics stay as they are.
+            # Features without statistics are not normalized.
             mean, std = (
                 normalization["feature_mean"][k] or [0.0] * size,
                 normalization["feature_std"][k] or [1.0] * size,
@@ -352,7 +356,7 @@ class Policy(nn.Module):
 
     @classmethod
     def load(cls, path: str | Path) -> Policy:
-        """Reads a file that `lodestone export` wrote. Raises ValueError, which names the file, if it is none."""
+        """Reads a file written by `lodestone export`. Raises ValueError with the file name if it is not a policy."""
         try:
             with safe_open(str(path), framework="pt") as file:
                 entry = (file.metadata() or {}).get("lodestone")
@@ -374,18 +378,18 @@ class Policy(nn.Module):
         return cls(network, header)
 
     def save(self, path: str | Path) -> None:
-        """Writes a file that Lodestone reads, for example `lodestone eval --checkpoint FILE`."""
+        """Writes a file that Lodestone can read, for example with `lodestone eval --checkpoint FILE`."""
         tensors = {name: value.float().contiguous() for name, value in self.network.state_dict().items()}
         save_file(tensors, str(path), metadata={"lodestone": json.dumps(self.header, separators=(",", ":"))})
 
     def folded(self) -> list[Folded]:
-        """The folded matrices."""
+        """Returns the folded matrices of each layer."""
         layers = range(self.network.config.n_layers)
         return [Folded(*(getattr(self, f"folded{n}_{name}") for name in Folded._fields)) for n in layers]
 
     @torch.no_grad()
     def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor) -> Output:
-        """Features as policy/src/features.rs lists them -> output."""
+        """Raw features, as listed in policy/src/features.rs -> output."""
         features = []
         for k, x in enumerate((nodes, edges, globals_)):
             mean, std, limit = (getattr(self, f"{name}{k}") for name in ("mean", "std", "limit"))
@@ -394,9 +398,9 @@ class Policy(nn.Module):
         return output._replace(values=output.values * self.value_std + self.value_mean)
 
     def export_onnx(self, path: str | Path) -> None:
-        """Writes an ONNX graph of any batch size: inputs nodes, edges, globals; outputs as the fields of `Output`."""
+        """Writes an ONNX graph for any batch size. Inputs: nodes, edges, globals. Outputs: the fields of `Output`."""
         c = self.network.config
-        # Any number but 1, which the exporter would take for a constant.
+        # Any number except 1, which the exporter would treat as a constant.
         b, n_edges = 2, self.network.listed.unique().numel() - (not c.self_edges)
         example = tuple(torch.zeros(b, *shape) for shape in [(N_BLOCKS, c.node), (n_edges, c.edge), (c.global_,)])
         batch = torch.export.Dim("batch")

@@ -1,7 +1,7 @@
-//! World steps per CPU-second on one thread in Rust, for `benches/speed.py`, which runs the same loops in Python.
+//! Environment steps per CPU-second on one thread in Rust, for `benches/speed.py`, which runs the same loops in Python.
 //!
-//! Prints `{"policy": steps, "random": steps}`: the pretrained policy acts, or uniformly random actions, with the features
-//! that a policy would see. 32 worlds, goals of the training split, scattered starts.
+//! Prints `{"policy": steps, "random": steps}`: once with the pretrained policy acting, once with uniformly random
+//! actions while still computing the policy's features. 32 worlds, goals of the training split, scattered starts.
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -33,7 +33,7 @@ fn main() {
     println!("{{\"policy\": {policy:.1}, \"random\": {random:.1}}}");
 }
 
-/// Steps of all worlds per CPU-second.
+/// Returns the steps of all worlds per CPU-second.
 fn rate<A: Agent<Error: Debug>>(mut agent: A, mode: ActionMode, seed: u64) -> f64 {
     let goals: Vec<BlueprintId> =
         Catalog::builtin().of_split(Split::Train).into_iter().map(Blueprint::id).cloned().collect();
@@ -67,7 +67,7 @@ fn rate<A: Agent<Error: Debug>>(mut agent: A, mode: ActionMode, seed: u64) -> f6
     (N_STEPS * N_WORLDS) as f64 / (cpu_seconds() - before)
 }
 
-/// Draws actions uniformly, and sees what a policy would see.
+/// Draws actions uniformly, and computes the features that a policy would see.
 struct Random {
     batch: FeatureBatch,
 }
@@ -98,7 +98,7 @@ impl Agent for Random {
     }
 }
 
-/// CPU time of this thread: wall time on a shared machine says little.
+/// Returns the CPU time of this thread, because wall time on a shared machine is unreliable.
 fn cpu_seconds() -> f64 {
     // The first field of schedstat is the time on the CPU in ns.
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap();

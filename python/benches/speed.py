@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Measures worlds in Python beside the same loops in Rust and beside MuJoCo, and prints a Markdown table.
+"""Compares the speed of worlds in Python with the same loops in Rust and with MuJoCo, and prints a Markdown table.
 
     python python/benches/speed.py
     python python/benches/speed.py --at-least 0.8        # fails if Python has less than 80% of Rust's rate in some row
 
-Steps of worlds per CPU-second on one thread, the best of three rounds; Linux only. The Rust side is `benches/rollout.rs`. MuJoCo,
-if it is installed, steps the same 16 blocks in a loop in Python, without magnets, features, or rewards.
+Rates are world steps per CPU-second on one thread, the best of three rounds. Linux only. The Rust side is
+`benches/rollout.rs`. MuJoCo, if installed, steps the same 16 blocks in a Python loop, without magnets, features, or
+rewards.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ N_WORLDS, N_STEPS, N_ROUNDS = 32, 100, 3
 
 
 def vector(act: str, **world: Any) -> Callable[[int], float]:
-    """Steps per CPU-second of a batch, acted by the policy or at random."""
+    """Returns a function that measures the steps per CPU-second of a batch with policy or random actions."""
     envs = gymnasium.make_vec(ID, num_envs=N_WORLDS, num_threads=1, **world)
     policy = lodestone.Policy.pretrained()
     envs.action_space.seed(0)
@@ -41,7 +42,7 @@ def vector(act: str, **world: Any) -> Callable[[int], float]:
         before, n_steps = time.process_time(), 0
         for step in range(N_STEPS):
             infos = envs.step(policy.act(envs) if act == "policy" else drawn[step % 16])[4]
-            # What starts an episode does not step.
+            # A world that starts an episode does not step.
             n_steps += N_WORLDS - infos.get("_blueprint", np.zeros(1)).sum()
         return n_steps / (time.process_time() - before)
 
@@ -49,7 +50,7 @@ def vector(act: str, **world: Any) -> Callable[[int], float]:
 
 
 def single(**world: Any) -> Callable[[int], float]:
-    """Steps per CPU-second of one environment with random actions."""
+    """Returns a function that measures the steps per CPU-second of one environment with random actions."""
     env = gymnasium.make(ID, disable_env_checker=True, **world)
     env.action_space.seed(0)
     drawn = [env.action_space.sample() for _ in range(16)]
@@ -71,14 +72,14 @@ def best(rate: Callable[[int], float]) -> float:
 
 
 def in_rust() -> dict[str, float]:
-    """What the bench in Rust measures."""
+    """Runs the Rust benchmark and returns its rates by name."""
     command = ["cargo", "bench", "--locked", "--bench", "rollout", "--manifest-path", str(ROOT / "python/Cargo.toml")]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def mujoco() -> float | None:
-    """MuJoCo's control steps per CPU-second in a loop in Python."""
+    """Returns MuJoCo's control steps per CPU-second in a Python loop, or None if it is not installed."""
     if importlib.util.find_spec("mujoco") is None:
         print("not run: MuJoCo, as this Python has no module mujoco", file=sys.stderr)
         return None

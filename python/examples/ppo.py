@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Proximal policy optimization in one file, after CleanRL, on Lodestone's worlds.
+"""Single-file proximal policy optimization for Lodestone's worlds, after CleanRL.
 
     pip install ./python torch
-    python python/examples/ppo.py                                   # two blocks, begun next to the goal; ten minutes
+    python python/examples/ppo.py                                   # two blocks, starts near the goal; ten minutes
     python python/examples/ppo.py --blueprint train --starts scattered --steps 10000000
 
-The network is small and treats every block alike: a vector for each block from its features and from the sum over its edges
-within the blueprint, from which come the logits of the grippers' choices and the means of the moves. Grippers choose among the
-blueprint's blocks. The log-probability of an action is that of the choices and of the moves of the chosen blocks, each counted
-once, as in the paper.
+The network is small and treats every block alike. It embeds each block from its features and the sum over its edges
+within the blueprint, then computes the logits of the grippers' choices and the means of the moves. Grippers choose
+among the blueprint's blocks. The log-probability of an action covers the choices and the moves of the chosen blocks,
+each counted once, as in the paper.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-# Features that the network uses as flags: the block belongs to the blueprint, and both blocks of an edge do.
+# Indices of the features used as flags: a block belongs to the blueprint, and both blocks of an edge do.
 MEMBER, BOTH_MEMBERS = 6, 23
 
 
 class Agent(nn.Module):
-    """Policy and value of a batch of scenes."""
+    """Policy and value network for a batch of scenes."""
 
     def __init__(self, space: gymnasium.spaces.Dict, n_grippers: int, width: int) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class Agent(nn.Module):
         self.moves = nn.Linear(width, 6)
         self.value = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
         self.log_std = nn.Parameter(torch.full((6,), -0.7))
-        # Edges are sender-major without self-edges.
+        # Edges are in sender-major order, without self-edges.
         receivers = [i for j in range(16) for i in range(16) if i != j]
         self.register_buffer("gather", nn.functional.one_hot(torch.tensor(receivers), 16).T.float())
         for head in (self.choices, self.moves):
@@ -68,7 +68,7 @@ class Agent(nn.Module):
             nn.init.zeros_(head.bias)
 
     def forward(self, seen: dict[str, Tensor]) -> tuple[Categorical, Normal, Tensor]:
-        """Distributions of choices [n, grippers] and of moves [n, 16, 6], and values [n]."""
+        """Returns the distributions of choices [n, grippers] and moves [n, 16, 6], and the values [n]."""
         edges = self.gather @ (self.edge(seen["edges"]) * seen["edges"][..., BOTH_MEMBERS, None])
         globals_ = seen["globals"][:, None].expand(-1, 16, -1)
         blocks = self.node(torch.cat([seen["nodes"], edges, globals_], dim=-1))
@@ -80,7 +80,7 @@ class Agent(nn.Module):
     def act(
         self, seen: dict[str, Tensor], choices: Tensor | None = None, moves: Tensor | None = None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Choices, moves, log-probabilities, entropies, and values; draws the actions that are not given."""
+        """Returns choices, moves, log-probabilities, entropies, and values. Samples choices or moves that are None."""
         of_choices, of_moves, values = self(seen)
         choices = of_choices.sample() if choices is None else choices
         moves = of_moves.sample() if moves is None else moves
@@ -92,7 +92,7 @@ class Agent(nn.Module):
 
 
 def tensors(seen: dict[str, np.ndarray]) -> dict[str, Tensor]:
-    """Arrays as tensors that share their memory."""
+    """Converts arrays to tensors that share their memory."""
     return {name: torch.from_numpy(x) for name, x in seen.items()}
 
 
@@ -125,7 +125,7 @@ def main() -> None:
             rewards[step] = torch.from_numpy(reward)
             ends[step] = torch.from_numpy(terminated | truncated)
             if truncated.any():
-                # The time limit is no end for the value: what would have followed is worth what the critic says.
+                # A time limit does not end the return: bootstrap from the critic's value of the final observation.
                 last = [infos["final_obs"][row] for row in np.flatnonzero(truncated)]
                 stacked = {name: np.stack([one[name] for one in last]) for name in last[0]}
                 with torch.no_grad():

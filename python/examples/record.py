@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Records episodes of the expert or of the pretrained policy as a Minari dataset, for offline learning.
+"""Records episodes of the expert or the pretrained policy as a Minari dataset for offline learning.
 
     pip install ./python "minari[create,hdf5]" pillow
     python python/examples/record.py --blueprint 4_000 --episodes 20
     python -c 'import minari; print(minari.load_dataset("lodestone/4_000/expert-v0"))'
 
-Minari keeps its datasets in ~/.minari, or where MINARI_DATASETS_PATH says.
+Minari stores datasets in ~/.minari, or in MINARI_DATASETS_PATH if set.
 """
 
 from __future__ import annotations

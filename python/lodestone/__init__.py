@@ -1,12 +1,12 @@
-"""Worlds of magnet blocks that two grippers assemble into blueprints, for Python.
+"""Python environments in which two grippers assemble magnet blocks into blueprints.
 
 `import lodestone` registers `Lodestone/Assembly-v0` with Gymnasium:
 
     env = gymnasium.make("Lodestone/Assembly-v0", blueprint="4_000")
     envs = gymnasium.make_vec("Lodestone/Assembly-v0", num_envs=32, blueprint="4_000")
 
-`lodestone.parallel` has the same world for PettingZoo, with an agent for each gripper, and `lodestone.sb3` a batch of worlds
-for Stable-Baselines3.
+`lodestone.parallel` provides the same world for PettingZoo, with one agent per gripper. `lodestone.sb3` provides a
+batch of worlds for Stable-Baselines3.
 """
 
 import gymnasium

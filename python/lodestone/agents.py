@@ -1,4 +1,4 @@
-"""Who can act: the policy and the scripted expert."""
+"""Agents: the trained policy and the scripted expert."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ Parts: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.fl
 
 
 class Expert:
-    """The scripted expert, which sees the whole state of the world and builds almost any blueprint.
+    """The scripted expert, which sees the full state of the world and builds almost any blueprint.
 
-    It has no memory: what it does follows from the state of the world alone.
+    It is stateless: its actions depend only on the current state of the world.
     """
 
     def act(self, env: Any) -> Any:
-        """Actions in the form of the environment: one, a batch, or one for each of PettingZoo's agents."""
+        """Returns what `env.step` accepts: one action, a batch, or one action per PettingZoo agent."""
         target = _Target(env)
         return target.put(target.batch.worlds.expert())
 
 
 class Policy:
-    """A trained policy, frozen.
+    """A trained policy with frozen weights.
 
-    `act` acts in an environment of this package whatever the form of its observations; `predict` acts on observations alone,
-    as the policies of Stable-Baselines3 do.
+    `act` takes an environment of this package, in any observation format. `predict` takes observations only, as
+    Stable-Baselines3 policies do.
 
     Args:
-        native: what `Policy.pretrained` and `Policy.load` make.
-        action: what `predict` returns: `native` or `flat` actions, as for `lodestone.batch.Batch`.
+        native: The native policy. Use `Policy.pretrained` or `Policy.load` to create it.
+        action: Format of the actions that `predict` returns: `native` or `flat`, as for `lodestone.batch.Batch`.
     """
 
     def __init__(self, native: _native.Policy, action: Literal["native", "flat"] = "native") -> None:
@@ -48,31 +48,31 @@ class Policy:
 
     @classmethod
     def pretrained(cls, action: Literal["native", "flat"] = "native") -> Policy:
-        """The policy that comes with the package.
+        """Returns the policy that ships with the package.
 
-        It was trained on the settings and `features` that environments have by default.
+        It was trained with the environments' default settings and `features`.
         """
         return cls(_native.Policy.pretrained(), action)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], action: Literal["native", "flat"] = "native") -> Policy:
-        """The policy in a file that `lodestone export` wrote."""
+        """Loads a policy from a file written by `lodestone export`."""
         return cls(_native.Policy.load(path), action)
 
     @property
     def version(self) -> int:
-        """Version of its weights."""
+        """Version of the weights."""
         return self.native.version
 
     def seed(self, seed: int) -> None:
-        """Draws sampled actions by this seed from now on."""
+        """Seeds the random number generator for sampled actions."""
         self.native.seed(seed)
 
     def act(self, env: Any, deterministic: bool = True) -> Any:
-        """Actions in the form of the environment: one, a batch, or one for each of PettingZoo's agents.
+        """Returns what `env.step` accepts: one action, a batch, or one action per PettingZoo agent.
 
-        `deterministic` takes the most probable block and the mean move, else actions are sampled. Sampled actions of the
-        pretrained policy fail more often: they build in 93.2% of all episodes of its evaluation, greedy ones in 97.1%.
+        With `deterministic`, picks the most probable block and the mean move. Otherwise samples actions. With the
+        pretrained policy, sampled actions succeed in 93.2% of the evaluation episodes, greedy ones in 97.1%.
         """
         target = _Target(env)
         batch = target.batch
@@ -94,7 +94,7 @@ class Policy:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Action, None]:
-        """Acts on an observation or a batch of them, a dictionary or flat; returns actions, and None for a state."""
+        """Returns actions for one observation or a batch, either a dictionary or flat, and None as the state."""
         del state, episode_start
         nodes = observation["nodes"] if isinstance(observation, dict) else np.asarray(observation)
         single = nodes.ndim == (2 if isinstance(observation, dict) else 1)
@@ -107,7 +107,7 @@ class Policy:
         return (row_of(actions, 0) if single else actions), None
 
     def evaluate(self, observation: Observation) -> NDArray[np.float32]:
-        """Values of a batch of observations [n]: expected returns in units of reward."""
+        """Returns the values [n] of a batch of observations: expected returns in units of reward."""
         n = len(observation["nodes"]) if isinstance(observation, dict) else len(observation)
         return self.native.act(*self._parts(observation, n), False)[2]
 
@@ -133,7 +133,7 @@ class Policy:
 
 
 class _Target:
-    """An environment of this package, below whatever wraps it."""
+    """An environment of this package, unwrapped."""
 
     def __init__(self, env: Any) -> None:
         self.env = getattr(env, "unwrapped", env)
@@ -143,7 +143,7 @@ class _Target:
         self.batch = batch
 
     def put(self, actions: tuple[NDArray[np.int64], NDArray[np.float32]]) -> Any:
-        """Native actions in the form of the environment."""
+        """Converts native actions to the environment's action format."""
         if hasattr(self.env, "possible_agents"):
             return self.env.from_native(*actions)
         made = self.batch.from_native(*actions)

@@ -1,4 +1,4 @@
-"""Native worlds with the spaces that Gymnasium, PettingZoo, and Stable-Baselines3 see them through."""
+"""Batches of native worlds with the spaces for Gymnasium, PettingZoo, and Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Observation: TypeAlias = dict[str, NDArray[np.float32]] | NDArray[np.float32]
 Action: TypeAlias = dict[str, NDArray[Any]] | NDArray[np.float32]
 
 N_BLOCKS, N_EDGES, N_MOVES = 16, 240, 6
-# Entries of a gripper's part of a flat action: a score for each block, then the move of the block with the highest.
+# Flat action entries per gripper: a score for each block, then the move of the block with the highest score.
 N_FLAT = N_BLOCKS + N_MOVES
 REWARD_TERMS = ("connected", "wrong", "magnets", "blocks", "force")
-# No feature of a sound world is beyond; those of one that has diverged are clipped.
+# Bound of every feature. Only a diverged world exceeds it, and its features are clipped.
 MAX_FEATURE = 256.0
 SUCCESS, TIME_LIMIT, DIVERGED = 1, 2, 3
-# What a policy may see, by name; the flags are those of `[policy.features]` in a configuration.
+# Named feature sets. The flags are those of `[policy.features]` in a configuration.
 FEATURES: dict[str, dict[str, bool]] = {
     "all": {"plan": True, "pieces": True},
     "paper": {"up_axis": False, "membership": False, "block_shape": False, "needed_moves": False},
@@ -37,34 +37,35 @@ FEATURES: dict[str, dict[str, bool]] = {
 
 
 class Options(TypedDict, total=False):
-    """What `reset` can be asked for in place of what would be drawn."""
+    """Options of `reset` that replace random draws."""
 
     blueprint: str
     start: str
 
 
 def names_of(blueprint: Names) -> list[str]:
-    """A blueprint argument as a list of texts."""
+    """Converts a blueprint argument to a list of strings."""
     names = [blueprint] if isinstance(blueprint, (str, os.PathLike)) else blueprint
-    # A text `train` is the split; a path object is a path whatever it is called, which the `./` says.
+    # The string `train` is the split, but a path object is always a path. The prefix `./` makes that explicit.
     return [name if isinstance(name, str) else os.path.join(os.curdir, name) for name in names]
 
 
 def blueprints(blueprint: Names = "train") -> dict[str, int]:
-    """Ids of blueprints with their numbers of blocks.
+    """Returns the block counts of blueprints by id.
 
-    `blueprint` is the id of one of the catalog (`4_000`) or of the generator (`gen1-arch-7_6_000`), a split (`train`, `test`,
-    `test-literal`, `test-longest`, `test-tallest`, `validation`), the path of a TOML file or of a folder with such files, the
-    text of such a file, or a list of any of these. A text with `/` or with `.toml` at its end is a path; any other is a path
-    only if it is no split and no id. If a block in a file can lie in several ways, a UserWarning says which one was taken.
+    `blueprint` is an id from the catalog (`4_000`) or the generator (`gen1-arch-7_6_000`), a split (`train`, `test`,
+    `test-literal`, `test-longest`, `test-tallest`, `validation`), the path of a TOML file or a folder of TOML files,
+    the contents of a TOML file, or a list of any of these. A string that contains `/` or ends in `.toml` is a path. Any
+    other string is a path only if it is neither a split nor an id. If a block in a file fits in several orientations, a
+    UserWarning reports the one used.
     """
     return dict(_native.blueprints(names_of(blueprint)))
 
 
 def read_settings(settings: Settings) -> str:
-    """The section `[environment]` as JSON; of a configuration file, such as a run's `config.toml`, if a path is given.
+    """Returns the section `[environment]` as JSON. A path names a configuration file, such as a run's `config.toml`.
 
-    Raises ValueError if the file cannot be read, is not TOML, or is put over a preset.
+    Raises ValueError if the file cannot be read, is not TOML, or is based on a preset.
     """
     if settings is None:
         return "{}"
@@ -77,7 +78,7 @@ def read_settings(settings: Settings) -> str:
         raise ValueError(f"settings: cannot read {path}: {error.strerror}") from error
     except ValueError as error:
         raise ValueError(f"settings: {path} is not TOML: {error}") from error
-    # Presets belong to the program. What `none` is put over are the defaults, as here.
+    # Only the command-line program has presets. `none` means the defaults, which apply here too.
     base = keys.get("base", "none")
     if base != "none":
         raise ValueError(
@@ -88,7 +89,7 @@ def read_settings(settings: Settings) -> str:
 
 
 def read_features(features: Features) -> str:
-    """The section `[policy.features]` as JSON."""
+    """Returns the section `[policy.features]` as JSON."""
     if isinstance(features, Mapping):
         return _json("features", features)
     if features not in FEATURES:
@@ -97,27 +98,29 @@ def read_features(features: Features) -> str:
 
 
 class Batch:
-    """Worlds, their observation and action spaces, and the way between these and the arrays of the native module.
+    """A batch of worlds with observation and action spaces, and conversions to and from the native module's arrays.
 
     Args:
-        n: number of worlds.
-        blueprint: the goals, as for `lodestone.blueprints`; each entry is equally likely.
-        starts: how episodes begin: `scattered`, `prebuilt` (another training blueprint stands), `prebuilt:ID` (of the catalog,
-            of the generator, or of a file in `blueprint`), `near-goal` (the goal stands but for one or two blocks),
-            `near-goal:N`, `near-goal:M-N`, or `as-it-is` (as the last episode left the world). Or such words with their
-            weights.
-        shuffle_blocks: whether equal blocks swap roles from episode to episode.
-        settings: settings of the world, `{"physics": {"friction": 0.4}}`, or the path of a configuration file.
-        features: what is seen: `all` that a policy can see, as the pretrained one does, the `paper`'s, or flags by name.
-        observation: `features` for a dictionary of `nodes` [16, nd], `edges` [240, ed], and `globals` [gd], or `flat` for all
-            of them in a row.
-        action: `native` for a dictionary of `choices` [grippers], the block that each gripper moves, and `moves` [16, 6], the
-            linear and angular velocity of each block in its own frame as fractions of the speed limits; only those of chosen
-            blocks count. Or `flat` for 22 numbers in [-1, 1] per gripper: a score for each block, and the move of the block
-            with the highest score. Two grippers that choose one block move it by the mean of their moves.
-        mask: `blueprint` lets the scores of flat actions choose only among the blocks of the blueprint and those with a
-            connection, as `mask` in `[policy]` does; `none` among all.
-        num_threads: threads that step worlds; by default as many as there are processors.
+        n: Number of worlds.
+        blueprint: The goals, as for `lodestone.blueprints`. Each entry is equally likely.
+        starts: How episodes start: `scattered`, `prebuilt` (another training blueprint is built), `prebuilt:ID` (from
+            the catalog, the generator, or a file in `blueprint`), `near-goal` (the goal is built except for one or two
+            blocks), `near-goal:N`, `near-goal:M-N`, or `as-it-is` (the world stays as the last episode left it). Or a
+            mapping of these to weights.
+        shuffle_blocks: Whether equal blocks swap roles from episode to episode.
+        settings: Settings of the world, such as `{"physics": {"friction": 0.4}}`, or the path of a configuration file.
+        features: Observed features: `all` (every one that a policy can use, as for the pretrained policy), `paper`
+            (those of the paper), or flags by name.
+        observation: `features` for a dictionary of `nodes` [16, nd], `edges` [240, ed], and `globals` [gd], or `flat`
+            for their concatenation.
+        action: `native` for a dictionary of `choices` [grippers], the block that each gripper moves, and `moves`
+            [16, 6], the linear and angular velocity of each block in its own frame as fractions of the speed limits.
+            Only the moves of chosen blocks count. Or `flat` for 22 numbers in [-1, 1] per gripper: a score for each
+            block, and the move of the block with the highest score. If two grippers choose the same block, it moves by
+            the mean of their moves.
+        mask: With `blueprint`, the scores of flat actions choose only among the blueprint's blocks and connected
+            blocks, like `mask` in `[policy]`. With `none`, they choose among all blocks.
+        num_threads: Number of threads that step worlds, by default the number of processors but at most `n`.
     """
 
     def __init__(
@@ -171,7 +174,7 @@ class Batch:
             self.action_space = spaces.Dict({"choices": choices, "moves": _box(1.0, (N_BLOCKS, N_MOVES))})
 
     def empty(self) -> Observation:
-        """Arrays for the observations of all worlds."""
+        """Returns uninitialized arrays for the observations of all worlds."""
         if isinstance(self.observation_space, spaces.Box):
             return np.empty((self.n, *self.observation_space.shape), np.float32)
         return {name: np.empty((self.n, *shape), np.float32) for name, shape in self.shapes.items()}
@@ -179,7 +182,7 @@ class Batch:
     def reset(
         self, mask: NDArray[np.bool_], seeds: Sequence[int | None], options: Mapping[str, Any], out: Observation
     ) -> None:
-        """Starts episodes in the worlds of `mask`, and writes what is seen in these into `out`."""
+        """Starts episodes in the worlds selected by `mask` and writes their observations to `out`."""
         seeds = [None if seed is None else int(seed) % 2**64 for seed in seeds]
         blueprint, start = options.get("blueprint"), options.get("start")
         self.worlds.reset(mask, seeds, blueprint, start, arrays(out))
@@ -188,14 +191,14 @@ class Batch:
     def step(
         self, action: Action, resets: NDArray[np.bool_], out: Observation
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float32]]:
-        """Moves each world by one step, but starts an episode in those of `resets`; see `Worlds.step` of the native module."""
+        """Steps each world, or starts an episode where `resets` is set. See `Worlds.step` of the native module."""
         choices, moves = self.to_native(action)
         result = self.worlds.step(choices, moves, resets, arrays(out))
         self.latest = out
         return result
 
     def to_native(self, action: Action) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Choices [n, grippers] and moves [n, 16, 6] of a batch of actions."""
+        """Converts a batch of actions to choices [n, grippers] and moves [n, 16, 6]."""
         if isinstance(action, dict):
             if self.flat_action:
                 raise ValueError("an action is a dictionary: expected flat ones")
@@ -211,37 +214,39 @@ class Batch:
         return unflatten(flat.reshape(self.n, self.n_grippers, N_FLAT), self.allowed())
 
     def allowed(self) -> NDArray[np.bool_] | None:
-        """Whether a score of a flat action counts [n, 16]; None if all do."""
+        """Returns which block scores of flat actions count [n, 16], or None if all do."""
         return self.worlds.allowed() if self.masked else None
 
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> Action:
-        """Choices and moves as a batch of actions of the action space."""
+        """Converts choices and moves to a batch of actions in the action space."""
         moves = moves.clip(-1.0, 1.0)
         return flatten(choices, moves).reshape(self.n, -1) if self.flat_action else {"choices": choices, "moves": moves}
 
     def about(self, row: int) -> dict[str, Any]:
-        """What `reset` tells of an episode."""
+        """Returns the episode's info dictionary for `reset`."""
         blueprint, start, _ = self.worlds.episode(row)
         return {"blueprint": blueprint, "start": start}
 
 
 def arrays(observation: Observation) -> list[NDArray[np.float32]]:
-    """The arrays of a batch of observations in the order of the native module."""
+    """Returns the arrays of a batch of observations in the order that the native module expects."""
     if isinstance(observation, dict):
         return [observation["nodes"], observation["edges"], observation["globals"]]
     return [observation]
 
 
 def row_of(batch: Any, row: int) -> Any:
-    """An entry of a batch of observations or actions."""
+    """Returns one row of a batch of observations or actions."""
     return {name: values[row] for name, values in batch.items()} if isinstance(batch, dict) else batch[row]
 
 
 def unflatten(
     flat: NDArray[np.float32], allowed: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Flat actions [n, grippers, 22] as choices [n, grippers] and moves [n, 16, 6]; scores that are not `allowed` [n, 16] do
-    not count."""
+    """Converts flat actions [n, grippers, 22] to choices [n, grippers] and moves [n, 16, 6].
+
+    Ignores the scores of blocks that are not `allowed` [n, 16].
+    """
     n, n_grippers, _ = flat.shape
     rows = np.arange(n)
     scores = flat[..., :N_BLOCKS]
@@ -258,7 +263,7 @@ def unflatten(
 
 
 def flatten(choices: NDArray[np.int64], moves: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Choices [n, grippers] and moves [n, 16, 6] as flat actions [n, grippers, 22]."""
+    """Converts choices [n, grippers] and moves [n, 16, 6] to flat actions [n, grippers, 22]."""
     n, n_grippers = choices.shape
     flat = np.full((n, n_grippers, N_FLAT), -1.0, np.float32)
     rows = np.arange(n)

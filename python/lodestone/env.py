@@ -1,4 +1,4 @@
-"""One world for Gymnasium: `gymnasium.make("Lodestone/Assembly-v0")`."""
+"""Gymnasium environment of one world: `gymnasium.make("Lodestone/Assembly-v0")`."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ _NONE = np.zeros(1, np.bool_)
 
 
 class AssemblyEnv(gymnasium.Env[Observation, Action]):
-    """Two grippers assemble magnet blocks on the ground until a blueprint stands.
+    """Two grippers assemble magnet blocks on the ground until a blueprint is complete.
 
-    A step lasts a tenth of a second. An episode terminates when the blueprint stands, and is truncated at the time limit of
-    100 steps, and when the physics diverges, which is rare (`info["diverged"]`).
+    A step lasts a tenth of a second. An episode terminates when the blueprint is complete. It is truncated at the time
+    limit of 100 steps, or if the physics diverges, which is rare (`info["diverged"]`).
 
-    The reward is the change of a potential: 1 for each required connection, -1 for each other, up to 1 for each required pair
-    as its blocks and magnets come closer, and less up to 1 for hard contacts. `info["reward_terms"]` has the five terms that
-    `REWARD_TERMS` names, `info["is_success"]` whether the blueprint stands. `reset` says in its info which `blueprint` is the
-    goal and how the episode `start`s.
+    The reward is the change in a potential: 1 for each required connection, -1 for each other connection, up to 1 for
+    each required pair as its blocks and magnets get closer, minus up to 1 for hard contacts. `info["reward_terms"]`
+    holds the five terms named in `REWARD_TERMS`, and `info["is_success"]` is true once the blueprint is complete. The
+    info returned by `reset` holds the goal's `blueprint` and the kind of `start`.
 
-    The same seed gives the same episodes. `reset(options={"blueprint": ID, "start": "near-goal:1"})` asks for either; what may
-    be any of several, as a split, is for the argument `blueprint`.
+    The same seed yields the same episodes. `reset(options={"blueprint": ID, "start": "near-goal:1"})` sets the
+    blueprint, the start, or both. To draw from several blueprints, such as a split, use the argument `blueprint`.
 
     Args:
-        render_mode: `human` for a window (needs pygame-ce), `rgb_array` for pictures [height, width, 3] of unsigned bytes.
-        render_size: width and height of a picture in pixels, 32 to 4096.
-        **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
+        render_mode: `human` for a window (needs pygame-ce), `rgb_array` for images [height, width, 3] of unsigned
+            bytes.
+        render_size: Width and height of an image in pixels, 32 to 4096.
+        **world: Arguments of `lodestone.batch.Batch`: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
             `observation`, `action`, `mask`.
     """
 
@@ -63,7 +64,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         return row_of(out, 0), self.batch.about(0)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Moves the world by one step."""
+        """Advances the world by one step."""
         out = self.batch.empty()
         batched = {name: np.asarray(x)[None] for name, x in action.items()} if isinstance(action, dict) else action
         rewards, statuses, terms = self.batch.step(batched, _NONE, out)
@@ -73,7 +74,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         return row_of(out, 0), float(rewards[0]), status == SUCCESS, status in (TIME_LIMIT, DIVERGED), info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture of the world with its goal in the corner, or None with `human`, which shows each step by itself."""
+        """Returns an image of the world with its goal in the corner. `human` mode draws every step and returns None."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render_mode: human or rgb_array")
             return None
@@ -89,11 +90,11 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
             self._window = None
 
     def scene(self) -> dict[str, Any]:
-        """The state of the world, with z up and lengths in meters.
+        """Returns the state of the world, with z up and lengths in meters.
 
-        `positions` [16, 3] and `orientations` [16, 4] (quaternions x, y, z, w) of the blocks, their `half_extents` [16, 3] and
-        `speeds` [16] in m/s, `connections` [k, 2] between blocks, the block `held` [grippers] in the last step (-1 for none),
-        `in_blueprint` [16], and the number of `heavy_contacts`.
+        The dictionary holds `positions` [16, 3] and `orientations` [16, 4] (quaternions x, y, z, w) of the blocks,
+        their `half_extents` [16, 3] and `speeds` [16] in m/s, `connections` [k, 2] between blocks, the block `held`
+        [grippers] in the last step (-1 for none), `in_blueprint` [16], and the number of `heavy_contacts`.
         """
         return self.batch.worlds.scene(0)
 
@@ -105,7 +106,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
 
 
 def checked(options: Options | Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """Options of a reset, none of them unknown."""
+    """Validates the options of `reset` and returns them, or an empty mapping for None."""
     options = {} if options is None else options
     for name, value in options.items():
         if name not in ("blueprint", "start"):

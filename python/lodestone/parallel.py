@@ -1,4 +1,4 @@
-"""One world for PettingZoo's parallel API, with an agent for each gripper.
+"""PettingZoo parallel environment of one world, with one agent per gripper.
 
     from lodestone.parallel import parallel_env
 
@@ -26,19 +26,22 @@ _NONE = np.zeros(1, np.bool_)
 
 
 class AssemblyParallelEnv(ParallelEnv):
-    """The world of `lodestone.AssemblyEnv` with an agent for each gripper, `gripper_0` and `gripper_1`.
+    """The world of `lodestone.AssemblyEnv` with one agent per gripper: `gripper_0` and `gripper_1`.
 
-    Agents share the goal and the reward and end together. Each sees itself first: in its observation the first of the two
-    entries of a node that say who holds the block is its own, and the first half of the globals is about itself.
+    Agents share the goal and the reward, and their episodes end together. Each agent's own entries come first in its
+    observation: the first of the two node features that mark held blocks is its own, and the first half of the globals
+    describes its own gripper.
 
-    An action is a dictionary of `choice`, a block from 0 to 15, and `move` [6], its linear and angular velocity in the block's
-    frame as fractions of the speed limits; or, with `action="flat"`, 22 numbers in [-1, 1]: a score for each block, and the
-    move of the block with the highest. Two agents that choose one block move it by the mean of their moves.
+    An action is a dictionary of `choice`, a block from 0 to 15, and `move` [6], its linear and angular velocity in the
+    block's frame as fractions of the speed limits. With `action="flat"`, it is 22 numbers in [-1, 1]: a score for each
+    block, and the move of the block with the highest score. If both agents choose the same block, it moves by the mean
+    of their moves.
 
     Args:
-        render_mode: `human` for a window (needs pygame-ce), `rgb_array` for pictures [height, width, 3] of unsigned bytes.
-        render_size: width and height of a picture in pixels.
-        **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
+        render_mode: `human` for a window (needs pygame-ce), `rgb_array` for images [height, width, 3] of unsigned
+            bytes.
+        render_size: Width and height of an image in pixels.
+        **world: Arguments of `lodestone.batch.Batch`: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
             `observation`, `action`, `mask`.
     """
 
@@ -56,7 +59,8 @@ class AssemblyParallelEnv(ParallelEnv):
         if observation not in ("features", "flat"):
             raise ValueError(f"observation {observation!r} is unknown: expected features or flat")
         self.flat_observation = observation == "flat"
-        # Each agent gets an arrangement of its own, which is made of the parts.
+        # The batch keeps dictionary observations because `_views` rearranges the parts for each agent before
+        # flattening.
         self.batch = Batch(1, **{"num_threads": 1} | world)
         self.flat_action = self.batch.flat_action
         self.possible_agents = [f"gripper_{gripper}" for gripper in range(self.batch.n_grippers)]
@@ -72,18 +76,18 @@ class AssemblyParallelEnv(ParallelEnv):
         self._action_spaces = {agent: self._action_space() for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """What an agent sees: features as a dictionary, or flat."""
+        """Returns the agent's observation space: a dictionary of features, or flat."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """What an agent does."""
+        """Returns the agent's action space."""
         return self._action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Starts an episode; `options` may name a `blueprint` and a `start`."""
-        # PettingZoo's judge passes {"options": 1} and expects no error.
+        # PettingZoo's API test passes {"options": 1} and expects no error.
         options = checked({name: value for name, value in (options or {}).items() if name != "options"})
         if seed is not None or self._random is None:
             self._random, _ = seeding.np_random(seed)
@@ -97,7 +101,7 @@ class AssemblyParallelEnv(ParallelEnv):
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Moves the world by one step."""
+        """Advances the world by one step."""
         out = self.batch.empty()
         rewards, statuses, terms = self.batch.step(self._joint(actions), _NONE, out)
         status, agents = int(statuses[0]), self.agents
@@ -118,7 +122,7 @@ class AssemblyParallelEnv(ParallelEnv):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture of the world with its goal in the corner, or None with `human`, which shows each step by itself."""
+        """Returns an image of the world with its goal in the corner. `human` mode draws every step and returns None."""
         if self.render_mode == "rgb_array":
             return self.batch.worlds.picture(0, *self.render_size)
         self._show()
@@ -131,11 +135,11 @@ class AssemblyParallelEnv(ParallelEnv):
             self._window = None
 
     def scene(self) -> dict[str, Any]:
-        """The state of the world, as `lodestone.AssemblyEnv.scene` gives it."""
+        """Returns the state of the world in the format of `lodestone.AssemblyEnv.scene`."""
         return self.batch.worlds.scene(0)
 
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> dict[str, Any]:
-        """Choices [1, grippers] and moves [1, 16, 6] as an action for each agent."""
+        """Converts choices [1, grippers] and moves [1, 16, 6] to one action per agent."""
         moves = moves.clip(-1.0, 1.0)
         made: dict[str, Any] = {}
         for gripper, agent in enumerate(self.possible_agents):
@@ -156,7 +160,7 @@ class AssemblyParallelEnv(ParallelEnv):
         return spaces.Dict({"choice": spaces.Discrete(N_BLOCKS), "move": move})
 
     def _joint(self, actions: Mapping[str, Any]) -> Any:
-        """The agents' actions as one of the batch."""
+        """Combines the agents' actions into an action of the batch."""
         flat = np.full((1, len(self.possible_agents), N_FLAT), -1.0, np.float32)
         for gripper, agent in enumerate(self.possible_agents):
             if agent not in actions:
@@ -194,5 +198,5 @@ class AssemblyParallelEnv(ParallelEnv):
 
 
 def parallel_env(**kwargs: Any) -> AssemblyParallelEnv:
-    """The environment, by the name that PettingZoo's own have."""
+    """Creates the environment. PettingZoo's own environments use this name."""
     return AssemblyParallelEnv(**kwargs)

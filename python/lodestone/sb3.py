@@ -1,4 +1,4 @@
-"""Many worlds for Stable-Baselines3.
+"""Vectorized environment for Stable-Baselines3.
 
     from lodestone.sb3 import AssemblyVecEnv
 
@@ -19,13 +19,13 @@ from lodestone.vector import AssemblyVectorEnv
 
 
 class AssemblyVecEnv(VecEnv):
-    """The worlds of `lodestone.AssemblyVectorEnv` as Stable-Baselines3 has them; wrap it in its `VecMonitor` for statistics.
+    """`lodestone.AssemblyVectorEnv` as a Stable-Baselines3 `VecEnv`. Wrap it in `VecMonitor` for statistics.
 
     Args:
-        num_envs: number of worlds.
-        render_mode: `rgb_array` lets `render` give pictures.
-        **world: what `lodestone.batch.Batch` takes; observations and actions are `flat` unless said otherwise, as
-            Stable-Baselines3 has no dictionaries of actions.
+        num_envs: Number of worlds.
+        render_mode: `rgb_array` makes `render` return images.
+        **world: Arguments of `lodestone.batch.Batch`. Observations and actions are `flat` by default because
+            Stable-Baselines3 does not support dictionary actions.
     """
 
     def __init__(self, num_envs: int, render_mode: str | None = None, **world: Any) -> None:
@@ -37,7 +37,7 @@ class AssemblyVecEnv(VecEnv):
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
 
     def reset(self) -> Any:
-        """Starts episodes in all worlds, by the seeds of `seed` and the options of `set_options`: `blueprint` and `start`."""
+        """Starts episodes in all worlds, with seeds from `seed` and `blueprint` and `start` from `set_options`."""
         seeds = list(self._seeds) if any(seed is not None for seed in self._seeds) else None
         if all(options == self._options[0] for options in self._options):
             observation, infos = self.envs.reset(seed=seeds, options=self._options[0])
@@ -52,11 +52,11 @@ class AssemblyVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keeps the actions for `step_wait`."""
+        """Stores the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Moves every world by one step; those whose episode ends start the next."""
+        """Steps every world. A world whose episode ends starts the next one in the same step."""
         observation, rewards, terminations, truncations, infos = self.envs.step(self._actions)
         dones = terminations | truncations
         rows: list[dict[str, Any]] = []
@@ -72,15 +72,15 @@ class AssemblyVecEnv(VecEnv):
         return observation, rewards.astype(np.float32), dones, rows
 
     def close(self) -> None:
-        """Nothing has to be closed."""
+        """Closes the environment."""
         self.envs.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A picture of each world."""
+        """Returns an image of each world, or None per world without a `render_mode`."""
         return self.envs.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute that all worlds share."""
+        """Returns an attribute of the batch, once per index. All worlds share it."""
         return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -89,16 +89,16 @@ class AssemblyVecEnv(VecEnv):
         setattr(self.envs, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Calls a method of all worlds at once."""
+        """Calls a method of the batch once and returns its result once per index."""
         result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """No world is wrapped."""
+        """Returns False per index: worlds are never wrapped."""
         del wrapper_class
         return [False for _ in self._get_indices(indices)]
 
 
 def _row(infos: dict[str, Any], row: int) -> dict[str, Any]:
-    """A world's part of Gymnasium's infos."""
+    """Extracts the info dictionary of one world from Gymnasium's batched infos."""
     return {name: values[row] for name, values in infos.items() if not name.startswith("_") and infos[f"_{name}"][row]}

@@ -1,4 +1,4 @@
-"""Many worlds for Gymnasium: `gymnasium.make_vec("Lodestone/Assembly-v0", num_envs=32)`."""
+"""Gymnasium vector environment: `gymnasium.make_vec("Lodestone/Assembly-v0", num_envs=32)`."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from lodestone.env import checked
 
 
 class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
-    """Worlds of `AssemblyEnv` that step side by side on native threads, without the global interpreter lock.
+    """`AssemblyEnv` worlds that step in parallel on native threads, without the global interpreter lock.
 
-    It gives what `gymnasium.vector.SyncVectorEnv` gives for as many `AssemblyEnv`s: world i has the episodes of an environment
-    that was reset with seed + i. The features are written into the arrays that are returned, with no copy between.
+    Behaves like `gymnasium.vector.SyncVectorEnv` over the same number of `AssemblyEnv`s: world i yields the same
+    episodes as an environment reset with seed + i. Features are written directly into the returned arrays.
 
     Args:
-        num_envs: number of worlds.
-        autoreset_mode: when a world whose episode ended starts the next: `NextStep`, `SameStep`, or `Disabled`, as Gymnasium
-            defines them; `metadata["autoreset_mode"]` has it.
-        copy: False writes each step into the arrays of the step before, for whoever has copied what it needs.
-        render_mode: `rgb_array` lets `render` give a picture of each world; `human` is for single worlds.
-        render_size: width and height of a picture in pixels.
-        **world: what `lodestone.batch.Batch` takes: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
+        num_envs: Number of worlds.
+        autoreset_mode: When a world starts a new episode after one ends: `NextStep`, `SameStep`, or `Disabled`, as
+            defined by Gymnasium. Also in `metadata["autoreset_mode"]`.
+        copy: If False, each step overwrites the arrays returned by the previous step, so copy what you need to keep.
+        render_mode: `rgb_array` makes `render` return an image of each world. `human` is only for single worlds.
+        render_size: Width and height of an image in pixels.
+        **world: Arguments of `lodestone.batch.Batch`: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
             `observation`, `action`, `mask`, `num_threads`.
     """
 
@@ -65,9 +65,9 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts episodes in all worlds, or in those of `options["reset_mask"]` [num_envs].
+        """Starts episodes in all worlds, or in those selected by `options["reset_mask"]` [num_envs].
 
-        A single seed stands for seed, seed + 1, and so on. `options` may also name a `blueprint` and a `start`.
+        A single seed expands to seed, seed + 1, and so on. `options` may also set a `blueprint` and a `start`.
         """
         options = dict(options or {})
         mask = self._mask(options.pop("reset_mask", None))
@@ -94,7 +94,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
     def step(
         self, actions: Action
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Moves every world by one step; in `NextStep` mode, those whose episode ended before start the next instead."""
+        """Steps every world. In `NextStep` mode, worlds whose episode ended in the previous step start a new one."""
         resets = self._ended
         if self.autoreset_mode == AutoresetMode.DISABLED and resets.any():
             row = int(np.flatnonzero(resets)[0])
@@ -124,13 +124,13 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         return out, rewards, terminations, truncations, self._with_episodes(infos, resets)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture of each world with its goal in the corner, [height, width, 3] of unsigned bytes."""
+        """Returns an image of each world with its goal in the corner, [height, width, 3] of unsigned bytes."""
         if self.render_mode is None:
             return None
         return tuple(self.batch.worlds.picture(row, *self.render_size) for row in range(self.num_envs))
 
     def scene(self, row: int) -> dict[str, Any]:
-        """The state of a world, as `AssemblyEnv.scene` gives it."""
+        """Returns the state of a world in the format of `AssemblyEnv.scene`."""
         return self.batch.worlds.scene(row)
 
     def _arrays(self) -> Observation:
@@ -150,7 +150,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
     def _finals(
         self, ended: NDArray[np.bool_], statuses: NDArray[np.uint8], terms: NDArray[np.float32], out: Observation
     ) -> dict[str, Any]:
-        """How episodes ended, in the form of Gymnasium's infos."""
+        """Returns the final observations and infos of ended episodes as Gymnasium infos."""
         infos: dict[str, Any] = {}
         for row in np.flatnonzero(ended).tolist():
             seen = row_of(out, row)
@@ -161,7 +161,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         return infos
 
     def _with_episodes(self, infos: dict[str, Any], begun: NDArray[np.bool_]) -> dict[str, Any]:
-        """Adds what a reset tells of episodes that have begun."""
+        """Adds the reset infos of episodes that have just started."""
         for row in np.flatnonzero(begun).tolist():
             infos = self._add_info(infos, self.batch.about(row), row)
         return infos

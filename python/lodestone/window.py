@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class Window:
-    """Shows pictures at a rate; needs pygame-ce."""
+    """Displays images at a fixed frame rate. Needs pygame-ce."""
 
     def __init__(self, title: str, size: tuple[int, int], fps: int) -> None:
         try:
@@ -25,7 +25,7 @@ class Window:
         self._fps = fps
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Shows a picture [height, width, 3], not earlier than the rate allows."""
+        """Displays an image [height, width, 3], then waits as long as the frame rate requires."""
         self._pygame.event.pump()
         self._pygame.surfarray.blit_array(self._surface, picture.swapaxes(0, 1))
         self._pygame.display.flip()

@@ -1,4 +1,4 @@
-//! The policy on arrays of features.
+//! Runs the policy on arrays of features.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
@@ -18,10 +18,10 @@ use crate::arrays::{ActionArrays, action_arrays};
 use crate::error::{message, refused};
 use crate::model::{Model, ModelError};
 
-/// The policy that comes with the program.
+/// The pretrained policy embedded in the program.
 const PRETRAINED: &[u8] = include_bytes!("../../deploy/pretrained/model.safetensors");
 
-/// Features of an edge that say of its two blocks: they are connected, and both belong to the blueprint.
+/// Indices of two edge features: the two blocks are connected, and both belong to the blueprint.
 const CONNECTED: usize = 22;
 const BOTH_BELONG: usize = 23;
 
@@ -43,19 +43,19 @@ struct Actor {
     policy: policy::Policy,
     batch: FeatureBatch,
     seed: u64,
-    /// One for each row that was ever sampled for.
+    /// One generator for each row seen so far.
     rngs: Vec<ChaCha8Rng>,
 }
 
 #[pymethods]
 impl Policy {
-    /// The policy that comes with the program.
+    /// Returns the pretrained policy.
     #[staticmethod]
     fn pretrained() -> PyResult<Self> {
         Self::from_bytes(PRETRAINED).map_err(|error| refused(&error))
     }
 
-    /// The policy in a file that `lodestone export` wrote.
+    /// Loads a policy from a file written by `lodestone export`.
     #[staticmethod]
     fn load(path: PathBuf) -> PyResult<Self> {
         let shown = path.display();
@@ -66,7 +66,7 @@ impl Policy {
         Self::from_bytes(&bytes).map_err(refused)
     }
 
-    /// Numbers of features of a node, of an edge, and of the whole scene.
+    /// Numbers of features per node, per edge, and of the whole scene.
     #[getter]
     fn sizes(&self) -> (usize, usize, usize) {
         (self.sizes.node, self.sizes.edge, self.sizes.global)
@@ -78,26 +78,26 @@ impl Policy {
         self.n_grippers
     }
 
-    /// The flags of what it sees, as JSON.
+    /// The policy's feature flags as JSON.
     #[getter]
     fn features(&self) -> &str {
         &self.features
     }
 
-    /// Version of its weights.
+    /// Version of the policy's weights.
     #[getter]
     fn version(&self) -> u64 {
         self.version
     }
 
-    /// Draws sampled actions by this seed from now on.
+    /// Seeds the generators for sampled actions.
     fn seed(&self, py: Python<'_>, seed: u64) {
         let mut actor = self.actor.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
         actor.seed = seed;
         actor.rngs.clear();
     }
 
-    /// Blocks, moves, log-probabilities, and values for each row of features.
+    /// Returns choices and moves, log-probabilities and values for each row of features.
     fn act<'py>(
         &self,
         py: Python<'py>,
@@ -131,7 +131,7 @@ impl Policy {
     }
 }
 
-/// Why a policy cannot be made.
+/// An error when creating a policy.
 #[derive(Debug, thiserror::Error)]
 enum PolicyError {
     #[error(transparent)]
@@ -176,7 +176,7 @@ impl Actor {
         self.batch.edges.extend_from_slice(edges);
         self.batch.globals.extend_from_slice(globals);
         edges.chunks_exact(N_EDGES * edge).for_each(|edges| self.batch.allowed.extend(allowed(edges, edge)));
-        // Only a policy that keeps its grips asks, and such a policy is not loaded.
+        // These only matter to a policy with `grip_steps` above 1, which `from_bytes` rejects.
         self.batch.held.resize(n, [None; N_GRIPPERS]);
         self.batch.n_steps.resize(n, 0);
         for row in self.rngs.len()..n {
@@ -186,13 +186,14 @@ impl Actor {
     }
 }
 
-/// The blocks that a masked policy may choose, read off a scene's edges: those of the blueprint, which has at least two, and
-/// those with a connection.
+/// Derives the blocks that a masked policy may choose from a scene's edges: those of the blueprint, which has at least
+/// two, and those with a connection.
 fn allowed(edges: &[f32], edge: usize) -> [bool; N_BLOCKS] {
     let mut allowed = [false; N_BLOCKS];
     for (pair, features) in edges.chunks_exact(edge).enumerate() {
         if features[CONNECTED] > 0.5 || features[BOTH_BELONG] > 0.5 {
-            // Sender-major and without self-edges, so a pair may be met from its sender alone.
+            // Pairs are sender-major without self-edges. Every pair occurs in both directions, so checking its sender
+            // suffices.
             allowed[pair / (N_BLOCKS - 1)] = true;
         }
     }

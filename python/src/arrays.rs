@@ -1,4 +1,4 @@
-//! Arrays that Python owns, cut into rows, and threads that work on the rows.
+//! Splits arrays owned by Python into rows, and processes rows in parallel threads.
 
 use std::sync::{Mutex, PoisonError};
 use std::thread;
@@ -14,18 +14,18 @@ use pyo3::{Bound, PyResult, Python};
 
 use crate::row::Features;
 
-/// What an action is in Python: blocks `[n, grippers]` and moves `[n, 16, 6]`.
+/// An action in Python: choices `[n, grippers]` and moves `[n, 16, 6]`.
 pub(crate) type ActionArrays<'py> = (Bound<'py, PyArray2<i64>>, Bound<'py, PyArray3<f32>>);
 
-/// Numbers of a world's features: nodes, edges, globals.
+/// Returns the numbers of a world's features: nodes, edges, globals.
 pub(crate) fn lengths(sizes: &FeatureSizes) -> [usize; 3] {
     [N_BLOCKS * sizes.node, N_EDGES * sizes.edge, sizes.global]
 }
 
-/// Takes hold of the arrays for the features of `n` worlds: three, or one for all features of a world in a row.
+/// Borrows the arrays for the features of `n` worlds: three arrays, or one with all features of a world in a row.
 ///
 /// # Errors
-/// When there is another number of arrays, or one of them cannot be written or has another size.
+/// Returns an error for any other number of arrays, or if one of them is not writable or has the wrong size.
 pub(crate) fn hold<'py>(
     arrays: &[Bound<'py, PyArrayDyn<f32>>],
     sizes: &FeatureSizes,
@@ -47,10 +47,10 @@ pub(crate) fn hold<'py>(
     arrays.iter().map(|array| Ok(array.try_readwrite()?)).collect()
 }
 
-/// Cuts the arrays that [`hold`] gave into rows.
+/// Splits the arrays returned by [`hold`] into rows.
 ///
 /// # Errors
-/// When one of them is not contiguous.
+/// Returns an error if one of the arrays is not contiguous.
 pub(crate) fn rows<'a>(
     held: &'a mut [PyReadwriteArrayDyn<'_, f32>],
     sizes: &FeatureSizes,
@@ -75,10 +75,10 @@ pub(crate) fn rows<'a>(
     })
 }
 
-/// The actions in arrays.
+/// Converts arrays to actions.
 ///
 /// # Errors
-/// When a shape does not fit `n` worlds or a number is not that of a block.
+/// Returns an error if a shape does not fit `n` worlds or a number is not a valid block.
 pub(crate) fn actions(
     choices: &PyReadonlyArray2<'_, i64>,
     moves: &PyReadonlyArray3<'_, f32>,
@@ -109,7 +109,7 @@ pub(crate) fn actions(
     Ok(actions)
 }
 
-/// Actions as arrays. A gripper that is idle chooses block 0, with the move that this block has, which is none.
+/// Converts actions to arrays. An idle gripper chooses block 0 with that block's move, which is zero.
 pub(crate) fn action_arrays<'py>(
     py: Python<'py>,
     actions: &[Action],
@@ -123,8 +123,8 @@ pub(crate) fn action_arrays<'py>(
     Ok((choices, moves.into_pyarray(py).reshape([actions.len(), N_BLOCKS, 6])?))
 }
 
-/// Does the work on every job, on this thread and as many others as make `n_threads`. Who is done takes the next job, so one
-/// that takes long holds nobody up.
+/// Runs `work` on every job, using this thread and up to `n_threads - 1` others. Each thread takes the next job when it
+/// is done, so that a long job does not delay the rest.
 pub(crate) fn share<T: Send>(n_threads: usize, jobs: Vec<T>, work: impl Fn(T) + Sync) {
     let n_threads = n_threads.min(jobs.len());
     if n_threads <= 1 {

@@ -1,4 +1,4 @@
-//! Which blueprints are goals: ids, splits, and files of one's own.
+//! Selection of goals: blueprint ids, splits, and user files.
 
 use std::ffi::CString;
 use std::path::Path;
@@ -12,48 +12,48 @@ use pyo3::{PyErr, PyResult, Python, pyfunction};
 
 use crate::error::refused;
 
-/// Goals, and the catalog that has them.
+/// Goals, and the catalog that contains them.
 #[derive(Clone, Debug)]
 pub(crate) struct Goals {
-    /// The built-in catalog with the files of one's own.
+    /// The built-in catalog plus the user's files.
     pub(crate) catalog: Arc<Catalog>,
-    /// The goals in the order given, at least one.
+    /// The goals in the given order, at least one.
     pub(crate) ids: Vec<BlueprintId>,
-    /// A line for each block of one's own files that could lie in several ways: which one was taken.
+    /// One line per block in the user's files whose orientation is ambiguous, with the one that was chosen.
     choices: Vec<String>,
 }
 
-/// Why a list of goals is refused.
+/// Why a list of goals is rejected.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum GoalError {
-    /// Nothing was asked for.
+    /// The list is empty.
     #[error("the list of blueprints is empty")]
     Empty,
-    /// Neither a file nor anything that the catalog knows.
+    /// Neither a file nor anything in the catalog or the generator.
     #[error(
         "blueprint {0:?} is unknown: expected an id such as 4_000, a split ({splits}), or the path of a TOML file or folder",
         splits = Split::ALL.map(|split| split.to_string()).join(", ")
     )]
     Unknown(String),
-    /// No id, where only one blueprint can be meant.
+    /// Not an id, where a single blueprint is expected.
     #[error(
         "blueprint {0:?} is unknown: expected one id, such as 4_000, of the catalog, of the generator, or of a file \
          among the environment's blueprints"
     )]
     UnknownId(String),
-    /// A catalog keeps one blueprint of a structure, so this one could not be played.
+    /// The catalog keeps only one blueprint per structure, so this one could not be played.
     #[error("blueprint {0} is the same structure as another one in the list: name only one of them")]
     Replaced(BlueprintId),
-    /// A file is no blueprint.
+    /// A file is not a valid blueprint.
     #[error(transparent)]
     File(#[from] CatalogError),
 }
 
 impl Goals {
-    /// The goals that `names` name: ids of the catalog or the generator, splits, paths of files or folders, and texts of files.
+    /// Resolves `names`: ids of the catalog or the generator, splits, paths of files or folders, and texts of files.
     ///
     /// # Errors
-    /// When there are none, one of them is unknown, or one takes the place of another.
+    /// Returns an error if no goals result, a name is unknown, or one goal replaces another.
     pub(crate) fn new(names: &[String]) -> Result<Self, GoalError> {
         let mut catalog = Catalog::builtin().clone();
         let mut ids = Vec::new();
@@ -88,53 +88,53 @@ impl Goals {
         Ok(Self { catalog: Arc::new(catalog), ids, choices })
     }
 
-    /// Warns of each block that could lie in several ways; `stack_level` counts the frames of Python up to the caller.
+    /// Warns about each block with an ambiguous orientation; `stack_level` counts the Python frames up to the caller.
     ///
     /// # Errors
-    /// When Python makes errors of warnings.
+    /// Returns an error if Python turns warnings into errors.
     pub(crate) fn warn(&self, py: Python<'_>, stack_level: i32) -> PyResult<()> {
         let category = py.get_type::<PyUserWarning>();
         let warn = |line: &String| PyErr::warn(py, &category, &CString::new(line.as_str())?, stack_level);
         self.choices.iter().try_for_each(warn)
     }
 
-    /// Blocks of a goal.
+    /// Returns the number of blocks of a goal.
     pub(crate) fn n_blocks(&self, goal: &BlueprintId) -> usize {
         self.catalog.find(goal).map_or(0, |blueprint| blueprint.n_blocks())
     }
 }
 
-/// The id in a text, if the catalog or the generator has that blueprint.
+/// Parses an id. Returns `None` unless the catalog or the generator has that blueprint.
 fn known(catalog: &Catalog, name: &str) -> Option<BlueprintId> {
     name.parse::<BlueprintId>().ok().filter(|id| catalog.find(id).is_some())
 }
 
-/// The same where only one blueprint can be meant.
+/// Parses an id where a single blueprint is expected.
 ///
 /// # Errors
-/// When there is no such blueprint.
+/// Returns an error if that blueprint does not exist.
 pub(crate) fn known_id(catalog: &Catalog, name: &str) -> Result<BlueprintId, GoalError> {
     known(catalog, name).ok_or_else(|| GoalError::UnknownId(name.to_owned()))
 }
 
-/// Whether a name is that of a file or folder. A split or an id is none even where a folder is called so.
+/// Returns whether a name refers to a file or folder. Splits and ids take precedence over folders of the same name.
 fn is_path(catalog: &Catalog, name: &str) -> bool {
     let is_named = || name.parse::<Split>().is_ok() || known(catalog, name).is_some();
     name.contains('/') || name.ends_with(".toml") || (!is_named() && Path::new(name).exists())
 }
 
-/// Of the blocks in a file's text that could lie in several ways, which way was taken.
+/// Describes, for each block in a file's text with an ambiguous orientation, which one was chosen.
 fn chosen(file: &str, text: &str) -> Vec<String> {
     let inferred = check_text(file, text).inferred;
     let choices = inferred.iter().filter(|found| found.is_a_choice());
     choices.map(|found| format!("{file}: {found}; `axes` in the file chooses another")).collect()
 }
 
-/// Ids and numbers of blocks of blueprints.
+/// Returns the ids and block counts of blueprints.
 #[pyfunction(name = "blueprints")]
 pub(crate) fn named(py: Python<'_>, names: Vec<String>) -> PyResult<Vec<(String, usize)>> {
     let goals = Goals::new(&names).map_err(|error| refused(&error))?;
-    // Past `lodestone.blueprints`, to whoever calls it.
+    // Skips the frame of `lodestone.blueprints` and attributes the warning to its caller.
     goals.warn(py, 2)?;
     Ok(goals.ids.iter().map(|id| (id.to_string(), goals.n_blocks(id))).collect())
 }

@@ -1,11 +1,11 @@
-//! The worlds and the policy of Lodestone for Python: batches of them behind arrays that Python owns.
+//! Python bindings of Lodestone's worlds and policy: batches behind arrays that Python owns.
 //!
-//! Worlds step and the policy acts without the global interpreter lock, and features are written into the arrays that Python
-//! gets. Whatever is wrong with an argument becomes a `ValueError`. The classes of Gymnasium and PettingZoo are Python files in
-//! `lodestone`, and `lodestone/_native.pyi` says what each method takes and gives.
+//! Worlds step and the policy acts without the global interpreter lock. Features are written directly to the arrays
+//! that Python receives. Invalid arguments raise a `ValueError`. The Gymnasium and PettingZoo classes are Python files
+//! in `lodestone`, and `lodestone/_native.pyi` documents the arguments and results of each method.
 //!
-//! Reading order: `goals` and `tasks` (what to build) → `row` (one world) → `worlds` (many) → `picture` → `model` and `agent`
-//! (the policy).
+//! Reading order: `goals` and `tasks` (what to build) → `row` (one world) → `worlds` (a batch) → `picture` → `model`
+//! and `agent` (the policy).
 
 mod agent;
 mod arrays;

@@ -1,7 +1,7 @@
-//! A policy's file, as `lodestone export` writes it.
+//! The file format of a policy, as written by `lodestone export`.
 //!
-//! The learner's `Model` reads the same files. It is not used here because the learner brings the bus, and with it two minutes
-//! of compiling.
+//! The learner's `Model` reads the same files. It is not used here because the learner depends on the bus, which adds
+//! two minutes of compile time.
 
 use policy::PolicyConfig;
 use proto::{Normalization, Weights, WeightsVersion};
@@ -9,37 +9,37 @@ use safetensors::tensor::Dtype;
 use safetensors::{SafeTensorError, SafeTensors};
 use serde::Deserialize;
 
-/// Version of the format that is read.
+/// The supported format version.
 const FORMAT_VERSION: u32 = 1;
 
 /// Name of the metadata entry.
 const ENTRY: &str = "lodestone";
 
-/// Why a file is refused.
+/// Why a file is rejected.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ModelError {
-    /// Not such a file at all.
+    /// Not a safetensors file, or one with missing tensors.
     #[error("it is no safetensors file")]
     Format(#[from] SafeTensorError),
-    /// Not a policy.
+    /// No policy metadata.
     #[error("its metadata has no entry `{ENTRY}`")]
     NoPolicy,
-    /// The entry is not what it should be.
+    /// The metadata entry is invalid.
     #[error("its entry `{ENTRY}` cannot be read")]
     Entry(#[from] serde_json::Error),
-    /// Written by another program.
+    /// The format version is not supported.
     #[error("its format version is {0}, this package reads {FORMAT_VERSION}")]
     Version(u32),
-    /// A tensor that is not the table's.
+    /// A tensor does not match the table.
     #[error("tensor {name} is {dtype:?} {shape:?}, its table says F32 {expected:?}")]
     Tensor {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// Its type.
+        /// Type of the tensor.
         dtype: Dtype,
-        /// Its shape.
+        /// Shape of the tensor.
         shape: Vec<usize>,
-        /// The shape in the table.
+        /// Shape in the table.
         expected: Vec<usize>,
     },
 }
@@ -59,7 +59,7 @@ struct Header {
     n_env_steps: u64,
     policy: PolicyConfig,
     table: Vec<Parameter>,
-    // The spelling of format version 1.
+    // Spelling required by format version 1.
     #[serde(rename = "normalisation", with = "Statistics")]
     normalization: Normalization,
 }
@@ -83,10 +83,10 @@ struct Statistics {
 }
 
 impl Model {
-    /// Reads a file's bytes.
+    /// Parses the contents of a file.
     ///
     /// # Errors
-    /// When they are not a policy that this version reads.
+    /// Returns an error if they are not a policy in a supported format.
     pub(crate) fn read(bytes: &[u8]) -> Result<Self, ModelError> {
         let (_, metadata) = SafeTensors::read_metadata(bytes)?;
         let entry = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY)).ok_or(ModelError::NoPolicy)?;

@@ -5,26 +5,26 @@ use nalgebra::Point3;
 use proto::Scene;
 use render::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, corners, of_blueprint, of_scene};
 
-/// Height up to which the camera shows the space above the blocks, m.
+/// Height up to which the camera frames the space above the blocks, m.
 const HEADROOM_M: f32 = 0.45;
 
-/// Blocks farther than this from the origin are not framed at the start, m.
+/// Blocks farther than this from the origin are not framed initially, m.
 const REACH_M: f32 = 3.0;
 
-/// Side of the picture of the goal, as a share of the shorter side.
+/// Side length of the goal picture as a share of the picture's shorter side.
 const GOAL_SHARE: f32 = 0.3;
 
-/// Color of the frame around it.
+/// Color of the frame around the goal picture.
 const FRAME: Rgb = [190, 196, 206];
 
-/// Draws worlds, and goals, which have a painter of their own because it keeps what lies behind the blocks.
+/// Paints worlds and goals. Each has its own painter, because a painter caches the background.
 #[derive(Debug, Default)]
 pub(crate) struct Easel {
     worlds: Painter,
     goals: Painter,
 }
 
-/// A fixed camera for an episode, so that only blocks move, and the picture of its goal.
+/// A fixed camera for an episode, so that only blocks move, and the picture of the goal.
 #[derive(Debug)]
 pub(crate) struct Stage {
     camera: Camera,
@@ -33,7 +33,7 @@ pub(crate) struct Stage {
 }
 
 impl Stage {
-    /// A camera for what a scene shows, in pictures of `size_px` (width, height).
+    /// Creates a camera that frames `scene`, for pictures of `size_px` (width, height).
     pub(crate) fn new(easel: &mut Easel, scene: &Scene, goal: &Blueprint, size_px: [usize; 2]) -> Self {
         let blocks = of_scene(scene);
         let on_ground: Vec<Point3<f32>> =
@@ -45,12 +45,12 @@ impl Stage {
         Self { camera, ground: Ground::under(&blocks), goal: goal_picture(easel, goal, size_px) }
     }
 
-    /// Width and height of the pictures in pixels.
+    /// Returns the width and height of the pictures in pixels.
     pub(crate) fn size_px(&self) -> [usize; 2] {
         self.camera.size_px()
     }
 
-    /// The colors of the pixels of a scene, by row from the top.
+    /// Returns the pixels of a scene as RGB bytes, by row from the top.
     pub(crate) fn picture(&self, easel: &mut Easel, scene: &Scene) -> Vec<u8> {
         let mut image = easel.worlds.paint(&of_scene(scene), &self.camera, self.ground);
         image.paste(&self.goal, image.width().saturating_sub(self.goal.width()), 0);
@@ -58,7 +58,7 @@ impl Stage {
     }
 }
 
-/// The goal in a frame.
+/// Paints the goal in a frame.
 fn goal_picture(easel: &mut Easel, goal: &Blueprint, size_px: [usize; 2]) -> Image {
     let side = (GOAL_SHARE * size_px[0].min(size_px[1]) as f32) as usize;
     let blocks: Vec<Block> = of_blueprint(goal);

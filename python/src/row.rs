@@ -1,4 +1,4 @@
-//! One world of a batch, with the generator of its episodes.
+//! One world of a batch, with the random generator of its episodes.
 
 use environment::{Env, EnvironmentConfig, Expert, ResetError, StartError, StepResult, World};
 use policy::FeatureConfig;
@@ -9,25 +9,25 @@ use rand_chacha::ChaCha8Rng;
 use crate::picture::Stage;
 use crate::tasks::{Tasks, Wish};
 
-/// Episodes that are drawn before one is given up; blocks may find no room.
+/// Maximum number of draws per episode; blocks may not find room.
 const MAX_RESETS: usize = 16;
 
-/// Greatest magnitude of a feature. The farthest that a sound world has are two blocks 50 m from the origin each, which is 200;
-/// only one that has diverged goes beyond.
+/// Maximum magnitude of a feature. The largest value in a valid world is 200, for two blocks that are each 50 m from
+/// the origin; only a diverged world exceeds it.
 const MAX_FEATURE: f32 = 256.0;
 
-/// A world and what belongs to its episode.
+/// A world and the state of its episode.
 pub(crate) struct Row {
     pub(crate) world: World,
-    /// Draws the episodes.
+    /// Generator from which episodes are drawn.
     pub(crate) rng: ChaCha8Rng,
-    /// The task of the episode; none before the first.
+    /// Task of the episode; `None` before the first one.
     pub(crate) task: Option<Task>,
-    /// How the episode stands.
+    /// Status of the episode.
     pub(crate) status: Status,
-    /// The camera of the episode, made for its first picture.
+    /// Camera of the episode, created for its first picture.
     pub(crate) stage: Option<Stage>,
-    /// The expert for the episode, made when it is first asked; none inside if the blueprint has no order of assembly.
+    /// Expert for the episode, created on first use; the inner value is `None` if the blueprint has no assembly order.
     expert: Option<Option<Expert>>,
 }
 
@@ -39,10 +39,10 @@ impl Row {
         Self { world, rng, task: None, status: Status::Running, stage: None, expert: None }
     }
 
-    /// Draws an episode and starts it, again as long as the blocks find no room.
+    /// Draws an episode and starts it. Draws again while the blocks find no room.
     ///
     /// # Errors
-    /// When the world cannot start it, or after 16 tries; the world is then as before.
+    /// Returns an error if the world cannot start the episode, or after 16 attempts. The world is then unchanged.
     pub(crate) fn begin(&mut self, tasks: &Tasks, wish: &Wish) -> Result<(), StartError> {
         let mut n_tried = 1;
         loop {
@@ -61,14 +61,14 @@ impl Row {
         }
     }
 
-    /// Moves the world by one step.
+    /// Advances the world by one step.
     pub(crate) fn step(&mut self, action: &Action) -> StepResult {
         let result = self.world.step(action);
         self.status = result.status;
         result
     }
 
-    /// Writes what a policy sees.
+    /// Writes the policy's features.
     pub(crate) fn observe(&self, config: &FeatureConfig, [nodes, edges, globals]: Features<'_>) {
         write_features(&self.world.observation(), config, nodes, edges, globals);
         if self.status == Status::Diverged {
@@ -78,7 +78,7 @@ impl Row {
         }
     }
 
-    /// What the expert does; nothing if the blueprint has no order of assembly.
+    /// Returns the expert's action; idle if the blueprint has no assembly order.
     pub(crate) fn ask_expert(&mut self, config: &EnvironmentConfig) -> Action {
         let blueprint = self.world.blueprint();
         let expert = self.expert.get_or_insert_with(|| Expert::new(config, blueprint).ok());
@@ -86,7 +86,7 @@ impl Row {
     }
 }
 
-/// What came of a step or a reset of one world.
+/// Result of stepping or resetting one world.
 #[derive(Clone, Debug)]
 pub(crate) struct Outcome {
     pub(crate) reward: RewardTerms,

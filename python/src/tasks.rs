@@ -1,4 +1,4 @@
-//! What the next episode is: a goal, who plays its blocks, and how it begins, drawn from a world's generator.
+//! Draws the next episode from a world's generator: goal, assignment of blocks, and start.
 
 use std::ops::RangeInclusive;
 
@@ -10,66 +10,66 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::goals::{GoalError, Goals, known_id};
 
-/// Goals and starts that are drawn.
+/// Distribution of goals and starts.
 #[derive(Clone, Debug)]
 pub(crate) struct Tasks {
     pub(crate) goals: Goals,
-    /// Ways to begin, with weights that are not negative and have a positive sum.
+    /// Start rules with weights, which are nonnegative and have a positive sum.
     starts: Vec<(StartRule, f64)>,
-    /// What may stand at the start: the training split, but for what one of the goals has replaced in the catalog.
+    /// Blueprints that may be prebuilt: the training split, except those that a goal replaced in the catalog.
     prebuilt: Vec<BlueprintId>,
-    /// Whether equal blocks swap roles from episode to episode.
+    /// Whether equal blocks swap roles between episodes.
     shuffle_blocks: bool,
 }
 
-/// What is asked of one episode instead of being drawn.
+/// Properties of one episode that are given instead of drawn.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Wish {
     goal: Option<BlueprintId>,
     start: Option<StartRule>,
 }
 
-/// A way to begin.
+/// A start rule.
 #[derive(Clone, Debug, PartialEq)]
 enum StartRule {
     Scattered,
-    /// This one stands, or another training blueprint than the goal.
+    /// This blueprint is prebuilt, or a random training blueprint other than the goal.
     Prebuilt(Option<BlueprintId>),
-    /// The goal stands but for so many blocks; one block less than it has is the limit.
+    /// The goal is prebuilt except for this many blocks, limited to one less than its total.
     NearGoal(RangeInclusive<u8>),
     AsItIs,
 }
 
-/// Why starts are refused.
+/// Why start rules are rejected.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum StartsError {
-    /// A text that is no way to begin.
+    /// The text is not a start rule.
     #[error(
         "start {0:?} is unknown: expected scattered, prebuilt, prebuilt:ID, near-goal, near-goal:N, near-goal:M-N \
          (1 to 15 blocks), or as-it-is"
     )]
     Unknown(String),
-    /// A blueprint that nobody knows.
+    /// The blueprint is unknown.
     #[error(transparent)]
     Blueprint(#[from] GoalError),
-    /// A weight that is none.
+    /// The weight is invalid.
     #[error("the weight of start {start:?} is {weight}: expected a finite number that is not negative")]
     Weight {
-        /// The way to begin.
+        /// The start rule.
         start: String,
-        /// Its weight.
+        /// The weight.
         weight: f64,
     },
-    /// Nothing can be drawn.
+    /// No rule can be drawn.
     #[error("no start has a positive weight")]
     Empty,
 }
 
 impl StartRule {
-    /// The way to begin that a text names, with blueprints of the catalog or the generator.
+    /// Parses a start rule, with blueprints of the catalog or the generator.
     ///
     /// # Errors
-    /// When it is unknown, or its blueprint is.
+    /// Returns an error if the rule or its blueprint is unknown.
     fn parse(text: &str, catalog: &Catalog) -> Result<Self, StartsError> {
         let unknown = || StartsError::Unknown(text.to_owned());
         let (kind, detail) = text.split_once(':').map_or((text, None), |(kind, detail)| (kind, Some(detail)));
@@ -78,7 +78,7 @@ impl StartRule {
             ("as-it-is", None) => Ok(Self::AsItIs),
             ("prebuilt", None) => Ok(Self::Prebuilt(None)),
             ("prebuilt", Some(id)) => Ok(Self::Prebuilt(Some(known_id(catalog, id)?))),
-            // As in training by default.
+            // The default in training.
             ("near-goal", None) => Ok(Self::NearGoal(1..=2)),
             ("near-goal", Some(range)) => {
                 let (fewest, most) = range.split_once('-').unwrap_or((range, range));
@@ -92,10 +92,10 @@ impl StartRule {
 }
 
 impl Wish {
-    /// An episode of a goal or a start, either if it is named.
+    /// Creates a wish for an episode with this goal and this start; `None` leaves the choice to chance.
     ///
     /// # Errors
-    /// When one of them is unknown.
+    /// Returns an error if the goal or the start is unknown.
     pub(crate) fn new(tasks: &Tasks, goal: Option<&str>, start: Option<&str>) -> Result<Self, StartsError> {
         let catalog = &tasks.goals.catalog;
         let goal = goal.map(|name| known_id(catalog, name)).transpose()?;
@@ -105,10 +105,10 @@ impl Wish {
 }
 
 impl Tasks {
-    /// Every goal equally likely, and starts by their weights.
+    /// Creates a distribution with equally likely goals and weighted starts.
     ///
     /// # Errors
-    /// When a start is unknown or nothing has a positive weight.
+    /// Returns an error if a start is unknown, a weight is invalid, or no weight is positive.
     pub(crate) fn new(goals: Goals, starts: &[(String, f64)], shuffle_blocks: bool) -> Result<Self, StartsError> {
         let mut rules = Vec::new();
         for (start, weight) in starts {
@@ -137,7 +137,7 @@ impl Tasks {
             StartRule::Prebuilt(Some(id)) => Start::Prebuilt(id.clone()),
             StartRule::Prebuilt(None) => {
                 let others: Vec<&BlueprintId> = self.prebuilt.iter().filter(|id| **id != blueprint).collect();
-                // Goals of one's own may have replaced all of them. Training begins scattered then, too.
+                // User goals may have replaced all of them. Training also falls back to scattered starts then.
                 if others.is_empty() {
                     Start::Scattered
                 } else {
@@ -160,7 +160,7 @@ impl Tasks {
             rest -= weight;
             rest < 0.0
         });
-        // Rounding may leave a rest of about 0 behind the last start that has a weight.
+        // Due to rounding, the rest may stay near 0 after the last start that has a weight.
         let last = self.starts.iter().rev().find(|(_, weight)| *weight > 0.0);
         &drawn.or(last).expect("a start has a positive weight").0
     }

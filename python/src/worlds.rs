@@ -23,10 +23,10 @@ use crate::picture::{Easel, Stage};
 use crate::row::{Features, Outcome, Row};
 use crate::tasks::{Tasks, Wish};
 
-/// Rewards `[n]`, statuses `[n]`, and the terms of the rewards `[n, 5]`.
+/// Rewards `[n]`, statuses `[n]`, and reward terms `[n, 5]`.
 type StepArrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f32>>);
 
-/// Worlds that step side by side.
+/// Worlds that step in parallel.
 #[pyclass(module = "lodestone._native")]
 pub(crate) struct Worlds {
     config: EnvironmentConfig,
@@ -39,10 +39,10 @@ pub(crate) struct Worlds {
     easel: Mutex<Easel>,
 }
 
-/// What is to be done with one world.
+/// Work on one world.
 struct Job<'a> {
     row: &'a mut Row,
-    /// None starts an episode.
+    /// `None` starts an episode.
     action: Option<Action>,
     features: Features<'a>,
     outcome: &'a mut Outcome,
@@ -50,7 +50,7 @@ struct Job<'a> {
 
 #[pymethods]
 impl Worlds {
-    /// Worlds that wait for their first reset.
+    /// Creates worlds that wait for their first reset.
     #[new]
     #[pyo3(signature = (n, blueprints, starts, shuffle_blocks, settings, features, n_threads))]
     #[allow(clippy::too_many_arguments, reason = "a thin layer, called from one place")]
@@ -77,19 +77,19 @@ impl Worlds {
         let row = |row: usize| Ok(Row::new(World::new(&config)?, generator(0, row as u64)));
         let rows = (0..n).map(row).collect::<Result<Vec<_>, _>>();
         let rows = Mutex::new(rows.map_err(|error: proto::InvalidSetting| refused(&error))?);
-        // Past the constructors of `Batch` and of the environment, to whoever makes one.
+        // Skips the constructors of `Batch` and of the environment, and attributes the warning to their caller.
         tasks.goals.warn(py, 3)?;
         let (sizes, easel) = (FeatureSizes::new(&features), Mutex::new(Easel::default()));
         Ok(Self { config, features, sizes, tasks, rows, n_threads, easel })
     }
 
-    /// Numbers of features of a node, of an edge, and of the whole scene.
+    /// Numbers of features per node, per edge, and of the whole scene.
     #[getter]
     fn sizes(&self) -> (usize, usize, usize) {
         (self.sizes.node, self.sizes.edge, self.sizes.global)
     }
 
-    /// The flags of what is seen, as JSON.
+    /// The feature flags as JSON.
     #[getter]
     fn features(&self) -> PyResult<String> {
         serde_json::to_string(&self.features).map_err(|error| refused(&error))
@@ -101,7 +101,7 @@ impl Worlds {
         usize::from(self.config.n_grippers)
     }
 
-    /// Steps before an episode ends at the time limit.
+    /// Steps after which an episode ends at the time limit.
     #[getter]
     fn episode_steps(&self) -> u16 {
         self.config.episode_steps
@@ -113,13 +113,13 @@ impl Worlds {
         f32::from(self.config.physics.n_substeps) * self.config.physics.substep_s()
     }
 
-    /// Ids of the goals that are drawn.
+    /// Ids of the goals that episodes are drawn from.
     #[getter]
     fn blueprints(&self) -> Vec<String> {
         self.tasks.goals.ids.iter().map(ToString::to_string).collect()
     }
 
-    /// Starts episodes in the worlds of `mask`, first reseeding those that have a seed, and writes the features of these worlds.
+    /// Starts episodes in the worlds of `mask`, after reseeding those with a seed, and writes their features.
     #[pyo3(signature = (mask, seeds, blueprint, start, features))]
     fn reset(
         &self,
@@ -152,7 +152,7 @@ impl Worlds {
         first_failure(&outcomes)
     }
 
-    /// Moves every world by one step, but starts an episode in those of `resets`, and writes all features.
+    /// Starts an episode in the worlds of `resets`, advances all others by one step, and writes all features.
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -191,7 +191,7 @@ impl Worlds {
         Ok((rewards.into_pyarray(py), statuses.into_pyarray(py), terms.into_pyarray(py).reshape([n, 5])?))
     }
 
-    /// Writes the features that another configuration gives.
+    /// Writes the features for another configuration.
     fn observe(&self, py: Python<'_>, settings: &str, features: Vec<Bound<'_, PyArrayDyn<f32>>>) -> PyResult<()> {
         let mut all = self.lock(py);
         let config: FeatureConfig = parsed("features", settings)?;
@@ -203,7 +203,7 @@ impl Worlds {
         Ok(())
     }
 
-    /// The goal of a world's episode, how it began, and the seed of its start.
+    /// Returns the goal of a world's episode, its start, and its seed.
     fn episode(&self, py: Python<'_>, row: usize) -> PyResult<(String, String, u64)> {
         let all = self.lock(py);
         let task = all.get(row).and_then(|row| row.task.as_ref());
@@ -211,8 +211,8 @@ impl Worlds {
         Ok((task.blueprint.to_string(), task.start.to_string(), task.seed))
     }
 
-    /// Whether a masked gripper may choose a block, `[n, 16]`: those of the blueprint and those with a connection, as they may
-    /// have to be taken apart.
+    /// Returns the blocks that a masked gripper may choose, `[n, 16]`: those of the blueprint, and connected ones,
+    /// which may have to be taken apart.
     fn allowed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
         let all = self.lock(py);
         let mut allowed = Vec::with_capacity(all.len() * N_BLOCKS);
@@ -224,7 +224,7 @@ impl Worlds {
         allowed.into_pyarray(py).reshape([all.len(), N_BLOCKS])
     }
 
-    /// What the scripted expert does in each world.
+    /// Returns the scripted expert's action in each world.
     fn expert<'py>(&self, py: Python<'py>) -> PyResult<ActionArrays<'py>> {
         let mut all = self.lock(py);
         let mut actions = vec![Action::IDLE; all.len()];
@@ -233,7 +233,7 @@ impl Worlds {
         action_arrays(py, &actions, self.n_grippers())
     }
 
-    /// The state of a world as arrays.
+    /// Returns the state of a world as arrays.
     fn scene<'py>(&self, py: Python<'py>, row: usize) -> PyResult<Bound<'py, PyDict>> {
         let all = self.lock(py);
         let world = &all.get(row).ok_or_else(|| PyIndexError::new_err(format!("there is no world {row}")))?.world;
@@ -255,7 +255,7 @@ impl Worlds {
         Ok(state)
     }
 
-    /// A picture of a world and its goal, `[height, width, 3]`.
+    /// Returns a picture of a world and its goal, `[height, width, 3]`.
     fn picture<'py>(
         &self,
         py: Python<'py>,
@@ -283,7 +283,7 @@ impl Worlds {
 }
 
 impl Worlds {
-    /// The worlds. Whoever waits for them gives the interpreter to others meanwhile.
+    /// Locks the worlds. Releases the interpreter lock while waiting.
     fn lock(&self, py: Python<'_>) -> MutexGuard<'_, Vec<Row>> {
         self.rows.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
     }
@@ -302,7 +302,7 @@ impl Worlds {
     }
 }
 
-/// A JSON text as settings.
+/// Parses settings from JSON.
 fn parsed<T: DeserializeOwned>(name: &str, text: &str) -> PyResult<T> {
     serde_json::from_str(text).map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
 }
@@ -318,14 +318,14 @@ fn first_failure(outcomes: &[Outcome]) -> PyResult<()> {
     outcomes.iter().find_map(|outcome| outcome.failure.as_ref()).map_or(Ok(()), |failure| Err(refused(failure)))
 }
 
-/// The block that each gripper held in the last step, −1 for none.
+/// Returns the block that each gripper held in the last step, −1 for none.
 fn held(scene: &Scene, n_grippers: usize) -> Vec<i64> {
     let block = |gripper: &Option<proto::Gripper>| gripper.and_then(|gripper| gripper.held);
     let grippers = scene.grippers.iter().take(n_grippers);
     grippers.map(|gripper| block(gripper).map_or(-1, |block| i64::from(u8::from(block)))).collect()
 }
 
-/// The number of a status in Python.
+/// Returns the Python code of a status.
 fn code(status: Status) -> u8 {
     match status {
         Status::Running => 0,

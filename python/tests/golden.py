@@ -1,6 +1,6 @@
-"""Reads the network's reference values, and makes the parameters and inputs that they belong to.
+"""Reads the network's reference values and generates the matching parameters and inputs.
 
-policy/tests/golden/README.md says where they come from. `generate` is the counterpart of the function of that name in
+policy/tests/golden/README.md explains their origin. `generate` mirrors the function of the same name in
 policy/tests/reference/common.rs.
 """
 
@@ -15,14 +15,14 @@ import numpy as np
 import torch
 
 ROOT = Path(__file__).parents[2]
-# Behind the installed packages: the sources of the package `lodestone` lie there too, without their native part.
+# Appended after the installed packages: this folder also holds the sources of `lodestone` without the native module.
 sys.path.append(str(ROOT / "python"))
 
 from lodestone_torch import Config, GraphNetwork
 
 GOLDEN = ROOT / "policy/tests/golden"
 PRETRAINED = ROOT / "deploy/pretrained/model.safetensors"
-# Names of the outputs in the files, in the order of `Output`.
+# Names of the outputs in the golden files, in the order of `Output`.
 OUTPUTS = ("grip_logits", "block_act_locs", "block_act_scales", "value")
 _RATIO, _ALL = 0x9E3779B97F4A7C15, (1 << 64) - 1
 
@@ -32,7 +32,7 @@ def read(name: str) -> dict[str, Any]:
 
 
 def generate(name: str, seed: int, n: int) -> np.ndarray:
-    """`n` numbers in [-1, 1) for a tensor's name and a seed, float64 that are exact in float32."""
+    """Returns `n` float64 numbers in [-1, 1), exactly representable in float32, for a tensor name and a seed."""
     h = 0xCBF29CE484222325
     for byte in name.encode():
         h = (h ^ byte) * 0x100000001B3 & _ALL
@@ -46,7 +46,7 @@ def generate(name: str, seed: int, n: int) -> np.ndarray:
 
 
 def network(golden: dict[str, Any]) -> GraphNetwork:
-    """The network of a file, in float32."""
+    """Builds the network of a golden file in float32."""
     info = golden["info"]
     sizes = {"node": info["node_dim"], "edge": info["edge_dim"], "global_": info["global_dim"]}
     made = GraphNetwork(Config(**sizes, attention=info["kind"] == "gat", self_edges=info["self_edges"]))
@@ -71,7 +71,7 @@ def network(golden: dict[str, Any]) -> GraphNetwork:
 
 
 def inputs(golden: dict[str, Any]) -> list[torch.Tensor]:
-    """Nodes, edges and globals of a file, in float32."""
+    """Generates the nodes, edges, and globals of a golden file in float32."""
     info = golden["info"]
     b, seed = info["batch"], info["seed"]
 

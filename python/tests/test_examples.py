@@ -1,4 +1,4 @@
-"""The examples run as their first lines say, for a moment. `record.py` is left out: Minari's collector needs jax.
+"""Tests that the examples run, with few steps. Skips `record.py` because Minari's collector needs jax.
 
 python -m unittest discover -s python/tests
 """
@@ -16,13 +16,13 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 class Examples(unittest.TestCase):
     def test_ppo_steps_learns_and_reports(self) -> None:
-        # Five updates of the 293 that it makes by default: too few to succeed, enough for each of its parts to have run.
+        # Five updates instead of the default 293: too few to succeed, but enough to exercise every part.
         command = [sys.executable, str(EXAMPLES / "ppo.py"), "--steps", "5120"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         self.assertEqual(done.returncode, 0, done.stderr)
         found = re.fullmatch(r" *5,120 steps  success +\d+% of the last (\d+)  [\d,]+ steps/s\n", done.stdout)
         self.assertIsNotNone(found, done.stdout)
-        # 32 worlds with at most 100 steps in each episode end at least once in 160 steps.
+        # 32 worlds run 160 steps each. Episodes last at most 100 steps, so every world finishes at least one.
         self.assertGreaterEqual(int(found[1]) if found else 0, 32)
 
 

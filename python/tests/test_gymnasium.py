@@ -1,4 +1,4 @@
-"""The Gymnasium environments against Gymnasium's own checkers, and the native batch against Gymnasium's batches.
+"""Tests the Gymnasium environments with Gymnasium's checkers, and the native batch against `SyncVectorEnv`.
 
 python -m unittest discover -s python/tests
 """
@@ -24,7 +24,7 @@ from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 ID = "Lodestone/Assembly-v0"
-# Short episodes, so that every way to end one comes up.
+# Short episodes, so that both success and the time limit occur.
 SHORT = {
     "blueprint": ["2_000", "3_000"],
     "starts": {"near-goal": 0.5, "scattered": 0.5},
@@ -32,7 +32,7 @@ SHORT = {
 }
 FORMS = ({}, {"observation": "flat", "action": "flat"}, {"features": "paper", "settings": {"n_grippers": 1}})
 CATALOG = Path(__file__).parents[2] / "blueprints/catalog"
-# The structure of 4_000 by another name.
+# The structure of 4_000 under another name.
 COPY = (CATALOG / "4_000.toml").read_text().replace('"4_000"', '"mine_4_000"')
 
 
@@ -118,11 +118,11 @@ class SingleEnvironment(unittest.TestCase):
         goal = {"blueprint": "2_000", "start": "prebuilt:mine_4_000"}
         self.assertEqual(env.reset(seed=1, options={"blueprint": "2_000"})[1], goal)
         self.assertGreaterEqual(len(env.scene()["connections"]), 3)
-        # It replaces 4_000, which is then no longer drawn.
+        # The copy replaces 4_000, which is then never drawn.
         envs = gymnasium.make_vec(ID, num_envs=8, blueprint=COPY, starts="prebuilt")
         for _ in range(100):
             self.assertNotIn("prebuilt:4_000", envs.reset()[1]["start"])
-        # With copies of all training blueprints none is left to be drawn.
+        # With copies of all training blueprints, none is left to draw.
         texts = {name: (CATALOG / f"{name}.toml").read_text() for name in lodestone.blueprints("train")}
         copies = [text.replace(f'"{name}"', f'"mine_{name}"') for name, text in texts.items()]
         env = lodestone.AssemblyEnv(blueprint=copies, starts="prebuilt")
@@ -208,7 +208,7 @@ class SingleEnvironment(unittest.TestCase):
             env.step(lodestone.Expert().act(env))
         changed = (env.render() != first).any(axis=-1)
         self.assertGreater(changed.sum(), 50)
-        # The goal in the upper right corner stays.
+        # The goal in the upper right corner does not change.
         self.assertFalse(changed[:58, -58:].any())
 
     def test_a_window_without_pygame_says_what_to_install(self) -> None:
@@ -297,7 +297,7 @@ class VectorEnvironment(unittest.TestCase):
 
 
 def _same(ours: Any, theirs: Any) -> bool:
-    """Equal infos; Gymnasium's comparison does not look into arrays of objects."""
+    """Compares infos. Gymnasium's comparison does not look inside object arrays."""
     if isinstance(ours, dict):
         return (
             isinstance(theirs, dict) and ours.keys() == theirs.keys() and all(_same(ours[k], theirs[k]) for k in ours)

@@ -1,4 +1,4 @@
-"""PettingZoo's and Stable-Baselines3's judges, and the agents that come with the package.
+"""Tests the environments with PettingZoo's and Stable-Baselines3's checkers, and the agents in the package.
 
 python -m unittest discover -s python/tests
 """
@@ -167,7 +167,7 @@ class Agents(unittest.TestCase):
         back = unflatten(flatten(choices, moves))
         np.testing.assert_array_equal(back[0], choices)
         np.testing.assert_array_equal(back[1], moves)
-        # Both chose block 5; its move is the mean.
+        # Both grippers chose block 5, so its move is the mean.
         flat = flatten(choices, moves)
         flat[1, 1, 16:] = 0.0
         np.testing.assert_array_equal(unflatten(flat)[1][1, 5], np.full(6, 0.5))
@@ -178,7 +178,7 @@ class StableBaselines3(unittest.TestCase):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             check_env(lodestone.AssemblyEnv(blueprint="2_000", observation="flat", action="flat"))
-            # It would rather have no matrices in a dictionary.
+            # The checker warns about matrices in dictionary observations.
             warnings.filterwarnings("ignore", message="Your observation (nodes|edges) has an unconventional shape")
             check_env(lodestone.AssemblyEnv(blueprint="2_000", action="flat"))
 
@@ -199,12 +199,12 @@ class StableBaselines3(unittest.TestCase):
         seen = envs.reset()
         self.assertEqual([info["blueprint"] for info in envs.reset_infos], ["2_001", "2_000", "3_000"])
         self.assertTrue(np.isfinite(seen).all())
-        # They count once.
+        # Options apply to one reset only.
         envs.reset()
         self.assertEqual([info["blueprint"] for info in envs.reset_infos], ["2_000"] * 3)
 
     def test_ppo_learns_a_start_next_to_the_goal(self) -> None:
-        # Magnets that pull hard and far, and slow grippers: with the real ones it takes ten times as many steps.
+        # Strong, long-range magnets and slow grippers: the default settings need ten times as many steps.
         settings = {
             "episode_steps": 20,
             "max_speed_mps": 1.0,
@@ -244,7 +244,7 @@ class StableBaselines3(unittest.TestCase):
 
 
 class NeededMoves(BaseFeaturesExtractor):
-    """For each block the moves that it needs, summed over its edges, and its height if it belongs to the blueprint."""
+    """Extracts each block's needed moves, summed over its edges, and its height if it belongs to the blueprint."""
 
     def __init__(self, space: gymnasium.spaces.Dict) -> None:
         super().__init__(space, features_dim=16 * 13)
@@ -258,7 +258,7 @@ class NeededMoves(BaseFeaturesExtractor):
 
 
 class Returns(BaseCallback):
-    """Keeps the returns of all episodes."""
+    """Records the returns of all episodes."""
 
     def __init__(self) -> None:
         super().__init__()

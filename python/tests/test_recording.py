@@ -1,4 +1,4 @@
-"""What `lodestone record` writes, read by Minari and played again in the environment.
+"""Reads the datasets that `lodestone record` writes with Minari and replays them in the environment.
 
 LODESTONE_PROGRAM=target/debug/lodestone python -m unittest discover -s python/tests
 """
@@ -60,7 +60,7 @@ class Recording(unittest.TestCase):
     def test_the_policy_is_seen_to_do_the_same_again(self) -> None:
         own = self.folder / "mine.toml"
         own.write_text((CATALOG / "3_000.toml").read_text().replace('"3_000"', '"mine_3_000"'))
-        # A world of its own as well.
+        # Non-default world settings as well.
         world = ("--set", "environment.episode_steps=20", "--set", "environment.physics.friction=0.5")
         dataset = self.record("policy-v3", "--blueprint", str(own), "--episodes", "3", *world)
         own.unlink()
@@ -70,7 +70,7 @@ class Recording(unittest.TestCase):
         self._play_again(sampled)
 
     def _play_again(self, dataset: MinariDataset) -> list[str]:
-        """Resets the environment that the dataset names as each episode says, and does what was done; returns the starts."""
+        """Replays every episode in the dataset's environment, checks that the data match, and returns the starts."""
         env = dataset.recover_environment()
         starts = []
         n_steps = 0

@@ -1,4 +1,4 @@
-"""One policy file, read by Rust and by the PyTorch module, on what real worlds show.
+"""Compares Rust and the PyTorch module on the same policy file and observations from real worlds.
 
 python -m unittest discover -s python/tests
 """
@@ -19,13 +19,13 @@ import torch
 from numpy.typing import NDArray
 
 TOLERANCE = 1e-5
-# Few blocks, many, and a goal that no policy was trained on.
+# Goals with few blocks, with many, and one that no policy was trained on.
 BLUEPRINTS = ("2_000", "6_005", "12_000", "test_14_000")
 N_STEPS = 15
 
 
 def seen_while_acting(policy: lodestone.Policy) -> list[NDArray[np.float32]]:
-    """Nodes, edges, and globals of the scenes that a policy meets, [blueprints · steps, …]."""
+    """Returns the nodes, edges, and globals that the policy observes while acting, [blueprints · steps, …]."""
     seen = []
     for seed, blueprint in enumerate(BLUEPRINTS):
         env = lodestone.AssemblyEnv(blueprint=blueprint)
@@ -44,22 +44,22 @@ class SamePolicy(unittest.TestCase):
         cls.seen = seen_while_acting(lodestone.Policy.pretrained())
 
     def assert_close(self, ours: torch.Tensor, theirs: torch.Tensor, what: str) -> None:
-        """Compares relative to the largest entry: an entry alone may by chance be next to 0."""
+        """Compares relative to the largest entry, because a single entry may happen to be close to 0."""
         self.assertEqual(ours.shape, theirs.shape, what)
         error = ((ours - theirs).abs().max() / theirs.abs().max()).item()
         self.assertLessEqual(error, TOLERANCE, f"{what} are off by {error:.1e} of the largest")
 
     def assert_same(self, policy: lodestone_torch.Policy, native: lodestone.Policy) -> None:
-        """Compares what both say about the scenes: values, choices, mean moves, and the log-probability of these."""
+        """Compares both outputs for the scenes: values, choices, mean moves, and log-probabilities of these actions."""
         (choices, moves), log_probs, values = native.native.act(*self.seen, False)
         chosen = torch.from_numpy(choices)
         logits, locs, scales, ours = policy(*(torch.from_numpy(x) for x in self.seen))
         self.assert_close(ours, torch.from_numpy(values), "values")
         self.assert_close(locs, torch.from_numpy(moves), "moves")
-        # Not the numbers of the blocks: rounding decides between two that are equally good.
+        # Compare logits, not block indices: rounding decides between equally good blocks.
         best = logits.amax(-1)
         self.assert_close(logits.gather(-1, chosen.unsqueeze(-1)).squeeze(-1), best, "logits of the choices")
-        # Of the moves only those of chosen blocks count, once each; at the mean their density is that of the deviations.
+        # Only the moves of chosen blocks count, once each. At the mean, the density depends only on the deviations.
         is_chosen = torch.nn.functional.one_hot(chosen, 16).amax(1)
         densities = (-scales.log() - 0.5 * math.log(2 * math.pi)).sum(-1)
         total = (best - logits.logsumexp(-1)).sum(-1) + (densities * is_chosen).sum(-1)
@@ -70,7 +70,7 @@ class SamePolicy(unittest.TestCase):
         self.assert_same(lodestone_torch.Policy.load(golden.PRETRAINED), lodestone.Policy.pretrained())
 
     def test_a_saved_policy_is_the_same_in_both(self) -> None:
-        """Other parameters than the shipped ones, and statistics of features and values, which it lacks."""
+        """Changes the shipped parameters and adds feature and value statistics, which the shipped policy lacks."""
         policy = lodestone_torch.Policy.load(golden.PRETRAINED)
         with torch.no_grad():
             for name, value in policy.network.named_parameters():
@@ -79,7 +79,7 @@ class SamePolicy(unittest.TestCase):
         columns = [x.reshape(-1, x.shape[-1]) for x in self.seen]
         header["normalisation"] = {
             "feature_mean": [x.mean(0).tolist() for x in columns],
-            # A feature that hardly changes must not become huge.
+            # Keeps nearly constant features from becoming huge.
             "feature_std": [x.std(0).clip(0.1).tolist() for x in columns],
             "value_mean": 3.0,
             "value_std": 2.0,

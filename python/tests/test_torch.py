@@ -1,4 +1,4 @@
-"""The PyTorch module against the reference values, its own definition, and onnxruntime.
+"""Tests the PyTorch module against the reference values, its unfolded definition, and onnxruntime.
 
 python -m unittest discover -s python/tests
 """
@@ -24,13 +24,13 @@ SETS = ("set_a_gat.compact.json", "set_d_noatt.compact.json")
 
 
 def loss(output: Output) -> torch.Tensor:
-    """The loss whose gradients the files hold."""
+    """Computes the loss whose gradients the golden files hold."""
     logits, locs, scales, values = output
     return values.sum() + logits.square().sum() + locs.square().sum() + scales.log().sum()
 
 
 def scenes(policy: Policy, b: int, seed: int = 1) -> list[torch.Tensor]:
-    """Features in the sizes of a policy; each gripper holds one block or none."""
+    """Generates features in the policy's sizes. Each gripper holds one block or none."""
     c = policy.network.config
     shapes = {"nodes": (b, 16, c.node), "edges": (b, 240, c.edge), "globals": (b, c.global_)}
     made = [0.5 * golden.generate(f"in.{name}", seed, math.prod(s)).reshape(s) for name, s in shapes.items()]
@@ -41,7 +41,7 @@ def scenes(policy: Policy, b: int, seed: int = 1) -> list[torch.Tensor]:
 
 
 def plain(policy: Policy) -> Policy:
-    """The policy without statistics of features and values."""
+    """Returns the policy without feature and value statistics."""
     header = json.loads(json.dumps(policy.header))
     header["normalisation"] = {"feature_mean": [[]] * 3, "feature_std": [[]] * 3, "value_mean": 0.0, "value_std": 1.0}
     return Policy(policy.network, header)
@@ -49,7 +49,7 @@ def plain(policy: Policy) -> Policy:
 
 class Case(unittest.TestCase):
     def assert_close(self, ours: torch.Tensor, expected: torch.Tensor, limit: float, what: str) -> None:
-        """Compares relative to the largest expected entry; a value alone may by chance be next to 0."""
+        """Compares relative to the largest expected entry, because a single value may happen to be close to 0."""
         self.assertEqual(ours.shape, expected.shape, what)
         largest = max(expected.abs().max().item(), 0.1)
         error = (ours.double() - expected.double()).abs().max().item() / largest
@@ -76,7 +76,7 @@ class References(Case):
                 self.check_outputs(file, torch.float32, TOLERANCE)
 
     def test_outputs_in_float64(self) -> None:
-        """The files have nine digits."""
+        """The golden files store nine digits."""
         for file in SETS:
             with self.subTest(file):
                 self.check_outputs(file, torch.float64, 1e-8)
@@ -115,7 +115,7 @@ class References(Case):
 
 
 def unfolded(self: GraphLayer, nodes: torch.Tensor, edges: torch.Tensor, no_edge: torch.Tensor, embed) -> torch.Tensor:
-    """The residual as the paper's listing has it: a query and a message for every edge."""
+    """Computes the residual as in the paper's listing: a query and a message for every edge."""
     c = self.config
     senders = nodes.unsqueeze(1).expand(-1, 16, -1, -1)
     pairs = torch.cat([senders, embed(edges)], -1)
@@ -137,7 +137,7 @@ class Shipped(Case):
         self.assertEqual(ours, table)
 
     def test_folding_changes_nothing(self) -> None:
-        """Trained parameters, in float64, against the form with a query and a message for every edge."""
+        """Compares trained parameters in float64 with the form that has a query and a message for every edge."""
         policy = Policy.load(golden.PRETRAINED)
         inputs = scenes(policy, 3)
         network = policy.network.double()
@@ -162,7 +162,7 @@ class Shipped(Case):
             self.assertTrue(torch.equal(again.network.state_dict()[name], value), name)
 
     def test_a_policy_gives_no_gradients(self) -> None:
-        """Its folded matrices would keep them from half of the parameters."""
+        """The folded matrices would block gradients to half of the parameters."""
         self.assertFalse(self.policy(*scenes(self.policy, 1)).values.requires_grad)
 
     def test_onnx(self) -> None:
@@ -181,7 +181,7 @@ class Shipped(Case):
 
 
 class Settings(Case):
-    """What the shipped policy does not use."""
+    """Settings that the shipped policy does not use."""
 
     def test_features_are_normalized_and_values_are_returns(self) -> None:
         policy = plain(Policy.load(golden.PRETRAINED))
@@ -201,7 +201,7 @@ class Settings(Case):
         self.assert_close(ours.values, expected.values * 2.0 + 3.0, 1e-6, "values")
 
     def test_deviations_begin_where_they_are_set(self) -> None:
-        """With parameters of 0 the head's input is 0."""
+        """With all-zero parameters, the head's input is 0."""
         for limits in ({}, {"max_std": 0.9}):
             network = GraphNetwork(Config(init_std=0.3, floor=0.01, **limits))
             output = network(torch.zeros(1, 16, 3), torch.zeros(1, 240, 24), torch.zeros(1, 50))
