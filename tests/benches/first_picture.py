@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Measures how long `lodestone play` takes until a structure moves in a browser.
+"""Measures the time until `lodestone play` shows a moving structure in a browser.
 
 Usage: python3 tests/benches/first_picture.py PROGRAM [--rounds N] [--driver CHROMEDRIVER]
 
-Needs Chromium and its driver (Debian: chromium, chromium-driver). The browser runs without a window and draws three
-dimensions by software, so a computer with a GPU is faster. Prints seconds of every round and the least of each column.
+Needs Chromium and its driver (Debian: chromium, chromium-driver). The browser runs headless and renders 3D in software,
+so a machine with a GPU is faster. Prints the seconds of every round and the minimum of each column.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ POLL_S = 0.02
 
 
 def ask(address: str, body: dict[str, Any] | None, method: str = "POST") -> Any:
-    """Asks the driver; the value of its answer."""
+    """Sends a request to the driver and returns the value of its response."""
     data = None if body is None else json.dumps(body).encode()
     request = urllib.request.Request(address, data, {"Content-Type": "application/json"}, method=method)
     with urllib.request.urlopen(request, timeout=60) as answer:
@@ -32,13 +32,13 @@ def ask(address: str, body: dict[str, Any] | None, method: str = "POST") -> Any:
 
 
 def printed(process: subprocess.Popen[str], before: str) -> str:
-    """What follows `before` in the first line that has it."""
+    """Returns the text after `before` in the first output line that contains it."""
     assert process.stdout is not None
     return next(line.split(before, 1)[1].strip() for line in process.stdout if before in line)
 
 
 def measure(program: Path, session: str) -> tuple[float, float]:
-    """Seconds from the start of the program until it names its page, and from opening the page until something moves."""
+    """Returns the seconds from program start to the printed page address, and from opening the page to first motion."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.monotonic()
         command = [str(program), "play", "--episodes", "1", "--run-dir", f"{folder}/played"]

@@ -1,7 +1,7 @@
-//! The four paths that a training's time goes to, each run a given number of times: for counting instructions, which other load
-//! on the machine does not change.
+//! The four code paths that dominate training time, each run a given number of times. The benchmark counts
+//! instructions, because other load on the machine does not change them.
 //!
-//! `hot_paths world 3` steps a world through three rounds and prints nothing; `instructions.py` beside this file does the counting.
+//! `hot_paths world 3` steps a world for three rounds and prints nothing; `instructions.py` in this folder counts.
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -35,7 +35,7 @@ fn main() {
     }
 }
 
-/// The structure that is built, and a world where its blocks lie about.
+/// A world with scattered blocks, and the blueprint to build in it.
 fn begun(seed: u64) -> (World, Blueprint) {
     let catalog = Catalog::builtin();
     let goal = catalog.iter().find(|blueprint| blueprint.n_blocks() == 16).unwrap();
@@ -47,7 +47,7 @@ fn begun(seed: u64) -> (World, Blueprint) {
     (world, blueprint)
 }
 
-/// 50 random steps of one world, the same in every round.
+/// Takes 50 random steps in one world, the same in every round.
 fn world(rounds: usize) {
     for _ in 0..rounds {
         let (mut world, _) = begun(1);
@@ -71,7 +71,7 @@ fn scenes() -> (Vec<Scene>, Blueprint) {
     (scenes.collect(), blueprint)
 }
 
-/// All features of 16 scenes.
+/// Computes all features of 16 scenes.
 fn features(rounds: usize) {
     let (scenes, blueprint) = scenes();
     let mut batch = FeatureBatch::new(&FeatureConfig::default());
@@ -93,7 +93,7 @@ fn network() -> (CpuNetwork, FeatureBatch) {
     (CpuNetwork::new(&layout, &parameters::flatten(&network), true).unwrap(), batch)
 }
 
-/// One forward pass over 16 scenes.
+/// Runs one forward pass over 16 scenes.
 fn forward(rounds: usize) {
     let (network, batch) = network();
     let (rows, mut tape): (Vec<usize>, _) = ((0..SCENES).collect(), Tape::default());
@@ -102,7 +102,7 @@ fn forward(rounds: usize) {
     }
 }
 
-/// One forward and backward pass over 16 scenes.
+/// Runs one forward and one backward pass over 16 scenes.
 fn gradient(rounds: usize) {
     let (network, batch) = network();
     let (rows, mut tape): (Vec<usize>, _) = ((0..SCENES).collect(), Tape::default());

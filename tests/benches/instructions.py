@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Counts the instructions of the hot paths and reports what changed by more than 5 %.
+"""Counts the instructions of the hot paths and reports changes of more than 5%.
 
 Usage: python tests/benches/instructions.py BINARY [--update]
 
-BINARY is what `cargo bench -p tests --bench hot_paths --no-run` names. Needs valgrind. Each path runs for one round and for three;
-half the difference is one round, without start and set-up. valgrind has no AVX-512, so AVX2 is what is counted. The counts
-stand in instructions.json beside this script, with the compiler that they belong to; --update writes them anew. The exit code
-is 1 if one is beyond its limit.
+BINARY is the path printed by `cargo bench -p tests --bench hot_paths --no-run`. Needs valgrind. Each path runs for one
+round and for three; half the difference is one round, without startup and setup. valgrind has no AVX-512, so the counts
+are for AVX2. They are stored with the compiler version in instructions.json next to this script; --update rewrites the
+file. The exit code is 1 if any count exceeds its limit.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LIMIT = 0.05
 
 
 def instructions(binary: Path, path: str, rounds: int) -> int:
-    """Instructions of the whole program."""
+    """Returns the instruction count of the whole program."""
     with tempfile.TemporaryDirectory() as folder:
         out = f"--callgrind-out-file={folder}/out"
         command = ["valgrind", "--tool=callgrind", out, str(binary), path, str(rounds)]
@@ -38,7 +38,7 @@ def instructions(binary: Path, path: str, rounds: int) -> int:
 
 
 def main() -> int:
-    """Prints a line for each path."""
+    """Prints one line per path and returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("binary", type=Path, help="the bench hot_paths, built")
     parser.add_argument("--update", action="store_true", help="keep the new counts")

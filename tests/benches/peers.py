@@ -1,16 +1,16 @@
 #!/usr/bin/env python3
-"""Measures Lodestone beside its peers, all sides in turn on one machine, and prints Markdown tables with ratios.
+"""Compares Lodestone with its peers, in turn on one machine, and prints Markdown tables with ratios.
 
     python3 tests/benches/peers.py --install             # everything, about ten minutes after the builds
     python3 tests/benches/peers.py network --rounds 1    # one table; or: update, world
 
---install puts the peers that tests/benches/requirements.txt names into target/python; without it they are looked for beside the
-Python that runs this, and one that is missing is left out of its table. Our side is built in the release profile.
+--install installs the peers listed in tests/benches/requirements.txt into target/python. Without it, they are looked up
+in the current Python, and missing peers are left out of their tables. Our side is built in the release profile.
 
-Everything runs on one thread. A figure is the best of all rounds, per CPU-second, bar the update, which counts wall time; other
-work on the machine makes it wrong all the same, so let there be none. A ratio above 1 means that we are faster. The limit is
-what this core could do if the network's matrix products, as torch computes them, ran as fast as one large product; ours need
-fewer operations in the first layer.
+Everything runs on one thread. Each figure is the best of all rounds, per CPU-second, except for the update, which uses
+wall time. Other load distorts all figures, so keep the machine idle. A ratio above 1 means that Lodestone is faster.
+The limit is what this core could reach if the network's matrix products, as torch computes them, ran as fast as one
+large product. Ours need fewer operations in the first layer.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 REQUIREMENTS = Path(__file__).with_name("requirements.txt")
 VENV = ROOT / "target/python"
-# Table -> the package and the bench that measure our side.
+# Table -> package and benchmark that measure our side.
 BENCHES = {"network": ("policy", "network"), "update": ("learner", "update"), "world": ("environment", "world")}
-# Peer -> the program that measures it and the modules that it needs.
+# Peer -> program that measures it and the modules it needs.
 PEERS = {
     "jax": ("policy/benches/jax_peer.py", ["jax"]),
     "torch": ("policy/benches/torch_peer.py", ["torch", "safetensors"]),
@@ -53,12 +53,12 @@ ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "RAYO
 
 
 def say(text: str) -> None:
-    """Tells the person who waits; the tables go to the standard output."""
+    """Prints progress to standard error. The tables go to standard output."""
     print(text, file=sys.stderr, flush=True)
 
 
 def run(*command: str | Path) -> str:
-    """The output of a program on one thread; ends this one if that one fails."""
+    """Runs a program on one thread and returns its output. Exits if it fails."""
     words = [str(word) for word in command]
     done = subprocess.run(words, cwd=ROOT, env=os.environ | ONE_THREAD, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode != 0:
@@ -67,13 +67,13 @@ def run(*command: str | Path) -> str:
 
 
 def install() -> Path:
-    """A Python with the peers."""
+    """Installs the peers and returns the path of their Python."""
     run(sys.executable, ROOT / "python/environment.py", VENV, REQUIREMENTS)
     return VENV / "bin/python"
 
 
 def build(tables: list[str]) -> dict[str, Path]:
-    """Builds the benches of these tables and tells where they are."""
+    """Builds the benchmarks of these tables and returns their paths."""
     packages = [word for table in tables for word in ("-p", BENCHES[table][0])]
     benches = [word for table in tables for word in ("--bench", BENCHES[table][1])]
     lines = run("cargo", "bench", "--locked", "--no-run", "--message-format=json", *packages, *benches).splitlines()
@@ -83,7 +83,7 @@ def build(tables: list[str]) -> dict[str, Path]:
 
 
 def newest(folder: Path, tables: list[str]) -> dict[str, Path]:
-    """The newest bench of each table in a folder of an earlier build; a table without one is left out."""
+    """Returns the newest benchmark per table in the folder of an earlier build. Tables without one are left out."""
     found = {}
     for table in tables:
         name = BENCHES[table][1]
@@ -96,7 +96,7 @@ def newest(folder: Path, tables: list[str]) -> dict[str, Path]:
 
 
 def present(names: list[str]) -> dict[str, Path]:
-    """The peers of these that can run, and a line for each of the others."""
+    """Returns those of the named peers that can run, and prints a line for each of the others."""
     found = {}
     for name in names:
         program, modules = PEERS[name]
@@ -109,13 +109,13 @@ def present(names: list[str]) -> dict[str, Path]:
 
 
 def commit() -> str:
-    """What was built."""
+    """Returns the commit that was built, and whether it has local changes."""
     changed = " with changes" if run("git", "status", "--porcelain", "-uno").strip() else ""
     return run("git", "rev-parse", "--short", "HEAD").strip() + changed
 
 
 def machine(what: str | Path) -> str:
-    """What is measured, processor, date, and what else the machine does."""
+    """Describes what was measured, the date, the processor, and the machine's load."""
     info = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*: (.*)", info.read_text()) if info.exists() else None
     processor = model[1].strip() if model else "a processor without a name"
@@ -128,7 +128,7 @@ def number(x: float | None) -> str:
 
 
 def ratio(ours: float | None, theirs: float | None) -> str:
-    """Two digits."""
+    """Formats a ratio with about two significant digits."""
     if ours is None or theirs is None:
         return "–"
     x = ours / theirs
@@ -143,7 +143,7 @@ def show(title: str, header: list[str], rows: list[list[str]]) -> None:
 
 
 class Figures:
-    """The best of what one side printed."""
+    """The best figures that one side printed."""
 
     def __init__(self) -> None:
         self.version = ""
@@ -166,7 +166,7 @@ class Figures:
 
 
 def network(program: Path, peers: dict[str, Path], rounds: int) -> Figures:
-    """Prints the table of the network and returns what torch said, for limits."""
+    """Prints the network table and returns torch's figures, which set the limits."""
     commands: dict[str, list[str | Path]] = {"ours": [program], "burn": [program, "burn"]}
     commands |= {name: [sys.executable, peer] for name, peer in peers.items()}
     sides = {name: Figures() for name in commands}
@@ -195,7 +195,7 @@ def network(program: Path, peers: dict[str, Path], rounds: int) -> Figures:
 
 
 def update(program: Path, rounds: int, torch: Figures | None) -> None:
-    """Prints the table of the update; it has a limit if torch was measured."""
+    """Prints the update table. It has a limit if torch was measured."""
     best = float("inf")
     for n in range(rounds):
         say(f"update, round {n + 1} of {rounds}")
@@ -204,7 +204,7 @@ def update(program: Path, rounds: int, torch: Figures | None) -> None:
     own = 1e3 / best
     header, row = ["samples per second", "ours"], ["a whole PPO update, per sample and epoch", number(own)]
     if torch is not None and torch.flops:
-        # A pass forward and backward, and the pass forward that renews the advantages.
+        # One forward-backward pass, plus the forward pass that recomputes the advantages.
         limit = torch.flops / sum(torch.operations[kind, "default"] for kind in ("forward", "update"))
         header += ["limit", "ratio"]
         row += [number(limit), ratio(own, limit)]
@@ -212,7 +212,7 @@ def update(program: Path, rounds: int, torch: Figures | None) -> None:
 
 
 def world(program: Path, peers: dict[str, Path], rounds: int) -> None:
-    """Prints the table of the world."""
+    """Prints the world table."""
     ours: dict[str, float] = {}
     theirs: dict[str, float] = {}
     version = ""
@@ -235,7 +235,7 @@ def world(program: Path, peers: dict[str, Path], rounds: int) -> None:
 
 
 def main() -> None:
-    """Prints the tables that were asked for."""
+    """Prints the requested tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )

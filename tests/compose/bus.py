@@ -1,4 +1,4 @@
-"""Asks the run on its bus, as a viewer from outside the containers."""
+"""Queries the run over its message bus, as a viewer outside the containers."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from success import show_keys
 
 
 def success(endpoint: str, keys: Path, run: str, seconds: float) -> dict[str, Any]:
-    """The newest complete evaluation, from the client of deploy/examples."""
+    """Returns the newest complete evaluation, using the client in deploy/examples."""
     command = [sys.executable, str(EXAMPLES / "success.py"), endpoint, "--run", run, "--keys", str(keys), "--once"]
     try:
         told = subprocess.run(command, capture_output=True, timeout=seconds, check=False, env=os.environ)
@@ -30,13 +30,13 @@ def success(endpoint: str, keys: Path, run: str, seconds: float) -> dict[str, An
 
 
 def latest(endpoint: str, keys: Path, key: str) -> list[dict[str, Any]]:
-    """The newest value of every key that `key` matches."""
+    """Returns the newest value of every key that matches `key`."""
     with zenoh.open(_config(endpoint, keys)) as session:
         return [json.loads(reply.ok.payload.to_string()) for reply in session.get(key, timeout=5) if reply.ok]
 
 
 def is_refused(endpoint: str) -> bool:
-    """Whether a client without keys gets nowhere."""
+    """Returns whether the router refuses a client without keys."""
     try:
         with zenoh.open(_config(endpoint, None)):
             return False

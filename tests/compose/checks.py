@@ -1,4 +1,4 @@
-"""What a script of checks needs: conditions with deadlines, and a tally that ends in one line."""
+"""Helpers for check scripts: conditions with deadlines, and a tally with a one-line summary."""
 
 import time
 import traceback
@@ -7,30 +7,30 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-# Between two looks at a condition. Docker itself looks at health every few seconds.
+# Polling interval for conditions. Docker itself checks health every few seconds.
 PERIOD_S = 0.5
 
 
 class Patience:
-    """How much longer than on two idle cores everything may take."""
+    """Scale factor for all timeouts, relative to two idle cores."""
 
     factor = 1.0
 
 
 class Failed(Exception):
-    """Something that must hold does not; the text says what was seen."""
+    """A failed check. The message reports what was observed."""
 
 
 def require(holds: object, message: str) -> None:
-    """Fails with `message` unless `holds`."""
+    """Raises `Failed` with `message` unless `holds`."""
     if not holds:
         raise Failed(message)
 
 
 def until(what: str, seconds: float, condition: Callable[[], T]) -> T:
-    """The first true value of `condition`; fails if there is none for so long.
+    """Returns the first true value of `condition`. Raises `Failed` after `seconds`, scaled by `Patience.factor`.
 
-    An exception counts as `not yet`: while processes come and go, whoever asks them is refused now and then.
+    An exception counts as "not yet", because requests may be refused while processes start and stop.
     """
     seconds *= Patience.factor
     deadline = time.monotonic() + seconds
@@ -48,12 +48,12 @@ def until(what: str, seconds: float, condition: Callable[[], T]) -> T:
         time.sleep(PERIOD_S)
 
 
-# After so many failures the others are not tried: each would wait for what does not come.
+# After this many failures, the remaining checks are skipped: each would only time out.
 ENOUGH_FAILURES = 3
 
 
 class Tally:
-    """Counts checks and prints one line for each."""
+    """Runs and counts checks and prints one line for each."""
 
     def __init__(self, on_failure: Callable[[], None] = lambda: None) -> None:
         self.n_passed = 0
@@ -61,9 +61,9 @@ class Tally:
         self.on_failure = on_failure
 
     def check(self, name: str, action: Callable[[], object], always: bool = False) -> bool:
-        """Runs `action`; what it returns is printed behind the name, what it raises makes the check fail.
+        """Runs `action` and prints its result after the name. The check fails if `action` raises.
 
-        After too many failures it is not run and counts as failed, unless it is to be run `always`.
+        After too many failures, the check is skipped and counts as failed unless `always` is set.
         """
         if self.n_failed >= ENOUGH_FAILURES and not always:
             self.n_failed += 1
@@ -85,5 +85,5 @@ class Tally:
         return True
 
     def closing_line(self) -> str:
-        """The last line of the script."""
+        """Returns the last line of the script's output."""
         return f"{self.n_passed} passed, {self.n_failed} failed"

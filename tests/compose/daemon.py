@@ -1,4 +1,4 @@
-"""A Docker daemon: the one that runs, or one that is started here and stopped in the end."""
+"""Provides a Docker daemon: the running one, or one started here and stopped at the end."""
 
 import contextlib
 import subprocess
@@ -10,21 +10,21 @@ from pathlib import Path
 from checks import Failed
 from shell import works
 
-# What to try in turn. The second is for a machine whose disk is an overlay itself, the third for a kernel without the
-# tables that Docker wants: ports are then published by docker-proxy alone.
+# Flags to try in order. The second set is for machines whose disk is itself an overlay, the third for kernels without
+# the tables that Docker needs, where docker-proxy alone publishes ports.
 ATTEMPTS: tuple[tuple[str, ...], ...] = ((), ("--storage-driver=vfs",), ("--iptables=false", "--ip6tables=false"))
 
 START_S = 60.0
 
 
 def answers() -> bool:
-    """Whether a daemon answers where the client looks for one."""
+    """Returns whether a daemon answers at the client's default address."""
     return works(["docker", "version", "--format", "{{.Server.Version}}"])
 
 
 @contextlib.contextmanager
 def daemon() -> Iterator[str]:
-    """A daemon that answers; the value says which."""
+    """Provides a daemon that answers and yields its description."""
     if answers():
         yield "the daemon that runs already"
         return

@@ -1,4 +1,4 @@
-"""The image under test: the runtime stage of deploy/Dockerfile around a binary that was built on this machine."""
+"""Builds the image under test: the runtime stage of deploy/Dockerfile with a binary built on this machine."""
 
 import os
 import platform
@@ -12,12 +12,12 @@ from shell import run, works
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# A base of our own under a name of our own, so that it never stands in for the real one.
+# A base image with its own name, so that it never replaces the real one.
 BASE = "lodestone-test-base"
 
 
 def base_image() -> str:
-    """The base image; made from Debian's packages unless it is there from an earlier run."""
+    """Returns the base image's tag. Builds the image from Debian packages unless an earlier run left it."""
     suite = _suite()
     tag = f"{BASE}:{suite}"
     if works(["docker", "image", "inspect", tag]):
@@ -28,7 +28,7 @@ def base_image() -> str:
         if mirror := os.environ.get("DEBIAN_MIRROR"):
             command.append(mirror)
         run(command, seconds=600)
-        # Where nothing is ever installed these are ballast, as the official slim image sees it too.
+        # Not needed because nothing is ever installed. The official slim image drops these too.
         for ballast in ("var/cache/apt/archives", "var/lib/apt/lists", "usr/share/doc", "usr/share/locale", "usr/share/man"):
             shutil.rmtree(root / ballast, ignore_errors=True)
         with subprocess.Popen(["tar", "-C", root, "-c", "."], stdout=subprocess.PIPE) as packed:
@@ -47,19 +47,19 @@ def runtime_image(binary: Path, tag: str) -> int:
         command = ["docker", "build", "--quiet", "--file", dockerfile, "--target", "prebuilt", "--tag", tag]
         run(
             [*command, "--build-arg", f"BASE_IMAGE={base}", "--build-arg", "BINARY=lodestone", folder],
-            # The classic builder is in the daemon; BuildKit would need a plugin.
+            # The classic builder is part of the daemon. BuildKit would need a plugin.
             env={**os.environ, "DOCKER_BUILDKIT": "0"},
         )
     return int(run(["docker", "image", "inspect", "--format", "{{.Size}}", tag]))
 
 
 def remove_image(tag: str) -> None:
-    """Forgets `tag`; its layers go unless something uses them."""
+    """Removes `tag` and its unused layers."""
     run(["docker", "image", "rm", "--force", tag])
 
 
 def _suite() -> str:
-    """Debian's release here, because the binary wants the C library that it was built with."""
+    """Returns this machine's Debian release, because the binary needs the C library it was built with."""
     about = platform.freedesktop_os_release()
     if about.get("ID") != "debian" or "VERSION_CODENAME" not in about:
         raise Failed("the image's base is made from this machine's Debian release, and this is no Debian")

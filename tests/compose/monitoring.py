@@ -1,4 +1,4 @@
-"""Prometheus, with the configuration that is delivered, against the page; and what the dashboard asks of it."""
+"""Runs Prometheus with the shipped configuration against the page, and checks the Grafana dashboard's queries."""
 
 import contextlib
 import json
@@ -20,17 +20,17 @@ from shell import run
 
 FOLDER = ROOT / "deploy/monitoring"
 
-# The only thing that differs from inside the network.
+# The scrape target in the shipped configuration, which only resolves inside the Compose network.
 TARGET = "evaluator:8080"
 
 
 def configuration_is_valid() -> str:
-    """`promtool` accepts the configuration."""
+    """Checks that `promtool` accepts the configuration and returns the last line of its output."""
     return run(["promtool", "check", "config", FOLDER / "prometheus.yml"]).strip().splitlines()[-1].strip()
 
 
 def expressions() -> list[tuple[str, str]]:
-    """Title and expression of everything that the dashboard draws."""
+    """Returns the title and expression of every query on the dashboard."""
     dashboard = json.loads((FOLDER / "grafana/dashboards/lodestone.json").read_text())
     found = [(panel["title"], target["expr"]) for panel in dashboard["panels"] for target in panel.get("targets", [])]
     require(found, "the dashboard draws nothing")
@@ -38,7 +38,7 @@ def expressions() -> list[tuple[str, str]]:
 
 
 def names_exist(ring: Ring) -> str:
-    """Every metric that the dashboard names is one that the page has."""
+    """Checks that the page has every metric that the dashboard uses."""
     page = ring.page("/metrics", host=TARGET)
     there = set(re.findall(r"^(lodestone_\w+)", page, re.MULTILINE))
     named = {name for _, expression in expressions() for name in re.findall(r"lodestone_\w+", expression)}
@@ -47,11 +47,11 @@ def names_exist(ring: Ring) -> str:
 
 
 def panels_have_values(ring: Ring) -> str:
-    """Prometheus scrapes the page and answers every panel."""
+    """Checks that Prometheus scrapes the page and returns values for every panel."""
     asked = expressions()
     with _prometheus(ring.page_port) as port:
         for title, expression in asked:
-            # Grafana replaces the variables, by a few scrape intervals and by the run that is chosen.
+            # Grafana replaces these variables with a few scrape intervals and the selected run.
             query = expression.replace("$__rate_interval", "15s").replace("$run", ring.name())
             until(f"values for `{title}` ({query})", 40, partial(_query, port, query))
     return f"{len(asked)} expressions"
@@ -59,7 +59,7 @@ def panels_have_values(ring: Ring) -> str:
 
 @contextlib.contextmanager
 def _prometheus(page_port: int) -> Iterator[int]:
-    """A server that scrapes the page, and its port."""
+    """Runs a Prometheus server that scrapes the page and yields its port."""
     port = free_port()
     delivered = (FOLDER / "prometheus.yml").read_text()
     require(f'"{TARGET}"' in delivered, f"prometheus.yml does not scrape {TARGET}")

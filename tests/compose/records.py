@@ -1,4 +1,4 @@
-"""What a run left in its volume, and whether the figures in it agree."""
+"""Checks that the figures a run left in its volume are consistent."""
 
 import json
 import sqlite3
@@ -8,7 +8,7 @@ from typing import Any
 
 from checks import require
 
-# Trajectories that an actor has under way at most, and so what has arrived and has no verdict yet.
+# Upper bound on an actor's trajectories in flight, and so on those received but without a verdict.
 UNDER_WAY = 64
 
 Update = dict[str, Any]
@@ -16,29 +16,29 @@ Update = dict[str, Any]
 
 @dataclass(frozen=True)
 class Life:
-    """The updates of one process of the learner, in order."""
+    """The updates of one learner process, in order."""
 
     updates: list[Update]
 
     @property
     def began_with(self) -> int:
-        """Steps that the process found when it began."""
+        """Environment steps that the process resumed from."""
         first = self.updates[0]
         return int(first["n_env_steps"]) - int(first["n_update_steps"])
 
     @property
     def ended_with(self) -> int:
-        """Steps after its last update."""
+        """Environment steps after the last update."""
         return int(self.updates[-1]["n_env_steps"])
 
 
 def lives(metrics: Path) -> list[Life]:
-    """The learner's processes, from the lines of metrics.jsonl; fails if one is broken."""
+    """Returns the learner's processes according to metrics.jsonl. Fails if a line is broken."""
     found: list[Life] = []
     elapsed = float("inf")
     for number, line in enumerate(metrics.read_text().splitlines(keepends=True), 1):
         if not line.endswith("\n"):
-            # It is just being written; a line that was cut short would have others behind it.
+            # This line is still being written. A truncated line would have others after it.
             break
         try:
             update = json.loads(line)
@@ -46,7 +46,7 @@ def lives(metrics: Path) -> list[Life]:
             raise AssertionError(f"line {number} of metrics.jsonl is broken: {error}") from None
         if update["key"] != "learner":
             continue
-        # Seconds since the process began, which begin anew with the next one.
+        # `elapsed_s` counts from the start of the process, so it drops when the next process starts.
         if update["elapsed_s"] < elapsed:
             found.append(Life([]))
         elapsed = update["elapsed_s"]
@@ -56,7 +56,7 @@ def lives(metrics: Path) -> list[Life]:
 
 
 def verdicts_add_up(all_lives: list[Life]) -> str:
-    """Everything that arrived has a verdict, in every update of every process."""
+    """Checks that every received trajectory has a verdict, in every update of every process."""
     n_received = 0
     for life in all_lives:
         for update in life.updates:
@@ -69,7 +69,7 @@ def verdicts_add_up(all_lives: list[Life]) -> str:
 
 
 def steps_add_up(all_lives: list[Life]) -> str:
-    """Within a process no step is counted twice or lost, and versions have no gap."""
+    """Checks that no process counts a step twice or loses one, and that update numbers have no gap."""
     n_updates = 0
     for life in all_lives:
         for before, after in zip(life.updates, life.updates[1:]):
@@ -81,18 +81,18 @@ def steps_add_up(all_lives: list[Life]) -> str:
 
 
 def saved_steps(run: Path) -> list[int]:
-    """Steps of the checkpoints of a run, in order."""
+    """Returns the steps of a run's checkpoints, in order."""
     return sorted(int(entry.name.removeprefix("step-")) for entry in (run / "checkpoints").glob("step-*"))
 
 
 def nothing_is_left_over(run: Path) -> None:
-    """Nothing that was cut short lies among the checkpoints."""
+    """Checks that the checkpoints folder holds no partial files."""
     strange = [entry.name for entry in (run / "checkpoints").iterdir() if not entry.name.startswith("step-")]
     require(not strange, f"there are {strange}")
 
 
 def database_is_whole(path: Path) -> str:
-    """SQLite finds nothing wrong with the history of evaluations."""
+    """Checks the integrity of the evaluation history with SQLite and returns its tables."""
     with sqlite3.connect(path) as database:
         verdict = database.execute("pragma integrity_check").fetchone()[0]
         tables = [row[0] for row in database.execute("select name from sqlite_master where type = 'table' order by name")]

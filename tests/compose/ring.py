@@ -1,4 +1,4 @@
-"""A run of deploy/compose.yaml under a project name of its own."""
+"""A run of deploy/compose.yaml under its own project name."""
 
 import json
 import os
@@ -20,19 +20,19 @@ from shell import run
 
 PRESET = "near-goal"
 
-# More steps than a test can make.
+# More steps than a test can run.
 ENDLESS = 1_000_000_000
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """A port that was free a moment ago. Docker's own choice changes whenever a container is started again."""
+    """Returns a port that was free a moment ago. A port chosen by Docker would change when a container restarts."""
     with socket.socket(type=kind) as listener:
         listener.bind(("127.0.0.1", 0))
         return int(listener.getsockname()[1])
 
 
 class Ring:
-    """Services of one Compose project, by the names in deploy/compose.yaml."""
+    """The services of one Compose project, named as in deploy/compose.yaml."""
 
     def __init__(self, compose: Sequence[str], project: str, image: str) -> None:
         self.project = project
@@ -45,40 +45,40 @@ class Ring:
             project,
             "--file",
             str(ROOT / "deploy/compose.yaml"),
-            # What a user would do for settings that have no variable.
+            # A second file, as a user would add for settings that have no variable.
             "--file",
             str(Path(__file__).with_name("quick.yaml")),
         ]
 
     def compose(self, *arguments: str, steps: int = ENDLESS, seconds: float = 180) -> str:
-        """Runs a command of Compose."""
+        """Runs a Compose command and returns its output."""
         return run([*self._compose, *arguments], env=self._variables(steps), seconds=seconds)
 
     def up(self, *arguments: str, steps: int = ENDLESS) -> None:
-        """Starts what is not running, or changes what is."""
+        """Starts services that are not running and updates those that are."""
         self.compose("up", "--detach", "--no-build", *arguments, steps=steps)
 
     def down(self, *arguments: str) -> None:
-        """Stops and removes containers and networks; volumes stay without `--volumes`."""
+        """Stops and removes containers and networks. Volumes stay unless `--volumes` is given."""
         self.compose("down", "--remove-orphans", *arguments)
 
     def containers(self, service: str, all_of_them: bool = False) -> list[str]:
-        """Ids of a service's containers, of those that run unless `all_of_them`."""
+        """Returns the ids of a service's running containers, or of all its containers with `all_of_them`."""
         command = ["docker", "ps", "--quiet", "--no-trunc"]
         command += ["--filter", f"label=com.docker.compose.project={self.project}"]
         command += ["--filter", f"label=com.docker.compose.service={service}"]
-        # A container that `compose run` made is no part of the service.
+        # Exclude containers created by `compose run`, which are not part of the service.
         command += ["--filter", "label=com.docker.compose.oneoff=False"]
         return run(command + ["--all"] * all_of_them).split()
 
     def container(self, service: str) -> str:
-        """The one container of a service, whether it runs or not."""
+        """Returns the only container of a service, running or not."""
         found = self.containers(service, all_of_them=True)
         require(len(found) == 1, f"{service} has {len(found)} containers, not one")
         return found[0]
 
     def wait_healthy(self, services: Mapping[str, int], seconds: float = 90) -> None:
-        """Waits until each service has so many containers and Docker calls all of them healthy."""
+        """Waits until each service has the given number of containers and Docker reports all of them healthy."""
         for service, n_containers in services.items():
 
             def states(service: str = service, n_containers: int = n_containers) -> bool:
@@ -90,7 +90,7 @@ class Ring:
             until(f"{n_containers} healthy of {service}", seconds, states)
 
     def page(self, path: str, host: str | None = None) -> str:
-        """What the evaluator's page answers, asked by the name `host`."""
+        """Fetches `path` from the evaluator's page, with `host` as the Host header."""
         request = urllib.request.Request(f"http://127.0.0.1:{self.page_port}{path}")
         if host:
             request.add_header("Host", host)
@@ -98,7 +98,7 @@ class Ring:
             return str(answer.read().decode())
 
     def metric(self, name: str, labels: str = "") -> float:
-        """One value of the page's metrics, by its name and its labels beside the run's."""
+        """Returns one of the page's metrics by name and by its labels other than `run`."""
         pattern = re.compile(rf'{name}{{run="[^"]*"{"," if labels else ""}{re.escape(labels)}}} (\S+)')
         for line in self.page("/metrics").splitlines():
             if found := pattern.fullmatch(line):
@@ -106,19 +106,19 @@ class Ring:
         raise Failed(f"the page has no {name} of {labels or 'its run'} yet")
 
     def name(self) -> str:
-        """Name of the run, as the page tells it."""
+        """Returns the run's name as the page reports it."""
         return str(json.loads(self.page("/api/about"))["run"])
 
     def n_alive(self, role: str) -> int:
-        """Members of the run, as the page knows them."""
+        """Returns the number of live processes of a role as the page reports it."""
         return int(self.metric("lodestone_alive_processes", f'role="{role}"'))
 
     def n_steps(self) -> int:
-        """Environment steps that the learner has consumed, as the page knows them."""
+        """Returns the environment steps that the learner has consumed as the page reports them."""
         return int(self.metric("lodestone_learner_env_steps_total"))
 
     def wait_steps(self, above: int, seconds: float = 90) -> int:
-        """Waits until the learner has consumed more than `above` steps; returns how many."""
+        """Waits until the learner has consumed more than `above` steps and returns the number."""
 
         def steps() -> int:
             seen = self.n_steps()
@@ -129,12 +129,12 @@ class Ring:
         return until(f"more than {above} steps", seconds, steps)
 
     def keeps_learning(self, seconds: float = 90) -> int:
-        """Waits until the learner has consumed more than the page knows of now; returns how many steps."""
+        """Waits until the learner has consumed more steps than the page reports now and returns the number."""
         seen = until("steps on the page", seconds, self.n_steps)
         return self.wait_steps(seen, seconds)
 
     def wait_alive(self, role: str, n_alive: int, seconds: float = 90) -> None:
-        """Waits until the page knows of so many members of a role."""
+        """Waits until the page reports `n_alive` live processes of a role."""
 
         def seen() -> bool:
             if self.n_alive(role) != n_alive:
@@ -144,7 +144,7 @@ class Ring:
         until(f"{n_alive} alive of {role}", seconds, seen)
 
     def run_folder(self) -> Path:
-        """The folder of the run in its volume, on this machine's disk."""
+        """Returns the run folder inside its volume, as a path on this machine."""
         mountpoint = run(["docker", "volume", "inspect", "--format", "{{.Mountpoint}}", f"{self.project}_runs"])
         return Path(mountpoint.strip()) / PRESET
 
@@ -155,7 +155,7 @@ class Ring:
             files.extractall(into, filter="data")
 
     def logs(self, lines: int = 6) -> str:
-        """The last lines of all containers."""
+        """Returns the last log lines of all containers."""
         return self.compose("logs", "--no-color", f"--tail={lines}")
 
     def _variables(self, steps: int) -> dict[str, str]:
@@ -172,16 +172,16 @@ class Ring:
 
 
 def inspect(name: str) -> dict[str, Any]:
-    """What Docker knows of a container or an image."""
+    """Returns Docker's description of a container or an image."""
     [about] = json.loads(run(["docker", "inspect", name]))
     found: dict[str, Any] = about
     return found
 
 
 def crash(container: str) -> int:
-    """Kills the program in a container and not the container, and waits until Docker has started it again.
+    """Kills the program inside a container and waits until Docker restarts the container.
 
-    `docker kill` counts as a person's wish, after which no restart policy applies. Returns how often it was started again.
+    `docker kill` counts as a manual stop, after which no restart policy applies. Returns the number of restarts.
     """
     before = inspect(container)
     for process in _children(before["State"]["Pid"]):
@@ -195,7 +195,7 @@ def crash(container: str) -> int:
 
 
 def exit_code(container: str, seconds: float = 90) -> int:
-    """Waits until a container has ended for good."""
+    """Waits until a container has exited and returns its exit code."""
 
     def ended() -> bool:
         return bool(inspect(container)["State"]["Status"] == "exited")
@@ -205,7 +205,7 @@ def exit_code(container: str, seconds: float = 90) -> int:
 
 
 def stays_ended(container: str, seconds: float) -> None:
-    """Fails if a container is started again within so many seconds."""
+    """Fails if a container is restarted within `seconds`."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         seen = inspect(container)
@@ -214,7 +214,7 @@ def stays_ended(container: str, seconds: float) -> None:
 
 
 def _children(init: int) -> list[int]:
-    """Processes that the container's init has started."""
+    """Returns the processes started by the container's init."""
     return [int(pid) for pid in Path(f"/proc/{init}/task/{init}/children").read_text().split()]
 
 

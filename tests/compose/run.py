@@ -1,10 +1,11 @@
-"""Starts the ring of deploy/compose.yaml in containers, hurts it in every way that machines do, and looks what was lost.
+"""Starts the ring of deploy/compose.yaml in containers, injects faults, and checks what was lost.
 
 Usage: python tests/compose/run.py --binary target/debug/lodestone [--compose COMMAND] [--patience X] [--keep]
 
-Needs root, Debian's packages docker.io, docker-compose, debootstrap and iptables (or a daemon and Compose from elsewhere), the
-Python package eclipse-zenoh, and `strip`; with the package prometheus it looks at monitoring as well. It installs nothing.
-Starts a daemon if none runs and stops it in the end. The last line counts the checks; the exit code is 0 if all passed.
+Needs root, the Debian packages docker.io, docker-compose, debootstrap, and iptables (or a daemon and Compose from
+elsewhere), the Python package eclipse-zenoh, and `strip`. With the package prometheus, it also checks monitoring. It
+installs nothing. Starts a daemon if none is running and stops it at the end. The last line counts the checks. The exit
+code is 0 if all passed.
 """
 
 import argparse
@@ -15,21 +16,21 @@ import signal
 import sys
 from pathlib import Path
 
-# The modules beside this file leave nothing there.
+# Write no bytecode next to the modules in this folder.
 sys.dont_write_bytecode = True
 
 from checks import Patience, Tally
 from daemon import daemon
 from shell import works
 
-# Program, and Debian's package that has it.
+# Program -> Debian package that provides it.
 PROGRAMS = {"docker": "docker.io", "debootstrap": "debootstrap", "strip": "binutils", "tar": "tar"}
 
 COMPOSE = (["docker-compose"], ["docker", "compose"])
 
 
 def missing() -> list[str]:
-    """What has to be installed first, as sentences."""
+    """Returns the unmet requirements as messages."""
     found = [f"{program} is missing (package {name})" for program, name in PROGRAMS.items() if not shutil.which(program)]
     if importlib.util.find_spec("zenoh") is None:
         found.append("the Python package eclipse-zenoh is missing (pip install -r deploy/examples/requirements.txt)")
@@ -41,7 +42,7 @@ def missing() -> list[str]:
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--binary", type=Path, required=True, help="the program to put into the image")
     parser.add_argument("--compose", help="`docker-compose` or `docker compose` [default: both, where they are]")
@@ -51,7 +52,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Runs all checks."""
+    """Runs all checks and returns the exit code."""
     args = arguments()
     if lacks := missing():
         print("\n".join(lacks), file=sys.stderr)
@@ -61,7 +62,7 @@ def main() -> int:
         return 2
     import scenario  # It needs what may be missing.
 
-    # Whoever ends us, for example a time limit, shall find nothing of us left.
+    # Exit cleanly on SIGTERM, for example from a time limit, so that nothing is left behind.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     Patience.factor = args.patience
     tally = Tally()

@@ -1,4 +1,4 @@
-"""The life of a ring in containers, as checks in the order in which they must come."""
+"""The checks of a ring in containers, in the order in which they must run."""
 
 import os
 import shutil
@@ -17,12 +17,12 @@ from shell import run as shell
 
 RUN = f"/runs/{PRESET}"
 
-# All that is started again by itself.
+# Services that Docker restarts automatically.
 ROLES = ("router", "learner", "actor", "evaluator")
 
 
 def run(tally: Tally, binary: Path, composes: Sequence[Sequence[str]], keep: bool) -> None:
-    """All checks, with each of the commands `composes`."""
+    """Runs all checks with each of the Compose commands in `composes`."""
     image = f"lodestone-test:{os.getpid()}"
     if not tally.check("the image is built", lambda: f"{runtime_image(binary, image) / 1e6:.0f} MB"):
         return
@@ -48,20 +48,20 @@ def _image_is_plain(image: str) -> str:
 
 
 class Scenario:
-    """One ring and what was seen of it."""
+    """The checks of one ring."""
 
     def __init__(self, tally: Tally, ring: Ring, folder: Path) -> None:
         self.tally = tally
         self.ring = ring
         self.folder = folder
         self.keys = folder / "viewer"
-        # Of volumes that are there once the ring is.
+        # Set once the ring has started, because its volumes do not exist before.
         self.run_folder = Path()
         self.endpoint = f"quic/127.0.0.1:{ring.bus_port}"
         tally.on_failure = self._show_logs
 
     def play(self, keep: bool) -> None:
-        """All checks; containers and volumes go in the end."""
+        """Runs all checks and removes containers and volumes at the end."""
         try:
             if self.tally.check("one command starts the ring, and all of it is healthy", self.starts):
                 self._work()
@@ -161,7 +161,7 @@ class Scenario:
         return f"started again {n_restarts} times{began}; {self.ring.keeps_learning()} steps"
 
     def _goes_on_from(self, n_lives: int, saved: int) -> int:
-        """Waits for the first update of a new process of the learner; fails if it lacks a step that was saved."""
+        """Waits for a new learner's first update and returns its starting step. Fails if saved steps are lost."""
         life = until("the new learner's first update", 90, lambda: self._lives()[n_lives:])[0]
         require(life.began_with >= saved, f"{saved} steps were saved, and it went on from {life.began_with}")
         return life.began_with
@@ -185,7 +185,7 @@ class Scenario:
         return f"{self.ring.keeps_learning()} steps"
 
     def acknowledged_is_counted(self) -> str:
-        # Counters of a learner and of actors that have known no other learner.
+        # Restart both, so that the actors' counters cover this learner only.
         self.ring.compose("restart", "learner", "actor")
         self.ring.wait_alive("actor", 2)
         self.ring.keeps_learning()
@@ -195,7 +195,7 @@ class Scenario:
             return sum(actor["n_trajectories_acked"] for actor in actors) if len(actors) == 2 else 0
 
         n_told = until("numbers of two actors", 60, told)
-        # An update that began after the actors spoke.
+        # Wait for an update that began after the actors published their numbers.
         for _ in range(2):
             self.ring.keeps_learning()
         [learner] = bus.latest(self.endpoint, self.keys, f"lodestone/{PRESET}/metrics/learner")
@@ -250,7 +250,7 @@ class Scenario:
             self.ring.down("--volumes")
             return True
 
-        # A machine that is very busy may take longer to end a container than the daemon waits.
+        # On a very busy machine, a container may take longer to stop than the daemon waits.
         until("`down`", 120, is_down)
         mine = f"label=com.docker.compose.project={self.ring.project}"
         for kind in ("container", "network", "volume"):
@@ -261,7 +261,7 @@ class Scenario:
         return records.lives(self.run_folder / "metrics.jsonl")
 
     def _saved(self) -> int:
-        """Steps of the newest checkpoint, 0 without any."""
+        """Returns the steps of the newest checkpoint, or 0 if there is none."""
         return max(records.saved_steps(self.run_folder), default=0)
 
     def _show_logs(self) -> None:

@@ -1,4 +1,4 @@
-"""Runs other programs."""
+"""Runs external programs."""
 
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ def run(
     seconds: float = 300,
     stdin: bytes | None = None,
 ) -> str:
-    """What `command` prints on stdout; fails with the end of what it said if it fails."""
+    """Returns what `command` prints to stdout. If it fails, raises `Failed` with the end of its output."""
     shown = " ".join(str(part) for part in command)
     try:
         ended = subprocess.run(command, env=env, input=stdin, capture_output=True, timeout=seconds, check=False)
@@ -26,7 +26,7 @@ def run(
 
 
 def works(command: Sequence[str | Path]) -> bool:
-    """Whether `command` exists and succeeds."""
+    """Returns whether `command` exists and succeeds."""
     try:
         return subprocess.run(command, capture_output=True, timeout=60, check=False).returncode == 0
     except (OSError, subprocess.TimeoutExpired):

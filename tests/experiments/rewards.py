@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Measures what rewards add to labels, with several seeds, and prints the table of docs/results.md.
+"""Measures how much training with rewards adds to labels, over several seeds, and prints the table in docs/results.md.
 
     python3 tests/experiments/rewards.py runs/rewards --seeds 1 2 3
 
-Goals of two to four blocks. An imitator learns from labels for 300 thousand steps. From its checkpoint, one run goes on
-with rewards for 100 thousand steps, and one with labels for as many. A seed takes about fifteen minutes on two cores. What
-is complete is not run again, and what was cut off begins anew. The program must have been built: cargo build --release.
+Goals have two to four blocks. An imitator learns from labels for 300 thousand steps. From its checkpoint, one run
+continues with rewards for 100 thousand steps, and another with labels for the same number. A seed takes about fifteen
+minutes on two cores. Complete runs are skipped, and interrupted runs start over. Build the program first:
+cargo build --release.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from typing import Any
 from run import ACTING, ROOT, cell
 
 LABELED_STEPS, ALL_STEPS = 300_000, 400_000
-# What makes labels of the rewards that the preset would go on with.
+# Settings that keep training on labels where the preset would switch to rewards.
 LABELS = {"weight": 1.0, "ppo_weight": 0.0, "kl_weight": 0.0}
 STAGES = ("imitator", "further labels", "rewards")
 
 
 def complete(program: Path, folder: Path, episodes: int, args: list[str]) -> None:
-    """Trains into the folder and evaluates what was learned, unless there is a report; prints go to a file beside it."""
+    """Trains and evaluates a run unless its report exists. Training output goes to a log file next to the folder."""
     report = folder / "report.json"
     if report.exists():
         return
@@ -45,7 +46,7 @@ def complete(program: Path, folder: Path, episodes: int, args: list[str]) -> Non
 
 
 def complete_seed(program: Path, out: Path, seed: int, episodes: int) -> None:
-    """Makes the three runs of a seed, or those that are missing."""
+    """Completes the three runs of a seed."""
     imitator, labels, rewards = (out / f"seed-{seed}" / stage.replace(" ", "-") for stage in STAGES)
     begin = ["--preset", "imitation-and-ppo", "--seed", str(seed), "--steps", str(LABELED_STEPS)]
     complete(program, imitator, episodes, begin)
@@ -56,7 +57,7 @@ def complete_seed(program: Path, out: Path, seed: int, episodes: int) -> None:
 
 
 def table(out: Path) -> str:
-    """Markdown: a row for each stage and way of acting, with the mean of all seeds and their extremes."""
+    """Returns a Markdown table with a row per stage and greedy or sampled actions: mean and extremes over all seeds."""
     lines = ["| | seeds | actions | success | steps |", "|---|---|---|---|---|"]
     for stage in STAGES:
         reports = [json.loads(path.read_text()) for path in sorted(out.glob(f"seed-*/{stage.replace(' ', '-')}/report.json"))]

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Runs the experiments of docs/experiments.md and prints their tables.
+"""Runs the experiments in docs/experiments.md and prints their tables.
 
     python3 tests/experiments/run.py runs/experiments                      # all, seed 1
     python3 tests/experiments/run.py runs/experiments compact no-attention --seeds 1 2 3
-    python3 tests/experiments/run.py runs/experiments --table              # of what is there, trains nothing
+    python3 tests/experiments/run.py runs/experiments --table              # only tables of existing runs, no training
 
-Each experiment is a training of the preset `compact` with one thing changed. A run takes ten to fifteen minutes on two
-cores. What is complete is not run again, and what was cut off goes on from its newest checkpoint. The program must have
-been built: cargo build --release.
+Each experiment trains the preset `compact` with one change. A run takes ten to fifteen minutes on two cores. Complete
+runs are skipped, and interrupted runs resume from their newest checkpoint. Build the program first:
+cargo build --release.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ LABELS_TO_THE_END = {"weight": 1.0, "value_weight": 0.0, "ppo_weight": 0.0, "kl_
 
 
 def features(*names: str) -> list[str]:
-    """Arguments that switch inputs off."""
+    """Returns the arguments that disable the named features."""
     return [arg for name in names for arg in ("--set", f"policy.features.{name}=false")]
 
 
-# Name -> what is changed in `compact`.
+# Name -> arguments that change `compact`.
 EXPERIMENTS: dict[str, list[str]] = {
     "compact": [],
     "labels-only": [
@@ -50,7 +50,7 @@ EXPERIMENTS: dict[str, list[str]] = {
     "paper-inputs": features("plan", "pieces", "up_axis", "membership", "block_shape", "needed_moves"),
     **{f"only-{blueprint}": ["--blueprint", blueprint] for blueprint in ("6_005", "12_000", "16_001")},
 }
-# What is evaluated without resets as well, as the paper does.
+# Experiments that are also evaluated without resets, as in the paper.
 RESET_FREE = ("compact", "no-blueprint-resets")
 GROUPS = ("train 2-6", "train 7-11", "train 12-16", "validation", "test 12-16", "in a row")
 TASKS = tuple(name.removeprefix("only-") for name in EXPERIMENTS if name.startswith("only-"))
@@ -58,7 +58,7 @@ ACTING = {"greedy": "mode", "sampled": "sampled"}
 
 
 def complete(program: Path, folder: Path, name: str, seed: int, episodes: int) -> None:
-    """Trains and evaluates one run, or what is missing of it."""
+    """Trains and evaluates one run, skipping the parts that are done."""
     report = folder / "report.json"
     if report.exists():
         return
@@ -86,7 +86,7 @@ def complete(program: Path, folder: Path, name: str, seed: int, episodes: int) -
 
 
 def rates(reports: list[dict[str, Any]], mode: str) -> dict[str, float]:
-    """Success by group, without resets, and of the blueprints that have a run of their own."""
+    """Returns the success rates by group, of the blueprints with their own experiment, and without resets."""
     found: dict[str, float] = {}
     for report in reports:
         found |= {group["name"]: group[mode]["success"]["rate"] for group in report["summary"]["groups"]}
@@ -101,7 +101,7 @@ def rates(reports: list[dict[str, Any]], mode: str) -> dict[str, float]:
 
 
 def cell(found: list[float]) -> str:
-    """Mean, and the extremes of several seeds, in percent."""
+    """Formats the mean in percent, with the extremes if there are several seeds."""
     if not found:
         return "–"
     mean = f"{100 * statistics.mean(found):.1f}%"
@@ -109,7 +109,7 @@ def cell(found: list[float]) -> str:
 
 
 def table(out: Path, names: list[str], columns: tuple[str, ...]) -> str:
-    """Markdown: a row for each experiment and way of acting, of those that have one of the columns."""
+    """Returns a Markdown table with a row per experiment and greedy or sampled actions, where any column has data."""
     lines = ["| experiment | seeds | actions | " + " | ".join(columns) + " |", "|---|---|---|" + "---|" * len(columns)]
     for name in names:
         reports = [json.loads(path.read_text()) for path in sorted(out.glob(f"{name}/seed-*/report.json"))]
@@ -122,7 +122,7 @@ def table(out: Path, names: list[str], columns: tuple[str, ...]) -> str:
 
 
 def main() -> int:
-    """Runs what was asked for; the number of runs that failed is the exit status."""
+    """Runs the requested experiments. Returns the number of failed runs as the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, help="folder of the runs")
     parser.add_argument("names", nargs="*", help=f"experiments [default: all]: {', '.join(EXPERIMENTS)}")

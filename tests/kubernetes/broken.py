@@ -1,4 +1,4 @@
-"""The checks find what they are for: each mistake, made in what was rendered, must be complained about by its check."""
+"""Tests the checks: each mistake, applied to the rendered objects, must make its check complain."""
 
 import copy
 from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +16,7 @@ Change = Callable[[Object], object]
 
 
 def at(*path: str | int) -> Callable[[Object], Object]:
-    """The part of an object under a path."""
+    """Returns a function that extracts the part of an object at a path."""
 
     def walk(thing: Object) -> Object:
         part: Object = thing
@@ -33,7 +33,7 @@ SPEC = at("spec")
 
 
 class Mistake(NamedTuple):
-    """What is done to the first object of a kind and name, and the check that must find it."""
+    """A change to the first object of a kind and name, and the check that must find it."""
 
     what: str
     kind: str
@@ -321,7 +321,7 @@ MISTAKES = [
 
 
 def overlooked(objects: list[Object], mistake: Mistake) -> Iterator[str]:
-    """A complaint if the check has none about the changed object."""
+    """Yields a complaint if the check misses the mistake, or complains about the unchanged objects."""
     if list(mistake.check(copy.deepcopy(objects))):
         yield "the check complains about what is right"
         return

@@ -1,4 +1,4 @@
-"""Judges deploy/kubernetes without a cluster; see run.sh."""
+"""Checks deploy/kubernetes without a cluster; see run.sh."""
 
 import argparse
 import re
@@ -37,14 +37,14 @@ CHECKS: dict[str, Check] = {
     "ports and policies meet": network.as_listened,
     "variables and arguments have values": settings.resolved,
 }
-# What an overlay is for, beyond what holds for all.
+# Expected properties of single overlays, in addition to the checks for all of them.
 N_THREADS = 3000
 EXAMPLE, SECOND = "docs/kubernetes.md", "another namespace"
 SMALL_CORES, SMALL_MIB = 2.5, 1024
 
 
 def sums(objects: list[Object]) -> tuple[float, float, int]:
-    """Cores and MiB that all pods ask for together, and threads that step worlds."""
+    """Returns the total cores and MiB that all pods request, and the number of threads that step worlds."""
     cores = mib = 0.0
     n_threads = 0
     for workload in workloads(objects):
@@ -57,7 +57,7 @@ def sums(objects: list[Object]) -> tuple[float, float, int]:
 
 
 def purpose(name: str, objects: list[Object]) -> Iterable[str]:
-    """What sets this overlay apart."""
+    """Checks the properties specific to this overlay."""
     cores, mib, n_threads = sums(objects)
     print(f"        {name} asks for {cores:.1f} cores and {mib:.0f} MiB; {n_threads} threads step worlds")
     learner = of_kind(objects, "StatefulSet")[0]["spec"]["template"]["spec"]["containers"][0]
@@ -70,15 +70,15 @@ def purpose(name: str, objects: list[Object]) -> Iterable[str]:
 
 
 def documented(kind: str) -> str:
-    """The first YAML in the document that is of this kind."""
+    """Returns the first YAML block of this kind in the document."""
     text = (ROOT / EXAMPLE).read_text()
-    # In a list it is indented, and so is the mark that ends it.
+    # In a list, the block and its closing fence are indented.
     blocks = re.findall(r"^ *```yaml\n(.*?)^ *```", text, flags=re.DOTALL | re.MULTILINE)
     return textwrap.dedent(next(block for block in blocks if f"kind: {kind}\n" in block))
 
 
 def example(target: Path) -> Path:
-    """The folder that the document tells its reader to write, beside which the repository stands."""
+    """Creates the folder that the document tells the reader to write, next to a link to the repository."""
     folder = target / "my-run"
     folder.mkdir()
     (folder / "kustomization.yaml").write_text(documented("Kustomization"))
@@ -87,7 +87,7 @@ def example(target: Path) -> Path:
 
 
 def second(target: Path) -> Path:
-    """A folder for a second run beside the first."""
+    """Creates a folder for a second run next to the first."""
     folder = target / "second"
     folder.mkdir()
     text = "namespace: second\nresources: [../lodestone/deploy/kubernetes/overlays/thousands]\n"
@@ -96,7 +96,7 @@ def second(target: Path) -> Path:
 
 
 def judge_folder(report: Report, name: str, objects: list[Object]) -> None:
-    """All that needs no binary."""
+    """Runs all checks that need no binary."""
     for version in schemas.VERSIONS:
         report.judge(
             f"{name}: {len(objects)} objects are valid for Kubernetes {version}, strictly",
@@ -107,7 +107,7 @@ def judge_folder(report: Report, name: str, objects: list[Object]) -> None:
 
 
 def judge_keys(report: Report, kubectl: str, folder: Path) -> None:
-    """What becomes of a folder of keys."""
+    """Checks the Secrets made from a folder of keys."""
     made = keys.make(kubectl, folder)
     for version in schemas.VERSIONS:
         report.judge(
@@ -119,14 +119,14 @@ def judge_keys(report: Report, kubectl: str, folder: Path) -> None:
 
 
 def no_secrets(folder: Path) -> Iterable[str]:
-    """No file of the manifests has a key in it, whatever its name."""
+    """Checks that no file in the manifests contains a private key or has the suffix of one."""
     for path in sorted(folder.rglob("*")):
         if path.is_file() and (b"PRIVATE " + b"KEY" in path.read_bytes() or path.suffix in (".pem", ".key", ".crt")):
             yield f"{path.relative_to(ROOT)} is a secret, or looks like one"
 
 
 def judge_all(report: Report, kubectl: str, binary: Path | None, scratch: Path) -> None:
-    """Everything, in the order in which a reader wants to know it."""
+    """Runs all checks, in an order that suits the reader of the output."""
     report.judge("no secret lies in the repository", no_secrets(FOLDER))
     folders = {path.name: path for path in sorted((FOLDER / "overlays").iterdir())}
     folders |= {"base": FOLDER / "base", EXAMPLE: example(scratch), SECOND: second(scratch)}

@@ -1,4 +1,4 @@
-"""`secrets.sh` makes of the folders of `lodestone keys new` what the pods mount, and nothing more."""
+"""Checks that `secrets.sh` turns the folders of `lodestone keys new` into exactly the Secrets that pods mount."""
 
 import base64
 import os
@@ -15,7 +15,7 @@ TOKEN = re.compile(r"[A-Za-z0-9_-]{16,128}")
 
 
 def pretend(folder: Path) -> None:
-    """A folder with the names that `lodestone keys new` gives, where no binary is at hand to make a real one."""
+    """Fills a folder with the file names that `lodestone keys new` creates, for use without a binary."""
     for role in ("ca", "viewer", *ROLES):
         (folder / role).mkdir(parents=True)
         names = ("cert.pem", "key.pem") if role == "ca" else (*FILES, *(["users"] if role == "router" else []))
@@ -30,7 +30,7 @@ def call(kubectl: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def make(kubectl: str, folder: Path, namespace: str = "lodestone") -> list[Object]:
-    """The Secrets of a folder of keys."""
+    """Returns the Secrets for a folder of keys."""
     done = call(kubectl, str(folder), namespace)
     if done.returncode != 0:
         raise RuntimeError(f"secrets.sh: {done.stderr.strip()}")
@@ -38,12 +38,12 @@ def make(kubectl: str, folder: Path, namespace: str = "lodestone") -> list[Objec
 
 
 def files(secret: Object) -> dict[str, bytes]:
-    """What a pod that mounts the Secret finds."""
+    """Returns the files that a pod sees when it mounts the Secret."""
     return {name: base64.b64decode(value) for name, value in secret["data"].items()}
 
 
 def content_complaints(kubectl: str, folder: Path) -> Iterator[str]:
-    """Each role's files and no others, in the namespace that was asked for."""
+    """Checks that the Secrets hold each role's files and no others, in the requested namespace."""
     made = {secret["metadata"]["name"]: secret for secret in make(kubectl, folder, "elsewhere")}
     expected = {f"keys-{role}" for role in ROLES} | {"evaluator-page"}
     if set(made) != expected:
@@ -64,7 +64,7 @@ def content_complaints(kubectl: str, folder: Path) -> Iterator[str]:
 
 
 def token_complaints(kubectl: str, folder: Path) -> Iterator[str]:
-    """A token that the evaluator takes, the same each time and only its owner's to read."""
+    """Checks that the token is one that the evaluator accepts, stays the same, and is readable by its owner only."""
     tokens = {
         files(secret)["token"].decode()
         for _ in range(2)
@@ -79,7 +79,7 @@ def token_complaints(kubectl: str, folder: Path) -> Iterator[str]:
 
 
 def refusal_complaints(kubectl: str, folder: Path) -> Iterator[str]:
-    """Nothing is printed unless everything is there, and the message says what to do."""
+    """Checks that the script prints no Secrets unless all files exist, and that its message is helpful."""
     for arguments, expected in (
         ([], "usage: "),
         ([str(folder / "nowhere")], "lodestone keys new"),

@@ -1,4 +1,4 @@
-"""Rendering, and the parts of rendered objects that several checks look at."""
+"""Renders manifests and provides the parts of rendered objects that several checks share."""
 
 import subprocess
 from collections.abc import Iterator
@@ -18,11 +18,11 @@ ROLES = ("router", "learner", "actor", "evaluator")
 
 
 class RenderError(Exception):
-    """kubectl refused, with its words."""
+    """A kubectl failure, with its error output."""
 
 
 def run(kubectl: str, *arguments: str) -> str:
-    """What kubectl prints."""
+    """Runs kubectl and returns its output."""
     done = subprocess.run([kubectl, *arguments], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RenderError(f"kubectl {' '.join(arguments)}: {done.stderr.strip()}")
@@ -30,18 +30,18 @@ def run(kubectl: str, *arguments: str) -> str:
 
 
 def render(kubectl: str, folder: Path) -> list[Object]:
-    """The objects of a Kustomize folder."""
+    """Renders the objects of a Kustomize folder."""
     return parse(run(kubectl, "kustomize", str(folder)))
 
 
 def parse(text: str) -> list[Object]:
-    """The objects of several YAML documents."""
+    """Parses a stream of YAML documents."""
     return [document for document in yaml.safe_load_all(text) if document]
 
 
 @dataclass(frozen=True)
 class Workload:
-    """A Deployment or StatefulSet with what its pods are made of."""
+    """A Deployment or StatefulSet with accessors for its pod template."""
 
     object: Object
 
@@ -55,7 +55,7 @@ class Workload:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Those of the pods."""
+        """Labels of the pods."""
         return dict(self.object["spec"]["template"]["metadata"].get("labels", {}))
 
     @property
@@ -69,34 +69,34 @@ class Workload:
 
     @property
     def containers(self) -> list[Object]:
-        """All of them, those that run first too."""
+        """All containers, including init containers."""
         return [*self.pod.get("initContainers", []), *self.pod.get("containers", [])]
 
 
 def of_kind(objects: list[Object], *kinds: str) -> list[Object]:
-    """Those of certain kinds."""
+    """Returns the objects of the given kinds."""
     return [found for found in objects if found["kind"] in kinds]
 
 
 def workloads(objects: list[Object]) -> list[Workload]:
-    """All that makes pods here. Others, such as a Job, would be looked at by no check: see `references`."""
+    """Returns the objects that create pods. No check covers others, such as a Job, so `references` rejects them."""
     return [Workload(found) for found in of_kind(objects, "Deployment", "StatefulSet")]
 
 
 def containers(objects: list[Object]) -> Iterator[tuple[Workload, Object]]:
-    """Every container with its workload."""
+    """Yields every container with its workload."""
     for workload in workloads(objects):
         for container in workload.containers:
             yield workload, container
 
 
 def shown(thing: Object) -> str:
-    """Kind and name, for messages."""
+    """Returns the kind and name for messages."""
     return f"{thing['kind']} {thing['metadata']['name']}"
 
 
 def selects(selector: Object | None, labels: dict[str, str]) -> bool:
-    """Whether a label selector matches; `{}` matches everything, an absent one nothing."""
+    """Returns whether a label selector matches. `{}` matches everything, None nothing."""
     if selector is None:
         return False
     wanted = selector.get("matchLabels", {})
@@ -105,7 +105,7 @@ def selects(selector: Object | None, labels: dict[str, str]) -> bool:
 
 
 def holds(rule: Object, labels: dict[str, str]) -> bool:
-    """Whether one of the `matchExpressions` does."""
+    """Returns whether an entry of `matchExpressions` matches."""
     value = labels.get(rule["key"])
     match rule["operator"]:
         case "In":

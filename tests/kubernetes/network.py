@@ -1,4 +1,4 @@
-"""NetworkPolicies, read as a cluster's network reads them, against a table of who may speak with whom."""
+"""Evaluates the NetworkPolicies like a network plugin and compares them with a table of allowed connections."""
 
 import ipaddress
 import itertools
@@ -15,7 +15,7 @@ OTHER = {"kubernetes.io/metadata.name": "other"}
 
 @dataclass(frozen=True)
 class Peer:
-    """A pod in some namespace, or an address outside."""
+    """A pod in some namespace, or an external address."""
 
     name: str
     labels: dict[str, str] = field(default_factory=dict)
@@ -26,7 +26,7 @@ class Peer:
 
 
 def role(name: str, **ports: int) -> Peer:
-    """A pod of the run."""
+    """Returns a pod of the run."""
     return Peer(name, {COMPONENT: name}, ports=ports)
 
 
@@ -70,11 +70,11 @@ PORTS = [(7447, "UDP"), (7447, "TCP"), (8080, "TCP"), (53, "UDP"), (53, "TCP"), 
 
 
 def is_peer(rule: Object, peer: Peer) -> bool:
-    """Whether one entry of `from` or `to` means `peer`; a bare podSelector stays in the policy's own namespace."""
+    """Returns whether an entry of `from` or `to` matches `peer`. A bare podSelector covers the policy's namespace."""
     if "ipBlock" in rule:
         block = rule["ipBlock"]
         inside = ipaddress.ip_address(peer.address) in ipaddress.ip_network(block["cidr"])
-        # Whether pods have addresses that a block can mean differs between networks, so none is let in that way.
+        # Network plugins differ in whether an ipBlock can match pod addresses, so it never matches pods here.
         return not peer.is_pod and inside and not block.get("except")
     if not peer.is_pod:
         return False
@@ -87,7 +87,7 @@ def is_peer(rule: Object, peer: Peer) -> bool:
 
 
 def is_port(rules: list[Object] | None, target: Peer, port: int, protocol: str) -> bool:
-    """Whether the rule's ports include this one of `target`; none means all."""
+    """Returns whether the rule's ports include this port of `target`. No ports means all ports."""
     if not rules:
         return True
     for rule in rules:
@@ -101,7 +101,7 @@ def is_port(rules: list[Object] | None, target: Peer, port: int, protocol: str) 
 
 
 def lets(policies: list[Object], direction: str, subject: Peer, other: Peer, port: int, protocol: str) -> bool:
-    """Whether the policies over `subject` let traffic through in this direction; without any everything is let."""
+    """Returns whether the policies that select `subject` allow this traffic. Without such policies, all is allowed."""
     over = [
         policy["spec"]
         for policy in policies
@@ -117,7 +117,7 @@ def lets(policies: list[Object], direction: str, subject: Peer, other: Peer, por
 
 
 def verdicts(policies: list[Object], source: Peer, target: Peer, port: int, protocol: str) -> Iterator[bool]:
-    """What each end says that the policies are for: one alone must not leave it to the other to refuse."""
+    """Yields the verdict at each end that the policies cover. Neither end may rely on the other to refuse."""
     if is_own(source):
         yield lets(policies, "Egress", source, target, port, protocol)
     if is_own(target):
@@ -125,12 +125,12 @@ def verdicts(policies: list[Object], source: Peer, target: Peer, port: int, prot
 
 
 def is_own(peer: Peer) -> bool:
-    """Whether it is a pod of the run's namespace; others are not for these policies to judge."""
+    """Returns whether `peer` is a pod in the run's namespace. The policies do not apply to others."""
     return peer.is_pod and peer.namespace == OWN
 
 
 def denied_by_default(objects: list[Object]) -> Iterator[str]:
-    """One policy selects every pod that there may be and lets nothing through."""
+    """Checks that one policy selects every pod and allows nothing."""
     for policy in of_kind(objects, "NetworkPolicy"):
         spec = policy["spec"]
         is_over_all = spec["podSelector"] == {} and set(spec["policyTypes"]) == {"Ingress", "Egress"}
@@ -140,7 +140,7 @@ def denied_by_default(objects: list[Object]) -> Iterator[str]:
 
 
 def as_agreed(objects: list[Object]) -> Iterator[str]:
-    """Of all pairs and ports exactly those of the table get through."""
+    """Checks that exactly the pairs and ports in the table are allowed."""
     policies = of_kind(objects, "NetworkPolicy")
     for source, target in itertools.permutations(PEERS, 2):
         for port, protocol in PORTS:
@@ -150,7 +150,7 @@ def as_agreed(objects: list[Object]) -> Iterator[str]:
 
 
 def as_listened(objects: list[Object]) -> Iterator[str]:
-    """The table's ports are those of the pods."""
+    """Checks that the pods have the table's ports, and that every policy selects a pod."""
     for workload in workloads(objects):
         ports = {port["name"]: port["containerPort"] for box in workload.containers for port in box.get("ports", [])}
         table = next(peer.ports for peer in PEERS if peer.name == workload.role)

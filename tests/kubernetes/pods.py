@@ -1,4 +1,4 @@
-"""What every pod must be: probed, bounded, unprivileged, and silent toward the API server."""
+"""Checks that every pod is probed, bounded, unprivileged, and without access to the API server."""
 
 from collections.abc import Iterator
 from decimal import Decimal
@@ -6,7 +6,7 @@ from decimal import Decimal
 from manifests import Object, Workload, containers, workloads
 
 USER = 10001
-# Megabytes that a process was measured to take with two-block goals; a pod that asks for less may find no room.
+# Measured memory of each process in megabytes, with two-block goals. A pod that requests less may not have enough.
 MEASURED_MB = {"router": 22, "learner": 183, "actor": 44, "evaluator": 59}
 PROBES = {
     "startupProbe": ["lodestone", "healthcheck", "--alive"],
@@ -23,18 +23,18 @@ UNITS = {
     "Mi": Decimal(2) ** 20,
     "Gi": Decimal(2) ** 30,
 }
-# Volumes that the standard `restricted` allows.
+# Volume types that the standard `restricted` allows.
 VOLUMES = {"configMap", "csi", "downwardAPI", "emptyDir", "ephemeral", "persistentVolumeClaim", "projected", "secret"}
 
 
 def quantity(text: str) -> Decimal:
-    """The number that a quantity such as `250m` or `2Gi` stands for."""
+    """Parses a quantity such as `250m` or `2Gi`."""
     digits = text.rstrip("".join({letter for unit in UNITS for letter in unit}))
     return Decimal(digits) * UNITS[text[len(digits) :]]
 
 
 def probed(objects: list[Object]) -> Iterator[str]:
-    """Every container asks the program itself, and only a process that stands still is ended."""
+    """Checks that all probes run the program's health check, and that only a stalled process fails liveness."""
     for workload, container in containers(objects):
         for probe, command in PROBES.items():
             found = container.get(probe, {}).get("exec", {}).get("command")
@@ -43,7 +43,7 @@ def probed(objects: list[Object]) -> Iterator[str]:
 
 
 def bounded(objects: list[Object]) -> Iterator[str]:
-    """Requests for CPU and memory, a limit of the memory, and both in an order that makes sense."""
+    """Checks for CPU and memory requests and a memory limit, with request ≤ limit and room for the measured memory."""
     for workload, container in containers(objects):
         resources = container.get("resources", {})
         requests, limits = resources.get("requests", {}), resources.get("limits", {})
@@ -68,7 +68,7 @@ def bounded(objects: list[Object]) -> Iterator[str]:
 
 
 def unprivileged(objects: list[Object]) -> Iterator[str]:
-    """The Pod Security Standard `restricted`, a read-only root and the user that the image has."""
+    """Checks for the Pod Security Standard `restricted`, a read-only root, and the image's user."""
     for workload in workloads(objects):
         yield from (f"{workload.name}: {complaint}" for complaint in pod_complaints(workload))
         for container in workload.containers:
@@ -85,7 +85,7 @@ def unprivileged(objects: list[Object]) -> Iterator[str]:
 
 
 def pod_complaints(workload: Workload) -> Iterator[str]:
-    """What concerns the pod as a whole."""
+    """Checks the security settings of the pod as a whole."""
     pod = workload.pod
     context = pod.get("securityContext", {})
     wanted = {
@@ -109,7 +109,10 @@ def pod_complaints(workload: Workload) -> Iterator[str]:
 
 
 def placed(objects: list[Object]) -> Iterator[str]:
-    """Only actors are let on nodes that may go at any time, only who asks for a GPU on those that have one."""
+    """Checks that only actors tolerate spot nodes and only GPU pods tolerate GPU nodes.
+
+    Also checks that every other role has one replica and never runs twice during an update.
+    """
     for workload in workloads(objects):
         keys = {rule.get("key", "everything") for rule in workload.pod.get("tolerations", [])}
         has_gpu = any("nvidia.com/gpu" in box.get("resources", {}).get("limits", {}) for box in workload.containers)
@@ -132,7 +135,7 @@ def placed(objects: list[Object]) -> Iterator[str]:
 
 
 def imaged(objects: list[Object]) -> Iterator[str]:
-    """One image for all but a learner on a GPU, with a tag that does not move, and the image's own entry point."""
+    """Checks that images have a tag other than `latest`, and containers run their role with the image's entry point."""
     for workload, container in containers(objects):
         image = container.get("image", "")
         name, _, tag = image.rpartition(":")

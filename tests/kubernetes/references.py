@@ -1,11 +1,11 @@
-"""Names that one object uses must be those of another: Secrets, volumes, Services, budgets."""
+"""Checks that names used by one object belong to another: Secrets, volumes, Services, budgets."""
 
 from collections.abc import Iterator
 
 from manifests import COMPONENT, NAME, ROLES, Object, Workload, containers, of_kind, selects, shown, workloads
 
 CLUSTER_WIDE = ("Namespace", "PriorityClass")
-# Kinds that the checks here understand. Another one needs a check before it gets in.
+# Kinds that these checks understand. A new kind needs a check first.
 KNOWN = {
     "ConfigMap",
     "Deployment",
@@ -17,12 +17,12 @@ KNOWN = {
     "Service",
     "StatefulSet",
 }
-# The token is the evaluator's; the Secret is made beside those of the keys.
+# Secret with the token of the evaluator's page. `secrets.sh` creates it along with the key Secrets.
 EVALUATOR_PAGE = "evaluator-page"
 
 
 def complete(objects: list[Object]) -> Iterator[str]:
-    """All roles are there, each once, in one namespace, under labels of their own; and nothing that no check knows."""
+    """Checks that each role exists once, in one namespace, with its own labels, and that all kinds are known."""
     roles = sorted(workload.role for workload in workloads(objects))
     if roles != sorted(ROLES):
         yield f"the roles are {roles}, not {sorted(ROLES)}"
@@ -44,7 +44,7 @@ def complete(objects: list[Object]) -> Iterator[str]:
 
 
 def secrets_used(workload: Workload) -> set[str]:
-    """Names of all Secrets that a pod gets at, as files or as variables."""
+    """Returns the names of all Secrets that a pod can access as files or variables."""
     volumes = workload.pod.get("volumes", [])
     used = {volume["secret"]["secretName"] for volume in volumes if "secret" in volume}
     for volume in volumes:
@@ -59,7 +59,7 @@ def secrets_used(workload: Workload) -> set[str]:
 
 
 def own_secrets(objects: list[Object]) -> Iterator[str]:
-    """Each pod sees its role's Secret and no other, in files that its group reads and nobody writes."""
+    """Checks that each pod sees only its role's Secrets, in files that are group-readable and not writable."""
     for found in of_kind(objects, "Secret"):
         yield f"{shown(found)}: secrets do not belong into what is rendered"
     for workload in workloads(objects):
@@ -72,7 +72,7 @@ def own_secrets(objects: list[Object]) -> Iterator[str]:
 
 
 def volumes(objects: list[Object]) -> Iterator[str]:
-    """Every mount has a volume, every volume a claim or a source; keys and runs are where the program looks."""
+    """Checks that mounts have volumes, volumes have claims or sources, and keys and runs have the paths in use."""
     claims = {found["metadata"]["name"] for found in of_kind(objects, "PersistentVolumeClaim")}
     configs = {found["metadata"]["name"] for found in of_kind(objects, "ConfigMap")}
     claimed: list[str] = []
@@ -104,7 +104,7 @@ def volumes(objects: list[Object]) -> Iterator[str]:
 
 
 def services(objects: list[Object]) -> Iterator[str]:
-    """Each Service selects the pods of one workload and ports that these have."""
+    """Checks that each Service selects the pods of one workload and ports that these pods have."""
     for service in of_kind(objects, "Service"):
         name, spec = shown(service), service["spec"]
         if service["metadata"]["name"] == "lodestone":
@@ -126,7 +126,7 @@ def services(objects: list[Object]) -> Iterator[str]:
 
 
 def budgets(objects: list[Object]) -> Iterator[str]:
-    """Router and learner are kept, nothing else, and each by one budget."""
+    """Checks that the router and the learner have one disruption budget each, and nothing else has one."""
     kept: list[str] = []
     for budget in of_kind(objects, "PodDisruptionBudget"):
         chosen = [pod.role for pod in workloads(objects) if selects(budget["spec"].get("selector"), pod.labels)]
@@ -140,7 +140,7 @@ def budgets(objects: list[Object]) -> Iterator[str]:
 
 
 def priorities(objects: list[Object]) -> Iterator[str]:
-    """Classes that are named are there, and only actors stand back."""
+    """Checks that named priority classes exist and that only actors use one. Also checks spreads and role labels."""
     classes = {found["metadata"]["name"] for found in of_kind(objects, "PriorityClass")}
     used = {workload.name: workload.pod.get("priorityClassName") for workload in workloads(objects)}
     for name, chosen in used.items():

@@ -1,17 +1,17 @@
-"""What passed, what failed and why, and what could not be run."""
+"""Reports what passed, what failed and why, and what could not run."""
 
 from collections.abc import Iterable
 
 
 class Report:
-    """Prints each judgment as it is made and counts them."""
+    """Prints and counts the results of checks."""
 
     def __init__(self) -> None:
         self.n_passed = 0
         self.n_failed = 0
 
     def judge(self, what: str, complaints: Iterable[str]) -> None:
-        """`what` holds if there are no complaints."""
+        """Reports `what` as passed if there are no complaints."""
         found = list(complaints)
         if found:
             self.n_failed += 1
@@ -24,10 +24,10 @@ class Report:
 
     @staticmethod
     def skip(what: str, why: str) -> None:
-        """Says that nothing is known about `what`."""
+        """Reports that `what` was not checked."""
         print(f"not run {what}: {why}", flush=True)
 
     def close(self) -> int:
-        """Prints the sums; the exit status."""
+        """Prints the totals and returns the exit status."""
         print(f"{self.n_passed} passed, {self.n_failed} failed")
         return 1 if self.n_failed else 0

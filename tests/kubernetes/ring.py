@@ -1,6 +1,6 @@
-"""The pods of a run as processes of this machine: arguments, variables, Secrets and probes as they were rendered.
+"""Runs the pods of a run as local processes, with the rendered arguments, variables, Secrets, and probes.
 
-What a cluster adds is left out: its network (everything is on loopback), its users and its read-only root.
+Does not reproduce the cluster's network (everything is on loopback), users, or read-only root.
 """
 
 import copy
@@ -31,21 +31,21 @@ PAGE = re.compile(r"http://127\.0\.0\.1:\d+")
 
 
 def make_keys(binary: Path, folder: Path) -> None:
-    """Keys as docs/kubernetes.md has them made."""
+    """Creates keys as described in docs/kubernetes.md."""
     done = settings.call(binary, ["keys", "new", str(folder), "--host", "router"], {})
     if done.returncode != 0:
         raise SystemExit(f"`lodestone keys new` failed: {done.stderr.strip()}")
 
 
 def free_port() -> int:
-    """One that nobody has now. A router cannot say which it took, since its clients must know before."""
+    """Returns a free port. The router cannot choose one itself, because its clients must know the port beforehand."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return int(listener.getsockname()[1])
 
 
 def mount(secret: Object, folder: Path) -> None:
-    """Lays the files as the kubelet does: behind two symbolic links, readable to owner and group."""
+    """Lays out the files like the kubelet: behind two symbolic links, readable by owner and group."""
     version = folder / "..2026"
     version.mkdir(parents=True)
     (folder / "..data").symlink_to(version.name)
@@ -57,7 +57,7 @@ def mount(secret: Object, folder: Path) -> None:
 
 @dataclass
 class Pod:
-    """One pod, which may be ended and begun again with the same volumes."""
+    """One pod, which can be stopped and restarted with the same volumes."""
 
     binary: Path
     workload: Workload
@@ -80,7 +80,7 @@ class Pod:
         return (self.folder / "log").read_text(errors="replace")
 
     def start(self) -> None:
-        """As a container that has just been made."""
+        """Starts the process like a new container."""
         others = {name: value for name, value in os.environ.items() if not name.startswith("LODESTONE_")}
         with (self.folder / "log").open("ab") as log:
             self.process = subprocess.Popen(
@@ -93,7 +93,7 @@ class Pod:
             )
 
     def complaint(self, probe: str) -> str | None:
-        """What a probe says against the pod."""
+        """Runs a probe and returns its complaint, or None if it passes."""
         if not self.is_running:
             return f"{self.name}: is not running; it said {self.log[-600:]!r}"
         command = self.container[probe]["exec"]["command"]
@@ -101,13 +101,13 @@ class Pod:
         return None if done.returncode == 0 else f"{self.name}: {probe}: {(done.stdout + done.stderr).strip()}"
 
     def peak_mb(self) -> float:
-        """Most memory that the process has had."""
+        """Returns the peak memory of the process."""
         assert self.process is not None
         status = Path(f"/proc/{self.process.pid}/status").read_text()
         return int(re.findall(r"VmHWM:\s+(\d+) kB", status)[0]) / 1000
 
     def stop(self) -> str | None:
-        """SIGTERM as at the end of a pod; a complaint if it does not end well within its grace period."""
+        """Sends SIGTERM as on pod deletion. Returns a complaint unless the process exits with 0 in its grace period."""
         if self.process is None or self.process.poll() is not None:
             return f"{self.name}: had ended before; it said {self.log[-600:]!r}"
         grace_s = self.workload.pod["terminationGracePeriodSeconds"]
@@ -119,14 +119,14 @@ class Pod:
         return None if status == 0 else f"{self.name}: exit {status} after SIGTERM; it said {self.log[-600:]!r}"
 
     def kill(self) -> None:
-        """For the end of the check, whatever happened."""
+        """Kills the process if it is still running, for cleanup."""
         if self.process is not None and self.process.poll() is None:
             self.process.kill()
             self.process.wait()
 
 
 def pods_of(objects: list[Object], kubectl: str, binary: Path, scratch: Path) -> dict[str, Pod]:
-    """One pod of each role, ready to start."""
+    """Creates one pod per role, ready to start."""
     objects = copy.deepcopy(objects)
     of_kind(objects, "ConfigMap")[0]["data"] |= RUN
     secrets = {secret["metadata"]["name"]: secret for secret in keys.make(kubectl, scratch / "keys")}
@@ -148,7 +148,7 @@ def pods_of(objects: list[Object], kubectl: str, binary: Path, scratch: Path) ->
 
 
 def placer(folder: Path, port: int) -> Callable[[str], str]:
-    """Puts the pod's folders and the loopback in the place of what a cluster has."""
+    """Returns a function that replaces the cluster's paths and addresses with the pod's folders and loopback."""
 
     def place(text: str) -> str:
         text = re.sub(r"^quic/(0\.0\.0\.0|router):7447$", f"quic/127.0.0.1:{port}", text)
@@ -159,7 +159,7 @@ def placer(folder: Path, port: int) -> Callable[[str], str]:
 
 
 def until(holds: Callable[[], bool]) -> bool:
-    """Asks again and again, as the kubelet does with probes; whether it came to hold before the deadline."""
+    """Polls like the kubelet does with probes. Returns whether the condition held before the deadline."""
     end = time.monotonic() + DEADLINE_S
     while not holds():
         if time.monotonic() > end:
@@ -169,7 +169,7 @@ def until(holds: Callable[[], bool]) -> bool:
 
 
 def wait(pods: list[Pod], probe: str) -> list[str]:
-    """What a probe still says when all pods are well, one has ended or time is up."""
+    """Waits until the probe passes for all pods, one has exited, or time is up. Returns the remaining complaints."""
     left: list[str] = []
 
     def is_over() -> bool:
@@ -181,7 +181,7 @@ def wait(pods: list[Pod], probe: str) -> list[str]:
 
 
 def answer_of(address: str, headers: dict[str, str]) -> int | str:
-    """The status of an answer, or why there is none."""
+    """Returns the HTTP status of the response, or the reason why there is none."""
     try:
         with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
             return int(answer.status)
@@ -192,7 +192,7 @@ def answer_of(address: str, headers: dict[str, str]) -> int | str:
 
 
 def page_complaints(pod: Pod) -> Iterator[str]:
-    """Anybody may ask whether the page is there, and whoever has the token for what is on it."""
+    """Checks that `/healthz` is open to everyone and that the metrics require the token."""
     address = PAGE.search(pod.log)
     if address is None:
         yield f"the evaluator does not say where its page is: {pod.log[-600:]!r}"
@@ -210,7 +210,7 @@ def page_complaints(pod: Pod) -> Iterator[str]:
 
 
 def memory_complaints(pods: list[Pod]) -> Iterator[str]:
-    """Prints what each took, which must be below its limit."""
+    """Prints the peak memory of each process and checks that it is below the limit."""
     for pod in pods:
         if complaint := pod.complaint("livenessProbe"):
             yield complaint
@@ -224,19 +224,19 @@ def memory_complaints(pods: list[Pod]) -> Iterator[str]:
 
 
 def saved(pod: Pod) -> list[int]:
-    """Environment steps after which the learner's checkpoints were written."""
+    """Returns the environment steps of the learner's checkpoints, in order."""
     folder = pod.folder / "runs" / RUN["LODESTONE_RUN"] / "checkpoints"
     return sorted(int(path.name.removeprefix("step-")) for path in folder.glob("step-*"))
 
 
 def n_updates(learner: Pod) -> int:
-    """Updates that stand in the run's metrics."""
+    """Returns the number of updates in the run's metrics."""
     file = learner.folder / "runs" / RUN["LODESTONE_RUN"] / "metrics.jsonl"
     return file.read_text().count("\n") if file.exists() else 0
 
 
 def learned(learner: Pod) -> str | None:
-    """A complaint if no update is added."""
+    """Waits for another update and returns a complaint if there is none."""
     before = n_updates(learner)
     is_added = until(lambda: n_updates(learner) > before or not learner.is_running)
     if is_added and learner.is_running:
@@ -245,7 +245,7 @@ def learned(learner: Pod) -> str | None:
 
 
 def carried_on(learner: Pod) -> Iterator[str]:
-    """A learner that is ended and begun again finds its run and takes it further."""
+    """Checks that a restarted learner finds its run and continues it."""
     for complaint in (learned(learner), learner.stop()):
         if complaint:
             yield complaint
@@ -260,7 +260,7 @@ def carried_on(learner: Pod) -> Iterator[str]:
 
 
 def at_an_end(learner: Pod) -> Iterator[str]:
-    """A run that has its steps is over: the learner ends well, as often as it is started."""
+    """Checks that the learner of a finished run exits with 0 every time it is started."""
     for _ in range(2):
         done = settings.call(learner.binary, learner.words, {**learner.found, "LODESTONE_STEPS": "1"})
         if done.returncode != 0:
@@ -268,9 +268,9 @@ def at_an_end(learner: Pod) -> Iterator[str]:
 
 
 def judge(report: Report, kubectl: str, binary: Path, objects: list[Object], scratch: Path) -> None:
-    """A run from its first probe to its end."""
+    """Checks a run from its first probe to its end."""
     pods = pods_of(objects, kubectl, binary, scratch)
-    # The router comes last: in a cluster nobody waits for anybody.
+    # The router starts last, because pods in a cluster start in any order.
     order = [pods[role] for role in ("actor", "evaluator", "learner", "router")]
     try:
         for pod in order[:-1]:
@@ -299,7 +299,7 @@ def judge(report: Report, kubectl: str, binary: Path, objects: list[Object], scr
         report.judge("as processes: all are ready again", wait(order, "readinessProbe"))
         report.judge("as processes: memory stays below the limits", memory_complaints(order))
         ends = [pod.stop() for pod in order[:-1]]
-        # Not before, because the run remembers how many steps it was given.
+        # Runs last, because the run stores the number of steps it is given.
         report.judge("as processes: a learner whose run has its steps ends well", at_an_end(pods["learner"]))
         ends.append(order[-1].stop())
         report.judge("as processes: all end well within their grace periods", filter(None, ends))

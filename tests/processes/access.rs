@@ -1,4 +1,4 @@
-//! Who gets in, and what they may do there: honest members with keys, and clients in Python that try everything else.
+//! Access control: honest members with keys can join a run, and Python clients try everything that is forbidden.
 
 use std::fs;
 use std::net::UdpSocket;
@@ -10,22 +10,22 @@ use crate::support::judges::{python, told_by_script};
 use crate::support::program::lodestone;
 use serde_json::{Value, json};
 
-/// Longest time that anything here may take.
+/// Time limit for every wait.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A process that does not outlive its test.
+/// A process that is killed when dropped.
 struct Process(Child);
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Both fail only for a process that has ended already, which is what is wanted.
+        // Both calls fail only if the process has already exited, which is fine.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
 impl Process {
-    /// Resident memory, bytes.
+    /// Resident memory in bytes.
     fn memory(&self) -> u64 {
         let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
         let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
@@ -33,7 +33,7 @@ impl Process {
     }
 }
 
-/// A ring with keys.
+/// A router with keys, which members can join.
 struct Ring {
     folder: tempfile::TempDir,
     endpoint: String,
@@ -46,7 +46,7 @@ impl Ring {
         for keys in ["keys", "strangers"] {
             assert!(quiet(folder.path(), &["keys", "new", keys]).status().unwrap().success());
         }
-        // A port that was free a moment ago; members retry until the router listens there.
+        // This port was free a moment ago. Members retry until the router listens on it.
         let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let endpoint = format!("quic/127.0.0.1:{port}");
         let router = quiet(folder.path(), &["router", "--listen", &endpoint, "--keys", "keys"]).spawn().unwrap();
@@ -62,22 +62,22 @@ impl Ring {
         Process(quiet(self.folder.path(), &shared).args(args).spawn().unwrap())
     }
 
-    /// The newest line that the learner has written about its updates, once there is one.
+    /// The newest line that the learner has written about its updates, if any.
     fn newest_update(&self) -> Option<Value> {
         let lines = fs::read_to_string(self.path("run/metrics.jsonl")).ok()?;
         lines.lines().rev().find_map(|line| serde_json::from_str(line).ok())
     }
 
-    /// Waits for an update after which `holds`.
+    /// Waits for an update for which `holds` returns true.
     fn update_after_which(&self, holds: impl Fn(&Value) -> bool) -> Value {
         until("an update", || {
-            // Returns when the run has said something, so that this does not spin.
+            // Returns once the run has published something, so this loop does not spin.
             self.watch();
             self.newest_update().filter(&holds)
         })
     }
 
-    /// What a viewer sees.
+    /// The output of `watch` with the viewer's keys.
     fn watch(&self) -> String {
         let mut command =
             quiet(self.folder.path(), &["watch", "--once", "--connect", &self.endpoint, "--keys", "keys"]);
@@ -92,7 +92,7 @@ fn quiet(folder: &Path, args: &[&str]) -> Command {
     command
 }
 
-/// Asks until there is an answer.
+/// Calls `ask` until it returns a value.
 fn until<T>(what: &str, mut ask: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
@@ -112,7 +112,7 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
     let Some(python) = python() else { return };
     let ring = Ring::start();
     let learner = ring.member("learner", &["--keys", "keys", "--run-dir", "run"]);
-    // One role's folder is enough for it.
+    // The folder of its own role is all that an actor needs.
     let _actor = ring.member("actor", &["--keys", "keys/actor", "--id", "honest"]);
     let _evaluator = ring.member("evaluator", &["--keys", "keys"]);
     ring.update_after_which(|update| count(update, "/ingest/accepted_total") > 0);
@@ -135,7 +135,7 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
     {
         assert_eq!(report[who], gets_in, "{who}");
     }
-    // What each role may read, is answered, and puts; nobody believes its answers.
+    // For each role, the keys that it can read, query, and put. No process accepts its replies.
     for (role, read, asked, put) in [
         ("viewer", json!(["metrics/**", "**"]), json!(["metrics/learner", "history/eval"]), json!([])),
         (
@@ -154,27 +154,28 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
         ("mixed", json!([]), json!([]), json!([])),
     ] {
         let attack = &report["attacks"][role];
-        // It reads only what somebody says meanwhile, and is heard only by who is known to the router by then.
+        // A client reads only what is published meanwhile, and its puts reach only subscribers that the router already
+        // knows.
         for (found, allowed) in [(&attack["read"], &read), (&attack["put"], &put)] {
             let allowed = allowed.as_array().unwrap();
             assert!(found.as_array().unwrap().iter().all(|key| allowed.contains(key)), "{role}: {found}");
         }
         assert_eq!([&attack["asked"], &attack["believed"]], [&asked, &json!([])], "{role}");
     }
-    // Every message of the flood was answered, counted by the learner, and kept by nobody.
+    // Every message of the flood was answered, counted by the learner, and discarded.
     assert_eq!(report["flood_answered"], report["n_flood"]);
     let n_flood = report["n_flood"].as_u64().unwrap();
     let update = ring.update_after_which(|update| count(update, "/ingest/invalid_total") >= n_flood);
     let verdicts = update["ingest"].as_object().unwrap().iter().filter(|(name, _)| *name != "received_total");
     let n_verdicts: u64 = verdicts.map(|(_, n)| n.as_u64().unwrap()).sum();
-    // Those that wait in the queue have no verdict yet.
+    // Messages waiting in the queue have no verdict yet.
     let n_received = count(&update, "/ingest/received_total");
     assert!((n_verdicts..=n_verdicts + 256).contains(&n_received), "{n_received} received, {n_verdicts} verdicts");
     for (before, process) in memory.into_iter().zip([&ring.router, &learner]) {
         let grown = process.memory().saturating_sub(before);
         assert!(grown < 300 << 20, "{grown} bytes");
     }
-    // The training went on meanwhile, and goes on.
+    // The training went on during the attacks, and still does.
     let n_steps = count(&update, "/n_env_steps");
     ring.update_after_which(|update| count(update, "/n_env_steps") > n_steps);
 }

@@ -1,10 +1,10 @@
-//! `bench actors` on a small scale: what both ends count, whatever the machine's speed.
+//! `bench actors` on a small scale: the counts of both ends, independent of the machine's speed.
 
 use serde_json::Value;
 
 use crate::support::program::lodestone;
 
-/// Runs 20 actors of the smallest configuration for two seconds.
+/// Runs 20 actors of the smallest preset for two seconds.
 fn measure(args: &[&str]) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let common = ["bench", "actors", "--preset", "near-goal", "--actors", "20", "--for", "2", "--json"];
@@ -19,7 +19,7 @@ fn check(report: &Value) {
     assert_eq!((&report["n_actors"], &report["n_segments"]), (&Value::from(20), &both["acked"]));
     assert!(report["n_steps"].as_u64().unwrap() > 0, "{report}");
     assert_eq!(report["counts"]["invalid_total"], 0, "{report}");
-    // The ingest, its mailbox and the updates tell the same story.
+    // The counts of the ingest and its mailbox agree.
     let (ingest, mailbox) = (&report["ingest"]["ingest"], &report["ingest"]["mailbox"]);
     assert_eq!(ingest["accepted_total"], mailbox["accepted_total"]);
     for role in ["router", "ingest", "actors"] {

@@ -1,4 +1,5 @@
-//! The page in a real browser, over a real run: its numbers are those that were recorded, it lives, it plays, it comes back.
+//! The web page in a real browser, with a real run: it shows the recorded numbers, updates live, plays episodes, and
+//! reconnects.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -13,18 +14,18 @@ use runlog::Pass;
 use runlog::{History, RunPaths};
 use serde_json::{Value, json};
 
-/// What a page may cost before its history, bytes.
+/// Maximum size of the page without its history, in bytes.
 const MAX_PAGE_BYTES: u64 = 300_000;
 
-/// The right arrow key in the protocol's private code points.
+/// The right arrow key, as a private-use code point of the WebDriver protocol.
 const RIGHT: &str = "\u{e014}";
 
-/// The enter key, likewise.
+/// The Enter key, likewise.
 const ENTER: &str = "\u{e007}";
 
-/// A run, its page in a browser, and the line between them.
+/// A run, a browser that shows its page, and the connection between them.
 struct Watched {
-    // In this order they end.
+    // Fields are dropped in this order.
     browser: Browser,
     line: Line,
     _run: crate::support::served::Process,
@@ -32,14 +33,14 @@ struct Watched {
 }
 
 impl Watched {
-    /// `None` where `LODESTONE_CHROMEDRIVER` names no driver; `.ci/run` installs one.
+    /// Returns `None` if `LODESTONE_CHROMEDRIVER` names no driver; `.ci/run` installs one.
     fn start() -> Option<Self> {
         let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else {
             eprintln!("LODESTONE_CHROMEDRIVER names no chromedriver, so no browser looked at the page");
             return None;
         };
         let folder = tempfile::tempdir().unwrap();
-        // What it prints goes nowhere; it does not mind.
+        // Its output is dropped; the run continues with a closed stdout.
         let (run, _, address) = crate::support::served::endless(folder.path());
         let line = Line::to(&address);
         let browser = Browser::start(&driver, folder.path());
@@ -51,33 +52,33 @@ impl Watched {
         History::read(&RunPaths::new(self.folder.path().join("run")).history()).unwrap()
     }
 
-    /// Version of the weights of the newest evaluation that is shown, once it is beyond `version`.
+    /// Waits for the page to show an evaluation of weights newer than `version`; returns their version.
     fn judged_after(&self, version: u64) -> u64 {
         let shown = "Number((/weights (\\d+)/.exec(document.querySelector('#groups caption')?.textContent) || [])[1])";
         self.browser.until(&format!("({shown}) > {version} && ({shown})")).as_u64().unwrap()
     }
 
-    /// What the page asked for since the last question.
+    /// The URLs that the page has requested since the last call.
     fn requests(&self) -> Vec<String> {
         let events = self.browser.log("performance").into_iter().map(|entry| {
             let event: Value = serde_json::from_str(entry["message"].as_str().unwrap()).unwrap();
             event["message"].clone()
         });
         let sent = events.filter(|event| event["method"] == "Network.requestWillBeSent");
-        // The browser's first tab has a page of its own, with files that come from no network.
+        // The browser's first tab has its own page, with files that do not come from the network.
         let is_ours = |event: &Value| !event["params"]["documentURL"].as_str().unwrap().starts_with("chrome:");
         let sent = sent.filter(is_ours);
         sent.map(|event| event["params"]["request"]["url"].as_str().unwrap().to_owned()).collect()
     }
 
-    /// Complaints in the console since the last question.
+    /// Warnings and errors in the console since the last call.
     fn complaints(&self) -> Vec<Value> {
         let entries = self.browser.log("browser").into_iter();
         entries.filter(|entry| entry["level"] == "SEVERE" || entry["level"] == "WARNING").collect()
     }
 }
 
-/// A rate as the page writes it.
+/// Formats a rate as the page does.
 fn percent(rate: f64) -> String {
     let digits = usize::from(rate > 0.0 && rate < 1.0);
     format!("{:.digits$} %", 100.0 * rate)
@@ -91,16 +92,16 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     let loaded = "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]
         .filter((entry) => !entry.name.includes('/api/')).map((entry) => entry.transferSize)";
     let sizes: Vec<u64> = serde_json::from_value(browser.run(&format!("return {loaded}"))).unwrap();
-    // The page, its style and its script; a browser without a window may leave out the icon.
+    // The page, its style sheet, and its script; a headless browser may skip the icon.
     assert!(sizes.len() >= 3 && sizes.iter().all(|size| *size > 0), "{sizes:?}");
     assert!(sizes.iter().sum::<u64>() < MAX_PAGE_BYTES, "{sizes:?}");
 
-    // A newer evaluation comes into the same document: a reload would lose the mark.
+    // A newer evaluation appears in the same document: a reload would lose the mark.
     browser.run("window.mark = true");
     watched.judged_after(first);
     assert_eq!(browser.run("return window.mark"), true);
 
-    // Read at one moment, because the next evaluation may come at any.
+    // Read everything in one script, because the next evaluation may arrive at any time.
     let shown = browser.run(
         "return [document.querySelector('#groups caption').textContent,
                  ...document.querySelector('#groups tbody tr:last-child').children].map((cell) => cell.textContent || cell)",
@@ -114,7 +115,7 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     let expected = ["all", "1", &percent(success.rate), &interval, "2", "–", "–", "–"];
     assert_eq!(shown[1..], expected, "{shown:?}");
 
-    // The heat map tells the same by keyboard.
+    // The heat map gives the same numbers to keyboard users.
     browser.element("#heat").press(RIGHT);
     let told = browser.text("#heat-cell");
     let is_told = |pass: &Pass| {
@@ -129,7 +130,7 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     assert_eq!(watched.complaints(), Vec::<Value>::new());
     let requests = watched.requests();
     let origin = format!("http://{}/", watched.line.address());
-    // Pages and pictures of the browser's own, as the tab that it opens with and the controls of films, go nowhere.
+    // The browser's own pages and pictures, such as its first tab and the controls of films, cause no network traffic.
     let is_own = |url: &str| ["data:", "chrome:", "chrome-untrusted:"].iter().any(|scheme| url.starts_with(scheme));
     let is_elsewhere = |url: &&String| !url.starts_with(&origin) && !is_own(url);
     let elsewhere: Vec<_> = requests.iter().filter(is_elsewhere).collect();
@@ -146,12 +147,13 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     let step = || browser.run("return Number(document.querySelector('#replay-slider').value)").as_u64().unwrap();
     let says =
         |words: &str| browser.until(&format!("document.querySelector('#replay-play').textContent === {words:?}"));
-    // It plays by itself, and stops at the end.
+    // The episode plays by itself and stops at the end.
     says("Play");
     let n_steps = step();
     assert!(browser.text("#replay-text").starts_with(&format!("step {n_steps} of {n_steps}, ")));
 
-    // The scrubber goes back to the start, where no reward was earned yet; at the end the terms make up the whole.
+    // The slider goes back to the start, where no reward has been earned yet; at the end, the terms add up to the
+    // total.
     let scrub = |to: u64| {
         browser.run(&format!(
             "const slider = document.querySelector('#replay-slider');
@@ -168,12 +170,12 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     assert_eq!(browser.run("return document.querySelectorAll('#replay-terms polyline').length"), 6);
     assert_eq!(scrub(0), [0.0; 6]);
 
-    // From far away, because a policy that has learned nothing throws blocks out of the picture.
+    // Zoom out first, because an untrained policy throws blocks out of the picture.
     let near = picture();
     browser.element("#replay").press("--------");
     let first = picture();
     assert_ne!(first, near);
-    // The first step puts frames around what the grippers take.
+    // The first step draws frames around the blocks that the grippers pick up.
     browser.element("#replay-forth").click();
     assert_eq!(step(), 1);
     assert_ne!(picture(), first);
@@ -192,7 +194,7 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     assert_eq!(watched.complaints(), Vec::<Value>::new());
 }
 
-/// `play` of such goals in `folder`, and its page in a browser; `None` where there is no driver.
+/// Starts `play` with these goals in `folder`, and opens its page in a browser; `None` if there is no driver.
 fn played(folder: &Path, goals: &[&str]) -> Option<(Browser, Process)> {
     let driver = std::env::var_os("LODESTONE_CHROMEDRIVER")?;
     let mut command = lodestone(folder);
@@ -205,8 +207,9 @@ fn played(folder: &Path, goals: &[&str]) -> Option<(Browser, Process)> {
     Some((browser, playing))
 }
 
-/// How many blocks that stand or are held are outside of the box that the camera looks at, in all scenes of the episode; how
-/// much longer that box is than the structure in the end, meters; and the share of half the picture's sides that it takes.
+/// Returns three numbers: how many blocks that are in place or held lie outside the camera's box, over all scenes of
+/// the episode; how much larger the final box is than the structure, in meters; and how much of the picture's half
+/// width or height that box fills.
 const CAMERA: &str = "
     const { scenes, goal } = replay.episode;
     const isBuilt = (scene, block, pose) => apart3(scene.blocks[block], placed(scene.goal_frame, pose)) < 0.02;
@@ -226,7 +229,7 @@ const CAMERA: &str = "
     return [lost.length, apart3(...box) - length, Math.max(...seen.flatMap(({ x, y }) => [Math.abs(x), Math.abs(y)]))];
 ";
 
-/// What the console of a page complains about.
+/// Errors in the page's console.
 fn errors(browser: &Browser) -> Vec<Value> {
     browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE").collect()
 }
@@ -235,7 +238,7 @@ fn errors(browser: &Browser) -> Vec<Value> {
 fn play_opens_with_a_structure_being_built() {
     let folder = tempfile::tempdir().unwrap();
     let Some((browser, _playing)) = played(folder.path(), &["2_000"]) else { return };
-    // Nobody has to press anything, and there is nothing about a training.
+    // The page starts without a click and shows nothing about a training.
     browser.until("!document.querySelector('#replay-player').hidden && replay.time > 0");
     let note = |words: &str| {
         browser.until(&format!("document.querySelector('#replay-note').textContent.startsWith({words:?})"));
@@ -243,23 +246,23 @@ fn play_opens_with_a_structure_being_built() {
     note("The policy builds ");
     assert!(browser.text("#replay-note").contains("(2_000), start 1"), "{}", browser.text("#replay-note"));
     assert_eq!(browser.run("return document.querySelector('#learner, #members, #dropped')"), Value::Null);
-    // It would go on by itself while the rest is looked at.
+    // Otherwise the page would move on by itself during the checks below.
     browser.element("#stage-onward").click();
     browser.element("#stage-again").click();
     browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 2')");
     browser.element("#stage-agent input[value=expert]").click();
     note("The expert builds ");
-    // The note comes before the episode.
+    // The note appears before the episode.
     browser.until("replay.episode.actor === 'expert' && !replay.playing && replay.time >= replay.n");
     assert_eq!(browser.text("#replay-play"), "Play");
     assert!(browser.text("#replay-text").ends_with("success"), "{}", browser.text("#replay-text"));
-    // What is built is in the picture all the time, and fills it in the end.
+    // The structure stays in the picture the whole time and fills it at the end.
     let camera = browser.run(CAMERA);
     assert_eq!(camera[0], 0, "{camera}");
     assert!(camera[1].as_f64().is_some_and(|more_m| more_m < 0.5), "{camera}");
     assert!(camera[2].as_f64().is_some_and(|share| (0.4..=1.0).contains(&share)), "{camera}");
 
-    // The gallery has every blueprint, finds some, and leads to one.
+    // The gallery shows every blueprint, can be searched, and opens a blueprint.
     browser.element("#stage-choose").click();
     let n_blueprints = Catalog::builtin().len();
     browser.until(&format!("document.querySelectorAll('#gallery button img').length === {n_blueprints}"));
@@ -268,7 +271,7 @@ fn play_opens_with_a_structure_being_built() {
     browser.until("document.querySelector('#gallery img').naturalWidth === 200");
     browser.element("#gallery .gallery button").click();
     browser.until("document.querySelector('#replay-note').textContent.includes('(16_002), start 1')");
-    // What stands there may stay.
+    // The structure that stands there can be kept.
     browser.element("#stage-keep").click();
     browser.element("#stage-next").click();
     browser.until("document.querySelector('#replay-note').textContent.includes('(2_000), start 1, goal 2 of 10')");
@@ -280,7 +283,7 @@ fn play_opens_with_a_structure_being_built() {
 #[test]
 fn what_is_drawn_is_checked_and_built() {
     let folder = tempfile::tempdir().unwrap();
-    // A file of one's own, which no evaluator knows.
+    // A user's own file, which no evaluator knows.
     let own = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test").replace("2_000", "2_900");
     std::fs::write(folder.path().join("own.toml"), own).unwrap();
     let Some((browser, _playing)) = played(folder.path(), &["--blueprint", "own.toml"]) else { return };
@@ -288,16 +291,16 @@ fn what_is_drawn_is_checked_and_built() {
         |words: &str| browser.until(&format!("document.querySelector('#draw-say').textContent.includes({words:?})"));
     browser.until("document.querySelector('#replay-note').textContent.includes('(2_900), start 1')");
     browser.element("#draw-open").click();
-    // The middle of the canvas is that of the grid.
+    // The center of the canvas is the center of the grid.
     browser.until("document.querySelector('#draw-palette [data-type=\"2x1x1\"]')");
     browser.element("#draw-palette [data-type='2x1x1']").click();
     browser.element("#draw-canvas").click();
     browser.until("editor.blocks.length === 1 && editor.found.blocks");
-    // Without a pointer, a block goes onto the one before.
+    // With the keyboard, a block goes on top of the previous one.
     browser.element("#draw-palette [data-type='1x1x1']").click();
     browser.element("#draw-canvas").press(ENTER);
     says("2 blocks, 1 connection. It can be built.");
-    // Upside down, like poles meet.
+    // Upside down, like poles face each other.
     browser.element("#draw-canvas").press("tt");
     browser.until("document.querySelector('#draw-problems').textContent.includes('repel each other: like poles meet')");
     assert_eq!(browser.run("return document.querySelector('#draw-expert').disabled"), true);
@@ -330,13 +333,13 @@ fn a_film_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
         ));
         picture()
     };
-    // From far away, so that the goal is in the picture wherever it is being built.
+    // Zoom out, so that the goal is in the picture wherever it is being built.
     browser.element("#replay").press("--------");
     let with_goal = picture();
     browser.element("#replay-ghost").click();
     let plain = picture();
     assert_ne!(plain, with_goal);
-    // A row for each of the two blocks, and one for all others; and a column for each scene.
+    // One row for each of the two blocks and one for all others, and one column per scene.
     let shaded = choose("layer 1, head 1");
     assert_ne!(shaded, plain);
     assert_ne!(choose("gripper 2"), plain);
@@ -359,13 +362,13 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     browser.run("window.mark = true");
     watched.line.cut();
     state("reconnecting");
-    // What was known stays in sight.
+    // What was already shown stays visible.
     assert!(browser.text("#groups caption").contains("weights"));
     watched.line.mend();
     state("live");
     watched.judged_after(before);
     assert_eq!(browser.run("return window.mark"), true);
-    // The browser itself reports what it could not load; the page has nothing to add.
+    // The browser itself logs what it could not load; the page must not log anything else.
     let complaints = watched.complaints();
     assert!(complaints.iter().all(|entry| entry["source"] == "network"), "{complaints:?}");
 }
@@ -379,7 +382,7 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     browser.until("!document.querySelector('#replay-player').hidden");
     browser.element("#draw-open").click();
     browser.until("document.querySelector('#draw-palette button')");
-    // Without news nothing is drawn anew, so that elements stay until they are looked at.
+    // Without new data, nothing is redrawn, so elements stay valid while they are checked.
     watched.line.cut();
     browser.until("document.querySelector('#state').textContent === 'reconnecting'");
     let named =

@@ -1,10 +1,10 @@
-//! What the real program answers to wrong use: the culprit, what would be valid, and the exit code.
+//! How the program responds to misuse: it names what is wrong and what would be valid, and exits with the right code.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-/// Runs `lodestone` in `folder` with nothing of ours in its environment but `variables`.
+/// Runs `lodestone` in `folder` without the caller's `LODESTONE_*` variables and `RUST_LOG`, but with `variables`.
 fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
     command.args(args).current_dir(folder);
@@ -14,7 +14,7 @@ fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output
     command.envs(variables.iter().copied()).output().unwrap()
 }
 
-/// Expects the exit code and all of `words` on stderr.
+/// Expects this exit code and all of `words` on stderr.
 fn check_refused(args: &[&str], variables: &[(&str, &str)], file: Option<&str>, code: i32, words: &[&str]) {
     let folder = tempfile::tempdir().unwrap();
     if let Some(text) = file {
@@ -150,7 +150,7 @@ fn layers_are_put_over_each_other_in_order() {
     }
 }
 
-/// What `train --print-config` says with these arguments.
+/// The output of `train --print-config` with these arguments.
 fn printed(folder: &Path, args: &[&str]) -> toml::Table {
     let output = lodestone(folder, &[&["train", "--print-config"], args].concat(), &[]);
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
@@ -171,7 +171,7 @@ fn a_file_is_put_over_quickstart_and_a_whole_one_over_nothing() {
     let over_paper = with_file("seed = 7", &["--preset", "paper"]);
     assert_eq!(over_paper["learner"], printed(folder.path(), &["--preset", "paper"])["learner"]);
     assert_ne!(with_file("base = \"none\"", &[])["learner"], quickstart["learner"]);
-    // What one run wrote is what the next one has, whatever stands below.
+    // A complete configuration gives the same result whatever its base.
     let whole = with_file(&over_paper.to_string(), &[]);
     assert_eq!(whole, over_paper);
 }
@@ -210,7 +210,7 @@ fn an_interrupted_evaluation_says_what_it_has_found() {
     command.args(["expert", "eval", "2_000", "--episodes", "10000", "--json"]);
     let mut evaluation = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(evaluation.stderr.take().unwrap()).lines().map(Result::unwrap);
-    // Some episodes have ended.
+    // Wait until some episodes have ended.
     lines.find(|line| line.contains("of 10000 episodes")).unwrap();
     let killed = Command::new("kill").args(["-INT", &evaluation.id().to_string()]).status().unwrap();
     assert!(killed.success());
@@ -281,7 +281,7 @@ fn blueprints_are_drawn() {
     let mut names: Vec<String> = written.map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     assert_eq!(names, ["2_000.png", "6_005.png", "sheet.png"]);
-    // A PNG begins with its signature, 8 bytes about the header, and the width.
+    // A PNG begins with its signature, 8 bytes of chunk header, and the width.
     let card = std::fs::read(folder.path().join("new/pictures/6_005.png")).unwrap();
     assert_eq!((&card[..8], &card[16..20]), (&b"\x89PNG\r\n\x1a\n"[..], &320_u32.to_be_bytes()[..]));
 }
@@ -328,7 +328,7 @@ fn the_expert_is_judged_and_its_failures_are_explained() {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
     };
-    // A generated goal is as good as one of the catalog.
+    // A generated blueprint works like one from the catalog.
     let good = judge(&["2_000", "gen1-any-0_6_000"]);
     assert_eq!(good["blueprints"].as_array().unwrap().len(), 2);
     assert_eq!(good["groups"][0]["outcome"]["success"]["n_episodes"], 4);
@@ -342,7 +342,7 @@ fn the_expert_is_judged_and_its_failures_are_explained() {
     let replay = folder.path().join("why").join(causes[0]["replay"].as_str().unwrap());
     let replay = proto::codec::decode_trajectory(&std::fs::read(replay).unwrap()).unwrap();
     assert_eq!((replay.task.blueprint.as_str(), replay.transitions.len()), ("16_000", 5));
-    // A folder that is there already is not written into.
+    // An existing folder is not written to.
     let again = lodestone(folder.path(), &["expert", "eval", "2_000", "--explain", "why"], &[]);
     assert_eq!(again.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&again.stderr).contains("cannot make the folder why"));

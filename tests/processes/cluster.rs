@@ -1,4 +1,4 @@
-//! Router, learner, actors and evaluator as separate processes over TCP, killed and replaced while they work.
+//! Router, learner, actors, and evaluator as separate processes over TCP, killed and replaced while they work.
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
@@ -8,18 +8,18 @@ use std::process::{Child, Command, Stdio};
 use crate::support::judges::{python, told_by, told_by_script};
 use crate::support::program::{lodestone, n_saved_steps};
 
-/// The task of CI's learning test, saved often enough to be killed at any time.
+/// The task of CI's learning test, saved often enough that a process can be killed at any time.
 const TASK: [&str; 4] = ["--preset", "near-goal", "--set", "learner.checkpoints.every_updates=2"];
 
-/// Environment steps in which it is learned with room to spare.
+/// Environment steps that are more than enough to learn the task.
 const ENOUGH_STEPS: u64 = 200_000;
 
-/// A process that does not outlive its test.
+/// A process that is killed when dropped.
 struct Process(Child);
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Both fail only for a process that has ended already, which is what is wanted.
+        // Both calls fail only if the process has already exited, which is fine.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -34,7 +34,7 @@ struct Cluster {
 impl Cluster {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        // A port that was free a moment ago; members retry until the router listens there.
+        // This port was free a moment ago. Members retry until the router listens on it.
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let endpoint = format!("tcp/127.0.0.1:{port}");
         let router = command(folder.path()).args(["router", "--listen", &endpoint]).spawn().unwrap();
@@ -53,7 +53,7 @@ impl Cluster {
         Process(command.spawn().unwrap())
     }
 
-    /// Runs a learner until it has consumed `n_steps`; returns what the newest checkpoint holds.
+    /// Runs a learner until it has consumed `n_steps`; returns the steps of the newest checkpoint.
     fn learn(&self, source: [&str; 2], n_steps: u64) -> u64 {
         let steps = n_steps.to_string();
         let mut learner = self.member("learner", &[source[0], source[1], "--steps", &steps]);
@@ -64,7 +64,7 @@ impl Cluster {
         saved
     }
 
-    /// Success rate of the newest checkpoint, mode actions from starts near the goal.
+    /// Success rate of the newest checkpoint with greedy actions, from starts near the goal.
     fn success_rate(&self) -> f64 {
         let judged = lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]).output().unwrap();
         let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
@@ -91,13 +91,13 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     let saved = cluster.learn(["--run-dir", "run"], 2048);
     let untrained = cluster.success_rate();
 
-    // `kill` is SIGKILL: the actor has no chance to say goodbye.
+    // `kill` sends SIGKILL, so the actor cannot leave cleanly.
     first.0.kill().unwrap();
     first.0.wait().unwrap();
     let _late = cluster.member("actor", &["--id", "late"]);
     let saved = cluster.learn(["--resume", "run"], saved + 2048);
 
-    // A learner without end, killed after it has saved twice.
+    // A learner without a step limit, killed after it has saved twice.
     let mut endless = command(cluster.folder.path())
         .args(["learner", "--connect", &cluster.endpoint, "--resume", "run", "--steps", "1000000000"])
         .stderr(Stdio::piped())
@@ -110,7 +110,7 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     endless.0.wait().unwrap();
     let before = cluster.n_saved_steps();
     assert!(before >= saved + 2048, "{before}");
-    // How much is learned from a step depends on how the machine shares out its time, so there is some more time.
+    // How much is learned per step depends on how the machine schedules the processes, so allow more steps if needed.
     let mut n_steps = before.max(ENOUGH_STEPS);
     cluster.learn(["--resume", "run"], n_steps);
     let mut trained = cluster.success_rate();
@@ -152,7 +152,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let pass = history["passes"].as_array().unwrap().iter().find(|pass| version(pass)).unwrap();
     assert_eq!(pass["all"]["mode"], told["all"]["mode"]["success"]);
 
-    // Event files hold numbers with 24 bits.
+    // Event files store 32-bit floats.
     let same = |number: &serde_json::Value, recorded: &serde_json::Value| {
         assert_eq!(number.as_f64().unwrap() as f32, recorded.as_f64().unwrap() as f32);
     };
@@ -198,7 +198,7 @@ fn trackers_are_told_what_was_recorded() {
         updates.map(|line| serde_json::json!([line["n_env_steps"], line["ppo"]["entropy"]])).collect::<Vec<_>>()
     };
 
-    // As they come, beside what came last.
+    // Track live: values as they arrive, after the latest one of each key.
     let live = [&cluster.endpoint, "--run", "near-goal", "--to", "mlflow", "--config", "run/config.toml"];
     let mut listener = Process(track(&live).spawn().unwrap());
     let mut lines = BufReader::new(listener.0.stdout.take().unwrap()).lines().map(Result::unwrap);
@@ -217,7 +217,7 @@ fn trackers_are_told_what_was_recorded() {
     let (recorded, logged) = (updates(), kept["metrics"]["learner/ppo/entropy"].as_array().unwrap());
     assert!(!logged.is_empty() && logged.iter().all(|update| recorded.contains(update)), "{logged:?}: {recorded:?}");
 
-    // All that a run has left.
+    // Track everything that a finished run left behind.
     assert!(track(&["run", "--to", "wandb"]).status().unwrap().success());
     let kept = told("wandb", cluster.folder.path());
     assert_eq!(kept["config"]["bus"]["run"], "near-goal");

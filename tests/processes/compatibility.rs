@@ -1,4 +1,5 @@
-//! What an earlier version wrote is read by this one: a run's folder, with configuration, checkpoint, history and recordings.
+//! This version reads what an earlier version wrote: a run's folder with configuration, checkpoint, history, and
+//! recordings.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +8,7 @@ use serde_json::Value;
 
 use crate::support::program::{lodestone, n_saved_steps};
 
-/// A copy of the run of version 0.1.0 in `folder`, as its program left it.
+/// Copies the run that the program of version 0.1.0 left behind into `folder`.
 fn old_run(folder: &Path) -> PathBuf {
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden/run-0.1.0");
     let run = folder.join("run");
@@ -27,7 +28,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Stdout of a command that succeeds.
+/// Stdout of a command, which must succeed.
 fn output(folder: &Path, args: &[&str]) -> String {
     let output = lodestone(folder).args(args).output().unwrap();
     let (stdout, stderr) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8_lossy(&output.stderr));

@@ -1,4 +1,4 @@
-//! Films of a training, of its recordings, of a running actor and of what a network attends to.
+//! Films of a training, of its recordings, of a running actor, and of what a network attends to.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -8,7 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 use crate::support::judges::{python, told_by};
 use crate::support::program::lodestone;
 
-/// Small enough for seconds, with goals that stand but for one block, so that some episodes succeed.
+/// Settings small enough to run in seconds, with goals that lack only one block, so that some episodes succeed.
 const SMALL: [&str; 16] = [
     "--preset",
     "near-goal",
@@ -28,12 +28,12 @@ const SMALL: [&str; 16] = [
     "evaluator.films.fps=10",
 ];
 
-/// A process that does not outlive its test.
+/// A process that is killed when dropped.
 struct Process(Child);
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Both fail only for a process that has ended already, which is what is wanted.
+        // Both calls fail only if the process has already exited, which is fine.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -45,7 +45,7 @@ fn finished(command: &mut Command) -> Output {
     output
 }
 
-/// All files below a folder, in order.
+/// All files below a folder, sorted.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     let below = |path: PathBuf| if path.is_dir() { files(&path) } else { vec![path] };
@@ -54,7 +54,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     all
 }
 
-/// Steps of the episode of a film, as the program says them.
+/// Number of steps of a film's episode, as the program prints it.
 fn n_steps(printed: &Output, name: &str) -> u64 {
     let text = String::from_utf8_lossy(&printed.stdout);
     let line = text.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name} in {text}"));
@@ -72,7 +72,7 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     let mut lines = BufReader::new(training.0.stderr.take().unwrap()).lines().map(Result::unwrap);
     let filmed = lines.by_ref().find(|line| line.contains("a film of an evaluation"));
     assert!(filmed.is_some(), "the first pass has an end, whatever it is");
-    // Whoever does not read the log may hold the program up.
+    // A full pipe would block the program, so keep reading its log.
     let rest = std::thread::spawn(move || lines.count());
 
     let watched = ["render", "--connect", &endpoint, "--run", "near-goal", "--actor", "local", "--out", "live"];
@@ -92,7 +92,7 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     finished(lodestone(folder.path()).args(with_weights));
     assert!(fs::read(folder.path().join(format!("seen/{stem}-attention.png"))).unwrap().starts_with(b"\x89PNG"));
 
-    // A policy in a file is as good as its run, also for a page of its own.
+    // An exported policy works like its run, including in `play`.
     finished(lodestone(folder.path()).args(["export", "--checkpoint", "run", "--out", "policy.safetensors"]));
     let mut again = lodestone(folder.path());
     assert_eq!(
@@ -110,7 +110,7 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     assert_eq!(files(&folder.path().join("played/replays")).len(), 1);
 
     let Some(python) = python() else { return };
-    // 960 × 540 unless told otherwise; a tenth of a second for every step, the first scene, and 2 s of the last.
+    // 960 × 540 by default. A tenth of a second for every step and for the first scene, and 2 s for the last scene.
     let told = told_by(&python, "frames.py", &[&films[0].display().to_string()]);
     let expected = n_steps(&shown, &stem) + 1 + 20;
     assert_eq!(told, serde_json::json!({ "n_frames": expected, "size": [960, 540], "fps": 10.0 }));

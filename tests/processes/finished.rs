@@ -1,4 +1,4 @@
-//! The page over runs that have ended: several side by side, and a copy of it that any web server serves.
+//! The web page for finished runs: several side by side, and a static copy that any web server can serve.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -10,8 +10,8 @@ use crate::support::program::lodestone;
 use crate::support::served::{Process, get, train};
 use crate::support::webdriver::Browser;
 
-/// Two short runs, `first` and `second`, in the folder. So short a run may end before any evaluation but that of its last
-/// weights, which is not left out.
+/// Creates two short runs in the folder, `first` and `second`. A run this short may end before any evaluation except
+/// that of its last weights, so that one is enabled.
 fn train_two(folder: &Path) {
     for (name, seed) in [("first", "1"), ("second", "2")] {
         let mut command = lodestone(folder);
@@ -23,7 +23,7 @@ fn train_two(folder: &Path) {
     }
 }
 
-/// Starts what serves pages, and finds their address in what it prints.
+/// Starts a server of pages and finds its address in its output.
 fn serve(command: &mut Command, before: &str, after: &str) -> (Process, String) {
     let mut server = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
     let mut lines = BufReader::new(server.0.stdout.take().unwrap()).lines().map(Result::unwrap);
@@ -50,9 +50,9 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     let options =
         browser.run("return [...document.querySelectorAll('#run-name option')].map((one) => one.textContent)");
     assert_eq!(options, serde_json::json!(["first", "second"]));
-    // A curve for each run, in one picture.
+    // One curve per run, in one plot.
     browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
-    // The heat map opens what the evaluation recorded. Of evaluations that follow each other closely, the first is filmed.
+    // The heat map opens a recorded episode. Of evaluations in quick succession, only the first is filmed.
     let films: Value = serde_json::from_str(&get(address.strip_prefix("http://").unwrap(), "/api/films").1).unwrap();
     let filmed = &films["films"][0]["weights_version"];
     browser.until(&format!("heat.rows.length === 1 && heat.passes.some((pass) => pass.weights_version === {filmed})"));
@@ -60,7 +60,7 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     browser.run(&format!("heat.move({{ row: 0, column: {column} }}); heat.open()"));
     browser.until("!document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));
-    // Another episode is played on demand, by the policy of the run that is chosen.
+    // Other episodes are run on demand, by the policy of the selected run.
     browser.open(&format!("{address}/?run=1"));
     browser.until("document.querySelector('#run-name select')?.value === '1'");
     browser.element("#stage-next").click();
@@ -76,14 +76,14 @@ fn a_copy_of_the_page_works_from_any_web_server() {
     train_two(folder.path());
     let exported = lodestone(folder.path()).args(["serve", "first", "second", "--export", "copy"]).output().unwrap();
     assert!(exported.status.success(), "{}", String::from_utf8_lossy(&exported.stderr));
-    // One that knows nothing of us, and nothing but files.
+    // A plain file server that knows nothing about this program.
     let mut python = Command::new("python3");
     let files = python.args(["-u", "-m", "http.server", "--bind", "127.0.0.1", "0"]).current_dir(folder.path());
     let (_server, address) = serve(files, "(", "/)");
     let browser = Browser::start(&driver, folder.path());
     browser.open(&format!("{address}/copy/"));
     browser.until("document.querySelector('#state').textContent === 'a copy'");
-    // It opens with an episode, has the numbers, and has nothing that would need a program.
+    // The copy starts with an episode and shows the numbers, but has no controls that would need the program.
     browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
     assert_eq!(browser.run("return replay.episode.blueprint"), "2_000");
     browser.until("document.querySelector('#groups caption')?.textContent.includes('weights')");
@@ -92,7 +92,7 @@ fn a_copy_of_the_page_works_from_any_web_server() {
     browser.until("document.querySelector('#replay-note').textContent.startsWith('The expert builds ')");
     browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
     let seen = complaints(&browser);
-    // A browser asks every server for this picture.
+    // Browsers request this icon from every server.
     let others: Vec<&Value> = seen.iter().filter(|entry| !entry["message"].to_string().contains("favicon")).collect();
     assert_eq!(others, Vec::<&Value>::new());
 }

@@ -1,7 +1,8 @@
-//! The program `lodestone` as users and machines meet it: its command line, whole clusters, faults, its pages in a browser.
+//! The `lodestone` program as users and machines see it: its command line, whole clusters, failures, and its page in a
+//! browser.
 //!
-//! One binary instead of one per file: each would link burn, rapier and zenoh again. It is a target of the package `deploy`,
-//! because cargo tells only the tests of a program's own package where the program is.
+//! All tests share one binary, because each binary would link burn, rapier, and zenoh again. It is a target of the
+//! package `deploy`, because cargo sets the path of a program only for tests in the program's own package.
 
 #![allow(clippy::unwrap_used)]
 

@@ -1,4 +1,4 @@
-//! Recorded episodes: datasets for offline learning, and trajectories to be shown.
+//! Recorded episodes: datasets for offline learning, and trajectories for `render`.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;

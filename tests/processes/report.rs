@@ -1,4 +1,4 @@
-//! `report` on hand-made histories: what it leaves behind, and what it answers where there is nothing to draw.
+//! `report` on handmade histories: the files that it writes, and its errors when there is nothing to draw.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -16,7 +16,7 @@ fn report(folder: &Path, args: &[&str]) -> Output {
     command.arg("report").args(args).current_dir(folder).env_remove("RUST_LOG").output().unwrap()
 }
 
-/// One evaluation of two-block blueprints after each number of steps; all mode episodes succeed.
+/// Writes one evaluation of two-block blueprints after each number of steps; all greedy episodes succeed.
 fn write_run(run: &Path, ids: &[&str], steps: &[u64]) {
     let mut history = History::open(&RunPaths::new(run).history()).unwrap();
     for &n_env_steps in steps {
@@ -53,7 +53,7 @@ fn pictures_and_tables_are_written() {
     let output = report(folder.path(), &["run"]);
     let stdout = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // The evaluation at 900 steps was of weights that the run went back behind.
+    // The weights evaluated at 900 steps were discarded when the run resumed from an earlier checkpoint.
     for words in ["run: left out 1 evaluation", "3 evaluations of 2 blueprints drawn"] {
         assert!(stdout.contains(words), "no {words:?} in {stdout}");
     }
@@ -74,7 +74,7 @@ fn pictures_and_tables_are_written() {
     let written = names(&folder.path().join("new/pictures"));
     assert_eq!(written.iter().filter(|name| name.starts_with("difference.")).count(), 2, "{written:?}");
     let svg = std::fs::read_to_string(folder.path().join("new/pictures/difference.svg")).unwrap();
-    // Only the blueprint that both judged, and no difference: the middle of the colors.
+    // Only the blueprint that both runs evaluated, without a difference: the middle of the color scale.
     assert!(svg.contains("2_001") && !svg.contains("2_000") && svg.contains("#f7f7f7"), "{svg}");
     assert!(svg.contains("at most 10 environment steps apart"), "{svg}");
 
@@ -92,7 +92,7 @@ fn what_cannot_be_drawn_is_named_with_what_to_do() {
     write_run(&path("strange"), &["2_001"], &[0]);
     write_run(&path("empty"), &[], &[]);
     write_run(&path("newer"), &["2_000"], &[0]);
-    // The header of an SQLite file has the user version at byte 60, big endian.
+    // The header of an SQLite file holds the user version at byte 60, in big-endian order.
     let mut bytes = std::fs::read(RunPaths::new(path("newer")).history()).unwrap();
     bytes[60..64].copy_from_slice(&9_u32.to_be_bytes());
     std::fs::write(RunPaths::new(path("newer")).history(), bytes).unwrap();

@@ -1,4 +1,4 @@
-//! A run that is started again by somebody who does not know how it ended.
+//! Restarting a run without knowing how it ended.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 
 use crate::support::program::{lodestone, n_saved_steps};
 
-/// Always the same command, as a supervisor has it; checkpoints come often enough to be killed between any two.
+/// The one command that a supervisor would run. Every update is saved, so the run can be killed at any time.
 const COMMAND: [&str; 10] = [
     "train",
     "--preset",
@@ -21,12 +21,12 @@ const COMMAND: [&str; 10] = [
     "evaluator.evaluate_last=false",
 ];
 
-/// A process that does not outlive its test.
+/// A process that is killed when dropped.
 struct Process(Child);
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Both fail only for a process that has ended already, which is what is wanted.
+        // Both calls fail only if the process has already exited, which is fine.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -38,7 +38,7 @@ fn train(folder: &Path) -> Command {
     command
 }
 
-/// A training that has saved `n` times since it was started.
+/// Starts a training and waits until it has saved `n` times.
 fn trained(folder: &Path, n: usize) -> Process {
     let mut training = Process(train(folder).args(["--steps", "1000000000"]).spawn().unwrap());
     let lines = BufReader::new(training.0.stderr.as_mut().unwrap()).lines();
@@ -59,7 +59,7 @@ fn one_command_starts_a_run_and_continues_it_after_a_kill() {
     let meta: serde_json::Value = serde_json::from_slice(&fs::read(run.join("meta.json")).unwrap()).unwrap();
     assert_eq!(meta["resumed_from"], "run");
 
-    // One that has its steps ends at once, and well.
+    // A run that already has its steps ends at once, and successfully.
     let ended = train(folder.path()).args(["--steps", "1"]).output().unwrap();
     assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
 }
@@ -103,7 +103,7 @@ fn a_start_that_cannot_be_made_changes_nothing() {
         let said = String::from_utf8_lossy(&ended.stderr);
         assert!(ended.status.code() == Some(code) && said.contains(words), "{:?}: {said}", ended.status);
     };
-    // Other goals, another network, and a policy that has other inputs than the run that is to start from it.
+    // Other goals, another network, and a policy with other inputs than the run that would start from it.
     refused(&["--resume", "run", "--blueprint", "6_005"], 2, "goes on with the goals that it began with");
     refused(&["--resume", "run", "--set", "policy.network.width=16"], 66, "does not fit this learner");
     refused(&["--init-from", "run", "--preset", "quickstart", "--run-dir", "other"], 66, "does not fit");

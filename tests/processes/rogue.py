@@ -1,9 +1,10 @@
-"""Attacks a router with the keys of each role, with a stranger's and with none, and prints as JSON what got through.
+"""Attacks a router with each role's keys, with a stranger's keys, and with none, and prints what got through as JSON.
 
 Usage: rogue.py ENDPOINT KEYS STRANGERS_KEYS RUN
 
-KEYS is the folder that `lodestone keys new` made for the router at ENDPOINT, STRANGERS_KEYS one of another authority.
-Everything that is sent begins with a marker; witnesses with honest keys count on which keys they see it.
+KEYS is the folder that `lodestone keys new` created for the router at ENDPOINT. STRANGERS_KEYS is one from another
+authority. Every payload starts with a marker. Witnesses with legitimate keys record the bus keys on which they receive
+it.
 """
 
 import json
@@ -16,9 +17,9 @@ import zenoh
 MARKER = b"rogue"
 LARGE = 50_000_000
 N_FLOOD = 2_000
-#: Longest time that a session may take to open, milliseconds.
+#: Timeout for opening a session, in milliseconds.
 OPENING_MS = 4_000
-#: Longest time that an answer may take, seconds.
+#: Timeout for a reply, in seconds.
 PATIENCE_S = 10.0
 
 TARGETS = {
@@ -31,7 +32,7 @@ TARGETS = {
 
 
 def config(endpoint: str, keys: Path | None, role: str) -> zenoh.Config:
-    """A client that shows the keys of `role`, if any, and gives up soon."""
+    """Returns a client configuration with the keys of `role`, if any, and a short connection timeout."""
     made = zenoh.Config()
     made.insert_json5("mode", '"client"')
     made.insert_json5("connect/endpoints", json.dumps([endpoint]))
@@ -54,7 +55,7 @@ def config(endpoint: str, keys: Path | None, role: str) -> zenoh.Config:
 
 
 def opens(endpoint: str, keys: Path | None, role: str) -> bool:
-    """Whether a session with these keys reaches a router."""
+    """Returns whether a session with these keys reaches a router."""
     try:
         with zenoh.open(config(endpoint, keys, role)) as session:
             return bool(session.info.routers_zid())
@@ -63,7 +64,7 @@ def opens(endpoint: str, keys: Path | None, role: str) -> bool:
 
 
 class Witness:
-    """Subscribes as an honest role and remembers on which keys the marker came."""
+    """Subscribes as a legitimate role and records the keys on which the marker arrived."""
 
     def __init__(self, session: zenoh.Session, prefix: str, keys: list[str]) -> None:
         self.seen: set[str] = set()
@@ -82,7 +83,7 @@ class Witness:
 
 
 def answers(session: zenoh.Session, key: str, payload: bytes | None = None) -> list[bytes]:
-    """All answers to a query, refusals included."""
+    """Returns all replies to a query, including errors."""
     found = []
     for reply in session.get(key, payload=payload, timeout=PATIENCE_S, target=zenoh.QueryTarget.ALL):
         found.append(reply.ok.payload.to_bytes() if reply.ok else reply.err.payload.to_bytes())
@@ -90,7 +91,7 @@ def answers(session: zenoh.Session, key: str, payload: bytes | None = None) -> l
 
 
 def attack(session: zenoh.Session, prefix: str, witness_asks: zenoh.Session) -> dict[str, list[str]]:
-    """Tries everything with this session; names what it could read, and the keys on which its own answers were believed."""
+    """Tries every attack with this session. Returns what it could read and where its own replies were accepted."""
     readers = {key: Witness(session, prefix, [key]) for key in TARGETS["read"]}
     queryables = []
     for key in TARGETS["answer"]:
@@ -106,7 +107,7 @@ def attack(session: zenoh.Session, prefix: str, witness_asks: zenoh.Session) -> 
         session.put(f"{prefix}/{key}", MARKER + bytes(LARGE) if key.startswith("metrics") else MARKER + bytes(5_000))
         session.delete(f"{prefix}/{key}")
     got = [key for key in TARGETS["ask"] if any(not a.startswith(MARKER) for a in answers(session, f"{prefix}/{key}", b"?"))]
-    # Honest questions while the impostor stands; they also give the puts above the time to arrive.
+    # Legitimate queries while the impostor is active. They also give the puts above time to arrive.
     asked = ["weights/latest", "metrics/learner", "history/eval"]
     believed = [key for key in asked if any(a.startswith(MARKER) for a in answers(witness_asks, f"{prefix}/{key}"))]
     for queryable in queryables:
@@ -124,7 +125,7 @@ def main() -> None:
         "stranger": opens(endpoint, strangers, "viewer"),
         "honest": opens(endpoint, keys, "viewer"),
     }
-    # An actor's certificate with the learner's name and password is no learner: both must be of one role.
+    # An actor's certificate with the learner's user and password must not pass for the learner: roles must match.
     mixed = config(endpoint, keys, "actor")
     user, password = (keys / "learner" / "password").read_text().strip().split(":", 1)
     mixed.insert_json5("transport/auth/usrpwd/user", json.dumps(user))
@@ -141,7 +142,7 @@ def main() -> None:
             with zenoh.open(its_config) as session:
                 attacks[role] = attack(session, prefix, evaluator)
                 if role == "actor":
-                    # Garbage under its own and others' names is refused by the learner, and answered.
+                    # The learner rejects garbage under any actor's name and still replies.
                     refusals = 0
                     for number in range(N_FLOOD):
                         refusals += len(answers(session, f"{prefix}/ingest/rogue-{number % 7}", MARKER + bytes(200)))

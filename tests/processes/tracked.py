@@ -1,4 +1,4 @@
-"""Prints as JSON what track.py left: {"config": {...}, "metrics": {name: [[step, value], ...]}}.
+"""Prints what track.py logged as JSON: {"config": {...}, "metrics": {name: [[step, value], ...]}}.
 
 Usage: python tracked.py wandb FOLDER_OF_A_RUN | mlflow FOLDER_OF_A_STORE
 """
@@ -11,13 +11,13 @@ import sys
 
 
 BLOCK_BYTES = 32 * 1024
-# Of the file, and of each piece of a record: checksum, length, and which piece it is (1 whole, 2 first, 3 middle, 4 last).
+# Headers of the file and of each record fragment: checksum, length, and type (1 full, 2 first, 3 middle, 4 last).
 FILE_HEADER, PIECE_HEADER = struct.Struct("<4sHB"), struct.Struct("<IHB")
 WHOLE, LAST = 1, 4
 
 
 def records(file):
-    """The records of a W&B file, which is a LevelDB log."""
+    """Yields the records of a W&B file, which has the LevelDB log format."""
     data = file.read_bytes()
     at, record = FILE_HEADER.size, b""
     while at + PIECE_HEADER.size <= len(data):
@@ -35,7 +35,7 @@ def records(file):
 
 
 def wandb(folder):
-    """Reads the file of a run that was offline."""
+    """Reads the file of an offline run."""
     from wandb.proto import wandb_internal_pb2
 
     (file,) = folder.glob("wandb/offline-run-*/run-*.wandb")
@@ -52,8 +52,8 @@ def wandb(folder):
 
 
 def mlflow(folder):
-    """Reads the only run of a store."""
-    # What tells MLflow that a store in files is wanted.
+    """Reads the only run in a store."""
+    # MLflow requires this opt-in for file stores.
     os.environ["MLFLOW_ALLOW_FILE_STORE"] = "true"
     from mlflow import MlflowClient
 

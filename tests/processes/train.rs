@@ -1,11 +1,12 @@
-//! A run of the real program: it trains, saves, can be judged and continued, and drains on a signal.
+//! A training with the real program: it learns, saves, can be evaluated and resumed, and shuts down gracefully on a
+//! signal.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Output, Stdio};
 
 use crate::support::program::{lodestone, n_saved_steps};
 
-/// Small enough for seconds: updates of 256 steps, each of them saved.
+/// Settings small enough to run in seconds: updates of 256 steps, each of which is saved.
 const SMALL: [&str; 18] = [
     "--set",
     "learner.steps_per_update=256",
@@ -80,7 +81,7 @@ fn in_lockstep_a_resumed_run_goes_on_bit_by_bit() {
     let train = |args: &[&str]| {
         finished(lodestone(folder.path()).args(["train", "--lockstep"]).args(args));
     };
-    // Every update is saved, so the whole run and the one cut in two begin new episodes at the same places.
+    // Every update is saved, so the uninterrupted and the interrupted run start new episodes at the same points.
     for (run, steps) in [("whole", "1024"), ("cut", "512")] {
         train(&[&["--run-dir", run, "--steps", steps], &SMALL[..]].concat());
     }
@@ -105,7 +106,7 @@ fn a_signal_drains_and_saves() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // The learner's first line: everything is up and has learned.
+    // The learner's first line means that everything is running and has learned.
     lines.find(|line| line.as_ref().unwrap().contains("steps/s")).unwrap().unwrap();
     let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     assert!(killed.success());

@@ -1,4 +1,4 @@
-//! `watch` beside a run on a real bus: what it prints, what it says when nothing comes, and what it refuses.
+//! `watch` with a run on a real bus: its output, its errors when nothing arrives, and the arguments that it rejects.
 
 use std::io::{BufRead, BufReader, Lines};
 use std::path::Path;
@@ -16,13 +16,13 @@ fn watch_command(folder: &Path, args: &[&str]) -> Command {
     command
 }
 
-/// The program's answer, while this process goes on serving the bus.
+/// Runs the program while this process keeps serving the bus.
 async fn watch(folder: &Path, args: &[&str]) -> Output {
     let mut command = watch_command(folder, args);
     tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
 }
 
-/// Puts metrics under a key; they are the latest for as long as the publisher is kept.
+/// Publishes metrics under a key; they are its latest value for as long as the publisher exists.
 async fn put(bus: &Bus, suffix: &str, metrics: &Value) -> MetricsPublisher {
     let publisher = bus.metrics_publisher(suffix).await.unwrap();
     publisher.put(metrics).await.unwrap();
@@ -63,7 +63,7 @@ async fn a_run_is_printed_once() {
         "  worst  2_000 100.0",
         "Learning: weights 812, 3 326 976 environment steps",
         "Actors: 2 alive, 0 lost; 640 steps/s",
-        // The latest values may come twice, when the view notices that a service is there.
+        // The latest values may arrive twice, when the view notices a new service.
         "watch: metrics unreadable ",
         "watch: schema unknown ",
     ] {
@@ -81,7 +81,7 @@ async fn a_run_is_printed_once() {
     bus.close().await;
 }
 
-/// Reads lines until the learner has taken so many steps.
+/// Reads lines until the learner reports this many steps.
 async fn told(mut lines: Lines<BufReader<ChildStdout>>, n_env_steps: u64) -> Lines<BufReader<ChildStdout>> {
     let read = move || loop {
         let known: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
@@ -104,7 +104,7 @@ async fn what_is_new_is_told_to_a_program_line_by_line() {
     let lines = told(lines, 3_326_976).await;
     learner["n_env_steps"] = json!(3_330_000);
     publisher.put(&learner).await.unwrap();
-    // From here on nobody reads.
+    // The pipe is closed from here on.
     drop(told(lines, 3_330_000).await);
     learner["n_env_steps"] = json!(3_340_000);
     publisher.put(&learner).await.unwrap();

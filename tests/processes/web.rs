@@ -1,4 +1,4 @@
-//! The page of a real run: found by the line that is printed, filled while training goes on, gone afterwards.
+//! The web page of a real run: its address is printed, it updates during training, and it is gone afterwards.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
@@ -23,7 +23,7 @@ fn error(output: &Output) -> String {
 fn a_page_shows_a_run_while_it_lasts() {
     let folder = tempfile::tempdir().unwrap();
     let (mut run, _printed, address) = endless(folder.path());
-    // Events come until something was judged; each connection that is read to its end waits for the run.
+    // Read events until an evaluation arrives; every connection that is read to its end waits for the run.
     let mut events = events(&address);
     assert!(events.any(|line| line == "event: pass"));
     assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
@@ -36,7 +36,7 @@ fn a_page_shows_a_run_while_it_lasts() {
     assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{run=\"near-goal\",role=\"actor\"} 1.0\n"));
 
     interrupt(&run);
-    // The stream of events ends with the run, and does not hold it up.
+    // The event stream ends with the run and does not delay its end.
     events.for_each(drop);
     assert!(run.0.wait().unwrap().success());
     assert!(TcpStream::connect(&address).is_err());
@@ -61,7 +61,7 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     printed.read_to_string(&mut String::new()).unwrap();
     assert!(run.0.wait().unwrap().success());
 
-    // After the run has ended, all that it has measured is on the disk.
+    // After the run has ended, everything that it measured is on disk.
     let samples = |name: &str, kind: &str| {
         let family = &told[format!("lodestone_{name}")];
         assert_eq!(family["type"], kind, "{name}");
@@ -138,7 +138,7 @@ fn runs_that_have_ended_are_shown_from_their_files() {
     let updates = json("/api/history")["learner"].as_array().unwrap().len();
     assert!(updates > 0);
     assert_eq!(json("/runs/1/api/history")["learner"].as_array().unwrap().len(), updates);
-    // Its newest checkpoint builds, and so does the expert.
+    // Both its newest checkpoint and the expert can build.
     for agent in ["policy", "expert"] {
         let episode = json(&format!("/api/play?blueprint=2_000&agent={agent}"));
         assert_eq!((&episode["actor"], &episode["blueprint"]), (&agent.into(), &"2_000".into()));
@@ -146,7 +146,7 @@ fn runs_that_have_ended_are_shown_from_their_files() {
     interrupt(&serving);
     assert!(serving.0.wait().unwrap().success());
 
-    // A copy of the page holds what a browser would ask for.
+    // A static copy of the page holds everything that a browser would request.
     let export =
         || lodestone(folder.path()).args(["serve", "run", "--export", "copy", "--blueprint", "2_000"]).output();
     let written = export().unwrap();

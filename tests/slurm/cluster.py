@@ -1,8 +1,8 @@
-"""A Slurm cluster of three nodes on one machine: a controller and nodes that differ in everything but files and users.
+"""A Slurm cluster on one machine: a controller and three nodes that share only files and users.
 
-Each node has namespaces of its own for network, processes, host name and mounts, so it can be cut off or lose its power like
-a machine. Nothing has a name outside: when the first process ends, for whatever reason, the kernel ends all others and takes
-interfaces and mounts along.
+Each node has its own namespaces for network, processes, host name, and mounts, so it can be cut off or lose power like
+a real machine. Nothing is visible outside: when the first process exits, for whatever reason, the kernel kills all
+others and removes interfaces and mounts.
 """
 
 from __future__ import annotations
@@ -20,40 +20,40 @@ DAEMONS = ("munged", "slurmctld", "slurmd")
 
 
 def missing_programs() -> list[str]:
-    """Programs that the cluster needs and this machine lacks."""
+    """Returns the programs that the cluster needs but this machine lacks."""
     path = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/sbin"])
     wanted = (*DAEMONS, "sbatch", "scontrol", "setpriv", "unshare", "ip", "mount", "hostname")
     return [program for program in wanted if shutil.which(program, path=path) is None]
 
 
 def isolate(command: list[str]) -> list[str]:
-    """`command` in namespaces of its own; all its processes end with it."""
+    """Returns a command that runs `command` in its own namespaces. All its processes end with it."""
     flags = ["--net", "--mount", "--uts", "--ipc", "--pid", "--fork", "--kill-child", "--mount-proc"]
     return ["unshare", *flags, *command]
 
 
 @dataclass
 class Daemon:
-    """A process of the cluster with its log."""
+    """A cluster process and its log."""
 
     name: str
     process: subprocess.Popen[bytes]
     log: Path
 
     def check(self) -> None:
-        """Fails when it has ended."""
+        """Raises RuntimeError if the process has exited."""
         if self.process.poll() is not None:
             raise RuntimeError(f"{self.name} ended with {self.process.returncode}: see {self.log}")
 
     def end(self) -> None:
-        """Kills it, and whatever lives in its namespaces."""
+        """Kills the process and everything in its namespaces."""
         self.process.kill()
         self.process.wait()
 
 
 @dataclass
 class Cluster:
-    """A running cluster; `folder` holds all that it writes."""
+    """A running cluster that writes all its files to `folder`."""
 
     folder: Path
     munged: Daemon | None = None
@@ -61,7 +61,7 @@ class Cluster:
     nodes: dict[str, Daemon] = field(default_factory=dict)
 
     def start(self) -> None:
-        """Starts everything and waits until all nodes are idle."""
+        """Starts all daemons and waits until all nodes are idle."""
         self._prepare()
         self.munged = self._daemon("munged", munged_command(self.folder))
         socket = conf.munge_socket(self.folder)
@@ -72,7 +72,7 @@ class Cluster:
         wait_for("the nodes are idle", lambda: states() == ["idle"] * len(conf.NODES), 60, self._check)
 
     def power_on(self, node: str) -> None:
-        """Starts a node; it joins by itself."""
+        """Starts a node, which joins the cluster automatically."""
         daemon = self._daemon(node, isolate(["bash", "-euc", NODE_INIT, "node", node]), stdin=True)
         self.nodes[node] = daemon
         init = wait_for(f"{node} has namespaces", lambda: child_of(daemon.process.pid), 10)
@@ -84,20 +84,20 @@ class Cluster:
         daemon.process.stdin.close()
 
     def power_off(self, node: str) -> None:
-        """Ends every process of the node at once, as when its power fails."""
+        """Kills every process of the node at once, like a power failure."""
         self.nodes.pop(node).end()
         wait_for(f"the link of {node} is gone", lambda: not link_exists(bridge_port(node)), 20)
 
     def cut(self, node: str) -> None:
-        """Takes the node's link down; its processes go on."""
+        """Takes the node's link down. Its processes keep running."""
         ip("link", "set", bridge_port(node), "down")
 
     def mend(self, node: str) -> None:
-        """Takes the node's link up again."""
+        """Brings the node's link back up."""
         ip("link", "set", bridge_port(node), "up")
 
     def stop(self) -> None:
-        """Ends all processes of the cluster."""
+        """Kills all processes of the cluster."""
         for daemon in [*self.nodes.values(), self.controller, self.munged]:
             if daemon is not None:
                 daemon.end()
@@ -123,8 +123,8 @@ class Cluster:
                 daemon.check()
 
 
-# The first process of a node. It waits for its network, and it is a shell because the first process of a namespace adopts
-# orphans, which slurmd would not bury.
+# The init process of a node. It waits for its network. It is a shell because the init of a namespace adopts orphans,
+# and slurmd would not reap them.
 NODE_INIT = r"""
 read -r address
 hostname "$1"
@@ -137,7 +137,10 @@ wait $!
 
 
 def munged_command(folder: Path) -> list[str]:
-    """`munged` with everything in `folder`; --force, because a test may run where the system's rules for folders are bent."""
+    """Returns the `munged` command with its files in `folder`.
+
+    --force skips the permission checks of folders, which may fail where a test runs.
+    """
     munge = folder / "munge"
     return [
         "munged", "--foreground", "--force", f"--key-file={munge / 'key'}", f"--socket={conf.munge_socket(folder)}",
@@ -151,22 +154,22 @@ def ip(*args: str) -> None:
 
 
 def link_exists(name: str) -> bool:
-    """Whether there is an interface of this name."""
+    """Returns whether an interface of this name exists."""
     return Path("/proc/self/net/dev").read_text(encoding="utf-8").find(f"{name}:") >= 0
 
 
 def bridge_port(node: str) -> str:
-    """The controller's end of a node's link."""
+    """Returns the name of the controller's end of a node's link."""
     return f"to-{node}"
 
 
 def child_of(pid: int) -> int | None:
-    """The only child of a process."""
+    """Returns the only child of a process, or None."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
     return int(children[0]) if children else None
 
 
 def states() -> list[str]:
-    """States of the nodes, in their order, such as `idle`, `alloc` or `down*`."""
+    """Returns the states of the nodes in order, such as `idle`, `alloc`, or `down*`."""
     listed = subprocess.run(["sinfo", "-h", "-N", "-p", conf.ALL, "-o", "%t"], capture_output=True, text=True, check=False)
     return listed.stdout.split()

@@ -1,4 +1,4 @@
-"""What `lodestone-slurm` says of mistakes, and what becomes of jobs that cannot work."""
+"""Checks how `lodestone-slurm` reports mistakes and what happens to jobs that cannot work."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from wait import wait_for
 
 
 def a_rehearsal_changes_nothing(training: Training) -> None:
-    """`--dry-run` prints both submissions and makes no folder."""
+    """`--dry-run` prints both submissions and creates no folder."""
     run = Launched(training.run.binary, training.run.folder.with_name("rehearsal"))
     printed = run.launch("--actors", "2500", "--gpu", "--time", "12:00:00", "--dry-run", "--", "--account=lab")
     learner, *actors = [line for line in printed.splitlines() if line.startswith("+ sbatch")]
     assert "--gres=gpu:1" in learner and "--time=12:00:00" in learner and "--account=lab" in learner, learner
-    # An array has at most 1001 tasks where a cluster says nothing else.
+    # Slurm limits an array to 1001 tasks by default.
     assert [word for line in actors for word in line.split() if word.startswith("--array=")] == [
         "--array=0-1000", "--array=0-1000", "--array=0-497",
     ]  # fmt: skip
@@ -22,7 +22,7 @@ def a_rehearsal_changes_nothing(training: Training) -> None:
 
 
 def mistakes_are_explained(training: Training) -> None:
-    """A mistake ends with a code and a hint, and submits nothing."""
+    """A mistake exits with a code and a hint, and submits nothing."""
     run = Launched(training.run.binary, training.run.folder.with_name("mistakes"))
     binary = ["--binary", str(run.binary)]
     for options, code, hint in [
@@ -41,7 +41,7 @@ def mistakes_are_explained(training: Training) -> None:
 
 
 def a_learner_that_cannot_work_frees_the_actors(training: Training) -> None:
-    """A learner's job that would fail again fails at once, says why, and cancels the actors."""
+    """A learner job that cannot recover fails at once, prints the reason, and cancels the actors."""
     run = Launched(training.run.binary, training.run.folder.with_name("unreachable"))
     run.launch("--preset", "near-goal", "--actors", "2", "--learner-cpus", "2", "--interface", "nowhere0", *partitions())
     job, actors = run.learner_job(), run.actor_job()

@@ -10,7 +10,7 @@ CONTROLLER = "ctl"
 NODES = ("n1", "n2", "n3")
 ADDRESSES = {CONTROLLER: "10.213.0.1", "n1": "10.213.0.11", "n2": "10.213.0.12", "n3": "10.213.0.13"}
 
-# Partitions: a learner is not preempted, actors are, by whatever is urgent.
+# Partitions: urgent jobs preempt actors but not the learner.
 LEARNERS, ACTORS, URGENT, ALL = "learners", "actors", "urgent", "all"
 
 FOLDER = Path("/etc/slurm")
@@ -64,12 +64,12 @@ PartitionName={urgent} Nodes={nodes} PriorityTier=20 PreemptMode=OFF
 
 
 def munge_socket(folder: Path) -> Path:
-    """Where `munged` listens."""
+    """Returns the path of the socket that `munged` listens on."""
     return folder / "munge" / "socket"
 
 
 def write(folder: Path) -> None:
-    """Writes what the daemons read, over the machine's own files but in this mount namespace alone."""
+    """Writes the daemons' configuration over the machine's own files, in this mount namespace only."""
     for name in ("munge", "state", "spool", "logs", *(f"spool/{node}" for node in NODES)):
         (folder / name).mkdir(parents=True, mode=0o755)
     key = folder / "munge" / "key"
@@ -78,11 +78,11 @@ def write(folder: Path) -> None:
 
     FOLDER.mkdir(exist_ok=True)
     mount_tmpfs(FOLDER)
-    # Where no cgroup of version 1 is mounted slurmd still wants to see the folder; it is told to use none of it.
+    # slurmd expects this folder even without a mounted cgroup v1. cgroup.conf tells it not to mount any.
     mount_tmpfs(Path("/sys/fs/cgroup"))
     PATH.write_text(slurm_conf(folder), encoding="utf-8")
     (FOLDER / "cgroup.conf").write_text("CgroupPlugin=cgroup/v1\nCgroupAutomount=no\n", encoding="utf-8")
-    # A GPU that can be asked for and not used: whoever gets it has CUDA_VISIBLE_DEVICES set.
+    # A dummy GPU that jobs can request. Slurm sets CUDA_VISIBLE_DEVICES for them.
     (FOLDER / "gres.conf").write_text("Name=gpu File=/dev/null\n", encoding="utf-8")
 
     hosts = folder / "hosts"
@@ -92,7 +92,7 @@ def write(folder: Path) -> None:
 
 
 def slurm_conf(folder: Path) -> str:
-    """The text of `slurm.conf`."""
+    """Returns the text of `slurm.conf`."""
     return SLURM_CONF.format(
         controller=CONTROLLER,
         controller_address=ADDRESSES[CONTROLLER],
@@ -110,5 +110,5 @@ def slurm_conf(folder: Path) -> str:
 
 
 def mount_tmpfs(folder: Path) -> None:
-    """An empty file system over `folder`."""
+    """Mounts an empty file system over `folder`."""
     subprocess.run(["mount", "-t", "tmpfs", "tmpfs", str(folder)], check=True)

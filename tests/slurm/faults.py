@@ -1,4 +1,4 @@
-"""One training through everything that a cluster does to it: preemption, lost nodes, requeues, time limits, a stop."""
+"""Runs one training through preemption, lost nodes, requeues, time limits, and a stop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SETTLED = 0.85
 
 
 def launch_finds_each_other(training: Training) -> None:
-    """One command makes keys and starts learner and actors, which find each other."""
+    """One command creates keys and starts the learner and the actors, which find each other."""
     run = training.run
     printed = run.launch(*training.options())
     assert "keys new" in printed and printed.count("+ sbatch") == 2, printed
@@ -40,7 +40,7 @@ def launch_finds_each_other(training: Training) -> None:
 
 
 def preempted_actors_return(training: Training) -> None:
-    """Urgent work takes the place of actors; they go back to PENDING and return when it is done."""
+    """Urgent work preempts actors, which go back to PENDING and return when it is done."""
     run = training.run
     before = queue.running(run.actor_job())
     node = max(set(before.values()) - {training.learner_node()}, key=list(before.values()).count)
@@ -63,12 +63,12 @@ def preempted_actors_return(training: Training) -> None:
 
 
 def a_cut_node_is_replaced(training: Training) -> None:
-    """A node without network is found, its actors work elsewhere, and the training does not stop for it."""
+    """A node without network is detected, its actors move to another node, and training continues."""
     run, cluster = training.run, training.cluster
     node = next(node for node in queue.running(run.actor_job()).values() if node != training.learner_node())
     cluster.cut(node)
     training.figures["cut node marked down, s"] = timed("the node is down", lambda: queue.node_is_down(node), 60)
-    # Slurm drains a node that returns while it starts there again what still runs there, so its tasks move first.
+    # Slurm drains a node that returns while its old tasks are restarted on it, so let the tasks move first.
     training.figures["cut node's actor working elsewhere, s"] = timed(
         "the actors work elsewhere", lambda: training.n_running() == N_ACTORS, 60
     )
@@ -79,7 +79,7 @@ def a_cut_node_is_replaced(training: Training) -> None:
 
 
 def a_requeued_learner_goes_on(training: Training) -> None:
-    """`scontrol requeue` is a SIGTERM to all processes of the job: the learner saves, and goes on from there by itself."""
+    """`scontrol requeue` sends SIGTERM to all processes of the job. The learner saves, then resumes from the save."""
     run = training.run
     endpoint = run.endpoint()
     queue.slurm("scontrol", "requeue", run.learner_job())
@@ -95,14 +95,14 @@ def a_requeued_learner_goes_on(training: Training) -> None:
 
 
 def the_mended_node_returns(training: Training) -> None:
-    """Slurm takes the node that was cut off back, by itself."""
+    """Slurm puts the node that was cut off back into use automatically."""
     assert training.returning is not None
     training.figures["mended node in use again, s"] = training.returning.result()
     training.wait_for_all_actors(60)
 
 
 def the_learner_survives_its_node(training: Training) -> None:
-    """The learner's node loses its power; another carries on from the newest checkpoint, and actors follow it there."""
+    """The learner's node loses power. Another resumes from the newest checkpoint, and the actors reconnect to it."""
     run, cluster = training.run, training.cluster
     job, node, endpoint = run.learner_job(), training.learner_node(), run.endpoint()
     saved = wait_for("a checkpoint", run.n_saved_steps, 60)
@@ -122,7 +122,7 @@ def the_learner_survives_its_node(training: Training) -> None:
 
 
 def a_cut_learner_lets_go(training: Training) -> None:
-    """The learner's node is cut off and works on; the learner there ends when another node has the run."""
+    """The learner's node is cut off but keeps running. Its learner exits when another node takes over the run."""
     run, cluster = training.run, training.cluster
     node = training.learner_node()
     cluster.cut(node)
@@ -133,12 +133,12 @@ def a_cut_learner_lets_go(training: Training) -> None:
     training.figures["learner's node cut off to the next update elsewhere, s"] = watch.seconds
     assert run.metrics("learner")[lines]["n_env_steps"] > saved
     assert training.learner_node() != node
-    # It returns while the run goes on; how a node returns is another check's subject.
+    # The node returns while the run continues. Another check covers how a node returns.
     cluster.mend(node)
 
 
 def stop_saves(training: Training) -> None:
-    """`stop` leaves a whole checkpoint with all steps, and no job that would be in the way of the next launch."""
+    """`stop` leaves a complete checkpoint with all steps, and no job that would block the next launch."""
     run = training.run
     job, actors, steps = run.learner_job(), run.actor_job(), run.n_steps()
     printed = run.stop()
@@ -146,13 +146,13 @@ def stop_saves(training: Training) -> None:
     assert saved >= steps and str(saved) in printed, printed
     assert queue.state(job) == "COMPLETED"
     assert not queue.is_queued(actors), "the run cannot be launched again"
-    # Those of a node that was cut off may last until it is back.
+    # Actors on a node that was cut off may remain until it is back.
     wait_for("the actors are gone", lambda: not run.actors_that_work(), 40)
     assert run.judged() >= 0.0
 
 
 def a_time_limit_is_no_end(training: Training) -> None:
-    """Jobs with a limit of a minute save before it, go back into the queue and go on."""
+    """Jobs with a time limit of one minute save before it, requeue, and resume."""
     run = training.run
     if queue.is_queued(run.learner_job()):
         run.stop()
@@ -173,13 +173,13 @@ def a_time_limit_is_no_end(training: Training) -> None:
 
 
 def success_is_reached(training: Training) -> None:
-    """The run learns its task; when its steps are reached no job is left."""
+    """The run learns its task. No job is left when its steps are reached."""
     run = training.run
     for job in (run.learner_job(), run.actor_job()):
         queue.slurm("scontrol", "update", f"JobId={job}", "TimeLimit=60")
 
     def has_learned() -> bool:
-        # Two passes, so that the checkpoint a few updates later does not pass or fail by the luck of 40 episodes.
+        # Two passes, so that the checkpoint a few updates later does not pass or fail by chance over 40 episodes.
         return run.success(n_passes=2) >= CLEARLY_ENOUGH and run.sampled_success() >= SETTLED
 
     wait_for("learner and evaluator see success", has_learned, 400, run.check)

@@ -13,12 +13,12 @@ N_ACTORS = 2
 
 
 def nothing_is_left(_: Training) -> None:
-    """Other checks have left no job, or it is ended now."""
+    """Cancels any jobs left by other checks."""
     queue.cancel_all()
 
 
 def a_hetjob_trains(training: Training) -> None:
-    """They start together, the GPU is the learner's alone, and all ends when the steps are reached."""
+    """Learner and actors start together, only the learner gets the GPU, and all end when the steps are reached."""
     run = training.run
     printed = run.launch(
         "--preset", "near-goal", "--steps", "4096", "--actors", str(N_ACTORS), "--hetjob", "--no-evaluator",
@@ -42,7 +42,7 @@ def a_hetjob_trains(training: Training) -> None:
 
 
 def environment(role: str, binary: Path) -> dict[str, str]:
-    """Variables of a process of this role."""
+    """Returns the environment variables of a process of this role."""
     for process in Path("/proc").glob("[0-9]*"):
         try:
             words = (process / "cmdline").read_bytes().decode().split("\0")

@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Trains on a real Slurm: controllers and nodes in namespaces of this machine, which exist for this test alone.
+"""Trains on real Slurm clusters whose controllers and nodes run in temporary namespaces on this machine.
 
 usage: python3 tests/slurm/run.py --binary target/debug/lodestone
 
-Needs root and the programs of Debian's slurm-wlm, munge and iproute2. Touches nothing outside its namespaces: whatever it
-mounts, listens on or writes is gone when it ends, also when it is killed.
+Needs root and the programs of Debian's slurm-wlm, munge, and iproute2. Touches nothing outside its namespaces: its
+mounts, sockets, and files disappear when it exits, even if it is killed.
 
-Two parts run at the same time, each on a cluster of its own, because most of the time is Slurm's: it looks at nodes and time
-limits every few seconds. Each line begins with the name of its part. The last line counts the checks.
+Two parts run in parallel, each on its own cluster, because most of the time goes to Slurm, which checks nodes and time
+limits every few seconds. Each line starts with the name of its part. The last line counts the checks.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ OUTCOMES = {True: "ok", False: "FAILED"}
 
 
 def main() -> int:
-    """Checks what is needed, then runs each part in namespaces of its own."""
+    """Checks the requirements, then runs each part in its own namespaces."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, required=True, help="the program lodestone")
     parser.add_argument("--logs", type=Path, help="keep all logs in this folder, which must not be there yet")
@@ -71,13 +71,14 @@ def main() -> int:
 
 
 class Part:
-    """A part that runs in namespaces of its own, and whose lines are printed here."""
+    """A part that runs in its own namespaces. Its output is printed here."""
 
     def __init__(self, name: str, again: list[str], logs: Path | None, patience: float) -> None:
         self.name = name
         self.outcomes: list[str] = []
         command = [*again, "--isolated", name, *(["--logs", str(logs.resolve() / name)] if logs else [])]
-        # `unshare` is deaf to SIGTERM, so the kernel ends it, and all in its namespaces, when this process ends for any reason.
+        # `unshare` ignores SIGTERM, so let the kernel kill it, and everything in its namespaces, when this process
+        # exits.
         bound = ["setpriv", "--pdeathsig", "KILL", *clusters.isolate(command)]
         environment = {**os.environ, "PATIENCE": str(patience), "PYTHONUNBUFFERED": "1"}
         self._process = subprocess.Popen(bound, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
@@ -85,7 +86,7 @@ class Part:
         self._printer.start()
 
     def wait(self) -> int:
-        """Waits until it has ended; its exit code."""
+        """Waits until the part has ended and returns its exit code."""
         self._printer.join()
         return self._process.wait()
 
@@ -93,13 +94,13 @@ class Part:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self.outcomes += [word for word in OUTCOMES.values() if line.startswith(f"{word} ")]
-            # One write a line, so that the parts do not come between each other.
+            # One write per line, so that the output of the parts does not mix within a line.
             sys.stdout.write(f"{self.name} | {line}")
             sys.stdout.flush()
 
 
 def isolated(part: str, binary: Path, logs: Path | None, only: str) -> int:
-    """Runs the checks of one part on a cluster."""
+    """Runs the checks of one part on a cluster and returns the exit code."""
     for name in [name for name in os.environ if name.startswith(("LODESTONE_", "SLURM_", "SBATCH_"))]:
         del os.environ[name]
     checks = chosen(PARTS[part], only)
@@ -109,7 +110,7 @@ def isolated(part: str, binary: Path, logs: Path | None, only: str) -> int:
     conf.mount_tmpfs(SCRATCH)
     scratch = SCRATCH / "lodestone-slurm-test"
     cluster = clusters.Cluster(scratch / "cluster")
-    # A name with spaces and a quote, which the scripts must survive.
+    # A name with spaces and a quote, which the scripts must handle.
     training = Training(cluster, Launched(binary, scratch / "the user's runs" / "near-goal"))
     try:
         cluster.start()
@@ -124,13 +125,13 @@ def isolated(part: str, binary: Path, logs: Path | None, only: str) -> int:
 
 
 def chosen(checks: list[Check], only: str) -> list[Check]:
-    """The checks whose name contains `only`, and the first, which the others need."""
+    """Returns the checks whose name contains `only`, plus the first, which the others need."""
     some = [check for check in checks if only in check.__name__]
     return [checks[0], *some[some[0] is checks[0] :]] if some else []
 
 
 def in_turn(checks: list[Check], training: Training, scratch: Path) -> list[bool]:
-    """Whether each check passed; each needs what the one before it left behind, so none is tried after a failure."""
+    """Returns whether each check passed. Each relies on the previous one's state, so a failure skips the rest."""
     outcomes: list[bool] = []
     for check in checks:
         if False in outcomes:

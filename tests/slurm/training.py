@@ -1,4 +1,4 @@
-"""A run on the test cluster, which checks do things to."""
+"""A run on the test cluster, shared by the checks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO_END = 1_000_000_000
 
 @dataclass
 class Training:
-    """The run and the cluster that it is on; each check goes on where the one before it ended."""
+    """A run and its cluster. Each check continues where the previous one ended."""
 
     cluster: Cluster
     run: Launched
@@ -28,20 +28,20 @@ class Training:
     """Seconds until the node that was mended last was in use again."""
 
     def options(self, n_steps: int = NO_END) -> list[str]:
-        """How it is launched, but for time limits."""
+        """Returns the launch options, without time limits."""
         learning = ["--preset", "near-goal", "--steps", str(n_steps), "--seed", "1"]
         return [*learning, "--actors", str(N_ACTORS), "--learner-cpus", "2", *partitions()]
 
     def learner_node(self) -> str:
-        """Where the learner's job runs."""
+        """Returns the node that the learner's job runs on."""
         return queue.job(self.run.learner_job())["NodeList"]
 
     def n_running(self) -> int:
-        """Actors that Slurm says run."""
+        """Returns the number of actors that Slurm reports as running."""
         return len(queue.running(self.run.actor_job()))
 
     def wait_for_all_actors(self, limit_s: float) -> None:
-        """Waits until every task of the array has an actor that works."""
+        """Waits until every task of the array has a working actor."""
 
         def all_work() -> bool:
             return self.n_running() == N_ACTORS and len(self.run.actors_that_work()) == N_ACTORS

@@ -1,4 +1,4 @@
-"""Waiting for conditions instead of for time."""
+"""Waits for conditions instead of fixed times."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ PATIENCE = float(os.environ.get("PATIENCE", "1"))
 
 
 class LateError(AssertionError):
-    """A condition did not come true in time."""
+    """A condition that did not become true in time."""
 
 
 def wait_for(what: str, condition: Callable[[], T], limit_s: float, still_well: Callable[[], None] | None = None) -> T:
-    """The first true value of `condition`; fails after `limit_s` times `PATIENCE`, or when `still_well` fails before."""
+    """Returns the first true value of `condition`. Fails after `limit_s` times `PATIENCE` or if `still_well` raises."""
     limit_s *= PATIENCE
     deadline = time.monotonic() + limit_s
     while True:
@@ -36,7 +36,7 @@ def wait_for(what: str, condition: Callable[[], T], limit_s: float, still_well: 
 
 
 class Watch:
-    """Measures the time of a block."""
+    """Measures the duration of a block."""
 
     seconds: float = 0.0
 
@@ -49,12 +49,12 @@ class Watch:
 
 
 def timed(what: str, condition: Callable[[], object], limit_s: float, still_well: Callable[[], None] | None = None) -> float:
-    """Seconds until `condition` was true."""
+    """Returns the seconds until `condition` was true."""
     with Watch() as watch:
         wait_for(what, condition, limit_s, still_well)
     return watch.seconds
 
 
 def in_background(what: str, condition: Callable[[], object], limit_s: float) -> Future[float]:
-    """As `timed`, while the caller does something else."""
+    """Like `timed`, but in the background."""
     return ThreadPoolExecutor(max_workers=1).submit(timed, what, condition, limit_s)

@@ -1,4 +1,4 @@
-"""What actors say about themselves on the bus, one process after the other."""
+"""Collects the reports of actors on the bus, per process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Report = dict[str, Any]
 
 @dataclass
 class ActorLife:
-    """The reports of one process of an actor."""
+    """The reports of one actor process."""
 
     actor: str
     epoch_ms: int
@@ -33,19 +33,19 @@ class ActorLife:
 
     @property
     def n_acked(self) -> int:
-        """Trajectories that the learner took, as far as is known."""
+        """Trajectories that the learner acknowledged, as of the last report."""
         return int(self.last["n_trajectories_acked"])
 
     @property
     def n_dropped(self) -> int:
-        """Trajectories that nobody took; diverged episodes were never sent."""
+        """Trajectories that were dropped, without diverged episodes, which are never sent."""
         dropped: dict[str, int] = self.last["dropped"]
         return sum(n for reason, n in dropped.items() if reason != "diverged_total")
 
     def take(self, report: Report, now: float) -> None:
-        """Goes on to the next report."""
+        """Processes the next report."""
         if report["elapsed_s"] <= self.last["elapsed_s"]:
-            # Subscriptions and queries overlap after a reconnection.
+            # Subscription samples and query replies overlap after a reconnect.
             return
         for count in ("n_trajectories_acked", "n_env_steps", "n_episodes"):
             if report[count] < self.last[count]:
@@ -56,7 +56,7 @@ class ActorLife:
 
 
 class Listener:
-    """A viewer that follows all actors and the evaluator, through restarts of the router."""
+    """A viewer that follows all actors and the evaluator across router restarts."""
 
     def __init__(self, port: int, run: str) -> None:
         self.actors: dict[tuple[str, int], ActorLife] = {}
@@ -77,18 +77,18 @@ class Listener:
         self._lock = threading.Lock()
 
     async def open(self, seconds: float) -> None:
-        """Connects and follows; waits so long for the router."""
-        # zenoh waits forever, and in a thread that nothing can end.
+        """Connects and subscribes. Waits up to `seconds` for the router."""
+        # zenoh would wait forever, in a thread that cannot be stopped.
         await until("the router listens", seconds, lambda: _listens(self._port), 0.1)
         await asyncio.to_thread(self._open)
 
     def newest(self, actor: str) -> ActorLife | None:
-        """The newest process of an actor that has reported."""
+        """Returns the newest process of an actor that has reported, or None."""
         lives = [life for (name, _), life in self.actors.items() if name == actor]
         return max(lives, key=lambda life: life.epoch_ms, default=None)
 
     def digest(self) -> None:
-        """Takes in what has come since the last call."""
+        """Processes the samples received since the last call."""
         while self._samples:
             now, suffix, payload = self._samples.popleft()
             try:
@@ -102,7 +102,7 @@ class Listener:
                 self._take(report, now)
 
     def close(self) -> None:
-        """Leaves the bus."""
+        """Disconnects from the bus."""
         with self._lock:
             if self._session is not None:
                 self._session.close()  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""Conditions that must hold, and a tally of them that ends in one line."""
+"""Helpers for checks: conditions with deadlines, and a tally with a one-line summary."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ PERIOD_S = 0.05
 
 
 class Failed(Exception):
-    """Something that must hold does not; the text says what was seen."""
+    """A failed check. The message reports what was observed."""
 
 
 def require(holds: object, message: str) -> None:
-    """Fails with `message` unless `holds`."""
+    """Raises `Failed` with `message` unless `holds`."""
     if not holds:
         raise Failed(message)
 
 
 async def until(what: str, seconds: float, condition: Callable[[], T], period_s: float = PERIOD_S) -> T:
-    """The first true value of `condition`; fails if there is none for so long."""
+    """Returns the first true value of `condition`. Raises `Failed` after `seconds`."""
     deadline = time.monotonic() + seconds
     while True:
         value = condition()
@@ -36,7 +36,7 @@ async def until(what: str, seconds: float, condition: Callable[[], T], period_s:
 
 
 class Tally:
-    """Counts checks and prints one line for each."""
+    """Runs and counts checks and prints one line for each."""
 
     def __init__(self) -> None:
         self.n_passed = 0
@@ -44,20 +44,20 @@ class Tally:
         self.said: dict[str, str] = {}
 
     def check(self, name: str, action: Callable[[], object]) -> None:
-        """Runs `action`; what it returns is printed behind the name, what it raises makes the check fail."""
+        """Runs `action` and prints its result after the name. The check fails if `action` raises."""
         try:
             self.passed(name, action())
         except Exception as error:
             self.failed(name, error)
 
     def passed(self, name: str, said: object = None) -> None:
-        """Counts a check that held."""
+        """Counts a check that passed."""
         self.n_passed += 1
         self.said[name] = str(said or "ok")
         print(f"ok      {name}{f': {said}' if said else ''}", flush=True)
 
     def failed(self, name: str, error: Exception) -> None:
-        """Counts a check that did not hold."""
+        """Counts a check that failed."""
         self.n_failed += 1
         self.said[name] = f"FAILED: {error}"
         print(f"FAILED  {name}: {error}", flush=True)
@@ -65,5 +65,5 @@ class Tally:
             traceback.print_exception(error)
 
     def closing_line(self) -> str:
-        """The last line of the script."""
+        """Returns the last line of the script's output."""
         return f"{self.n_passed} passed, {self.n_failed} failed"

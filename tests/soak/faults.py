@@ -1,4 +1,4 @@
-"""Faults, drawn at random from a seed, and how long the ring took to come back from them."""
+"""Injects random faults from a seed and measures how long the ring takes to recover."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from members import End, Member
 from relay import Line
 from ring import BACK_S, Ring
 
-# How long a stop or a cut lasts, seconds.
+# Duration of a stop or a cut, in seconds.
 LASTING_S = (0.1, 10.0)
 
-# Between two faults, seconds.
+# Pause between two faults, in seconds.
 PAUSE_S = (1.0, 5.0)
 
-# How long a kill waits for the middle of a save.
+# How long a kill waits for a save to begin.
 PATIENCE_S = 15.0
 
-# Every round injects all of these, in an order of its own.
+# Every round injects all of these in a new random order.
 DECK = (
     ["kill learner", "kill learner in a save", "kill router", "kill evaluator"]
     + ["kill actor"] * 2
@@ -38,7 +38,7 @@ DECK = (
 
 @dataclass
 class Record:
-    """What was done and what came of it."""
+    """Injected faults and their outcomes."""
 
     injected: Counter[str] = field(default_factory=Counter)
     learner_back_s: list[float] = field(default_factory=list)
@@ -51,12 +51,12 @@ class Record:
 
     @property
     def n_faults(self) -> int:
-        """All of them."""
+        """Total number of injected faults."""
         return self.injected.total()
 
 
 class Faults:
-    """Injects faults into a ring, several at a time where that leaves somebody to work."""
+    """Injects faults into a ring, several at a time as long as enough members keep working."""
 
     def __init__(self, ring: Ring, seed: int) -> None:
         self.record = Record()
@@ -66,7 +66,7 @@ class Faults:
         self._running: set[asyncio.Task[None]] = set()
 
     async def inject(self, seconds: float, at_least: int) -> None:
-        """Injects faults for so long and until there were so many, then waits until all is well."""
+        """Injects faults for `seconds` and until there were `at_least`, then waits for the ring to recover."""
         end = time.monotonic() + seconds
         while time.monotonic() < end or self.record.n_faults < at_least:
             begun = self._begin_one()
@@ -75,13 +75,13 @@ class Faults:
         await asyncio.gather(*self._running)
 
     async def cancel(self) -> None:
-        """Ends what is under way, so that nothing is started any more."""
+        """Cancels the active faults, so that they start no more processes."""
         for task in self._running:
             task.cancel()
         await asyncio.gather(*self._running, return_exceptions=True)
 
     def _begin_one(self) -> bool:
-        """Begins the next fault of the deck that is possible now."""
+        """Starts the next possible fault in the deck. Returns False if there is none."""
         if not self._deck:
             self._deck = self._random.sample(DECK, len(DECK))
         for position, name in enumerate(self._deck):
@@ -99,9 +99,10 @@ class Faults:
         return False
 
     def _choose(self, role: str) -> Member | None:
-        """A member of the role that may be hurt now.
+        """Returns a random member of the role that may be disturbed now, or None.
 
-        Learner and router are hurt in turns, so that the time to come back is one fault's; one actor stays whole.
+        Learner and router are never disturbed at the same time, so that a recovery time belongs to one fault. At least
+        one actor stays healthy.
         """
         ring = self._ring
         whole = [member for member in ring.members if member.role == role and member.is_whole]
@@ -123,7 +124,7 @@ class Faults:
         return self._restart(member, End.KILLED if kind == "kill" else End.TERMINATED, in_a_save)
 
     async def _suffer(self, name: str, member: Member, effect: Coroutine[None, None, None]) -> None:
-        """Runs a fault to its end, and waits until the member works again."""
+        """Runs a fault to completion, including the member's recovery, and records a failure."""
         try:
             await effect
         except Failed as error:
@@ -169,7 +170,7 @@ class Faults:
             self.record.router_back_s.append(time.monotonic() - began)
 
     async def _wait_for_a_save(self) -> None:
-        """Returns while a checkpoint is being written; after some patience in any case."""
+        """Returns while a checkpoint is being written, or after `PATIENCE_S`."""
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             if records.cut_short(self._ring.run_dir):
@@ -178,19 +179,19 @@ class Faults:
             await asyncio.sleep(0.001)
 
     async def _back(self, member: Member) -> None:
-        """Waits until a member does its work again, as far as others can tell."""
+        """Waits until a member works again, as observed by others."""
         ring = self._ring
         if member.role == "actor":
             await until(f"{member.name} has more acknowledged", BACK_S, self._grows(lambda: ring.acked(member)))
         elif member.role in ("learner", "router"):
             await until(f"updates after {member.name} was hurt", BACK_S, self._grows(ring.n_updates))
         else:
-            # It judges when there are weights to judge; that it does is seen at the end.
+            # The evaluator runs only when there are new weights. The final checks cover its evaluations.
             await until(f"{member.name} runs", BACK_S, lambda: time.time() > member.life.began + 1)
 
     @staticmethod
     def _grows(count: Callable[[], int]) -> Callable[[], bool]:
-        """Whether a count has grown twice: once may be the news of before."""
+        """Returns a condition: the count has changed twice. The first change may stem from before the fault."""
         seen = [count()]
 
         def has_grown() -> bool:

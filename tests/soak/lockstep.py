@@ -1,4 +1,4 @@
-"""`train --lockstep`, killed at random and resumed, ends with the bytes of a run that nobody disturbed."""
+"""Checks that `train --lockstep`, killed at random and resumed, ends with the same bytes as an undisturbed run."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ SETTINGS = {
 
 LIMIT_S = 300.0
 
-# Between the moment when a run has got so far and the kill, seconds: longer than an update with its save.
+# Longest delay between reaching a step count and the kill, in seconds: longer than an update with its save.
 DELAY_S = 0.5
 
 
 def trainer(binary: Path, folder: Path, name: str, seed: int) -> Member:
-    """One run of the program, which carries on by itself when it is started again."""
+    """Returns a run that resumes automatically when restarted."""
     command = [str(binary), "train", "--preset", "near-goal", "--lockstep", "--seed", str(seed), "--steps", str(STEPS)]
     command += [*settings(SETTINGS), "--run-dir", str(folder / name), "--auto-resume"]
     return Member(name, "train", command, folder / "logs", None)
@@ -46,19 +46,19 @@ async def finish(run: Member) -> None:
 
 
 def last_checkpoint(folder: Path) -> Path:
-    """The newest checkpoint of a run."""
+    """Returns the newest checkpoint of a run."""
     saved = records.checkpoints(folder)
     require(saved, f"{folder} has no checkpoint")
     return saved.popitem()[1]
 
 
 def has_come_to(run: Member, folder: Path, moment: int) -> Callable[[], bool]:
-    """Whether a run has a checkpoint of so many steps, or has ended."""
+    """Returns a condition: the run has a checkpoint with at least `moment` steps, or has ended."""
     return lambda: max(records.checkpoints(folder), default=0) >= moment or run.poll() is not None
 
 
 async def disturbed(run: Member, folder: Path, moments: list[int], chance: random.Random) -> list[int]:
-    """Runs to the end with a kill -9 soon after each number of steps in `moments`; where the next processes began."""
+    """Runs to the end with a kill -9 soon after each step count in `moments`. Returns the steps resumed from."""
     began = []
     run.start()
     for moment in moments:
@@ -74,10 +74,10 @@ async def disturbed(run: Member, folder: Path, moments: list[int], chance: rando
 
 
 async def ends_with_the_same_bytes(binary: Path, folder: Path, seed: int, n_kills: int) -> str:
-    """Compares parameters and optimizer of the two runs."""
+    """Compares the parameters and optimizer states of the two runs."""
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     chance = random.Random(seed)
-    # The first comes before there is a checkpoint, so that the run begins again.
+    # The first kill comes before any checkpoint exists, so the run starts over.
     moments = [0, *sorted(chance.sample(range(256, STEPS * 3 // 4), n_kills - 1))]
     calm, killed = (trainer(binary, folder, name, seed) for name in ("undisturbed", "killed"))
     try:

@@ -1,4 +1,4 @@
-"""The processes of the ring, each with a log of its own, under a supervisor that knows which ends were meant."""
+"""The processes of the ring, each with its own log, under a supervisor that knows which exits were intended."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pathlib import Path
 from checks import Failed, require, until
 from relay import Relay
 
-# Longer than any role needs to drain and save, on a machine that does other things as well.
+# Longer than any role needs to drain and save, even on a busy machine.
 GRACE_S = 60.0
 
 
 class End(enum.Enum):
-    """How a process came to its end."""
+    """How a process was ended."""
 
     KILLED = "killed"
     TERMINATED = "terminated"
@@ -42,14 +42,14 @@ class Life:
 
 
 class Member:
-    """One role of the ring and its processes, one after the other."""
+    """One member of the ring and its successive processes."""
 
     def __init__(self, name: str, role: str, command: list[str], logs: Path, relay: Relay | None) -> None:
         self.name = name
         self.role = role
         self.relay = relay
         self.lives: list[Life] = []
-        # Its faults of the moment; it is healthy while there are none.
+        # Active faults. The member is healthy while this is empty.
         self.hurt: set[str] = set()
         self._command = command
         self._logs = logs
@@ -62,7 +62,7 @@ class Member:
 
     @property
     def is_whole(self) -> bool:
-        """Whether it has no fault now."""
+        """Whether the member has no active fault."""
         return not self.hurt
 
     def start(self) -> None:
@@ -70,7 +70,8 @@ class Member:
         number = len(self.lives) + 1
         log = self._logs / f"{self.name}-{number:04}.log"
         environment = {name: value for name, value in os.environ.items() if not name.startswith("LODESTONE_")}
-        # The system kills it when this script ends, however that happens; the pid stays the program's.
+        # The kernel kills the process when this script exits for any reason. `setpriv` execs, so the pid is the
+        # program's.
         command = ["setpriv", "--pdeathsig", "KILL", *self._command]
         with log.open("wb") as output:
             self._process = subprocess.Popen(
@@ -79,23 +80,23 @@ class Member:
         self.lives.append(Life(number, self._process.pid, log, time.time()))
 
     def poll(self) -> int | None:
-        """The exit code, if the newest process has ended."""
+        """Returns the exit code if the newest process has ended, 0 if none was started."""
         return self._process.poll() if self._process else 0
 
     def send(self, number: signal.Signals) -> None:
-        """Sends a signal to the newest process, if it has not ended."""
+        """Sends a signal to the newest process unless it has ended."""
         if self._process is not None and self._process.poll() is None:
             self._process.send_signal(number)
 
     async def kill(self) -> None:
-        """kill -9, and waits until it is gone."""
+        """Sends SIGKILL and waits until the process is gone."""
         self.life.end = End.KILLED
         self.send(signal.SIGKILL)
         await until(f"{self.name} is gone after kill -9", 10, lambda: self.poll() is not None, 0.005)
         self._note_end()
 
     async def terminate(self) -> None:
-        """SIGTERM, and waits until it has ended, which must be well."""
+        """Sends SIGTERM and waits until the process exits, which must be with code 0."""
         self.life.end = End.TERMINATED
         self.send(signal.SIGTERM)
         try:
@@ -108,14 +109,14 @@ class Member:
         require(self.life.code == 0, f"{self.name} ended with {self.life.code} after SIGTERM, see {self.life.log}")
 
     def ended_by_itself(self) -> bool:
-        """Whether the newest process has ended though nobody asked it to."""
+        """Returns whether the newest process has exited on its own."""
         if self.life.end is not None or self.poll() is None:
             return False
         self._note_end()
         return True
 
     def resident_kb(self) -> int | None:
-        """VmRSS of the newest process."""
+        """Returns the VmRSS of the newest process, or None if it is gone."""
         with contextlib.suppress(OSError):
             for line in Path(f"/proc/{self.life.pid}/status").read_text().splitlines():
                 if line.startswith("VmRSS:"):
@@ -123,7 +124,7 @@ class Member:
         return None
 
     def end_now(self) -> None:
-        """Ends what still runs, without waiting for it to agree."""
+        """Kills the process if it is still running."""
         if self._process is not None and self._process.poll() is None:
             self._process.kill()
             self._process.wait()
@@ -135,7 +136,7 @@ class Member:
 
 @dataclass
 class Accident:
-    """A process that ended by itself."""
+    """A process that exited on its own."""
 
     life: Life
     name: str
@@ -147,7 +148,7 @@ class Accident:
 
 
 def has_panicked(log: Path) -> str | None:
-    """The line of a log that tells of a panic."""
+    """Returns the line of a log that reports a panic, or None."""
     for line in log.read_text(errors="replace").splitlines():
         if "panicked" in line:
             return line
@@ -155,7 +156,7 @@ def has_panicked(log: Path) -> str | None:
 
 
 async def supervise(members: list[Member], accidents: list[Accident], restart: Callable[[Member], None]) -> None:
-    """Restarts whatever ends by itself and keeps account."""
+    """Restarts members that exit on their own and records them in `accidents`."""
     while True:
         for member in members:
             if member.lives and member.ended_by_itself():

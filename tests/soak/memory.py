@@ -1,4 +1,4 @@
-"""Whether the memory of each role stays bounded."""
+"""Checks that the memory of each role stays bounded."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from checks import require
 from members import Member
 
-# Megabytes that no role may exceed: several times what each was seen to take.
+# Memory limit per role in megabytes: several times the observed usage.
 LIMITS_MB = {"router": 256, "learner": 768, "actor": 256, "evaluator": 512}
 
-# A process fills its caches at first.
+# Time after the start in which a process fills its caches.
 WARM_S = 20.0
 
 LARGEST_SLOPE_MB_PER_MINUTE = 1.0
@@ -19,7 +19,7 @@ LARGEST_SLOPE_MB_PER_MINUTE = 1.0
 
 @dataclass
 class Sample:
-    """VmRSS of one process at one time."""
+    """VmRSS of one process at one point in time."""
 
     life: tuple[str, int]
     age_s: float
@@ -27,9 +27,9 @@ class Sample:
 
 
 def slope(samples: list[Sample]) -> float:
-    """Megabytes a minute at which processes grow once they are warm, by least squares with a level for each process.
+    """Returns the growth of warm processes in megabytes per minute, by least squares with an intercept per process.
 
-    A level for each keeps one process's memory from counting as another's growth.
+    The separate intercepts keep one process's memory from counting as another's growth.
     """
     above = below = 0.0
     for life in {sample.life for sample in samples}:
@@ -44,16 +44,17 @@ def slope(samples: list[Sample]) -> float:
 
 
 class Memory:
-    """Samples of all processes by role."""
+    """Memory samples of all processes by role."""
 
     def __init__(self) -> None:
         self.samples: dict[str, list[Sample]] = {}
         self.calm_samples: dict[str, list[Sample]] = {}
-        # Whether the ring has no fault now. Only then does growth mean something: a fault fills queues once, and they keep their room.
+        # Whether no fault is active. Growth is meaningful only then: a fault fills queues, and they keep their
+        # capacity.
         self.is_calm = False
 
     def sample(self, member: Member) -> None:
-        """Looks at the newest process of a member."""
+        """Samples the newest process of a member."""
         kb = member.resident_kb() if member.lives else None
         if kb is not None:
             age = time.time() - member.life.began
@@ -63,15 +64,15 @@ class Memory:
                 self.calm_samples.setdefault(member.role, []).append(sample)
 
     def most_mb(self, role: str) -> float:
-        """The largest sample of a role."""
+        """Returns the largest sample of a role."""
         return max(sample.mb for sample in self.samples[role])
 
     def slopes_mb_per_minute(self) -> dict[str, float]:
-        """At which rate the processes of each role grow in the calm phase, if there is one."""
+        """Returns the growth rate of each role's processes in the calm phase, if there is one."""
         return {role: slope(samples) for role, samples in self.calm_samples.items()}
 
     def is_bounded(self) -> str:
-        """Fails if a role exceeds its limit, or grows while the ring has no fault."""
+        """Fails if a role exceeds its limit, or grows while no fault is active."""
         said = []
         slopes = self.slopes_mb_per_minute()
         for role, limit in LIMITS_MB.items():

@@ -1,7 +1,8 @@
-"""Holds the counters of the two ends of the bus against each other.
+"""Compares the counters at both ends of the bus.
 
-What can be known: an actor says every 200 ms how much was acknowledged, a learner says in a line after each update how much it
-took. A process that is killed takes the rest of the story with it, so each bound below allows for exactly that.
+An actor reports every 200 ms how many trajectories were acknowledged. A learner writes a line after each update with
+how many it took. Counts since the last report are lost when a process is killed, so each bound below allows for exactly
+that.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from members import Member
 from records import LearnerLife
 from ring import BACKLOG, INGEST_QUEUE, N_ACTORS, N_OUTSTANDING, N_WORLDS, SEGMENT_LEN
 
-# Attempts to send one trajectory that nobody answers.
+# Attempts to send a trajectory that is not answered.
 N_ATTEMPTS = 3
 
 
 def verdicts_add_up(lives: list[LearnerLife]) -> str:
-    """Everything that arrived has one verdict, but for what waits in the queue before the decoder."""
+    """Checks that each received trajectory has one verdict, except for those in the queue before the decoder."""
     n_received = most_waiting = 0
     for number, life in enumerate(lives, 1):
         for update in life.updates:
             ingest: dict[str, int] = update["ingest"]
             waiting = 2 * ingest["received_total"] - sum(ingest.values())
-            # The counts are read one after the other, and a verdict may fall in between.
+            # The counts are read one at a time, and a verdict may happen in between.
             require(-N_ACTORS * N_OUTSTANDING <= waiting <= INGEST_QUEUE, f"process {number}: {waiting} wait in {ingest}")
             most_waiting = max(most_waiting, waiting)
         n_received += life.ingest.get("received_total", 0)
@@ -33,16 +34,16 @@ def verdicts_add_up(lives: list[LearnerLife]) -> str:
 
 
 def segments_add_up(life: ActorLife) -> None:
-    """Steps become segments, and each is acknowledged, dropped for one reason, or still there.
+    """Checks that each segment of steps is acknowledged, dropped for one reason, or still pending.
 
-    A segment has 16 steps, or fewer if it ends an episode. So `made`, the number of segments, is at most steps / 16 + episodes,
-    and all but what the worlds have begun and what diverged is in one.
+    A segment has 16 steps, or fewer if it ends an episode, so there are at most steps / 16 + episodes segments. Every
+    step is in a segment, except for those in unfinished segments and diverged episodes.
     """
     report = life.last
     known = life.n_acked + life.n_dropped
     n_steps, n_episodes = report["n_env_steps"], report["n_episodes"]
     n_diverged = report["dropped"]["diverged_total"]
-    # The thread counts a round of all worlds after it has handed over their segments.
+    # The thread counts a round of all worlds after it hands over their segments.
     at_most = n_steps / SEGMENT_LEN + n_episodes + N_WORLDS
     at_least = (n_steps - (N_WORLDS + n_diverged) * SEGMENT_LEN) / SEGMENT_LEN - BACKLOG - N_OUTSTANDING
     account = f"{life.n_acked} acknowledged and {report['dropped']} of {n_steps} steps in {n_episodes} episodes"
@@ -51,7 +52,7 @@ def segments_add_up(life: ActorLife) -> None:
 
 
 def actors_add_up(listener: Listener, actors: list[Member]) -> str:
-    """All of that for every process of an actor that has reported."""
+    """Applies `segments_add_up` to every actor process that has reported."""
     require(not listener.wrong, "; ".join(listener.wrong[:3]))
     for life in listener.actors.values():
         segments_add_up(life)
@@ -63,7 +64,7 @@ def actors_add_up(listener: Listener, actors: list[Member]) -> str:
 
 @dataclass
 class Balance:
-    """The sums of both ends, and what may have died unrecorded."""
+    """Totals of both ends, and bounds on what may have been lost unrecorded."""
 
     n_acked: int
     """By the last reports of all processes of actors."""
@@ -84,7 +85,7 @@ class Balance:
 
 
 def balance(learners: list[LearnerLife], listener: Listener, actors: list[Member], n_incidents: int) -> Balance:
-    """Sums up both ends; `n_incidents` are the faults that may have cost an answer."""
+    """Sums up both ends. `n_incidents` counts the faults that may have cost an answer."""
     lives = list(listener.actors.values())
     most_between_lines = max((between for life in learners for between in taken_between(life)), default=0)
     most_between_reports = max((life.most_acked_between for life in lives), default=0)
@@ -100,26 +101,26 @@ def balance(learners: list[LearnerLife], listener: Listener, actors: list[Member
 
 
 def taken_between(life: LearnerLife) -> list[int]:
-    """How many a learner took from each line to the next."""
+    """Returns how many trajectories a learner took from each line to the next."""
     taken = [0] + [u["ingest"]["accepted_total"] + u["ingest"]["duplicates_total"] for u in life.updates]
     return [after - before for before, after in zip(taken, taken[1:])]
 
 
 def lost_with(life: LearnerLife) -> int:
-    """Trajectories that a learner accepted, by its last line, and that are in no checkpoint.
+    """Returns the number of trajectories that a learner accepted, by its last line, but that are in no checkpoint.
 
-    Negative if the last checkpoint came after the last line.
+    The number is negative if the last checkpoint came after the last line.
     """
     n_saved = life.saved_accepted_after - life.saved_accepted_before
     return life.ingest.get("accepted_total", 0) - n_saved
 
 
 def both_ends_agree(sums: Balance) -> str:
-    """Nobody was told that a trajectory was taken which was not, and no taken one was kept from its actor.
+    """Checks that acknowledged trajectories were taken, and that taken trajectories were acknowledged.
 
-    After its last line a learner takes less than between two lines, for the line would have come; that once more is allowed because
-    what grows too old in the mailbox makes room. Likewise for actors and reports. An answer is lost only in an incident, and then
-    at most those of all attempts of all that was under way.
+    After its last line, a learner takes fewer trajectories than between two lines, or the next line would exist. Twice
+    that number is allowed because stale trajectories in the mailbox make room. The same holds for actors and reports.
+    Answers are lost only in an incident: at most one per attempt for each trajectory in flight.
     """
     require(sums.n_acked <= sums.n_taken + sums.n_taken_unrecorded, f"more acknowledged than taken: {sums}")
     limit = sums.n_acked + sums.n_acked_unrecorded + sums.n_answers_lost
@@ -128,7 +129,7 @@ def both_ends_agree(sums: Balance) -> str:
 
 
 def clean_ends_save_all(lives: list[LearnerLife]) -> str:
-    """A learner that ended by SIGTERM has everything in its checkpoint that its lines tell of."""
+    """Checks that a learner that ended by SIGTERM has everything in its checkpoint that its lines report."""
     ended_well = [life for life in lives if not life.killed]
     for life in ended_well:
         require(lost_with(life) <= 0, f"{lost_with(life)} accepted trajectories are in no checkpoint: {life.ingest}")

@@ -1,4 +1,4 @@
-"""What the learner left on the disk: its lines of metrics.jsonl by process, its checkpoints, the history of evaluations."""
+"""Reads what the run left on disk: metrics.jsonl by learner process, checkpoints, and the evaluation history."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Update = dict[str, Any]
 
 @dataclass
 class LearnerLife:
-    """One process of the learner, by its lines and the checkpoints around it."""
+    """One learner process: its lines in metrics.jsonl and the checkpoints before and after it."""
 
     saved_steps_before: int
     """Steps of the newest checkpoint when it was started."""
@@ -28,17 +28,17 @@ class LearnerLife:
 
     @property
     def ingest(self) -> dict[str, int]:
-        """The counts of its last line."""
+        """Ingest counts in the last line."""
         return dict(self.updates[-1]["ingest"]) if self.updates else {}
 
     @property
     def n_taken(self) -> int:
-        """Trajectories that it acknowledged, as far as is known: those it accepted, and repeats of them."""
+        """Trajectories acknowledged as of the last line: accepted ones and repeats of them."""
         return self.ingest.get("accepted_total", 0) + self.ingest.get("duplicates_total", 0)
 
 
 class Lines:
-    """metrics.jsonl as it grows."""
+    """Reads metrics.jsonl as it grows."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -48,7 +48,7 @@ class Lines:
         self.broken: list[str] = []
 
     def read(self) -> list[Update]:
-        """The learner's lines since the last call."""
+        """Returns the learner's lines since the last call."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._offset)
@@ -70,31 +70,31 @@ class Lines:
         return found
 
     def all_whole(self) -> str:
-        """Fails if a line is broken or the last has no end."""
+        """Fails if a line is broken or the last line is incomplete."""
         require(not self.broken, "; ".join(self.broken[:3]))
         require(not self._rest, f"the last line has no end: {self._rest[:80]!r}")
         return f"{self.n_lines} lines"
 
 
 def began_with(life: LearnerLife) -> int:
-    """Steps that a process with at least one line found when it began."""
+    """Returns the steps that a process with at least one line resumed from."""
     return int(life.updates[0]["n_env_steps"]) - int(life.updates[0]["n_update_steps"])
 
 
 def checkpoints(run: Path) -> dict[int, Path]:
-    """The checkpoints of a run by their steps, in order."""
+    """Returns the checkpoints of a run by step, in order."""
     found = {int(path.name.removeprefix("step-")): path for path in (run / "checkpoints").glob("step-*")}
     return dict(sorted(found.items()))
 
 
 def cut_short(run: Path) -> list[Path]:
-    """Folders of checkpoints whose writing was cut short, or is under way."""
+    """Returns the folders of checkpoints whose writing was interrupted or is in progress."""
     folder = run / "checkpoints"
     return [path for path in folder.iterdir() if path.name.startswith(".")] if folder.is_dir() else []
 
 
 def newest_checkpoint(run: Path) -> tuple[int, int]:
-    """Steps, and trajectories accepted, of the newest checkpoint; nothing without one."""
+    """Returns the steps and accepted trajectories of the newest checkpoint, or zeros if there is none."""
     saved = checkpoints(run)
     if not saved:
         return 0, 0
@@ -104,7 +104,7 @@ def newest_checkpoint(run: Path) -> tuple[int, int]:
 
 
 def fnv1a(data: bytes) -> str:
-    """FNV-1a with 64 bits, as the checkpoints have it."""
+    """Returns the 64-bit FNV-1a hash in the checkpoints' format."""
     value = 0xCBF29CE484222325
     for byte in data:
         value = ((value ^ byte) * 0x100000001B3) & 0xFFFFFFFFFFFFFFFF
@@ -112,7 +112,7 @@ def fnv1a(data: bytes) -> str:
 
 
 def checkpoint_is_whole(path: Path) -> None:
-    """Fails unless all files of a checkpoint are as its state.json says."""
+    """Fails unless all files of a checkpoint match its state.json."""
     state = json.loads((path / "state.json").read_text())
     require(f"step-{state['state']['n_env_steps']}" == path.name, f"{path.name} has {state['state']['n_env_steps']} steps")
     for info in state["files"]:
@@ -123,7 +123,7 @@ def checkpoint_is_whole(path: Path) -> None:
 
 
 def steps_add_up(lives: list[LearnerLife]) -> str:
-    """Within a process no step is lost or counted twice; the next begins at the newest checkpoint and nowhere before."""
+    """Checks that no process loses a step or counts one twice, and that each resumes from the newest checkpoint."""
     most_again = 0
     for number, life in enumerate(lives, 1):
         for before, after in zip(life.updates, life.updates[1:]):
@@ -144,7 +144,7 @@ def steps_add_up(lives: list[LearnerLife]) -> str:
 
 
 def database_is_whole(path: Path) -> str:
-    """SQLite finds nothing wrong with the history of evaluations."""
+    """Checks the integrity of the evaluation history with SQLite and returns the row counts of its tables."""
     with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as database:
         verdict = database.execute("pragma integrity_check").fetchone()[0]
         tables = [row[0] for row in database.execute("select name from sqlite_master where type = 'table' order by name")]

@@ -1,4 +1,4 @@
-"""A TCP relay between one member and the router, whose line can be cut."""
+"""A TCP relay between one member and the router that can cut the connection."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ CHUNK = 1 << 18
 
 
 class Line(enum.Enum):
-    """What the relay does with what comes in."""
+    """How the relay treats traffic."""
 
     WHOLE = "whole"
-    # As if a cable were pulled: connections stay, nothing passes, and what was sent arrives when the cable is back.
+    # Like a pulled cable: connections stay open, nothing passes, and sent data arrives when the cable is back.
     SILENT = "silent"
-    # As if the other machine had gone: connections are reset, new ones too.
+    # As if the other machine were gone: all connections are reset, including new ones.
     RESET = "reset"
 
 
 class Relay:
-    """Listens on a port of its own and passes every connection on to the router."""
+    """Listens on its own port and forwards every connection to the router."""
 
     def __init__(self, router_port: int) -> None:
         self.port = 0
@@ -33,24 +33,24 @@ class Relay:
         self._server: asyncio.Server | None = None
 
     async def listen(self) -> None:
-        """Takes connections from now on."""
+        """Starts accepting connections."""
         self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0, limit=CHUNK)
         self.port = self._server.sockets[0].getsockname()[1]
 
     def cut(self, line: Line) -> None:
-        """Cuts all connections, and those that come, until `mend`."""
+        """Cuts all current and new connections until `mend`."""
         self.line = line
         self._passing.clear()
         if line is Line.RESET:
             self._abort()
 
     def mend(self) -> None:
-        """Passes everything on again."""
+        """Forwards all traffic again."""
         self.line = Line.WHOLE
         self._passing.set()
 
     async def close(self) -> None:
-        """Takes nothing more and drops what there is."""
+        """Stops accepting connections and drops open ones."""
         self.mend()
         if self._server is not None:
             self._server.close()
@@ -72,13 +72,13 @@ class Relay:
             back, there = await asyncio.open_connection("127.0.0.1", self._router_port, limit=CHUNK)
             self._writers.add(there)
             pumps = [asyncio.create_task(self._pump(reader, there)), asyncio.create_task(self._pump(back, writer))]
-            # One direction that ends takes the other with it, as with a process that is gone.
+            # When one direction ends, end the other too, as if the process were gone.
             _, left = await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
             for pump in left:
                 pump.cancel()
             await asyncio.gather(*pumps, return_exceptions=True)
         except OSError:
-            # No router listens at the moment: the member sees its connection end and comes back.
+            # No router is listening right now. The member's connection closes, and it reconnects.
             pass
         finally:
             for end in (writer, there):

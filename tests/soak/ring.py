@@ -1,4 +1,4 @@
-"""The ring under test: router, learner, three actors and evaluator on loopback, clients behind relays."""
+"""The ring under test: router, learner, three actors, and evaluator on loopback, with clients behind relays."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ N_OUTSTANDING = 2
 BACKLOG = 16
 INGEST_QUEUE = 256
 
-# Small updates and a checkpoint after every second, so that a kill finds much to break; answers that are given up
-# soon; reports that come often, so that a kill leaves little unsaid.
+# Small updates and a checkpoint after every second one, so that kills hit many of them. Short acknowledgment timeouts.
+# Frequent reports, so that a kill leaves little unreported.
 SETTINGS = {
     "learner.steps_per_update": "256",
     "learner.minibatch_size": "128",
@@ -44,26 +44,26 @@ SETTINGS = {
     "evaluator.films.groups": "[]",
 }
 
-# More than anybody waits for.
+# More steps than a test can run.
 ENDLESS = "1000000000000"
 
 BACK_S = 60.0
 
 
 def free_port() -> int:
-    """A port that was free a moment ago; the router comes back to it, so it cannot choose one itself."""
+    """Returns a port that was free a moment ago. The router reuses it after a restart, so it cannot choose its own."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         return int(listener.getsockname()[1])
 
 
 def settings(chosen: dict[str, str]) -> list[str]:
-    """The arguments for some settings."""
+    """Returns the arguments for the given settings."""
     return [argument for key, value in chosen.items() for argument in ("--set", f"{key}={value}")]
 
 
 class Ring:
-    """All members, and what is known of them."""
+    """All members and what was recorded about them."""
 
     def __init__(self, binary: Path, folder: Path, seed: int) -> None:
         self.run_dir = folder / "run"
@@ -81,7 +81,7 @@ class Ring:
         self.members: list[Member] = []
 
     async def start(self) -> None:
-        """Starts everything and waits until the learner learns from every actor."""
+        """Starts all members and waits until the learner receives trajectories from every actor."""
         router = ["--listen", f"tcp/127.0.0.1:{self._port}"]
         self.router = await self._add("router", "router", router)
         learner = ["--run-dir", str(self.run_dir), "--auto-resume", "--steps", ENDLESS]
@@ -99,7 +99,7 @@ class Ring:
         await until("a first checkpoint", BACK_S, lambda: records.checkpoints(self.run_dir))
 
     async def restart_learner(self, end: End) -> None:
-        """Ends the learner and starts it again at once, with account of what is on the disk in between."""
+        """Restarts the learner immediately and records the state on disk in between."""
         ended = self.learner_lives[-1]
         ended.killed = end is End.KILLED
         try:
@@ -110,7 +110,7 @@ class Ring:
             self.learner.start()
 
     async def stop_learner(self) -> None:
-        """Ends the learner by SIGTERM; `resume_learner` starts it again."""
+        """Stops the learner with SIGTERM. `resume_learner` starts it again."""
         await self.learner.terminate()
         self._end_learner_life()
 
@@ -120,36 +120,36 @@ class Ring:
         self.learner.start()
 
     def learner_has_taken(self) -> bool:
-        """Whether the lines of the newest learner tell of a trajectory that it took."""
+        """Returns whether the newest learner process has reported an accepted trajectory."""
         return self.learner_lives[-1].ingest.get("accepted_total", 0) > 0
 
     def n_updates(self) -> int:
-        """Updates of all lives so far that have a line."""
+        """Returns the number of updates that all learner processes have reported so far."""
         return sum(len(life.updates) for life in self.learner_lives)
 
     def report(self, actor: Member) -> ActorLife | None:
-        """What the newest process of an actor has said, if it has."""
+        """Returns the reports of an actor's newest process, or None if it has not reported yet."""
         life = self.listener.newest(actor.name)
-        # The process takes its time a moment after it was started.
+        # The process reads its epoch from the clock shortly after its start.
         return life if life and life.epoch_ms >= int(actor.life.began * 1000) else None
 
     def acked(self, actor: Member) -> int:
-        """Trajectories of the newest process of an actor that the learner took."""
+        """Returns the number of trajectories from an actor's newest process that the learner acknowledged."""
         life = self.report(actor)
         return life.n_acked if life else 0
 
     async def stop(self) -> None:
-        """Ends everything by SIGTERM, actors first and the router last."""
+        """Stops all members with SIGTERM, actors first and the router last."""
         for member in (*self.actors, self.evaluator):
             await member.terminate()
         await self.stop_learner()
         self.listener.digest()
-        # The last reports of the actors are on their way before the router goes.
+        # The actors' last reports have arrived before the router stops.
         self.listener.close()
         await self.router.terminate()
 
     async def close(self) -> None:
-        """Ends what is left, however it ended."""
+        """Kills remaining processes and closes all connections."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -185,7 +185,7 @@ class Ring:
             await asyncio.sleep(0.05)
 
     def _restart(self, member: Member) -> None:
-        """Starts a member again that ended by itself."""
+        """Restarts a member that exited on its own."""
         if member is self.learner:
             self.learner_lives[-1].killed = True
             self._end_learner_life()

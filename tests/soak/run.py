@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Kills, stops, cuts and restarts the members of a ring at random, and looks what was lost.
+"""Kills, stops, disconnects, and restarts the members of a ring at random, and checks what was lost.
 
 Usage: python tests/soak/run.py --binary target/debug/lodestone [--minutes 1] [--seed S] [--dir DIR] [--json FILE]
 
-Needs the Python package eclipse-zenoh (pip install -r deploy/examples/requirements.txt) and `setpriv` of util-linux. Everything
-runs on loopback and is ended with this script, also when that is killed. docs/soak.md says what is checked. The last line
-counts the checks; the exit code is 0 if all passed.
+Needs the Python package eclipse-zenoh (pip install -r deploy/examples/requirements.txt) and `setpriv` from util-linux.
+All processes run on loopback and end with this script, even if it is killed. docs/soak.md describes the checks. The
+last line counts the checks. The exit code is 0 if all passed.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
     from faults import Faults, Record
     from ring import Ring
 
-# At least so many in an hour; in a short run, where the first minute weighs more, at least so many a minute.
+# Minimum rates of faults: per hour, and per minute in a short run, where the first minute weighs more.
 FAULTS_AN_HOUR = 500
 FAULTS_A_MINUTE = 15
 SHORT_MIN = 5.0
 
 LEARNER_BACK_S = 10.0
 
-# A run of at least so many minutes ends with a phase in which nothing is hurt and memory must not grow.
+# A run of at least this many minutes ends with a phase without faults, in which memory must not grow.
 LONG_MIN = 10.0
 CALM_S = 300.0
 
@@ -50,7 +50,7 @@ PROGRESS_S = 10.0
 
 
 def arguments() -> argparse.Namespace:
-    """The command line."""
+    """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--binary", type=Path, required=True, help="the program lodestone")
     injected = "how long faults are injected [default: 1]; from 10 on, 5 calm ones follow"
@@ -64,7 +64,7 @@ def arguments() -> argparse.Namespace:
 
 
 def lacks(args: argparse.Namespace) -> list[str]:
-    """What keeps this from running, as sentences."""
+    """Returns the unmet requirements as messages."""
     found = []
     if not os.access(args.binary, os.X_OK) or args.binary.is_dir():
         found.append(f"{args.binary} is no program: build it with `cargo build`")
@@ -82,7 +82,7 @@ def lacks(args: argparse.Namespace) -> list[str]:
 
 
 async def attempt(tally: Tally, name: str, action: Awaitable[object]) -> bool:
-    """Counts what an action that takes its time comes to."""
+    """Runs an async action as a check and returns whether it passed."""
     try:
         tally.passed(name, await action)
     except Exception as error:
@@ -92,7 +92,7 @@ async def attempt(tally: Tally, name: str, action: Awaitable[object]) -> bool:
 
 
 async def show_progress(ring: Ring, faults: Faults) -> None:
-    """A line every ten seconds."""
+    """Prints a progress line every ten seconds."""
     began = time.monotonic()
     while True:
         await asyncio.sleep(PROGRESS_S)
@@ -108,7 +108,7 @@ async def show_progress(ring: Ring, faults: Faults) -> None:
 
 
 async def disturb(ring: Ring, faults: Faults, minutes: float, tally: Tally) -> bool:
-    """Starts the ring, injects faults, lets it settle, and ends it; whether it came so far that it can be judged."""
+    """Starts the ring, injects faults, lets it settle, and stops it. Returns False if the ring did not start."""
     from settle import all_work, calm, nothing_is_lost
 
     if not await attempt(tally, "the ring starts", ring.start()):
@@ -128,12 +128,12 @@ async def disturb(ring: Ring, faults: Faults, minutes: float, tally: Tally) -> b
 
 
 def judge(ring: Ring, faults: Faults, binary: Path, tally: Tally) -> dict[str, Any]:
-    """Checks what is left, and returns the figures."""
+    """Checks the results and returns the figures."""
     import reconcile
     import records
 
     record = faults.record
-    # Each fault may have cost answers, and so may the start, the ends in between and the end.
+    # Each fault may have cost answers, and so may the start, the stops in between, and the end.
     sums = reconcile.balance(ring.learner_lives, ring.listener, ring.actors, record.n_faults + 3)
     tally.check("all faults were survived", lambda: survived(record))
     tally.check("the learner is back in less than 10 s", lambda: is_back_soon(record.learner_back_s))
@@ -165,13 +165,13 @@ def judge(ring: Ring, faults: Faults, binary: Path, tally: Tally) -> dict[str, A
 
 
 def survived(record: Record) -> str:
-    """Fails if a fault was not come back from."""
+    """Fails if the ring did not recover from a fault."""
     require(not record.failures, "; ".join(record.failures))
     return ", ".join(f"{n} {name}" for name, n in sorted(record.injected.items()))
 
 
 def is_back_soon(seconds: list[float]) -> str:
-    """Fails if the learner took too long to take its next trajectory."""
+    """Fails if the learner took too long to accept its next trajectory."""
     require(seconds, "it was never killed")
     require(max(seconds) < LEARNER_BACK_S, f"{max(seconds):.1f} s after a kill -9")
     about = spread(seconds)
@@ -179,7 +179,7 @@ def is_back_soon(seconds: list[float]) -> str:
 
 
 def spread(seconds: list[float]) -> dict[str, float]:
-    """What a list of times says."""
+    """Summarizes a list of times."""
     if not seconds:
         return {"n": 0}
     low, middle, high = min(seconds), statistics.median(seconds), max(seconds)
@@ -187,7 +187,7 @@ def spread(seconds: list[float]) -> dict[str, float]:
 
 
 def no_accidents(ring: Ring) -> str:
-    """Fails if a process ended that was not told to, or any log tells of a panic."""
+    """Fails if a process exited on its own or any log reports a panic."""
     require(not ring.accidents, "; ".join(map(str, ring.accidents[:3])))
     lives = [life for member in ring.members for life in member.lives]
     panics = [f"{life.log.name}: {line}" for life in lives if (line := has_panicked(life.log))]
@@ -196,7 +196,7 @@ def no_accidents(ring: Ring) -> str:
 
 
 def checkpoints_load(ring: Ring, binary: Path) -> str:
-    """The newest is judged by the program, the files of all are as they were written, and nothing is left over."""
+    """Checks that the program evaluates the newest checkpoint, all files are intact, and no partial ones are left."""
     import records
 
     saved = records.checkpoints(ring.run_dir)
@@ -215,7 +215,7 @@ def checkpoints_load(ring: Ring, binary: Path) -> str:
 
 
 def show(figures: dict[str, Any]) -> None:
-    """The summary table."""
+    """Prints the summary table."""
     print()
     for name, value in figures.items():
         text = ", ".join(f"{key} {number}" for key, number in value.items()) if isinstance(value, dict) else value
@@ -223,7 +223,7 @@ def show(figures: dict[str, Any]) -> None:
 
 
 async def soak(args: argparse.Namespace, folder: Path, seed: int) -> Tally:
-    """Both parts."""
+    """Runs both parts, or the one selected by `--only`."""
     from faults import Faults
     from lockstep import ends_with_the_same_bytes
     from ring import Ring
@@ -250,7 +250,7 @@ async def soak(args: argparse.Namespace, folder: Path, seed: int) -> Tally:
 
 
 async def until_told_to_stop(args: argparse.Namespace, folder: Path, seed: int) -> Tally:
-    """Like `soak`, but SIGTERM and SIGINT end it after all that it started."""
+    """Like `soak`, but SIGTERM and SIGINT cancel it after cleaning up its processes."""
     task = asyncio.current_task()
     assert task is not None, "it runs in a task"
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -259,7 +259,7 @@ async def until_told_to_stop(args: argparse.Namespace, folder: Path, seed: int) 
 
 
 def main() -> int:
-    """Runs all checks."""
+    """Runs all checks and returns the exit code."""
     args = arguments()
     if missing := lacks(args):
         print("\n".join(missing), file=sys.stderr)

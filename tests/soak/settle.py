@@ -1,4 +1,4 @@
-"""After the faults: everybody works again, and an undisturbed life of the learner is accounted for to the last trajectory."""
+"""Checks after the faults: all members work again, and an undisturbed learner accounts for every trajectory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ N_UPDATES = 10
 
 
 async def all_work(ring: Ring) -> str:
-    """Every actor has something acknowledged, the learner saves and the evaluator judges."""
+    """Waits until every actor has more trajectories acknowledged, the learner saves, and the evaluator reports."""
     acked = {actor.name: ring.acked(actor) for actor in ring.actors}
     steps, _ = records.newest_checkpoint(ring.run_dir)
     n_summaries = ring.listener.n_summaries
@@ -28,7 +28,7 @@ async def all_work(ring: Ring) -> str:
 
 
 async def calm(ring: Ring, seconds: float) -> str:
-    """Injects no fault for a while and watches the memory of the ring."""
+    """Lets the ring run without faults for a while and records its memory."""
     n_updates = ring.n_updates()
     ring.memory.is_calm = True
     await asyncio.sleep(seconds)
@@ -38,10 +38,10 @@ async def calm(ring: Ring, seconds: float) -> str:
 
 
 async def _acked_at_rest(ring: Ring) -> int:
-    """What actors were acknowledged, once nobody answers them any more."""
+    """Returns the actors' acknowledged trajectories once all actors have noticed that the learner is gone."""
 
     async def at_rest(actor: Member) -> int:
-        # The first report after the learner's end may have been made before it.
+        # The first report received after the learner's exit may predate it.
         before = ring.report(actor)
         n_before = before.n_reports if before else 0
 
@@ -56,7 +56,7 @@ async def _acked_at_rest(ring: Ring) -> int:
 
 
 async def nothing_is_lost(ring: Ring) -> str:
-    """What a learner acknowledges between its start and SIGTERM is in its last checkpoint, one for one."""
+    """Checks that everything a learner acknowledges between its start and SIGTERM is in its last checkpoint."""
     await ring.stop_learner()
     acked_before, (_, saved_before) = await _acked_at_rest(ring), records.newest_checkpoint(ring.run_dir)
     ring.resume_learner()
@@ -68,6 +68,6 @@ async def nothing_is_lost(ring: Ring) -> str:
     acked, saved = acked_after - acked_before, saved_after - saved_before
     said = f"{acked} acknowledged, {saved} in the checkpoint"
     require(acked <= saved, f"{acked - saved} acknowledged trajectories were lost by a learner that ended well: {said}")
-    # The last answers may not have come through before the learner left.
+    # The last answers may not have arrived before the learner exited.
     require(saved - acked <= N_ACTORS * N_OUTSTANDING, f"answers are missing: {said}")
     return said

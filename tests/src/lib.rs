@@ -1,1 +1,1 @@
-//! Nothing to use: this crate exists for its one integration binary, `tests/main.rs`, which runs what no single crate can.
+//! Empty: this crate exists for its integration test binary, `tests/main.rs`, whose tests belong to no single crate.

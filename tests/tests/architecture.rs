@@ -1,10 +1,10 @@
-//! Who may know whom: the table of ARCHITECTURE.md against the manifests.
+//! Which crates may depend on which: compares the table in ARCHITECTURE.md with the manifests.
 
 use std::collections::BTreeSet;
 
 use crate::repository::{files, manifest, members, read, root, shown};
 
-/// Each crate with all crates of the workspace that it may depend on.
+/// Each crate, with all crates of the workspace that it may depend on.
 const ALLOWED: [(&str, &[&str]); 13] = [
     ("blueprints", &[]),
     ("proto", &["blueprints"]),
@@ -24,14 +24,14 @@ const ALLOWED: [(&str, &[&str]); 13] = [
     ),
 ];
 
-/// External crates, by the beginning of their name, with the only crates that may name them.
+/// External crates by name prefix, with the only crates that may depend on them.
 const HOMES: [(&str, &[&str]); 12] = [
     ("arrow", &["dataset"]),
     ("rapier", &["environment"]),
     ("burn", &["policy", "learner"]),
     ("cubecl", &["policy", "learner"]),
     ("zenoh", &["bus"]),
-    // The event files of TensorBoard are protobuf too.
+    // TensorBoard's event files are protobuf, too.
     ("prost", &["proto", "runlog"]),
     ("rusqlite", &["runlog"]),
     ("openh264", &["render"]),
@@ -41,10 +41,11 @@ const HOMES: [(&str, &[&str]); 12] = [
     ("crossterm", &["dashboard"]),
 ];
 
-/// Crates whose results depend on their arguments alone.
+/// Crates whose results depend only on their arguments.
 const PURE: [&str; 3] = ["blueprints", "environment", "policy"];
 
-/// What a pure crate does not name: clocks, the network, other processes, the terminal, the environment's variables.
+/// What a pure crate must not use: clocks, the network, other processes, environment variables, the terminal, and
+/// global randomness.
 const IMPURE: [&str; 9] = [
     "Instant::now",
     "SystemTime",
@@ -57,7 +58,7 @@ const IMPURE: [&str; 9] = [
     "OsRng",
 ];
 
-/// Names of the dependencies in the given tables of a manifest, target-specific ones included.
+/// Names of the dependencies in the given tables of a manifest, including target-specific ones.
 fn dependencies(member: &str, tables: &[&str]) -> BTreeSet<String> {
     let manifest = manifest(&root().join(member).join("Cargo.toml"));
     let targets = manifest.get("target").and_then(|targets| targets.as_table());
@@ -69,7 +70,7 @@ fn dependencies(member: &str, tables: &[&str]) -> BTreeSet<String> {
         .collect()
 }
 
-/// A renamed dependency counts by its real name.
+/// The real name of a dependency, which may be renamed.
 fn package_name(name: &str, spec: &toml::Value) -> String {
     spec.get("package").and_then(|package| package.as_str()).unwrap_or(name).to_owned()
 }
@@ -92,7 +93,7 @@ fn dependencies_point_one_way() {
     }
 }
 
-/// The crates of the workspace that `member` builds with, itself among them.
+/// The crates of the workspace that `member` builds with, including itself.
 fn closure(member: &str) -> BTreeSet<String> {
     let (members, mut found) = (members(), BTreeSet::new());
     let mut open = vec![member.to_owned()];

@@ -1,15 +1,15 @@
-//! No two files of a crate need each other: what belongs together is one file, a file and its children, or has a common part
-//! of its own.
+//! No two files of a crate depend on each other: code that belongs together is in one file, in a file and its children,
+//! or has its common part in a file of its own.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use crate::repository::{files, members, read, root};
 
-/// A module as its names from the root of the crate.
+/// A module, as its path from the root of the crate.
 type Module = Vec<String>;
 
-/// The module of a source file, by its path under `src`.
+/// The module of a source file, from its path relative to `src`.
 fn module(path: &Path) -> Module {
     let mut names: Module =
         path.with_extension("").components().map(|part| part.as_os_str().to_string_lossy().into_owned()).collect();
@@ -19,13 +19,13 @@ fn module(path: &Path) -> Module {
     names
 }
 
-/// Source without comments and without the tests at its end.
+/// Source code without comments and without the unit tests at its end.
 fn code(text: &str) -> String {
     let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     code.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
 }
 
-/// The paths that a file of `module` names which begin with `crate`, `super` or `self`, from the root of the crate.
+/// The paths in a file of `module` that begin with `crate`, `super`, or `self`, resolved from the root of the crate.
 fn paths(module: &Module, code: &str) -> Vec<Module> {
     let mut found = Vec::new();
     let is_name = |c: char| c.is_alphanumeric() || c == '_';
@@ -59,7 +59,7 @@ fn paths(module: &Module, code: &str) -> Vec<Module> {
     found
 }
 
-/// Where the brace that is open at the beginning is closed.
+/// The index of the brace that closes the one before the list.
 fn closing(list: &str) -> usize {
     let mut depth = 1;
     for (place, c) in list.char_indices() {
@@ -71,7 +71,7 @@ fn closing(list: &str) -> usize {
     list.len()
 }
 
-/// The paths of a list, of nested lists only what stands before the brace.
+/// The paths in a list; of nested lists, only the part before the brace.
 fn outermost(list: &str) -> Vec<Module> {
     let (mut depth, mut flat) = (0, String::new());
     for c in list.chars() {
@@ -85,7 +85,7 @@ fn outermost(list: &str) -> Vec<Module> {
     flat.split(',').filter(|item| !item.trim().is_empty()).map(path).collect()
 }
 
-/// Which neighbors need which, below each common parent; a file and its own children may need each other.
+/// The dependencies between siblings, for each common parent; a file and its own children may depend on each other.
 fn needs(sources: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeSet<Module>> {
     let mut needs: BTreeMap<Module, BTreeSet<Module>> = BTreeMap::new();
     for (from, code) in sources {
@@ -102,7 +102,7 @@ fn needs(sources: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeSet<Module
     needs
 }
 
-/// The modules that lead back to themselves.
+/// The modules that depend on themselves through others.
 fn circles(needs: &BTreeMap<Module, BTreeSet<Module>>) -> Vec<String> {
     let leads_back = |start: &Module| {
         let (mut open, mut seen) = (vec![start], BTreeSet::new());

@@ -1,4 +1,5 @@
-//! Numbers by which processes and files of different builds recognize each other. They change only with a meaning.
+//! Numbers by which processes and files of different builds recognize each other. They change only if their meaning
+//! does.
 
 use std::path::Path;
 
@@ -8,7 +9,7 @@ use learner::Model;
 use policy::Engine;
 use proto::codec::MAX_PARAMETERS;
 
-/// The hash of the network of each preset, which weights on the bus carry.
+/// The hash of each preset's network, which weights on the bus carry.
 const NETWORK_HASHES: [(&str, u64); 18] = [
     ("quickstart", 0x9686_a0e2_b319_3676),
     ("laptop", 0xcb93_5c00_bb99_a5e6),

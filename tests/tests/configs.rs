@@ -1,4 +1,4 @@
-//! Every preset parses, is valid, survives being written and read again, and is embedded in the binary.
+//! Every preset parses, is valid, survives a round trip, and is embedded in the binary.
 
 use std::collections::BTreeSet;
 

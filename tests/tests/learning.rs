@@ -1,4 +1,4 @@
-//! The ring in one thread, without the bus: worlds, rollouts, updates, evaluation.
+//! The training loop in one thread, without the bus: worlds, rollouts, updates, evaluation.
 
 use actor::{ActorSetup, Lockstep, TaskFilter};
 use blueprints::Catalog;
@@ -7,7 +7,7 @@ use evaluator::{EvalSetup, evaluate};
 use learner::config::{RateLine, RateRule, Schedule};
 use learner::{Learner, LearnerSetup};
 
-/// A preset, learned in lockstep: worlds stand still while the learner updates.
+/// A preset trained in lockstep: worlds pause while the learner updates.
 struct Ring {
     config: Config,
     learner: Learner,
@@ -18,7 +18,7 @@ impl Ring {
     fn config(preset: &str) -> Config {
         let preset = PRESETS.iter().find(|known| known.name == preset).unwrap();
         let mut config = Config::parse(preset.text, preset.name).unwrap();
-        // All segments of a step arrive at once, and nobody sends again what found no room.
+        // All segments of a step arrive at once, and segments that find the mailbox full are not sent again.
         config.learner.mailbox.capacity_steps *= 2;
         config
     }
@@ -59,7 +59,7 @@ impl Ring {
         self.learner.update().unwrap();
     }
 
-    /// Of greedy actions, as the preset's evaluator counts it.
+    /// Success rate of greedy actions, with the settings of the preset's evaluator.
     fn success_rate(&self) -> f64 {
         let setup = EvalSetup {
             catalog: Catalog::builtin(),
@@ -90,7 +90,7 @@ fn ppo_learns_to_finish_a_blueprint() {
 #[test]
 fn imitation_learns_to_build_two_block_goals_from_scattered_starts() {
     let mut config = Ring::config("quickstart");
-    // The network of the smallest preset, so that it takes a minute.
+    // Use the network of the smallest preset, so that the test takes a minute.
     config.policy.network = Ring::config("near-goal").policy.network;
     let rate = vec![(0, 1e-3), (60_000, 1e-3), (150_000, 1e-4)];
     config.learner.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Line(rate) });

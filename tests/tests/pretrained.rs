@@ -1,4 +1,4 @@
-//! The policy that ships does what it did when it was measured.
+//! The shipped policy performs as it did when it was measured.
 
 use std::path::Path;
 
@@ -8,8 +8,9 @@ use evaluator::{EnvironmentConfig, EvalSetup, evaluate};
 use learner::Model;
 use proto::ActionMode;
 
-/// Steps to success in one episode of each validation goal, greedy, from mixed starts with seed 1, or `None` if it failed;
-/// on a CPU with AVX2 and without AVX-512. Other CPUs add in another order, and a few episodes end otherwise.
+/// Steps to success in one greedy episode of each validation blueprint, from mixed starts with seed 1, or `None` for a
+/// failure; measured on a CPU with AVX2 and without AVX-512. Other CPUs sum in a different order, and a few episodes
+/// end differently.
 const SAMPLE: [(&str, Option<u16>); 24] = [
     ("validation_7_000", Some(34)),
     ("validation_7_001", Some(35)),
@@ -70,7 +71,7 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
     }
 }
 
-/// Whether the network adds up in the order in which the sample was made.
+/// Whether this CPU sums in the order in which the sample was measured.
 fn is_same_arithmetic() -> bool {
     #[cfg(target_arch = "x86_64")]
     return std::arch::is_x86_feature_detected!("avx2")

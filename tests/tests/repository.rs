@@ -3,10 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Folders that hold what is built, run or stored, not what is written.
+/// Folders of generated or stored files, which hold no sources.
 const SKIPPED: [&str; 3] = ["target", "runs", ".git"];
 
-/// The workspace's root folder.
+/// The root folder of the workspace.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("this crate lies one level below the root")
 }
@@ -47,7 +47,7 @@ pub(crate) fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The path as seen from the root, for messages.
+/// The path relative to the root, for messages.
 pub(crate) fn shown(path: &Path) -> String {
     path.strip_prefix(root()).unwrap_or(path).display().to_string()
 }

@@ -1,11 +1,11 @@
-//! Files are short, finished and linked properly.
+//! Files are short and finished, and links between them are valid.
 
 use crate::repository::{files, members, read, root, shown};
 
-/// A file has one subject; beyond this it has two.
+/// A file has one subject; a longer one usually has two.
 const MAX_LINES: usize = 600;
 
-/// Marks of unfinished work, put together here so that this file does not contain them.
+/// Marks of unfinished work, assembled here so that this file does not contain them.
 const LEFTOVERS: [&str; 7] = [
     concat!("TO", "DO"),
     concat!("FIX", "ME"),
@@ -16,10 +16,10 @@ const LEFTOVERS: [&str; 7] = [
     concat!("db", "g!("),
 ];
 
-/// What makes tests slow, silent or dependent on luck.
+/// Constructs that make tests slow, skipped, or dependent on luck.
 const SHAKY: [&str; 3] = [concat!("#[ig", "nore"), concat!("should", "_panic"), concat!("thread::", "sleep")];
 
-/// All lines of such files that contain one of `words`, as `file:line: word`.
+/// All lines in files with these extensions that contain one of `words`, as `file:line: word`.
 fn hits(extensions: &[&str], words: &[&str]) -> Vec<String> {
     let mut hits = Vec::new();
     for path in files(root(), extensions) {

@@ -1,10 +1,10 @@
-//! Programs in Python that read what we say, and share no code with us.
+//! Python programs that read this program's output and share no code with it.
 
 use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::Command;
 
-/// A Python that has the packages of `deploy/examples/requirements.txt`; `.ci/run` makes one.
+/// A Python that has the packages in `deploy/examples/requirements.txt`; `.ci/run` installs one.
 pub(crate) fn python() -> Option<OsString> {
     let python = std::env::var_os("LODESTONE_PYTHON");
     if python.is_none() {
@@ -15,7 +15,7 @@ pub(crate) fn python() -> Option<OsString> {
     python
 }
 
-/// Runs a script from the folder of examples and returns the JSON that it prints.
+/// Runs a script from `deploy/examples` and returns the JSON that it prints.
 pub(crate) fn told_by(python: &OsStr, script: &str, args: &[&str]) -> serde_json::Value {
     told_by_script(python, &Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script), args)
 }

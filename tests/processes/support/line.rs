@@ -1,10 +1,10 @@
-//! A way to a server that can be cut, like the network between a browser and a run.
+//! A connection to a server that can be cut, like the network between a browser and a run.
 
 use std::io::copy;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 
-/// Passes bytes between whoever connects to [`Line::address`] and a server, until the test ends.
+/// Forwards bytes between clients of [`Line::address`] and a server until the test ends.
 pub(crate) struct Line {
     address: SocketAddr,
     state: Arc<Mutex<State>>,
@@ -13,7 +13,7 @@ pub(crate) struct Line {
 #[derive(Default)]
 struct State {
     is_cut: bool,
-    /// Both ends of every connection there was.
+    /// Both ends of every connection so far.
     ends: Vec<TcpStream>,
 }
 
@@ -23,10 +23,11 @@ impl Line {
         let address = listener.local_addr().unwrap();
         let state = Arc::new(Mutex::new(State::default()));
         let (server, its_state) = (server.to_owned(), state.clone());
-        // It ends with the test's process.
+        // The thread ends with the test process.
         std::thread::spawn(move || {
             for near in listener.incoming().map_while(Result::ok) {
-                // While it is cut, a connection is closed at once, as if nobody listened. The port stays ours.
+                // While the line is cut, connections are closed at once, as if nothing listened. The port stays
+                // reserved.
                 let mut state = its_state.lock().unwrap();
                 if state.is_cut {
                     continue;
@@ -45,12 +46,12 @@ impl Line {
         self.address
     }
 
-    /// Ends all connections, and all that come until [`Line::mend`].
+    /// Closes all connections, and every new one until [`Line::mend`].
     pub(crate) fn cut(&self) {
         let mut state = self.state.lock().unwrap();
         state.is_cut = true;
         for end in state.ends.drain(..) {
-            // Fails only for one that has ended.
+            // Fails only if the connection has already ended.
             let _ = end.shutdown(Shutdown::Both);
         }
     }
@@ -60,10 +61,10 @@ impl Line {
     }
 }
 
-/// Passes on what comes, then says that nothing more will.
+/// Forwards bytes until end of stream, then shuts down the other side's write half.
 fn pass(mut from: TcpStream, mut to: TcpStream) {
     std::thread::spawn(move || {
-        // Either end may go at any time.
+        // Either end may disconnect at any time.
         let _ = copy(&mut from, &mut to);
         let _ = to.shutdown(Shutdown::Write);
     });

@@ -1,4 +1,4 @@
-//! What several of these tests need: the program, a browser, a page, a line that can be cut, and judges in Python.
+//! What several of these tests share: the program, a browser, a page, a connection that can be cut, and Python readers.
 
 pub(crate) mod judges;
 pub(crate) mod line;

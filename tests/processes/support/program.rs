@@ -1,9 +1,9 @@
-//! The program as the tests start it.
+//! Runs the program for the tests.
 
 use std::path::Path;
 use std::process::Command;
 
-/// The program, working in `folder` and deaf to the caller's variables.
+/// The program, in `folder` and without the caller's `LODESTONE_*` variables and `RUST_LOG`.
 pub(crate) fn lodestone(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
     for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
@@ -13,7 +13,7 @@ pub(crate) fn lodestone(folder: &Path) -> Command {
     command
 }
 
-/// Environment steps of the newest checkpoint of a run.
+/// Environment steps of a run's newest checkpoint.
 pub(crate) fn n_saved_steps(run_dir: &Path) -> u64 {
     let folders = std::fs::read_dir(run_dir.join("checkpoints")).unwrap();
     let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());

@@ -1,4 +1,4 @@
-//! A small run with a page.
+//! A small run with a web page.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -8,18 +8,18 @@ use ureq::Agent;
 
 use crate::support::program::lodestone;
 
-/// A process that does not outlive its test.
+/// A process that is killed when dropped.
 pub(crate) struct Process(pub(crate) Child);
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // Both fail only for a process that has ended already, which is what is wanted.
+        // Both calls fail only if the process has already exited, which is fine.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// The smallest run that is judged.
+/// Adds the arguments of the smallest training with evaluations.
 pub(crate) fn train(command: &mut Command) -> &mut Command {
     command.args(["train", "--preset", "near-goal", "--run-dir", "run"]);
     for setting in [
@@ -34,7 +34,7 @@ pub(crate) fn train(command: &mut Command) -> &mut Command {
     command
 }
 
-/// A run without end in `folder`, what it prints from now on, and the address of its page.
+/// Starts a run without a step limit in `folder`; returns it, the rest of its stdout, and the address of its page.
 pub(crate) fn endless(folder: &Path) -> (Process, BufReader<ChildStdout>, String) {
     let mut command = lodestone(folder);
     let run = train(&mut command).args(["--steps", "1000000000", "--web", "127.0.0.1:0"]);
@@ -45,18 +45,18 @@ pub(crate) fn endless(folder: &Path) -> (Process, BufReader<ChildStdout>, String
     (run, printed, address)
 }
 
-/// A client that knows of no proxy, and to which every answer is an answer, whatever its status.
+/// A client that uses no proxy and returns responses of any status as `Ok`.
 pub(crate) fn client() -> Agent {
     Agent::config_builder().proxy(None).http_status_as_error(false).build().new_agent()
 }
 
-/// Lines of the stream of events, until the page closes it.
+/// Lines of the page's event stream, until the page closes it.
 pub(crate) fn events(address: &str) -> impl Iterator<Item = String> {
     let answer = client().get(format!("http://{address}/api/events")).call().unwrap();
     BufReader::new(answer.into_body().into_reader()).lines().map_while(Result::ok)
 }
 
-/// Status and body of an answer.
+/// The status and body of a response.
 pub(crate) fn get(address: &str, path: &str) -> (u16, String) {
     let mut answer = client().get(format!("http://{address}{path}")).call().unwrap();
     (answer.status().as_u16(), answer.body_mut().read_to_string().unwrap())

@@ -1,4 +1,4 @@
-//! A browser, driven by the W3C WebDriver protocol: JSON over HTTP, of which a dozen calls are needed.
+//! A browser driven by the W3C WebDriver protocol: JSON over HTTP, of which the tests need a dozen calls.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -10,21 +10,21 @@ use ureq::{Agent, Body};
 
 use super::served::client;
 
-/// Longest time that a condition on a page is waited for.
+/// Time limit for a condition on a page, in milliseconds.
 const PATIENCE_MS: u64 = 120_000;
 
-/// How often chromedriver is started: it takes any free port on one family of addresses and then the same on the other, where
-/// somebody else may have it, and then it ends.
+/// How often to try to start chromedriver. It takes a free port of one address family and then the same port of the
+/// other; if another process holds that one, it exits.
 const DRIVER_STARTS: usize = 10;
 
-/// Under which name the protocol hands out elements.
+/// The key under which the protocol returns element ids.
 const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
 
-/// A headless Chromium with one window; it ends with its test.
+/// A headless Chromium with one window; it is closed when dropped.
 pub(crate) struct Browser {
     driver: Child,
     client: Agent,
-    /// Address of the session, without a slash at its end.
+    /// URL of the session, without a trailing slash.
     session: String,
 }
 
@@ -34,7 +34,7 @@ pub(crate) struct Element<'b> {
     id: String,
 }
 
-/// A driver and the port that it listens on; none if it ends before it listens.
+/// Starts a driver; returns it and the port that it listens on, or `None` if it exits before it listens.
 fn start_driver(chromedriver: &std::ffi::OsStr) -> Option<(Child, u16)> {
     let mut driver = Command::new(chromedriver).arg("--port=0").stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
@@ -54,9 +54,9 @@ impl Browser {
             .expect("chromedriver ended at each start without naming its port");
         let mut browser = Self { driver, client: client(), session: format!("http://127.0.0.1:{port}/session") };
         let profile = format!("--user-data-dir={}", folder.join("profile").display());
-        // Without a sandbox, because containers run as root; the page is ours.
+        // Without a sandbox, because containers run as root and the page is trusted.
         let mut args = vec!["--headless", "--no-sandbox", "--disable-quic", "--no-first-run"];
-        // Three dimensions are drawn by software, which is the same everywhere.
+        // 3D graphics are rendered in software, which gives the same result everywhere.
         args.extend(["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]);
         args.extend(["--disable-background-networking", "--disable-component-update", "--disable-sync", &profile]);
         let wanted = json!({ "capabilities": { "alwaysMatch": {
@@ -73,12 +73,12 @@ impl Browser {
         self.post("/url", &json!({ "url": url }));
     }
 
-    /// What a function with this body returns on the page.
+    /// Runs a function with this body on the page and returns its result.
     pub(crate) fn run(&self, body: &str) -> Value {
         self.post("/execute/sync", &json!({ "script": body, "args": [] }))
     }
 
-    /// Waits on the page until `expression` is truthy; returns its value.
+    /// Waits until `expression` is truthy on the page; returns its value.
     pub(crate) fn until(&self, expression: &str) -> Value {
         let script = format!(
             "const done = arguments[arguments.length - 1];
@@ -91,7 +91,7 @@ impl Browser {
         })
     }
 
-    /// The words of the first element that `selector` finds.
+    /// The text of the first element that matches `selector`.
     pub(crate) fn text(&self, selector: &str) -> String {
         self.run(&format!("return document.querySelector({selector:?}).textContent")).as_str().unwrap().to_owned()
     }
@@ -102,19 +102,19 @@ impl Browser {
         found.as_array().unwrap().iter().map(|element| Element { browser: self, id: id(element) }).collect()
     }
 
-    /// The only element that `selector` finds.
+    /// The only element that matches `selector`.
     pub(crate) fn element(&self, selector: &str) -> Element<'_> {
         let mut all = self.elements(selector);
         assert_eq!(all.len(), 1, "{selector}");
         all.remove(0)
     }
 
-    /// What was logged since the last question: `browser` is the console, `performance` has the requests.
+    /// Log entries since the last call: `browser` is the console, `performance` contains the requests.
     pub(crate) fn log(&self, kind: &str) -> Vec<Value> {
         self.post("/se/log", &json!({ "type": kind })).as_array().unwrap().clone()
     }
 
-    /// A command of Chromium's own protocol.
+    /// Runs a command of the Chrome DevTools Protocol.
     pub(crate) fn devtools(&self, command: &str, params: &Value) -> Value {
         self.post("/goog/cdp/execute", &json!({ "cmd": command, "params": params }))
     }
@@ -129,7 +129,7 @@ impl Browser {
     }
 }
 
-/// The `value` of an answer, or the browser's words if it is an error.
+/// The `value` of a response, or the browser's message if it is an error.
 fn value(answer: Result<Response<Body>, ureq::Error>) -> Result<Value, String> {
     let answer = answer.unwrap();
     let status = answer.status();
@@ -139,9 +139,9 @@ fn value(answer: Result<Response<Body>, ureq::Error>) -> Result<Value, String> {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // The end of the session is the end of Chromium, which would outlive a driver that is killed.
+        // Deleting the session closes Chromium, which would survive if only the driver were killed.
         let ended = self.client.delete(&self.session).call();
-        // When a failed test is being unwound, another panic would end the process before its folders are removed.
+        // While a failed test unwinds, a second panic would abort the process before its folders are removed.
         if !std::thread::panicking() {
             value(ended).unwrap();
         }
@@ -155,12 +155,12 @@ impl Element<'_> {
         self.browser.post(&format!("/element/{}/click", self.id), &json!({}));
     }
 
-    /// Types into it, with the focus on it; special keys are in the protocol's private code points.
+    /// Focuses the element and types into it; special keys are private-use code points of the protocol.
     pub(crate) fn press(&self, keys: &str) {
         self.browser.post(&format!("/element/{}/value", self.id), &json!({ "text": keys }));
     }
 
-    /// Presses the mouse in its middle, moves it by so many pixels and lets go.
+    /// Presses the mouse button at the element's center, moves it by this many pixels, and releases it.
     pub(crate) fn drag(&self, by: [i32; 2]) {
         let middle = json!({ "type": "pointerMove", "origin": { ELEMENT: self.id }, "x": 0, "y": 0 });
         let moved = json!({ "type": "pointerMove", "origin": "pointer", "x": by[0], "y": by[1] });
@@ -169,7 +169,7 @@ impl Element<'_> {
         self.browser.post("/actions", &json!({ "actions": actions }));
     }
 
-    /// What a screen reader calls it.
+    /// The element's accessible name, as screen readers announce it.
     pub(crate) fn label(&self) -> String {
         let url = format!("{}/element/{}/computedlabel", self.browser.session, self.id);
         value(self.browser.client.get(url).call()).unwrap().as_str().unwrap().to_owned()
