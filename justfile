@@ -1,14 +1,14 @@
-# Shortcuts for `.ci/run`, which is what CI runs: a recipe here adds nothing to it. `just` is optional.
+# Shortcuts for `.ci/run`, which CI runs directly. `just` is optional.
 
 # List the recipes.
 default:
     @just --list
 
-# Everything that must pass before a change lands.
+# Run all checks that must pass before a change lands.
 ci:
     .ci/run
 
-# Formatting.
+# Check the formatting.
 fmt:
     .ci/run fmt
 
@@ -16,55 +16,55 @@ fmt:
 fmt-fix:
     cargo fmt --all
 
-# Spelling.
+# Check the spelling.
 typos:
     .ci/run typos
 
-# Licenses, sources and banned crates.
+# Check licenses, sources, and banned crates.
 deny:
     .ci/run deny
 
-# The same, and known vulnerabilities; needs the network.
+# Like `deny`, plus known vulnerabilities; needs the network.
 advisories:
     cargo deny check
 
-# Clippy without warnings.
+# Run Clippy and fail on warnings.
 lint:
     .ci/run lint
 
-# Rustdoc without warnings.
+# Build the docs and fail on warnings.
 doc:
     .ci/run doc
 
-# All tests, or those that the arguments select: `just test -p policy gat`.
+# Run all tests, or those selected by the arguments: `just test -p policy gat`.
 test *ARGS:
     {{ if ARGS == "" { ".ci/run test" } else { "cargo test --locked " + ARGS } }}
 
-# The Python package and its judges; the network in PyTorch, and its export to ONNX.
+# Test the Python package with third-party checkers, the PyTorch network, and its ONNX export.
 python:
     .ci/run python
 
-# Both fuzz targets, a minute each.
+# Run both fuzz targets for a minute each.
 fuzz:
     .ci/run fuzz
 
-# The Kubernetes manifests, without a cluster.
+# Check the Kubernetes manifests, without a cluster.
 kubernetes:
     .ci/run kubernetes
 
-# Rings under random faults, in containers, and on Slurm. Run as root; takes about 15 minutes.
+# Test rings under random faults, in containers, and on Slurm. Run as root; takes about 15 minutes.
 launchers:
     .ci/run soak compose slurm
 
-# Speed beside burn, jax, torch and MuJoCo, as in docs/performance.md: `just bench network --rounds 1`.
+# Compare speed with burn, jax, torch, and MuJoCo, as in docs/performance.md: `just bench network --rounds 1`.
 bench *ARGS:
     python3 tests/benches/peers.py --install {{ ARGS }}
 
-# Instructions of the hot paths, compared with those in the repository; needs valgrind.
+# Compare the hot paths' instruction counts with those in the repository; needs valgrind.
 instructions *ARGS:
     cargo bench --locked -p tests --bench hot_paths --no-run
     python3 tests/benches/instructions.py "$(ls -t target/release/deps/hot_paths-* | grep -v '\.d$' | head -1)" {{ ARGS }}
 
-# The program, for development.
+# Build the program for development.
 build:
     cargo build --locked
