@@ -98,7 +98,8 @@ pub async fn show_evaluating(
             last_line = Instant::now();
             (terminal.progress(n_planned, "episodes of the evaluation"), Instant::now())
         });
-        let left = lines::left(n_ended, n_planned, begun.elapsed());
+        // Before the first episode has ended, there is no pace to extrapolate.
+        let left = if n_ended == 0 { String::new() } else { lines::left(n_ended, n_planned, begun.elapsed()) };
         bar.set(n_ended, &left);
         if !bar.is_drawn() && is_talking() && last_line.elapsed() >= LINE_PERIOD {
             last_line = Instant::now();
