@@ -201,7 +201,7 @@ pub struct TrainArgs {
 #[derive(Clone, Debug, Default, Args)]
 pub struct PageArgs {
     /// Serve a web page about the training here, for example 8080, or 127.0.0.1:0 for a free port; an address that
-    /// other machines can reach needs dashboard.web.token.
+    /// other machines can reach needs dashboard.web.token [default: for `train`, 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", env = "LODESTONE_WEB", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
 }

@@ -25,7 +25,7 @@ const ALLOWED: [(&str, &[&str]); 13] = [
 ];
 
 /// External crates by name prefix, with the only crates that may depend on them.
-const HOMES: [(&str, &[&str]); 12] = [
+const HOMES: [(&str, &[&str]); 13] = [
     ("arrow", &["dataset"]),
     ("rapier", &["environment"]),
     ("burn", &["policy", "learner"]),
@@ -37,6 +37,7 @@ const HOMES: [(&str, &[&str]); 12] = [
     ("openh264", &["render"]),
     ("axum", &["dashboard"]),
     ("clap", &["deploy"]),
+    ("rcgen", &["deploy"]),
     ("ratatui", &["dashboard"]),
     ("crossterm", &["dashboard"]),
 ];

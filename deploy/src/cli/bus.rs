@@ -25,7 +25,8 @@ pub struct EndpointArgs {
 /// The keys that a process authenticates with.
 #[derive(Clone, Debug, Default, Args)]
 pub struct KeysArgs {
-    /// Folder of keys made by `lodestone keys new`: the whole folder, or that of this process's role.
+    /// Folder of keys made by `lodestone keys new`: the whole folder, or that of this process's role (`watch` has the
+    /// role viewer, `render` the role evaluator).
     #[arg(long, value_name = "DIR", env = "LODESTONE_KEYS")]
     pub keys: Option<PathBuf>,
 }

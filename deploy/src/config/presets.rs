@@ -28,12 +28,12 @@ const PAPER: &str = "months on two cores: meant for hundreds of actors and a GPU
 /// All presets, the default first.
 pub const PRESETS: &[Preset] = presets![
     "quickstart": "about 6 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk",
-    "laptop": "about an hour and a half on two cores, 1 GB of memory and 1 GB of disk; it may be ended and resumed at any time",
+    "laptop": "about an hour and a half on two cores, 1.3 GB of memory and 1 GB of disk; it may be ended and resumed at any time",
     "fine-tune": "about 20 minutes on two cores, 1 GB of memory and 1 GB of disk",
-    "compact": "about 15 minutes on two cores, 1 GB of memory and 1 GB of disk",
+    "compact": "15 to 30 minutes on two cores, 1 GB of memory and 1 GB of disk",
     "two-blocks": "about an hour on two cores and 0.3 GB of memory",
     "reverse-curriculum": "about ten hours on two cores and 0.7 GB of memory; it may be ended and resumed at any time",
-    "near-goal": "about a minute on two cores",
+    "near-goal": "one to two minutes on two cores",
     "imitation-only": "about 13 minutes on two cores",
     "ppo-only": "about 13 minutes on two cores",
     "imitation-and-ppo": "about 20 minutes on two cores",
