@@ -16,7 +16,7 @@ launch() {
     "$binary" learner "${learner_args[@]}" --connect tcp/127.0.0.1:1 --print-config >/dev/null || die 64 "nothing was submitted"
 
     if [[ -e $folder/run/config.toml ]]; then
-        echo "$folder holds a run: it goes on with the settings that it began with"
+        echo "$folder holds a run: it continues with its own configuration, and with what the command line changes"
     else
         echo "a new run of ${config:-$preset} in $folder"
     fi

@@ -35,7 +35,7 @@ SETTINGS = {
     "actor.n_outstanding": str(N_OUTSTANDING),
     "actor.backlog_limit": str(BACKLOG),
     "actor.full_backlog": "drop-oldest",
-    "actor.lead_in.probability": "0.0",
+    "actor.burn_in.probability": "0.0",
     "actor.metrics_period_ms": "200",
     "bus.ack_timeout_ms": "2000",
     "bus.ingest_queue": str(INGEST_QUEUE),

@@ -60,10 +60,10 @@ fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
         terminal.print(&json(&rows));
         return Ok(());
     }
-    terminal.print(&format!("{:<16}{:<14}{:>7}{:>13}  title", "id", "split", "blocks", "connections"));
+    terminal.print(&format!("{:<18}{:<14}{:>7}{:>13}  title", "id", "split", "blocks", "connections"));
     for row in &rows {
         let (id, split) = (row.id.to_string(), row.split.to_string());
-        terminal.print(&format!("{id:<16}{split:<14}{:>7}{:>13}  {}", row.n_blocks, row.n_connections, row.title));
+        terminal.print(&format!("{id:<18}{split:<14}{:>7}{:>13}  {}", row.n_blocks, row.n_connections, row.title));
     }
     Ok(())
 }
