@@ -13,7 +13,7 @@ use crate::error::{BlueprintError, BlueprintFileError, PolesAdvice};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::infer::{self, Completed};
 pub use crate::infer::{FoundTurn, WayReason};
-use crate::stance::{MIN_SUPPORT_MARGIN_U, margin_u};
+use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
 use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, Link, NoAssembly, Placement,
@@ -476,7 +476,7 @@ impl<'a> Structure<'a> {
     }
 
     fn stands(&self) -> Result<(), BlueprintError> {
-        let margin_u = margin_u(self.placements, self.inventory);
+        let margin_u = support_margin_u(self.placements, self.inventory);
         if margin_u >= MIN_SUPPORT_MARGIN_U {
             return Ok(());
         }

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::checks::{Check, check_placements, check_text};
 use crate::error::BlueprintError;
 use crate::format::MAX_COORDINATE;
-use crate::stance::{MIN_SUPPORT_MARGIN_U, margin_u};
+use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, NoAssembly, Placement,
     RelativePlacement, Split, writer,
@@ -263,7 +263,7 @@ impl Drawing {
     }
 
     fn topples(&self, placements: &[Placement]) -> Option<Problem> {
-        let margin_u = margin_u(placements, Inventory::standard());
+        let margin_u = support_margin_u(placements, Inventory::standard());
         let text = "the structure tips over: too little of its lowest layer is under its center of mass".to_owned();
         (margin_u < MIN_SUPPORT_MARGIN_U).then_some(Problem { check: Check::Stands, blocks: Vec::new(), text })
     }

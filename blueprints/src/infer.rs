@@ -17,7 +17,7 @@ use std::fmt;
 
 use crate::error::BlueprintError;
 use crate::format::Draft;
-use crate::stance::{MIN_SUPPORT_MARGIN_U, margin_u};
+use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::{BlockIdx, CubeRotation, Inventory};
 use poles::Parities;
 
@@ -153,7 +153,7 @@ pub(crate) fn completions(
     drawings.retain(|drawing| drawing.fits == holds_together);
     let stands = |drawing: &Drawing| {
         let placements = draft.place(assigned, &drawing.turns, inventory);
-        margin_u(&placements, inventory) >= MIN_SUPPORT_MARGIN_U
+        support_margin_u(&placements, inventory) >= MIN_SUPPORT_MARGIN_U
     };
     let stands: Vec<bool> = drawings.iter().map(|drawing| holds_together && stands(drawing)).collect();
     let ways = Ways::new(&search, &drawings, &stands, is_cut);

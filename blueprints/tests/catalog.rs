@@ -5,7 +5,7 @@ use std::path::Path;
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
 use blueprints::checks::{Check, Outcome, check_all};
-use blueprints::stance::{MIN_SUPPORT_MARGIN_U, margin_u};
+use blueprints::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, CatalogError, Inventory, RelativePlacement, Split};
 use proptest::prelude::*;
 
@@ -74,7 +74,7 @@ fn builtin_files_pass_every_check() {
 fn builtin_blueprints_keep_the_invariants() {
     for blueprint in Catalog::builtin().iter() {
         check_invariants(blueprint);
-        assert!(margin_u(blueprint.placements(), Inventory::standard()) >= MIN_SUPPORT_MARGIN_U);
+        assert!(support_margin_u(blueprint.placements(), Inventory::standard()) >= MIN_SUPPORT_MARGIN_U);
         let lowest = blueprint.placements().iter().flat_map(|p| p.filled_cells(Inventory::standard()));
         assert_eq!(lowest.map(|cell| cell[2]).min(), Some(0));
     }

@@ -6,7 +6,7 @@ use super::sketch::sketch;
 use super::tiling::{fill, mirror};
 use super::{Style, growth, poles};
 use crate::assembly::Assembly;
-use crate::stance::{MIN_SUPPORT_MARGIN_U, margin_u};
+use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::overloaded;
 use crate::{Inventory, N_BLOCKS, Placement};
 
@@ -124,7 +124,7 @@ fn check_bricks(bricks: &[Brick], words: &str, dice: &mut Dice) -> Option<Found>
     for placement in &mut placements {
         placement.center_half_units = std::array::from_fn(|k| placement.center_half_units[k] - 2 * corner(k));
     }
-    if margin_u(&placements, inventory) < MIN_SUPPORT_MARGIN_U || !assemblable(&placements) {
+    if support_margin_u(&placements, inventory) < MIN_SUPPORT_MARGIN_U || !assemblable(&placements) {
         return None;
     }
     let mut types: Vec<usize> = bricks.iter().map(|brick| brick.type_idx).collect();

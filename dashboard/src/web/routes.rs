@@ -15,6 +15,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use blueprints::Catalog;
 use serde::Serialize;
+use tokio::task::JoinError;
 
 use super::about::{About, Kind, about};
 use super::board::Board;
@@ -197,11 +198,7 @@ async fn list_films(Extension(films): Extension<Films>) -> Response {
 /// Returns the clip named in the query.
 async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> Response {
     let asked = id_of(query);
-    match tokio::task::spawn_blocking(move || films.bytes(&asked)).await {
-        Ok(Some(bytes)) => ([(CONTENT_TYPE, "video/mp4")], bytes).into_response(),
-        Ok(None) => StatusCode::NOT_FOUND.into_response(),
-        Err(error) => failed(&error),
-    }
+    found("video/mp4", tokio::task::spawn_blocking(move || films.bytes(&asked)).await)
 }
 
 /// Returns the last scene of the clip named in the query.
@@ -211,11 +208,7 @@ async fn poster(
     RawQuery(query): RawQuery,
 ) -> Response {
     let asked = id_of(query);
-    match tokio::task::spawn_blocking(move || films.poster(&catalog, &asked)).await {
-        Ok(Some(bytes)) => ([(CONTENT_TYPE, "image/png")], bytes).into_response(),
-        Ok(None) => StatusCode::NOT_FOUND.into_response(),
-        Err(error) => failed(&error),
-    }
+    found("image/png", tokio::task::spawn_blocking(move || films.poster(&catalog, &asked)).await)
 }
 
 /// Returns the episode of the clip named in the query, in the format of [`replay`].
@@ -226,8 +219,13 @@ async fn recording(
 ) -> Response {
     let asked = id_of(query);
     let answer = tokio::task::spawn_blocking(move || replays.show_known(&[films.recording(&asked)?])).await;
+    found("application/json", answer)
+}
+
+/// Returns the bytes that a blocking task found, 404 if it found none, or 500 if it panicked.
+fn found(content_type: &'static str, answer: Result<Option<impl Into<Bytes>>, JoinError>) -> Response {
     match answer {
-        Ok(Some(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
+        Ok(Some(bytes)) => ([(CONTENT_TYPE, content_type)], bytes.into()).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
         Err(error) => failed(&error),
     }

@@ -79,11 +79,11 @@ pub async fn show_acting(mut metrics: MetricsSubscriber, terminal: Terminal) {
 }
 
 /// Shows the progress of evaluations as a bar on a terminal; otherwise prints a line every ten seconds while
-/// `is_talking`.
+/// `prints_lines`.
 pub async fn show_evaluating(
     mut progress: watch::Receiver<Option<EvaluationProgress>>,
     terminal: Terminal,
-    is_talking: impl Fn() -> bool,
+    prints_lines: impl Fn() -> bool,
 ) {
     let mut shown: Option<(Progress, Instant)> = None;
     let mut last_line = Instant::now();
@@ -101,7 +101,7 @@ pub async fn show_evaluating(
         // Before the first episode has ended, there is no pace to extrapolate.
         let left = if n_ended == 0 { String::new() } else { lines::left(n_ended, n_planned, begun.elapsed()) };
         bar.set(n_ended, &left);
-        if !bar.is_drawn() && is_talking() && last_line.elapsed() >= LINE_PERIOD {
+        if !bar.is_drawn() && prints_lines() && last_line.elapsed() >= LINE_PERIOD {
             last_line = Instant::now();
             terminal.print(&format!("evaluating: {n_ended} of {n_planned} episodes  {left}"));
         }
