@@ -289,7 +289,8 @@ impl Evaluated {
             let has_all = |score| acting.iter().all(|&acting| n_episodes_of(score, acting) == u64::from(*n_episodes));
             pass.blueprints.iter().find(of_it).is_some_and(has_all)
         };
-        let told_all = pass.seed == setup.seed && selected.usual.iter().all(has);
+        let has_runs = setup.config.reset_free.is_none() || pass.reset_free.is_some();
+        let told_all = pass.seed == setup.seed && has_runs && selected.usual.iter().all(has);
         let since = unix_ms().saturating_sub(pass.ended_unix_ms) as f64 / 1000.0 + pass.elapsed_s;
         let start = Duration::try_from_secs_f64(since).ok().and_then(|since| Instant::now().checked_sub(since));
         told_all.then(|| Self {
