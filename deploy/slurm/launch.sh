@@ -3,6 +3,11 @@
 
 launch() {
     find_binary
+    # A run that computes on a GPU keeps doing so: its configuration says so, whatever this command line says.
+    if [[ -z $gpu ]] && grep -qs '^device = "gpu"' "$folder/run/config.toml"; then
+        gpu=1
+        echo "the run's learner computes on a GPU, so its job asks for one"
+    fi
     collect_sbatch_options
     refuse_if_active
     local learner_args=()

@@ -21,6 +21,16 @@ def a_rehearsal_changes_nothing(training: Training) -> None:
     assert not run.folder.exists()
 
 
+def a_run_on_a_gpu_asks_for_one_again(training: Training) -> None:
+    """A run that was launched with `--gpu` continues with a GPU, also without the option."""
+    run = Launched(training.run.binary, training.run.folder.with_name("gpu"))
+    (run.folder / "run").mkdir(parents=True)
+    (run.folder / "run/config.toml").write_text('device = "gpu"\n')
+    printed = run.launch("--dry-run")
+    learner = next(line for line in printed.splitlines() if line.startswith("+ sbatch"))
+    assert "--gres=gpu:1" in learner, learner
+
+
 def mistakes_are_explained(training: Training) -> None:
     """A mistake exits with a code and a hint, and submits nothing."""
     run = Launched(training.run.binary, training.run.folder.with_name("mistakes"))
@@ -50,4 +60,9 @@ def a_learner_that_cannot_work_frees_the_actors(training: Training) -> None:
     wait_for("the actors' jobs are gone", lambda: not queue.is_queued(actors), 40)
 
 
-CHECKS: list[Check] = [a_rehearsal_changes_nothing, mistakes_are_explained, a_learner_that_cannot_work_frees_the_actors]
+CHECKS: list[Check] = [
+    a_rehearsal_changes_nothing,
+    a_run_on_a_gpu_asks_for_one_again,
+    mistakes_are_explained,
+    a_learner_that_cannot_work_frees_the_actors,
+]
