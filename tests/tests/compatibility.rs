@@ -16,7 +16,7 @@ const NETWORK_HASHES: [(&str, u64); 18] = [
     ("fine-tune", 0xcb93_5c00_bb99_a5e6),
     ("compact", 0xcb93_5c00_bb99_a5e6),
     ("two-blocks", 0xfe94_2fa2_bb58_14c9),
-    ("reverse-curriculum", 0x0cba_2aa1_08af_7863),
+    ("reverse-curriculum", 0x74ab_9863_a343_a90a),
     ("near-goal", 0x27ac_c63f_8183_123f),
     ("imitation-only", 0xb8d9_685b_cbd2_41ce),
     ("ppo-only", 0x1827_7478_dfd5_26b5),
