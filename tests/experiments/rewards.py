@@ -18,7 +18,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from run import ACTING, ROOT, cell
+from run import ACTING, ROOT, cell, train
 
 LABELED_STEPS, ALL_STEPS = 300_000, 400_000
 # Settings that keep training on labels where the preset would switch to rewards.
@@ -34,9 +34,7 @@ def complete(program: Path, folder: Path, episodes: int, args: list[str]) -> Non
     shutil.rmtree(folder, ignore_errors=True)
     folder.parent.mkdir(parents=True, exist_ok=True)
     print(f"{folder}: training", flush=True)
-    with folder.with_suffix(".log").open("w") as log:
-        train = [program, "train", *args, "--run-dir", folder, "--no-web"]
-        subprocess.run(train, stdout=log, stderr=log, check=True)
+    train(program, folder, [*args, "--run-dir", str(folder)])
     print(f"{folder}: evaluating", flush=True)
     evaluate = [program, "eval", "--checkpoint", folder, "--episodes", str(episodes), "--json"]
     told = subprocess.run(evaluate, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True).stdout

@@ -17,6 +17,7 @@ import json
 import statistics
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,27 @@ TASKS = tuple(name.removeprefix("only-") for name in EXPERIMENTS if name.startsw
 ACTING = {"greedy": "mode", "sampled": "sampled"}
 
 
+class InterruptedTraining(Exception):
+    """A training ended before its last step."""
+
+
+def train(program: Path, folder: Path, args: list[str]) -> None:
+    """Trains a run, with its output in a log file next to the folder.
+
+    An interrupted `train` saves its state and exits with 0, so the steps decide whether the run is complete.
+
+    Raises:
+        subprocess.CalledProcessError: the training failed.
+        InterruptedTraining: it ended before its last step.
+    """
+    command = [program, "train", *args, "--no-web"]
+    with folder.with_suffix(".log").open("a") as log:
+        subprocess.run(command, stdout=log, stderr=log, check=True)
+    n_env_steps = tomllib.loads((folder / "config.toml").read_text())["n_env_steps"]
+    if max(int(path.name.removeprefix("step-")) for path in folder.glob("checkpoints/step-*")) < n_env_steps:
+        raise InterruptedTraining(f"the training in {folder} was interrupted; run the script again")
+
+
 def complete(program: Path, folder: Path, name: str, seed: int, episodes: int) -> None:
     """Trains and evaluates one run, skipping the parts that are done."""
     report = folder / "report.json"
@@ -69,8 +91,7 @@ def complete(program: Path, folder: Path, name: str, seed: int, episodes: int) -
         of_new = ["--preset", "compact", *EXPERIMENTS[name], "--seed", str(seed), "--run-dir", str(folder)]
         start = ["--resume", str(folder)] if begun else of_new
         print(f"{name}, seed {seed}: training in {folder}", flush=True)
-        with folder.with_suffix(".log").open("a") as log:
-            subprocess.run([program, "train", *start, "--no-web"], stdout=log, stderr=log, check=True)
+        train(program, folder, start)
         trained.touch()
     print(f"{name}, seed {seed}: evaluating", flush=True)
     evaluate = [program, "eval", "--checkpoint", folder, "--episodes", str(episodes), "--json"]
@@ -122,7 +143,7 @@ def table(out: Path, names: list[str], columns: tuple[str, ...]) -> str:
 
 
 def main() -> int:
-    """Runs the requested experiments. Returns the number of failed runs as the exit status."""
+    """Runs the requested experiments. Returns the number of runs that failed or were interrupted as the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path, help="folder of the runs")
     parser.add_argument("names", nargs="*", help=f"experiments [default: all]: {', '.join(EXPERIMENTS)}")
@@ -141,6 +162,9 @@ def main() -> int:
                 complete(args.program, args.out / name / f"seed-{seed}", name, seed, args.episodes)
             except subprocess.CalledProcessError as error:
                 print(f"{name}, seed {seed}: failed with {error.returncode}; see its log", file=sys.stderr)
+                n_failed += 1
+            except InterruptedTraining as error:
+                print(f"{name}, seed {seed}: {error}", file=sys.stderr)
                 n_failed += 1
     multi_task = [name for name in names if name == "compact" or name.startswith("only-")]
     print(table(args.out, [name for name in names if not name.startswith("only-")], GROUPS))
