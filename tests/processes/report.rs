@@ -85,6 +85,18 @@ fn pictures_and_tables_are_written() {
 }
 
 #[test]
+fn runs_with_the_same_folder_name_are_told_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    for run in ["compact/seed-1", "resnet/seed-1"] {
+        write_run(&folder.path().join(run), &["2_000"], &[0, 500]);
+    }
+    let output = report(folder.path(), &["compact/seed-1", "--out", "out", "--beside", "resnet/seed-1"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let svg = std::fs::read_to_string(folder.path().join("out/comparison.svg")).unwrap();
+    assert!(svg.contains(">compact/seed-1<") && svg.contains(">resnet/seed-1<"), "{svg}");
+}
+
+#[test]
 fn what_cannot_be_drawn_is_named_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     let path = |run: &str| folder.path().join(run);

@@ -9,6 +9,7 @@ mod files;
 mod goals;
 mod keys;
 mod models;
+mod names;
 mod play;
 mod record;
 mod render;

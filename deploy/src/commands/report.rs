@@ -10,6 +10,7 @@ use runlog::{History, Pass, RunPaths};
 use serde_json::json;
 
 use super::files::{File, write_files};
+use super::names::names;
 use super::seeds;
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
@@ -30,7 +31,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if !seeds.is_empty() && !RunPaths::new(args.run.clone()).history().exists() {
         return of_seeds(args, &seeds, terminal, stdout);
     }
-    let (acting, name) = (args.acting, name(&args.run));
+    let (acting, name) = (args.acting, names([args.run.as_path()]).concat());
     let all = History::read(&RunPaths::new(args.run.clone()).history())?;
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
@@ -124,25 +125,27 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
             args.acting.name(),
         ))
     })?;
-    let title = format!("Success of {} minus {}", name(&args.run), name(minus));
+    let names = names([args.run.as_path(), minus]);
+    let title = format!("Success of {}", names.join(" minus "));
     let apart = match difference.max_apart {
         0 => "at equal steps".to_owned(),
         n_steps => format!("at most {} environment steps apart", digits(n_steps)),
     };
-    let what = format!("{} actions, blue: {} is better, evaluations {apart}", args.acting.name(), name(&args.run));
+    let what = format!("{} actions, blue: {} is better, evaluations {apart}", args.acting.name(), names[0]);
     picture("difference", &plot::difference_map(&difference, &title, &what))
 }
 
 fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<Vec<File>, Failure> {
     let histories = args.beside.iter().map(|run| History::read(&RunPaths::new(run.clone()).history()));
     let histories = histories.collect::<Result<Vec<_>, _>>()?;
-    let mut runs = vec![(name(&args.run), passes.to_vec())];
-    for (run, all) in args.beside.iter().zip(&histories) {
+    let mut names = names([&args.run].into_iter().chain(&args.beside).map(PathBuf::as_path)).into_iter();
+    let mut runs: Vec<_> = names.next().map(|name| (name, passes.to_vec())).into_iter().collect();
+    for ((run, all), name) in args.beside.iter().zip(&histories).zip(names) {
         let passes = shown(all, run, terminal);
         if Grid::success(&passes, args.acting).is_none() {
             return Err(nothing(run, &passes, args.acting));
         }
-        runs.push((name(run), passes));
+        runs.push((name, passes));
     }
     let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", args.acting.name());
     let drawing = plot::comparison(&runs, args.acting, "Success of several runs over training", &what);
@@ -196,12 +199,6 @@ fn episodes(passes: &[&Pass], acting: ActionMode) -> String {
 fn picture(name: &str, drawing: &Drawing) -> Result<Vec<File>, Failure> {
     let png = drawing.to_png().context("encoding a picture")?;
     Ok(vec![(format!("{name}.svg"), drawing.to_svg().into_bytes()), (format!("{name}.png"), png)])
-}
-
-/// The name of a run's folder, even if it is given as `.`.
-fn name(run: &Path) -> String {
-    let whole = run.canonicalize().unwrap_or_else(|_| run.to_owned());
-    whole.file_name().unwrap_or(whole.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// Formats a number with its digits in groups of three.

@@ -16,6 +16,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::goals::Goals;
 use super::models::Source;
+use super::names::names;
 use super::stage::stage;
 use crate::cli::ServeArgs;
 use crate::config::{Base, Config, merge};
@@ -28,7 +29,8 @@ use crate::run_dir::{preset_of, runs_in};
 /// # Errors
 /// When a run cannot be read, the page's address is taken, or the copy cannot be written.
 pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
-    let mut runs = args.runs.iter().map(|folder| finished(folder));
+    let names = names(args.runs.iter().map(PathBuf::as_path));
+    let mut runs = args.runs.iter().zip(names).map(|(folder, name)| finished(folder, name));
     let mut first = runs.next().context("no run was named")??;
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
@@ -70,8 +72,8 @@ fn recorded(named: &[BlueprintId], about: &About) -> Vec<BlueprintId> {
     about.catalog.iter().filter(is_first).map(|blueprint| blueprint.id().clone()).collect()
 }
 
-/// Loads a finished run from its files.
-fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
+/// Loads a finished run, shown as `run`, from its files.
+fn finished(folder: &Path, run: String) -> Result<FinishedRun, Failure> {
     let paths = RunPaths::new(folder);
     let config = configuration(&paths)?;
     let history = paths.history();
@@ -83,8 +85,6 @@ fn finished(folder: &Path) -> Result<FinishedRun, Failure> {
     let (_, newest) = watch::channel(weights.clone());
     // Without weights, a browser would wait for an episode forever.
     let stage = weights.is_some().then(|| stage(config.evaluation_environment(), policy.clone(), newest));
-    let run = paths.folder().canonicalize().unwrap_or_else(|_| folder.to_owned());
-    let run = run.file_name().unwrap_or(run.as_os_str()).to_string_lossy().into_owned();
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.into_catalog();
     let blueprints = config.evaluator.selection.blueprints.clone();
@@ -138,7 +138,7 @@ mod tests {
     #[test]
     fn a_folder_that_is_no_run_is_named() {
         let folder = tempfile::tempdir().unwrap();
-        let error = finished(folder.path()).unwrap_err().to_string();
+        let error = finished(folder.path(), String::new()).unwrap_err().to_string();
         assert!(error.contains("no folder of a run") && error.contains("config.toml"), "{error}");
     }
 
