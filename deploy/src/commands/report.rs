@@ -35,7 +35,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     let all = History::read(&RunPaths::new(args.run.clone()).history())?;
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
-    let what = format!("{name}, {} actions, {}", acting.name(), episodes(&passes, acting));
+    let what = format!("{name}, {} actions, {}", word(acting), episodes(&passes, acting));
     let map = plot::success_map(&grid, "Success by blueprint over training", &what);
     let mut files = picture("success", &map)?;
     let what = format!("{what}, 95 % intervals");
@@ -131,7 +131,7 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
         0 => "at equal steps".to_owned(),
         n_steps => format!("at most {} environment steps apart", digits(n_steps)),
     };
-    let what = format!("{} actions, blue: {} is better, evaluations {apart}", args.acting.name(), names[0]);
+    let what = format!("{} actions, blue: {} is better, evaluations {apart}", word(args.acting), names[0]);
     picture("difference", &plot::difference_map(&difference, &title, &what))
 }
 
@@ -147,7 +147,7 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
         }
         runs.push((name, passes));
     }
-    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", args.acting.name());
+    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", word(args.acting));
     let drawing = plot::comparison(&runs, args.acting, "Success of several runs over training", &what);
     let drawing = drawing.ok_or_else(|| {
         Failure::NothingToShow(format!(
@@ -199,6 +199,14 @@ fn episodes(passes: &[&Pass], acting: ActionMode) -> String {
 fn picture(name: &str, drawing: &Drawing) -> Result<Vec<File>, Failure> {
     let png = drawing.to_png().context("encoding a picture")?;
     Ok(vec![(format!("{name}.svg"), drawing.to_svg().into_bytes()), (format!("{name}.png"), png)])
+}
+
+/// The word for an action mode in a picture.
+fn word(acting: ActionMode) -> &'static str {
+    match acting {
+        ActionMode::Greedy => "greedy",
+        ActionMode::Sampled => "sampled",
+    }
 }
 
 /// Formats a number with its digits in groups of three.
