@@ -75,7 +75,8 @@ def train(program: Path, folder: Path, args: list[str]) -> None:
     with folder.with_suffix(".log").open("a") as log:
         subprocess.run(command, stdout=log, stderr=log, check=True)
     n_env_steps = tomllib.loads((folder / "config.toml").read_text())["n_env_steps"]
-    if max(int(path.name.removeprefix("step-")) for path in folder.glob("checkpoints/step-*")) < n_env_steps:
+    steps = (int(path.name.removeprefix("step-")) for path in folder.glob("checkpoints/step-*"))
+    if max(steps, default=0) < n_env_steps:
         raise InterruptedTraining(f"the training in {folder} was interrupted; run the script again")
 
 

@@ -1,18 +1,26 @@
-//! Names of runs that are shown side by side.
+//! Names under which runs are shown.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Returns a name for each run: its folder, preceded by as many parent folders as it takes to tell different runs apart,
-/// `compact/seed-1` and `resnet/seed-1`.
+/// Returns the name of a run's folder, even if it is given as `.`.
+pub(super) fn name(run: &Path) -> String {
+    end(&whole(run), 1)
+}
+
+/// Returns a name for each of the runs that are shown side by side: its folder, preceded by as many parent folders as
+/// it takes to tell different runs apart, for example `compact/seed-1` and `resnet/seed-1`.
 pub(super) fn names<'a>(runs: impl IntoIterator<Item = &'a Path>) -> Vec<String> {
-    let whole = |run: &Path| run.canonicalize().unwrap_or_else(|_| run.to_owned());
     let runs: Vec<PathBuf> = runs.into_iter().map(whole).collect();
     let n_different = runs.iter().collect::<BTreeSet<_>>().len();
     let most = runs.iter().map(|run| run.components().count()).max().unwrap_or(0);
     let named = |n_folders: usize| runs.iter().map(|run| end(run, n_folders)).collect::<Vec<_>>();
     let are_different = |names: &Vec<String>| names.iter().collect::<BTreeSet<_>>().len() == n_different;
     (1..most).map(named).find(are_different).unwrap_or_else(|| named(most))
+}
+
+fn whole(run: &Path) -> PathBuf {
+    run.canonicalize().unwrap_or_else(|_| run.to_owned())
 }
 
 /// Returns the last `n_folders` components of a path.

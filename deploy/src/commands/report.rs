@@ -10,7 +10,7 @@ use runlog::{History, Pass, RunPaths};
 use serde_json::json;
 
 use super::files::{File, write_files};
-use super::names::names;
+use super::names::{name, names};
 use super::seeds;
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
@@ -31,7 +31,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if !seeds.is_empty() && !RunPaths::new(args.run.clone()).history().exists() {
         return of_seeds(args, &seeds, terminal, stdout);
     }
-    let (acting, name) = (args.acting, names([args.run.as_path()]).concat());
+    let (acting, name) = (args.acting, name(&args.run));
     let all = History::read(&RunPaths::new(args.run.clone()).history())?;
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
@@ -138,15 +138,16 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
 fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<Vec<File>, Failure> {
     let histories = args.beside.iter().map(|run| History::read(&RunPaths::new(run.clone()).history()));
     let histories = histories.collect::<Result<Vec<_>, _>>()?;
-    let mut names = names([&args.run].into_iter().chain(&args.beside).map(PathBuf::as_path)).into_iter();
-    let mut runs: Vec<_> = names.next().map(|name| (name, passes.to_vec())).into_iter().collect();
-    for ((run, all), name) in args.beside.iter().zip(&histories).zip(names) {
+    let mut evaluations = vec![passes.to_vec()];
+    for (run, all) in args.beside.iter().zip(&histories) {
         let passes = shown(all, run, terminal);
         if Grid::success(&passes, args.acting).is_none() {
             return Err(nothing(run, &passes, args.acting));
         }
-        runs.push((name, passes));
+        evaluations.push(passes);
     }
+    let folders = [&args.run].into_iter().chain(&args.beside).map(PathBuf::as_path);
+    let runs: Vec<_> = names(folders).into_iter().zip(evaluations).collect();
     let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", word(args.acting));
     let drawing = plot::comparison(&runs, args.acting, "Success of several runs over training", &what);
     let drawing = drawing.ok_or_else(|| {
