@@ -289,7 +289,9 @@ impl Evaluated {
             let has_all = |score| acting.iter().all(|&acting| n_episodes_of(score, acting) == u64::from(*n_episodes));
             pass.blueprints.iter().find(of_it).is_some_and(has_all)
         };
-        let has_runs = setup.config.reset_free.is_none() || pass.reset_free.is_some();
+        let of_pass = pass.reset_free.as_ref().map(|runs| (runs.n_runs, runs.n_goals));
+        let wanted = setup.config.reset_free.as_ref().map(|runs| (runs.n_runs.into(), runs.n_goals.into()));
+        let has_runs = wanted.is_none() || wanted == of_pass;
         let told_all = pass.seed == setup.seed && has_runs && selected.usual.iter().all(has);
         let since = unix_ms().saturating_sub(pass.ended_unix_ms) as f64 / 1000.0 + pass.elapsed_s;
         let start = Duration::try_from_secs_f64(since).ok().and_then(|since| Instant::now().checked_sub(since));

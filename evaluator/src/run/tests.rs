@@ -6,7 +6,7 @@ use blueprints::{Catalog, Split};
 use proto::metrics::EvalSummary;
 
 use super::*;
-use crate::config::{EvaluatorConfig, Every, Selection};
+use crate::config::{EvaluatorConfig, Every, ResetFreeConfig, Selection};
 use crate::episodes::tests::{small_policy, small_setup, weights};
 
 /// Fails a test that waits for something that does not happen.
@@ -208,19 +208,23 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
 async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluated_again() {
     let dir = tempfile::tempdir().unwrap();
     let records = RunPaths::new(dir.path());
-    // The second run resumes from the weights of the first; the third has more episodes.
-    for (n_episodes, expected) in [(1, 1), (1, 0), (2, 1)] {
+    let runs = |n_runs| Some(ResetFreeConfig { n_runs, n_goals: 1, min_blocks: 16 });
+    // The second run resumes from the weights of the first. The third has more episodes, the next ones have runs without
+    // resets as well: one, the same again, and two.
+    let all = [(1, None, 1), (1, None, 0), (2, None, 1), (2, runs(1), 1), (2, runs(1), 0), (2, runs(2), 1)];
+    for (k, (n_episodes, reset_free, expected)) in all.into_iter().enumerate() {
         let bus = Bus::isolated(dir.path()).await.unwrap();
         let publisher = bus.weights_publisher().await.unwrap();
         publisher.publish(Arc::new(weights())).await.unwrap();
         let (_tell, last) = watch::channel(Some(weights().version));
         let stop = Stop { last: Some(last), ..Stop::default() };
-        let setup = one_goal(n_episodes, Some(records.clone()));
+        let mut setup = one_goal(n_episodes, Some(records.clone()));
+        setup.config.reset_free = reset_free;
         let summary = within(run(setup, &bus, Listeners::default(), stop)).await.unwrap();
-        assert_eq!(summary, Summary { n_evaluations: expected }, "{n_episodes} episodes");
+        assert_eq!(summary, Summary { n_evaluations: expected }, "case {k}");
         bus.close().await;
     }
-    assert_eq!(History::read(&records.history()).unwrap().len(), 2);
+    assert_eq!(History::read(&records.history()).unwrap().len(), 4);
 }
 
 /// A setup with `n_episodes` greedy episodes of one goal, one after another.
