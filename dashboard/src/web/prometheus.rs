@@ -10,7 +10,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use proto::metrics::ImitationMetrics;
+use proto::metrics::{FilmCounts, ImitationMetrics};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Role};
 use serde::Serialize;
@@ -217,6 +217,25 @@ fn dropped(page: &mut Scrape, state: &State) {
         "Trajectories that came while the mailbox was full, which actors send again",
         learner.map(|learner| learner.ingest.full_total),
     );
+    let evaluation = state.run.evaluation().map(|heard| &heard.value);
+    let of_bus = evaluation.into_iter().flat_map(|evaluation| by_reason(&evaluation.bus));
+    page.counters("evaluator_bus_dropped", "What the evaluator's session dropped or refused, by reason", of_bus);
+    if let Some(films) = evaluation.and_then(|evaluation| evaluation.films) {
+        let FilmCounts { written_total, dropped_total, failed_total, unrecorded_total, oversized_total, .. } = films;
+        page.counter("evaluator_films_written", "Files of films written", Some(written_total));
+        let reasons = [
+            ("too_many_wait", dropped_total),
+            ("failed", failed_total),
+            ("unrecorded", unrecorded_total),
+            ("oversized", oversized_total),
+        ];
+        let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
+        page.counters(
+            "evaluator_films_dropped",
+            "Films that were not made, or not for TensorBoard (oversized), by reason",
+            reasons,
+        );
+    }
     let counts = &state.counts;
     let reasons = [
         ("sample_too_large_or_many", counts.samples_dropped_total),
@@ -296,6 +315,36 @@ mod tests {
         let samples = parse(&text(&board.state(), "a run").unwrap());
         for (name, value) in [("block_loss_nats", 0.25), ("block_accuracy_ratio", 0.75), ("replay_scenes", 100.0)] {
             assert_eq!(samples.get(&format!("lodestone_learner_imitation_{name}")), Some(&value), "{samples:#?}");
+        }
+    }
+
+    #[test]
+    fn what_an_evaluator_dropped_is_scraped() {
+        let board = Board::default();
+        let mut evaluation = samples::evaluation();
+        evaluation.value["bus"]["weights_refused_total"] = 2.into();
+        board.told(News::Metrics(vec![evaluation.clone()]), Duration::ZERO);
+        let samples = parse(&text(&board.state(), "a run").unwrap());
+        let refused = "lodestone_evaluator_bus_dropped_total{reason=\"weights_refused\"}";
+        assert_eq!(samples.get(refused), Some(&2.0), "{samples:#?}");
+        // An evaluator that makes no films has no counters of films.
+        assert!(!samples.keys().any(|sample| sample.contains("films")), "{samples:#?}");
+
+        evaluation.value["weights_version"] = 801.into();
+        evaluation.value["films"] = serde_json::json!({
+            "written_total": 6, "n_waiting": 1, "dropped_total": 2, "failed_total": 3, "unrecorded_total": 4,
+            "oversized_total": 5,
+        });
+        board.told(News::Metrics(vec![evaluation]), Duration::ZERO);
+        let samples = parse(&text(&board.state(), "a run").unwrap());
+        for (sample, value) in [
+            ("written_total", 6.0),
+            ("dropped_total{reason=\"too_many_wait\"}", 2.0),
+            ("dropped_total{reason=\"failed\"}", 3.0),
+            ("dropped_total{reason=\"unrecorded\"}", 4.0),
+            ("dropped_total{reason=\"oversized\"}", 5.0),
+        ] {
+            assert_eq!(samples.get(&format!("lodestone_evaluator_films_{sample}")), Some(&value), "{samples:#?}");
         }
     }
 

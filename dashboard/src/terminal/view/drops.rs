@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use proto::metrics::IngestCounts;
+use proto::metrics::{FilmCounts, IngestCounts};
 use ratatui::text::Line;
 use serde::Serialize;
 
@@ -32,6 +32,9 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         let all = &evaluation.all;
         drops.add("evaluator", "diverged", all.mode.n_diverged.saturating_add(all.sampled.n_diverged));
         drops.add_all("evaluator's bus", &evaluation.bus);
+        if let Some(films) = evaluation.films {
+            drops.add_all("films", &FilmCounts { written_total: 0, n_waiting: 0, ..films });
+        }
     }
     drops.add_all("watch", &run.unread());
     drops.add_all("watch's bus", &run.bus());

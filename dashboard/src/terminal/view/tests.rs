@@ -187,6 +187,19 @@ fn names_from_the_bus_cannot_touch_the_terminal() {
 }
 
 #[test]
+fn films_that_were_not_made_are_listed() {
+    let mut evaluation = samples::evaluation();
+    evaluation.value["films"] = serde_json::json!({
+        "written_total": 6, "n_waiting": 1, "dropped_total": 2, "failed_total": 0, "unrecorded_total": 4,
+        "oversized_total": 0,
+    });
+    let mut run = RunView::default();
+    run.take(&evaluation, seconds(21));
+    let text = text(&run, &source(), seconds(42));
+    assert!(text.contains("\n  evaluator: diverged 2  films: dropped 2  films: unrecorded 4"), "{text}");
+}
+
+#[test]
 fn every_blueprint_can_be_seen_in_any_order() {
     let shown = |keys: &str| {
         let keys: Vec<KeyCode> = keys.chars().map(KeyCode::Char).collect();
