@@ -53,11 +53,21 @@ pub enum ActionMode {
 
 /// A text that is not an action mode.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a way of acting: expected mode (or greedy) or sampled")]
+#[error("{0:?} is not a way of acting: expected greedy (or mode) or sampled")]
 pub struct InvalidActionMode(pub String);
 
+/// The word for people, `greedy` or `sampled`.
+impl std::fmt::Display for ActionMode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Greedy => "greedy",
+            Self::Sampled => "sampled",
+        })
+    }
+}
+
 impl ActionMode {
-    /// Returns the name used in reports: `mode` or `sampled`.
+    /// Returns the name for programs, as in JSON and CSV: `mode` or `sampled`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Greedy => "mode",

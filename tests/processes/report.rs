@@ -60,7 +60,7 @@ fn pictures_and_tables_are_written() {
     let plain = ["curves.png", "curves.svg", "groups.csv", "groups.md", "success.png", "success.svg"];
     assert_eq!(names(&folder.path().join("run/report")), plain);
     let table = std::fs::read_to_string(folder.path().join("run/report/groups.md")).unwrap();
-    assert!(table.contains("| train 2-6 | 2 | mode | 8 | 100.0 % |"), "{table}");
+    assert!(table.contains("| train 2-6 | 2 | greedy | 8 | 100.0 % |"), "{table}");
 
     let output = report(folder.path(), &["run", "--json"]);
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -114,7 +114,7 @@ fn what_cannot_be_drawn_is_named_with_what_to_do() {
         (&["gone"], 66, &["gone/eval.db", "no history"]),
         (&["newer"], 66, &["newer/eval.db", "schema version 9", "use the newer program"]),
         (&["empty"], 66, &["empty/eval.db", "no evaluation yet"]),
-        (&["run", "--acting", "sampled"], 66, &["no evaluation of sampled actions", "use --acting mode"]),
+        (&["run", "--acting", "sampled"], 66, &["no evaluation of sampled actions", "use --acting greedy"]),
         (&["run", "--minus", "strange"], 66, &["run and strange", "no blueprint in common", "evaluator.selection"]),
         (&["run", "--beside", "strange"], 66, &["no blueprint", "run and the runs beside it", "evaluator.selection"]),
         (&["run", "--beside", "empty"], 66, &["empty/eval.db", "no evaluation yet"]),

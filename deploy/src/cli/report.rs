@@ -15,8 +15,8 @@ pub struct ReportArgs {
     /// Folder for the pictures and tables; created if it does not exist [default: RUN/report].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Action mode to plot: mode (greedy) or sampled.
-    #[arg(long, value_name = "ACTING", default_value = "mode")]
+    /// Actions to plot: greedy or sampled.
+    #[arg(long, value_name = "ACTING", default_value_t = ActionMode::Greedy)]
     pub acting: ActionMode,
     /// Also plot the difference in success between RUN and this run.
     #[arg(long, value_name = "RUN2")]

@@ -35,7 +35,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     let all = History::read(&RunPaths::new(args.run.clone()).history())?;
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
-    let what = format!("{name}, {} actions, {}", word(acting), episodes(&passes, acting));
+    let what = format!("{name}, {acting} actions, {}", episodes(&passes, acting));
     let map = plot::success_map(&grid, "Success by blueprint over training", &what);
     let mut files = picture("success", &map)?;
     let what = format!("{what}, 95 % intervals");
@@ -122,7 +122,7 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
             "{} and {} evaluated no blueprint in common with {} actions: give --minus a run with the same `evaluator.selection`",
             args.run.display(),
             minus.display(),
-            args.acting.name(),
+            args.acting,
         ))
     })?;
     let names = names([args.run.as_path(), minus]);
@@ -131,7 +131,7 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
         0 => "at equal steps".to_owned(),
         n_steps => format!("at most {} environment steps apart", digits(n_steps)),
     };
-    let what = format!("{} actions, blue: {} is better, evaluations {apart}", word(args.acting), names[0]);
+    let what = format!("{} actions, blue: {} is better, evaluations {apart}", args.acting, names[0]);
     picture("difference", &plot::difference_map(&difference, &title, &what))
 }
 
@@ -148,13 +148,13 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
     }
     let folders = [&args.run].into_iter().chain(&args.beside).map(PathBuf::as_path);
     let runs: Vec<_> = names(folders).into_iter().zip(evaluations).collect();
-    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", word(args.acting));
+    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", args.acting);
     let drawing = plot::comparison(&runs, args.acting, "Success of several runs over training", &what);
     let drawing = drawing.ok_or_else(|| {
         Failure::NothingToShow(format!(
             "no blueprint was evaluated with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
              the same `evaluator.selection`",
-            args.acting.name(),
+            args.acting,
             args.run.display(),
         ))
     })?;
@@ -177,10 +177,10 @@ fn nothing(run: &Path, passes: &[&Pass], acting: ActionMode) -> Failure {
         ActionMode::Greedy => ActionMode::Sampled,
         ActionMode::Sampled => ActionMode::Greedy,
     };
-    let (run, acting) = (RunPaths::new(run).history(), acting.name());
-    let run = run.display();
+    let history = RunPaths::new(run).history();
+    let run = history.display();
     Failure::NothingToShow(if Grid::success(passes, other).is_some() {
-        format!("{run} has no evaluation of {acting} actions: use --acting {}", other.name())
+        format!("{run} has no evaluation of {acting} actions: use --acting {other}")
     } else {
         format!("{run} has no evaluation yet: wait for the first one, which a run makes as it starts")
     })
@@ -200,14 +200,6 @@ fn episodes(passes: &[&Pass], acting: ActionMode) -> String {
 fn picture(name: &str, drawing: &Drawing) -> Result<Vec<File>, Failure> {
     let png = drawing.to_png().context("encoding a picture")?;
     Ok(vec![(format!("{name}.svg"), drawing.to_svg().into_bytes()), (format!("{name}.png"), png)])
-}
-
-/// The word for an action mode in a picture.
-fn word(acting: ActionMode) -> &'static str {
-    match acting {
-        ActionMode::Greedy => "greedy",
-        ActionMode::Sampled => "sampled",
-    }
 }
 
 /// Formats a number with its digits in groups of three.

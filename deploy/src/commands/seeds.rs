@@ -135,7 +135,7 @@ pub(super) fn table(spreads: &[Spread]) -> String {
         let each: Vec<String> = rates.iter().map(|rate| format!("{:.1}", 100.0 * rate)).collect();
         let std = std.map_or_else(|| "-".to_owned(), |std| format!("{:.1}", 100.0 * std));
         let steps = mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
-        let (acting, mean) = (acting.name(), 100.0 * mean);
+        let mean = 100.0 * mean;
         writeln!(text, "| {group} | {acting} | {mean:.1} | {std} | {} | {steps} |", each.join(", "))
             .expect("a string takes all");
     }
@@ -171,7 +171,7 @@ mod tests {
             std: deviation(rates),
             mean_steps_to_success: Some(21.25),
         };
-        assert!(table(&[spread(&rates)]).ends_with("| train 2-6 | mode | 60.0 | 20.0 | 40.0, 60.0, 80.0 | 21.2 |\n"));
+        assert!(table(&[spread(&rates)]).ends_with("| train 2-6 | greedy | 60.0 | 20.0 | 40.0, 60.0, 80.0 | 21.2 |\n"));
         assert!(table(&[spread(&rates[..1])]).contains("| 40.0 | - | 40.0 |"));
     }
 

@@ -85,12 +85,7 @@ pub fn markdown(rows: &[GroupRow]) -> String {
         writeln!(
             text,
             "| {} | {} | {} | {} | {success:.1} % | {low:.1} to {high:.1} | {stable:.1} % | {steps} | {:.2} | {} |",
-            row.name,
-            row.n_blueprints,
-            row.acting.name(),
-            row.success.n_episodes,
-            row.mean_return,
-            row.n_diverged
+            row.name, row.n_blueprints, row.acting, row.success.n_episodes, row.mean_return, row.n_diverged
         )
         .expect("writing to a string does not fail");
     }
