@@ -10,7 +10,8 @@ settings! {
     pub struct ImitationConfig {
         /// Weight of the imitation loss. At 0, no labels are drawn.
         pub weight: Schedule = Schedule::Constant(1.0), in 0.0..=100.0;
-        /// Weight of PPO's policy loss and entropies.
+        /// Weight of PPO's policy loss and entropies. Adam's steps do not shrink with it, so the learning rate must be
+        /// low enough for the policy when this rises above 0.
         pub ppo_weight: Schedule = Schedule::Constant(0.0), in 0.0..=100.0;
         /// Factor of the value loss. It can rise before `ppo_weight`, so that the critic knows the policy's returns
         /// when PPO begins. While `ppo_weight` and `weight` are 0, only the value head is trained.
