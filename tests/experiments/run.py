@@ -5,7 +5,7 @@
     python3 tests/experiments/run.py runs/experiments compact no-attention --seeds 1 2 3
     python3 tests/experiments/run.py runs/experiments --table              # only tables of existing runs, no training
 
-Each experiment trains the preset `compact` with one change. A run takes 15 to 60 minutes on two cores. Complete
+Each experiment trains the preset `compact` with one change. A run takes 15 to 85 minutes on two cores. Complete
 runs are skipped, and interrupted runs resume from their newest checkpoint. Build the program first:
 cargo build --release.
 """

@@ -224,7 +224,7 @@ fn dropped(page: &mut Scrape, state: &State) {
         let FilmCounts { written_total, dropped_total, failed_total, unrecorded_total, oversized_total, .. } = films;
         page.counter("evaluator_films_written", "Files of films written", Some(written_total));
         let reasons = [
-            ("too_many_wait", dropped_total),
+            ("dropped", dropped_total),
             ("failed", failed_total),
             ("unrecorded", unrecorded_total),
             ("oversized", oversized_total),
@@ -339,7 +339,7 @@ mod tests {
         let samples = parse(&text(&board.state(), "a run").unwrap());
         for (sample, value) in [
             ("written_total", 6.0),
-            ("dropped_total{reason=\"too_many_wait\"}", 2.0),
+            ("dropped_total{reason=\"dropped\"}", 2.0),
             ("dropped_total{reason=\"failed\"}", 3.0),
             ("dropped_total{reason=\"unrecorded\"}", 4.0),
             ("dropped_total{reason=\"oversized\"}", 5.0),
