@@ -40,7 +40,7 @@ from torch.nn import functional as F
 
 N_BLOCKS = 16
 MOVE = 6
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 MAX_NORMALIZED = 10.0
 LAYER_NORM_EPSILON = 1e-5
 NO_EDGE = -1e9
@@ -335,8 +335,7 @@ class Policy(nn.Module):
         super().__init__()
         self.network = network
         self.header = header
-        # Format version 1 spells the key this way.
-        normalization = header["normalisation"]
+        normalization = header["normalization"]
         self.value_mean, self.value_std = normalization["value_mean"], normalization["value_std"]
         sizes = (network.config.node, network.config.edge, network.config.global_)
         for k, size in enumerate(sizes):

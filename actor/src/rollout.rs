@@ -233,6 +233,7 @@ impl<'c, E: Env> Rollout<'c, E> {
         let mut ended: Vec<usize> = Vec::new();
         for (row, Step { scene, decision, result }) in steps.into_iter().enumerate() {
             let slot = &mut self.slots[row];
+            let mut behavior_log_prob = decision.log_prob;
             self.counters.n_env_steps += 1;
             if result.status != Status::Running {
                 ended.push(row);
@@ -240,16 +241,20 @@ impl<'c, E: Env> Rollout<'c, E> {
             if slot.n_burn_in > 0 {
                 slot.n_burn_in -= 1;
                 self.counters.n_burn_in_steps += 1;
+                if result.status == Status::Diverged {
+                    self.counters.n_diverged_episodes += 1;
+                }
                 if matches!(result.status, Status::Running | Status::Diverged) {
                     slot.segment.skip(&result.reward);
                     continue;
                 }
                 slot.segment.end_in_burn_in();
+                behavior_log_prob = 0.0;
             }
             let transition = Transition {
                 scene,
                 action: decision.action,
-                behavior_log_prob: decision.log_prob,
+                behavior_log_prob,
                 value: decision.value,
                 reward: result.reward,
                 label: slot.label,

@@ -68,14 +68,29 @@ def points(messages):
 
 
 def recorded(folder):
-    """Yields the messages recorded in a run folder."""
-    for line in (folder / "metrics.jsonl").read_text().splitlines(keepends=True):
-        if not line.endswith("\n"):
-            return  # The run goes on and writes it.
-        value = json.loads(line)
+    """Yields the messages recorded in a run folder. Counts and skips lines that a full disk or a power loss cut."""
+    # A cut line may end within a character. The last part has no line break yet: the run goes on and writes it.
+    *lines, _ = (folder / "metrics.jsonl").read_text(errors="replace").split("\n")
+    n_broken = 0
+    for line in lines:
+        try:
+            value = json.loads(line)
+        except json.JSONDecodeError:
+            n_broken += 1
+            continue
         key = value.pop("key")
         if key in ("learner", "eval/summary"):
             yield key, value
+    if n_broken:
+        print(f"skipped {n_broken} broken lines of metrics.jsonl", flush=True)
+
+
+def settings(file):
+    """Reads a config.toml without the settings of the page, because its token is a secret."""
+    config = tomllib.loads(file.read_text())
+    config.pop("dashboard", None)
+    config.get("evaluator", {}).pop("web", None)  # The name in version 0.1.0.
+    return config
 
 
 def live(endpoint, run, keys):
@@ -154,7 +169,7 @@ def main():
         name, messages, file = folder.name, recorded(folder), args.config or folder / "config.toml"
     else:
         name, messages, file = args.run, live(args.source, args.run or "*", args.keys), args.config
-    config = tomllib.loads(file.read_text()) if file else {}
+    config = settings(file) if file else {}
     # Schedulers and container runtimes stop processes with SIGTERM. Handle it like Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     tracker = (Wandb if args.to == "wandb" else MLflow)(args.project, name, config)

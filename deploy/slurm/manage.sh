@@ -36,10 +36,13 @@ status_of_learner() {
     printf '%-10s %s\n' health "${why#error: }"
 }
 
-# Prints a job's state counts, such as `3 RUNNING, 1 PENDING`, or `ended`.
+# Prints a job's state counts, such as `3 RUNNING, 1 PENDING`, or `ended`; `unknown` if Slurm does not answer.
 count_states() {
     local states counted
-    states=$(states_of "$1")
+    if ! states=$(states_of "$1"); then
+        printf 'unknown'
+        return
+    fi
     counted=$(grep . <<<"$states" | sort | uniq -c | awk '{ printf "%s%s %s", separator, $1, $2; separator = ", " }' || true)
     printf '%s' "${counted:-ended}"
 }
@@ -99,9 +102,12 @@ stop() {
 # Waits until Slurm has ended the canceled actors, because `launch` refuses to start while any is left. BEGAN is when
 # `stop` began.
 await_actors() {
-    local id
+    local id states
     for id in $(ids_of actors); do
-        while [[ -n $(states_of "$id") ]]; do
+        while true; do
+            # Not part of a condition, which would take a failure for the end of the job.
+            states=$(states_of "$id")
+            [[ -n $states ]] || break
             ((SECONDS - $1 < wait_s)) ||
                 die 1 "the run is saved and its actors are canceled, but job $id has not ended in $wait_s s: see \`squeue -j $id\`"
             sleep 1

@@ -74,7 +74,7 @@ fn variable(error: &clap::Error) -> Option<String> {
     let Some(ContextValue::String(argument)) = error.get(ContextKind::InvalidArg) else { return None };
     let flag = argument.split(' ').next()?;
     let is_flag = |given: &str| given == flag || given.split('=').next() == Some(flag);
-    if std::env::args().any(|given| is_flag(&given)) {
+    if std::env::args_os().any(|given| is_flag(&given.to_string_lossy())) {
         return None;
     }
     let command = Cli::command();

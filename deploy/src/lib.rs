@@ -13,6 +13,7 @@ pub mod keys;
 pub mod limits;
 pub mod live;
 pub mod names;
+mod replace;
 pub mod run_dir;
 pub mod signals;
 pub mod telemetry;

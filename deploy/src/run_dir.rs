@@ -13,6 +13,7 @@ use time::OffsetDateTime;
 use crate::cli::RunArgs;
 use crate::config::{Config, Preset};
 use crate::exit::Failure;
+use crate::replace::{PLAIN, SECRET, replace};
 
 /// The existing folder of a run; no other process learns in it until this is dropped.
 #[derive(Debug)]
@@ -176,7 +177,8 @@ impl RunDir {
         Ok(Self { paths, is_new, preset: None, _lock: lock })
     }
 
-    /// Writes `config.toml` and `meta.json`. A resumed run keeps the `preset` that it was started with.
+    /// Writes `config.toml` and `meta.json`; other processes may be reading them. A resumed run keeps the `preset` that
+    /// it was started with.
     ///
     /// # Errors
     /// When they cannot be written.
@@ -185,15 +187,18 @@ impl RunDir {
         let preset = preset.map(|preset| preset.name.to_owned()).or(before);
         let meta = Meta {
             lodestone_version: env!("CARGO_PKG_VERSION"),
-            command: std::env::args().collect(),
+            command: std::env::args_os().map(|argument| argument.to_string_lossy().into_owned()).collect(),
             started_utc: utc(SystemTime::now()),
             preset: preset.as_deref(),
             seed: config.seed,
             resumed_from: origin.checkpoint.as_deref(),
         };
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
-        fs::write(self.paths.config(), config.to_toml())
-            .and_then(|()| fs::write(self.paths.meta(), meta + "\n"))
+        // The configuration holds the page's token, and the command may.
+        let has_token = config.dashboard.web.as_ref().is_some_and(|web| web.token.is_some());
+        let mode = if has_token { SECRET } else { PLAIN };
+        replace(&self.paths.config(), config.to_toml().as_bytes(), mode)
+            .and_then(|()| replace(&self.paths.meta(), (meta + "\n").as_bytes(), mode))
             .map_err(unwritable(self.path()))?;
         self.preset = preset;
         Ok(())
@@ -246,7 +251,12 @@ fn utc(time: SystemTime) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read;
+    use std::os::unix::fs::PermissionsExt;
     use std::time::{Duration, UNIX_EPOCH};
+
+    use dashboard::DashboardConfig;
+    use dashboard::config::WebConfig;
 
     use super::*;
 
@@ -315,6 +325,36 @@ mod tests {
         assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("near-goal"));
         fs::write(RunPaths::new(&path).meta(), "{}").unwrap();
         assert_eq!(preset_of(&RunPaths::new(&path)), None);
+    }
+
+    #[test]
+    fn a_start_does_not_disturb_readers_of_the_configuration() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        drop(start(folder.path(), &Origin::default()).unwrap());
+        let before = fs::read_to_string(paths.config()).unwrap();
+        let mut reader = File::open(paths.config()).unwrap();
+        let config = Config { seed: 2, ..Config::default() };
+        drop(RunDir::create(Some(folder.path()), &config, None, &Origin::default()).unwrap());
+        let mut read = String::new();
+        reader.read_to_string(&mut read).unwrap();
+        assert_eq!(read, before);
+        assert_eq!(fs::read_to_string(paths.config()).unwrap(), config.to_toml());
+    }
+
+    #[test]
+    fn only_the_owner_can_read_a_token() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        let mode = |file: PathBuf| fs::metadata(file).unwrap().permissions().mode() & 0o777;
+        let modes = |web: WebConfig| {
+            let config = Config { dashboard: DashboardConfig { web: Some(web) }, ..Config::default() };
+            drop(RunDir::create(Some(folder.path()), &config, None, &Origin::default()).unwrap());
+            [mode(paths.config()), mode(paths.meta())]
+        };
+        assert_eq!(modes(WebConfig::default()), [mode(paths.lock()); 2], "as for any file");
+        let token = Some("0123456789abcdef".to_owned().into());
+        assert_eq!(modes(WebConfig { token, ..WebConfig::default() }), [0o600; 2]);
     }
 
     #[test]

@@ -203,7 +203,7 @@ impl FilmsConfig {
     ///
     /// # Errors
     /// Names the first missing blueprint.
-    pub(crate) fn check_in(&self, catalog: &Catalog) -> Result<(), EvaluatorConfigError> {
+    pub fn check_in(&self, catalog: &Catalog) -> Result<(), EvaluatorConfigError> {
         let unknown = self.blueprints.iter().find(|id| catalog.get(id).is_none());
         unknown.map_or(Ok(()), |id| Err(EvaluatorConfigError::UnknownBlueprint(id.clone())))
     }

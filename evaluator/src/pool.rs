@@ -49,9 +49,10 @@ where
         (self.queue.clear(), ended)
     }
 
-    /// Runs sequences from the work queue until all are done. After a failure, gives up the queue, because the other
-    /// threads would otherwise wait for the sequences that this thread has taken.
+    /// Runs sequences from the work queue until all are done. After a failure or a panic, gives up the queue, because
+    /// the other threads would otherwise wait for the sequences that this thread has taken.
     fn work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
+        let _guard = PanicGuard(self.queue);
         self.try_to_work(acting, n_worlds).inspect_err(|_| self.queue.give_up())
     }
 
@@ -76,6 +77,18 @@ where
             if !(self.keep_going)() {
                 return Err(EvalError::Interrupted);
             }
+        }
+    }
+}
+
+/// Gives up the work queue if the thread that holds this guard panics. The other threads then end, and
+/// [`EvaluationPool::run`] passes the panic on.
+struct PanicGuard<'a>(&'a WorkQueue);
+
+impl Drop for PanicGuard<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.give_up();
         }
     }
 }

@@ -68,8 +68,9 @@ pub struct Stop {
 ///
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of the run, and to
 /// the `listeners`. During an evaluation, intermediate results go to the bus; see
-/// [`FIRST_PART`](crate::episodes::FIRST_PART). Evaluations run on their own threads and share their episodes with all
-/// [remote workers](crate::run_worker()). Weights that arrive in the meantime wait.
+/// [`FIRST_PART`](crate::episodes::FIRST_PART). If its weights prove unusable, the last complete report follows them.
+/// Evaluations run on their own threads and share their episodes with all [remote workers](crate::run_worker()).
+/// Weights that arrive in the meantime wait.
 ///
 /// # Errors
 /// If the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
@@ -101,6 +102,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
         records,
         evaluations,
         publishers,
+        last: None,
         reports: listeners.reports,
         listener: listeners.evaluations,
         progress: listeners.progress,
@@ -200,6 +202,7 @@ async fn evaluate_all(
             Err(EvalError::Policy(error)) if error.is_of_weights() => {
                 bus.count_refused_weights();
                 tracing::warn!(%error, "weights refused, the evaluation is given up");
+                outlets.publish_last().await?;
                 continue;
             }
             report => stamp(report?),
@@ -214,6 +217,8 @@ struct Outlets<'r> {
     records: Option<Records>,
     evaluations: Passes,
     publishers: Publishers<'r>,
+    /// The newest complete report of this process.
+    last: Option<EvalReport>,
     reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     listener: Option<mpsc::UnboundedSender<Pass>>,
     progress: Option<watch::Sender<Option<EvaluationProgress>>>,
@@ -240,9 +245,20 @@ impl Outlets<'_> {
         }
         self.publishers.publish(&report).await?;
         if let Some(reports) = &self.reports {
-            reports.send_replace(Some(Arc::new(report)));
+            reports.send_replace(Some(Arc::new(report.clone())));
         }
+        self.last = Some(report);
         Ok(())
+    }
+
+    /// Publishes the last complete report again, if there is one. After an evaluation that is given up, its last part
+    /// would otherwise stay the newest report, and viewers would show it as in progress.
+    async fn publish_last(&mut self) -> anyhow::Result<()> {
+        let Some(report) = &mut self.last else { return Ok(()) };
+        // Counters of the process, which must not fall back to their values of that time.
+        report.summary.bus = self.publishers.bus.counts();
+        report.summary.films = self.films.map(VideoRecorder::counts);
+        self.publishers.publish(report).await
     }
 }
 

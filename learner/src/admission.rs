@@ -21,6 +21,14 @@ const MAX_MOVE: f32 = 1000.0;
 /// smallest configurable standard deviation, 1e-6.
 const LOG_PROBS: std::ops::RangeInclusive<f32> = -2000.0..=2000.0;
 
+/// Largest entry of a gripper's commanded velocity: √3 times the largest configurable speed.
+const MAX_GRIPPER_MPS: f32 = 17.4;
+/// The same for its angular velocity.
+const MAX_GRIPPER_RADPS: f32 = 53.7;
+
+/// Longest configurable burn-in in steps. Its steps count for the run's schedules and for its end.
+const MAX_BURN_IN_STEPS: u16 = 1000;
+
 /// The admission rules of one run.
 #[derive(Clone, Debug)]
 pub struct Admission {
@@ -52,6 +60,17 @@ impl Admission {
         }
         if trajectory.transitions.is_empty() {
             return Err("a trajectory has at least one step".to_owned());
+        }
+        if trajectory.n_burn_in_steps > MAX_BURN_IN_STEPS {
+            return Err(format!("a burn-in of {} steps is longer than any", trajectory.n_burn_in_steps));
+        }
+        if trajectory.outcome.as_ref().is_some_and(|outcome| outcome.success != (trajectory.status == Status::Success))
+        {
+            return Err("its outcome contradicts the status of its last step".to_owned());
+        }
+        let n_labels = trajectory.transitions.iter().filter(|transition| transition.label.is_some()).count();
+        if n_labels != 0 && n_labels != trajectory.transitions.len() {
+            return Err("labels are for all steps of a segment or for none".to_owned());
         }
         for (t, transition) in trajectory.transitions.iter().enumerate() {
             let at = |reason: String| format!("step {t} {reason}");
@@ -109,7 +128,17 @@ fn check_moves(moves: &[f32]) -> Result<(), String> {
 fn check_scene(scene: &Scene) -> Result<(), String> {
     let coordinates = scene.blocks.iter().flat_map(|block| block.position);
     let odd = coordinates.into_iter().find(|x| !within(*x, MAX_POSITION_M));
-    odd.map_or(Ok(()), |x| Err(format!("has a block at {x} m, where no episode goes on")))
+    odd.map_or(Ok(()), |x| Err(format!("has a block at {x} m, where no episode goes on")))?;
+    for gripper in scene.grippers.iter().flatten() {
+        let faster = |velocity: [f32; 3], max: f32| velocity.into_iter().find(|x| !within(*x, max));
+        if let Some(x) = faster(gripper.linear_velocity, MAX_GRIPPER_MPS) {
+            return Err(format!("has a gripper that moves at {x} m/s, which none does"));
+        }
+        if let Some(x) = faster(gripper.angular_velocity, MAX_GRIPPER_RADPS) {
+            return Err(format!("has a gripper that turns at {x} rad/s, which none does"));
+        }
+    }
+    Ok(())
 }
 
 fn check_reward(reward: &RewardTerms) -> Result<(), String> {
@@ -131,6 +160,7 @@ fn within(x: f32, limit: f32) -> bool {
 #[cfg(test)]
 mod tests {
     use blueprints::generator::Style;
+    use proto::Outcome;
 
     use super::*;
     use crate::fixtures::trajectory;
@@ -191,7 +221,7 @@ mod tests {
     #[test]
     fn implausible_numbers_are_refused() {
         type Spoil = fn(&mut Trajectory);
-        let cases: [(Spoil, &str); 12] = [
+        let cases: [(Spoil, &str); 16] = [
             (|t| t.transitions[1].reward.connected = 1e5, "step 1 has a reward of 100000, which no world gives"),
             (|t| t.transitions[1].reward.force = f32::NAN, "step 1 has a reward of NaN, which no world gives"),
             (|t| t.transitions[0].behavior_log_prob = -1e5, "a log-probability of -100000, which no action has"),
@@ -204,6 +234,22 @@ mod tests {
             (|t| t.transitions[1].action.choices[1] = None, "step 1 uses 1 grippers, the network has 2"),
             (|t| t.status = Status::Diverged, "the episode diverged"),
             (|t| t.transitions.clear(), "a trajectory has at least one step"),
+            (|t| t.n_burn_in_steps = 1001, "a burn-in of 1001 steps is longer than any"),
+            (
+                |t| t.last_scene.grippers[1].as_mut().unwrap().linear_velocity[2] = -20.0,
+                "the end has a gripper that moves at -20 m/s",
+            ),
+            (
+                |t| t.last_scene.grippers[0].as_mut().unwrap().angular_velocity[0] = f32::NAN,
+                "the end has a gripper that turns at NaN rad/s",
+            ),
+            (
+                |t| {
+                    t.status = Status::TimeLimit;
+                    t.outcome = Some(Outcome { success: true, n_steps: 2, episode_return: Default::default() });
+                },
+                "its outcome contradicts the status",
+            ),
         ];
         let rules = admission(None);
         assert_eq!(rules.check(&trajectory(2, 5)), Ok(()));
@@ -213,5 +259,16 @@ mod tests {
             let reason = rules.check(&spoilt).unwrap_err();
             assert!(reason.contains(message), "{reason}");
         }
+    }
+
+    #[test]
+    fn labels_are_for_all_steps_or_for_none() {
+        let rules = admission(None);
+        let mut labeled = trajectory(2, 5);
+        let label = Label { choices: labeled.transitions[0].action.choices, moves: [[0.0; 6]; 2] };
+        labeled.transitions[0].label = Some(label);
+        assert!(rules.check(&labeled).unwrap_err().contains("labels"));
+        labeled.transitions[1].label = Some(label);
+        assert_eq!(rules.check(&labeled), Ok(()));
     }
 }

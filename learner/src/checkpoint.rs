@@ -3,6 +3,7 @@
 //! A checkpoint is a folder `step-<environment steps>` that contains
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
+//! - `critic.safetensors`: the moments of the critic's own optimizer in the same form, once it has taken a step;
 //! - `mailbox.bin`: waiting trajectories, each as a little-endian u64 length and its wire form;
 //! - `replay.bin`: labeled segments in the same form, only with imitation;
 //! - `imitator.safetensors`: the frozen imitator, only with imitation;
@@ -26,6 +27,7 @@ use proto::{Trajectory, Weights};
 use serde::{Deserialize, Serialize};
 
 use crate::adam::Adam;
+use crate::ppo::VALUE_HEAD;
 use crate::state::LearnerState;
 use files::FileInfo;
 pub use tensors::ParameterInfo;
@@ -35,14 +37,16 @@ pub(crate) type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str, &[u8]) -> Result<
 
 const PARAMETERS: &str = "parameters.safetensors";
 const ADAM: &str = "adam.safetensors";
+const CRITIC: &str = "critic.safetensors";
 const MAILBOX: &str = "mailbox.bin";
 const REPLAY: &str = "replay.bin";
 const IMITATOR: &str = "imitator.safetensors";
 const MODEL: &str = "model.json";
 const STATE: &str = "state.json";
 
-/// Format version, incremented when older readers cannot read the files.
-const FORMAT_VERSION: u32 = 1;
+/// Format version of checkpoints and policies, incremented when older readers cannot read the files, or when the policy
+/// would read other features ([`policy::features::FEATURE_LAYOUT`]).
+pub(crate) const FORMAT_VERSION: u32 = 2;
 
 /// The complete state of a learner.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,6 +61,8 @@ pub struct Checkpoint {
     pub parameters: Vec<f32>,
     /// The optimizer.
     pub adam: Adam,
+    /// The optimizer of the critic alone, once it has taken a step. It has the parameters of the value head.
+    pub critic_adam: Option<Adam>,
     /// The frozen parameters of the imitator, once it exists, flat like `parameters`.
     pub imitator: Option<Vec<f32>>,
     /// Waiting trajectories, oldest first.
@@ -86,6 +92,17 @@ pub enum CheckpointError {
         /// The difference.
         reason: String,
     },
+    /// Another version of the program wrote it.
+    #[error(
+        "{path} has format version {found}, and this program reads version {FORMAT_VERSION}; use the version of \
+         Lodestone that wrote it, or train anew"
+    )]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its format version.
+        found: u32,
+    },
     /// There is no folder `step-<n>`.
     #[error("there is no checkpoint in {0}")]
     Absent(PathBuf),
@@ -105,6 +122,12 @@ pub struct Found {
     pub passed_over: Vec<CheckpointError>,
 }
 
+/// The part of a file that every version has.
+#[derive(Deserialize)]
+pub(crate) struct FormatVersion {
+    format_version: u32,
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StateFile {
@@ -112,7 +135,18 @@ struct StateFile {
     files: Vec<FileInfo>,
     table: Vec<ParameterInfo>,
     adam_steps: u64,
+    critic_adam_steps: u64,
     state: LearnerState,
+}
+
+impl FormatVersion {
+    /// Checks that this program reads the version of the file at `path`.
+    pub(crate) fn check(&self, path: &Path) -> Result<(), CheckpointError> {
+        match self.format_version {
+            FORMAT_VERSION => Ok(()),
+            found => Err(CheckpointError::Version { path: path.into(), found }),
+        }
+    }
 }
 
 impl Checkpoint {
@@ -153,6 +187,10 @@ impl Checkpoint {
             (MAILBOX, pack(&self.mailbox)),
             (MODEL, json(&self.model)?),
         ];
+        if let Some(critic) = &self.critic_adam {
+            let vectors = [("first.", critic.first.as_slice()), ("second.", &critic.second)];
+            contents.push((CRITIC, tensors::write(&value_head(&self.table), &vectors, None)?));
+        }
         if let Some(imitator) = &self.imitator {
             contents.push((IMITATOR, tensors::write(&self.table, &[("", imitator)], None)?));
         }
@@ -167,6 +205,7 @@ impl Checkpoint {
             files,
             table: self.table.clone(),
             adam_steps: self.adam.n_steps,
+            critic_adam_steps: self.critic_adam.as_ref().map_or(0, |adam| adam.n_steps),
             state: self.state.clone(),
         };
         write(temporary, STATE, &json(&state)?)?;
@@ -176,18 +215,25 @@ impl Checkpoint {
     /// Reads a folder written by [`Checkpoint::write`].
     ///
     /// # Errors
-    /// [`CheckpointError::Damaged`] with the name of the damaged file, or a file system error.
+    /// [`CheckpointError::Damaged`] with the name of the damaged file, [`CheckpointError::Version`], or a file system
+    /// error.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
-        let state: StateFile = parse(path, STATE, &files::read(path, STATE)?)?;
-        if state.format_version != FORMAT_VERSION {
-            let reason = format!("its format version is {}, this program reads {FORMAT_VERSION}", state.format_version);
-            return Err(damaged(path, STATE, reason));
-        }
+        let bytes = files::read(path, STATE)?;
+        parse::<FormatVersion>(path, STATE, &bytes)?.check(&path.join(STATE))?;
+        let state: StateFile = parse(path, STATE, &bytes)?;
         let verified = |name| files::read_verified(path, name, &state.files);
         let [parameters] = tensors::read(&path.join(PARAMETERS), &verified(PARAMETERS)?, &state.table, [""])?;
         let [first, second] = tensors::read(&path.join(ADAM), &verified(ADAM)?, &state.table, ["first.", "second."])?;
         let mailbox = unpack(path, MAILBOX, &verified(MAILBOX)?)?;
         let has = |name: &str| state.files.iter().any(|file| file.name == name);
+        let critic_adam = if has(CRITIC) {
+            let table = value_head(&state.table);
+            let bytes = verified(CRITIC)?;
+            let [first, second] = tensors::read(&path.join(CRITIC), &bytes, &table, ["first.", "second."])?;
+            Some(Adam { first, second, n_steps: state.critic_adam_steps })
+        } else {
+            None
+        };
         let imitator = if has(IMITATOR) {
             let [imitator] = tensors::read(&path.join(IMITATOR), &verified(IMITATOR)?, &state.table, [""])?;
             Some(imitator)
@@ -198,7 +244,8 @@ impl Checkpoint {
         let replay = replay.into_iter().map(Arc::new).collect();
         let model = parse(path, MODEL, &verified(MODEL)?)?;
         let adam = Adam { first, second, n_steps: state.adam_steps };
-        Ok(Self { state: state.state, model, table: state.table, parameters, adam, imitator, mailbox, replay })
+        let StateFile { table, state, .. } = state;
+        Ok(Self { state, model, table, parameters, adam, critic_adam, imitator, mailbox, replay })
     }
 
     /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is a checkpoint.
@@ -228,20 +275,27 @@ impl Checkpoint {
     }
 }
 
+/// Returns the parameters of the value head.
+fn value_head(table: &[ParameterInfo]) -> Vec<ParameterInfo> {
+    table.iter().filter(|info| info.name.starts_with(VALUE_HEAD)).cloned().collect()
+}
+
 /// Returns whether `dir` contains a checkpoint, valid or not.
 pub fn exists(dir: &Path) -> bool {
     files::steps(dir).is_ok_and(|steps| !steps.is_empty())
 }
 
-/// Removes all but the `keep` newest checkpoints in `dir`, and the leftovers of interrupted writes.
+/// Removes all but the `keep` newest checkpoints of up to `n_env_steps` environment steps in `dir`, and the leftovers
+/// of interrupted writes. Checkpoints of later steps stay: a run that resumed before them passed over them as damaged,
+/// so they must not take the place of valid ones.
 ///
 /// # Errors
 /// If the file system returns an error.
-pub fn prune(dir: &Path, keep: usize) -> Result<(), CheckpointError> {
+pub fn prune(dir: &Path, n_env_steps: u64, keep: usize) -> Result<(), CheckpointError> {
     clean(dir)?;
-    let steps = files::steps(dir)?;
+    let steps: Vec<PathBuf> = files::steps(dir)?.range(..=n_env_steps).map(|(_, path)| path.clone()).collect();
     let n_old = steps.len().saturating_sub(keep);
-    steps.into_values().take(n_old).try_for_each(|path| files::remove(&path))
+    steps.iter().take(n_old).try_for_each(|path| files::remove(path))
 }
 
 /// Removes the leftovers of interrupted writes in `dir`, and restores a checkpoint whose replacement was interrupted.

@@ -65,9 +65,12 @@ mod tests {
     }
 
     #[test]
-    fn bootstrap_value_is_zero_only_after_success() {
-        for (status, expected) in [(Status::Success, 0.0), (Status::TimeLimit, 3.0), (Status::Running, 3.0)] {
-            assert_eq!(bootstrap_value(status, 3.0, false), expected, "{status:?}");
+    fn bootstrap_value_is_zero_after_success_and_at_a_deadline() {
+        for (status, without, with) in
+            [(Status::Success, 0.0, 0.0), (Status::TimeLimit, 3.0, 0.0), (Status::Running, 3.0, 3.0)]
+        {
+            assert_eq!(bootstrap_value(status, 3.0, false), without, "{status:?}");
+            assert_eq!(bootstrap_value(status, 3.0, true), with, "{status:?} with a deadline");
         }
     }
 

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use blueprints::generator::{Draws, MADE_CAPACITY};
 use blueprints::{Blueprint, BlueprintId, Catalog};
-use policy::PolicyConfig;
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
+use policy::{Policy, PolicyConfig};
 use proto::{Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -154,9 +154,15 @@ impl Learner {
             let error = "its network or its features are configured otherwise (`policy.network`, `policy.features`)";
             return Err(LearnerError::Init(error.to_owned()));
         }
+        let unfit = |error: &dyn std::fmt::Display| LearnerError::Init(error.to_string());
+        // Checks the numbers; the parameters' names and order are checked below.
+        Policy::with_weights(&model.policy, &model.weights).map_err(|error| unfit(&error))?;
+        if model.table() != self.table() {
+            return Err(unfit(&"it has other parameters, or the same in another order"));
+        }
         let Weights { parameters, normalization, .. } = &model.weights;
         let adam = Adam::new(parameters.len());
-        self.ppo.restore(parameters.clone(), adam, None).map_err(|error| LearnerError::Init(error.to_string()))?;
+        self.ppo.restore(parameters.clone(), adam, None).map_err(|error| unfit(&error))?;
         self.state.values = ValueStatistics::new(normalization.value_mean, normalization.value_std);
         if normalization.feature_mean.iter().any(|means| !means.is_empty()) {
             // A model file contains no moments, so freeze its statistics.
@@ -190,6 +196,9 @@ impl Learner {
         }
         if let Err(error) = learner.ppo.restore(checkpoint.parameters, checkpoint.adam, checkpoint.imitator) {
             return mismatch(&error.to_string());
+        }
+        if let Some(critic_adam) = checkpoint.critic_adam {
+            learner.ppo.restore_critic(&critic_adam);
         }
         if let Some(replay) = &mut learner.replay {
             replay.restore(checkpoint.replay, &learner.setup.catalog);
@@ -316,6 +325,7 @@ impl Learner {
             table: self.table(),
             parameters: self.ppo.parameters().to_vec(),
             adam: self.ppo.adam().clone(),
+            critic_adam: self.ppo.critic_adam(),
             imitator: self.ppo.imitator().map(<[f32]>::to_vec),
             mailbox,
             replay: self.replay.as_ref().map(Replay::segments).unwrap_or_default(),

@@ -53,7 +53,8 @@ impl RatioStatistics {
         let mut sums = Self::default();
         for (&new, &reference) in new.iter().zip(reference) {
             let log_ratio = f64::from(new) - f64::from(reference);
-            let ratio = log_ratio.exp();
+            // JSON has no infinity.
+            let ratio = log_ratio.exp().min(1e300);
             sums.approx_kl += (ratio - 1.0) - log_ratio;
             sums.clip_fraction += f64::from(u8::from((ratio - 1.0).abs() > f64::from(clip)));
         }

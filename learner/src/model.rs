@@ -10,11 +10,8 @@ use proto::{Normalization, Weights, WeightsVersion};
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo, tensors};
+use crate::checkpoint::{Checkpoint, CheckpointError, FORMAT_VERSION, FormatVersion, ParameterInfo, tensors};
 use crate::state::NormalizationFields;
-
-/// Format version, incremented when older readers cannot read the file.
-const FORMAT_VERSION: u32 = 1;
 
 /// Name of the metadata entry.
 const ENTRY: &str = "lodestone";
@@ -38,8 +35,7 @@ struct Header {
     n_env_steps: u64,
     policy: PolicyConfig,
     table: Vec<ParameterInfo>,
-    // Format version 1 uses this spelling.
-    #[serde(rename = "normalisation", with = "NormalizationFields")]
+    #[serde(with = "NormalizationFields")]
     normalization: Normalization,
 }
 
@@ -68,20 +64,23 @@ impl Model {
         tensors::write(&self.table, &[("", &self.weights.parameters)], Some((ENTRY, header)))
     }
 
+    /// Returns names and shapes in the order of the flat parameters.
+    pub(crate) fn table(&self) -> &[ParameterInfo] {
+        &self.table
+    }
+
     /// Parses the file's bytes; `path` names the file in errors.
     ///
     /// # Errors
-    /// [`CheckpointError::Damaged`] if the bytes are not a model file.
+    /// [`CheckpointError::Damaged`] if the bytes are not a model file, and [`CheckpointError::Version`].
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
         let damaged = |reason: String| CheckpointError::Damaged { path: path.into(), reason };
         let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|error| damaged(error.to_string()))?;
         let header = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY));
         let header = header.ok_or_else(|| damaged(format!("its metadata has no entry `{ENTRY}`")))?;
+        let version: FormatVersion = serde_json::from_str(header).map_err(|error| damaged(error.to_string()))?;
+        version.check(path)?;
         let header: Header = serde_json::from_str(header).map_err(|error| damaged(error.to_string()))?;
-        if header.format_version != FORMAT_VERSION {
-            let found = header.format_version;
-            return Err(damaged(format!("its format version is {found}, this program reads {FORMAT_VERSION}")));
-        }
         header.policy.validate().map_err(|error| damaged(error.to_string()))?;
         let [parameters] = tensors::read(path, bytes, &header.table, [""])?;
         let weights = Weights {

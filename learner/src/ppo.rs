@@ -23,6 +23,9 @@ use imitation_update::ImitationUpdate;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
 
+/// Prefix of the names of the value head's parameters.
+pub(crate) const VALUE_HEAD: &str = "value.";
+
 /// Maximum number of samples for estimating the KL divergence of an update.
 const KL_SAMPLES: usize = 2048;
 
@@ -34,7 +37,7 @@ pub(crate) struct Ppo {
     parameters: Vec<f32>,
     adam: Adam,
     /// The optimizer of the value head while nothing trains the policy. It is separate because the policy's moments
-    /// would decay meanwhile, and its first steps would be many times too long. Checkpoints do not contain it.
+    /// would decay meanwhile, and its first steps would be many times too long.
     critic_adam: Adam,
     value_head: ValueHead,
     /// The frozen parameters of the imitator, once it exists.
@@ -102,6 +105,24 @@ impl Ppo {
         }
         (self.parameters, self.adam, self.imitator) = (parameters, adam, imitator);
         Ok(())
+    }
+
+    /// Returns the optimizer of the critic alone, for the parameters of the value head; `None` before its first step.
+    pub(crate) fn critic_adam(&self) -> Option<Adam> {
+        let Adam { first, second, n_steps } = &self.critic_adam;
+        let of_head = |moments: &[f32]| {
+            self.value_head.parameters.iter().flat_map(|range| &moments[range.clone()]).copied().collect()
+        };
+        (*n_steps > 0).then(|| Adam { first: of_head(first), second: of_head(second), n_steps: *n_steps })
+    }
+
+    /// Restores the result of [`Self::critic_adam`].
+    pub(crate) fn restore_critic(&mut self, critic_adam: &Adam) {
+        let positions = self.value_head.parameters.iter().cloned().flatten();
+        for (at, (&first, &second)) in positions.zip(critic_adam.first.iter().zip(&critic_adam.second)) {
+            (self.critic_adam.first[at], self.critic_adam.second[at]) = (first, second);
+        }
+        self.critic_adam.n_steps = critic_adam.n_steps;
     }
 
     /// Returns the frozen parameters of the imitator, once it exists.
@@ -267,22 +288,26 @@ impl Ppo {
         for minibatch in pieces(&order, config.minibatch_size) {
             let mut gradient = self.workers.zeros(self.parameters.len());
             let mut samples = minibatch.iter();
+            let mut losses = LossSums::default();
             for pass in self.workers.gradients(batch, minibatch, config.forward_size, targets) {
                 gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += g);
                 self.workers.reuse(pass.gradient);
                 pass.log_probs.iter().zip(&mut samples).for_each(|(&log_prob, &sample)| log_probs[sample] = log_prob);
-                steps.losses += pass.losses;
+                losses += pass.losses;
             }
-            steps.n_samples += minibatch.len();
             if let Some(imitation_update) =
                 imitation_update.as_mut().filter(|imitation_update| imitation_update.n_left() > 0)
             {
                 imitation_update.add_gradient(&mut self.workers, config.forward_size, rng, &mut gradient);
             }
-            if targets.loss.policy == 0.0 && imitation_update.is_none() {
-                self.step_critic(&gradient, rate, config, steps);
+            let was_taken = if targets.loss.policy == 0.0 && imitation_update.is_none() {
+                self.step_critic(&gradient, rate, config, steps)
             } else {
-                self.step(&mut gradient, rate, config, steps);
+                self.step(&mut gradient, rate, config, steps)
+            };
+            if was_taken {
+                steps.losses += losses;
+                steps.n_samples += minibatch.len();
             }
             self.workers.reuse(gradient);
         }
@@ -298,14 +323,14 @@ impl Ppo {
         RatioStatistics::new(&log_probs, &reference, config.loss.clip).approx_kl
     }
 
-    /// Takes one gradient step.
-    fn step(&mut self, gradient: &mut [f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
+    /// Takes one gradient step, unless the gradient is not finite; returns whether it was taken.
+    fn step(&mut self, gradient: &mut [f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) -> bool {
         let norm = clip_global_norm(gradient, config.optimizer.max_grad_norm);
         if !norm.is_finite() {
             // A single gradient that is not finite would corrupt the moments permanently.
             tracing::warn!(norm, "a gradient is not finite, skipping its step");
             steps.n_skipped += 1;
-            return;
+            return false;
         }
         steps.grad_norm += f64::from(norm);
         steps.n_steps += 1;
@@ -318,19 +343,21 @@ impl Ppo {
             }
         }
         self.load();
+        true
     }
 
     /// Takes one gradient step on the value head alone. While nothing trains the policy, the critic's gradient must not
     /// change it through shared layers.
-    fn step_critic(&mut self, gradient: &[f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) {
+    fn step_critic(&mut self, gradient: &[f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) -> bool {
         let mut of_critic = self.workers.zeros(gradient.len());
         for range in &self.value_head.parameters {
             of_critic[range.clone()].copy_from_slice(&gradient[range.clone()]);
         }
         std::mem::swap(&mut self.adam, &mut self.critic_adam);
-        self.step(&mut of_critic, rate, config, steps);
+        let was_taken = self.step(&mut of_critic, rate, config, steps);
         std::mem::swap(&mut self.adam, &mut self.critic_adam);
         self.workers.reuse(of_critic);
+        was_taken
     }
 
     /// Recomputes advantages and value targets with the current network.
@@ -363,14 +390,14 @@ impl Ppo {
 }
 
 impl ValueHead {
-    /// Finds all parameters named `value.*`, the last kernel named `value.mlp.*`, and its bias.
+    /// Finds all parameters of [`VALUE_HEAD`], the last kernel named `value.mlp.*`, and its bias.
     fn find(table: &[ParameterSpec]) -> Self {
         let mut found = Self { parameters: Vec::new(), weights: 0..0, bias: 0 };
         let mut at = 0;
         for spec in table {
             let range = at..at + spec.len();
             at = range.end;
-            if spec.name.starts_with("value.") {
+            if spec.name.starts_with(VALUE_HEAD) {
                 found.parameters.push(range.clone());
             }
             if spec.name.starts_with("value.mlp.") {

@@ -120,13 +120,20 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         .spawn(move || result.send(worker.work()))
         .context("starting the learner's thread")?;
 
-    while let Some(Publication { weights, metrics: numbers }) = arrivals.recv().await {
-        publish(&publisher, &version, weights).await?;
-        if let Some(numbers) = numbers {
-            metrics.put(&numbers).await?;
+    let published = async {
+        while let Some(Publication { weights, metrics: numbers }) = arrivals.recv().await {
+            publish(&publisher, &version, weights).await?;
+            if let Some(numbers) = numbers {
+                metrics.put(&numbers).await?;
+            }
         }
+        anyhow::Ok(())
     }
+    .await;
+    // After an error, the closed channel ends the thread, which saves a checkpoint before.
+    drop(arrivals);
     let report = ended.await.context("the learner's thread panicked")?;
+    published?;
     if let Some(server) = Arc::into_inner(server) {
         server.close().await?;
     }
@@ -278,7 +285,8 @@ impl Worker {
 
     fn save(&self, checkpoints: &Path) -> Result<PathBuf, checkpoint::CheckpointError> {
         let path = self.learner.save(checkpoints)?;
-        if let Err(error) = checkpoint::prune(checkpoints, self.options.setup.config.checkpoints.keep) {
+        let keep = self.options.setup.config.checkpoints.keep;
+        if let Err(error) = checkpoint::prune(checkpoints, self.learner.n_env_steps(), keep) {
             tracing::warn!(%error, "older checkpoints were not removed");
         }
         tracing::info!(path = %path.display(), "saved");

@@ -41,8 +41,7 @@ pub struct LearnerState {
     /// Number of trajectories by result.
     pub mailbox: MailboxCounts,
     /// Normalization that belongs to the parameters.
-    // Format version 1 uses this spelling.
-    #[serde(rename = "normalisation", with = "NormalizationFields")]
+    #[serde(with = "NormalizationFields")]
     pub normalization: Normalization,
 }
 

@@ -5,6 +5,8 @@ use std::ops::Bound::Excluded;
 use proto::{InvalidSetting, config_hash, settings};
 use serde::{Deserialize, Serialize};
 
+use crate::features::FEATURE_LAYOUT;
+
 settings! {
     /// Everything that determines the meaning of a set of parameters. All services of a run use the same configuration.
     pub struct PolicyConfig in "policy", check grippers {
@@ -145,11 +147,12 @@ impl PolicyConfig {
         InvalidSetting::check(format_args!("{path}.features.n_grippers"), own, own == network, expected)
     }
 
-    /// Hashes everything that gives parameters their meaning, for `Weights::network_hash`.
+    /// Hashes everything that gives parameters their meaning, for `Weights::network_hash`: the configuration and
+    /// [`FEATURE_LAYOUT`].
     ///
     /// The mask, `grip_steps`, and the joint form are left out, because the same parameters are valid with any of them.
     pub fn hash(&self) -> u64 {
-        config_hash(&(&self.network, &self.features))
+        config_hash(&(&self.network, &self.features, FEATURE_LAYOUT))
     }
 }
 

@@ -70,6 +70,10 @@ use proto::{Gripper, N_GRIPPERS, Observation, Scene};
 use crate::config::{FeatureConfig, PolicyConfig};
 use crate::geometry::{Frame, rotation, rotation_vector};
 
+/// Version of the lists above, incremented when an entry moves or changes its meaning. Increment the format versions of
+/// checkpoints and policies with it, so that programs refuse parameters that were trained on other features.
+pub const FEATURE_LAYOUT: u32 = 2;
+
 /// Number of directed edges between different blocks.
 pub const N_EDGES: usize = N_BLOCKS * (N_BLOCKS - 1);
 
@@ -87,6 +91,7 @@ const FINE_MOVE_M: f32 = 0.06;
 const FINE_TURN_RAD: f32 = 0.25;
 
 const BASE_NODE: usize = 3;
+const PLAN_PART: usize = 12;
 const BASE_EDGE: usize = 24;
 const GRIPPER_PART: usize = 9 + N_BLOCKS;
 
@@ -110,7 +115,7 @@ impl FeatureSizes {
                 + on(config.up_axis, 3)
                 + on(config.membership, 1)
                 + on(config.block_shape, 3)
-                + on(config.plan, 12)
+                + on(config.plan, PLAN_PART)
                 + on(config.pieces, 1)
                 + on(config.remaining_time.is_some(), 1),
             edge: BASE_EDGE + on(config.needed_moves, 12) + on(config.pieces, 1),
@@ -202,7 +207,7 @@ fn write_node(
 /// Writes a block's part of the plan; zeros if the plan does not contain the block.
 fn write_plan(blueprint: &Blueprint, plan: Option<&Plan>, block: BlockIdx, to: &mut Writer<'_>) {
     let planned = plan.and_then(|plan| Some((plan, blueprint.placement(block)?, blueprint.plan_step(plan, block)?)));
-    let Some((plan, placement, step)) = planned else { return };
+    let Some((plan, placement, step)) = planned else { return to.zeros(PLAN_PART) };
     let half_unit_m = UNIT_M / 2.0;
     let up = Vector3::from(plan.up.map(|x| x as f32));
     let center = Vector3::from(placement.center_half_units.map(|x| x as f32)) * half_unit_m;
@@ -328,6 +333,10 @@ impl<'a> Writer<'a> {
 
     fn number(&mut self, value: f32) {
         *self.rest.next().expect("the sizes leave room for every feature") = value;
+    }
+
+    fn zeros(&mut self, n: usize) {
+        (0..n).for_each(|_| self.number(0.0));
     }
 
     fn bit(&mut self, value: bool) {

@@ -136,6 +136,21 @@ fn a_structure_that_stands_as_planned_looks_like_the_plan() {
 }
 
 #[test]
+fn every_group_keeps_its_place_for_blocks_outside_the_blueprint() {
+    let config = FeatureConfig { plan: true, pieces: true, remaining_time: Some(100), ..FeatureConfig::default() };
+    let blueprint = blueprint(0);
+    let batch = features(&row_scene(), blueprint, &config);
+    let outside: Vec<&[f32]> = BlockIdx::all()
+        .zip(batch.nodes.chunks_exact(24))
+        .filter_map(|(block, node)| (!blueprint.contains(block)).then_some(node))
+        .collect();
+    assert_eq!(outside.len(), 16 - blueprint.n_blocks());
+    for node in outside {
+        assert_eq!((&node[10..22], node[22], node[23]), ([0.0; 12].as_slice(), 1.0 / 16.0, 1.0));
+    }
+}
+
+#[test]
 fn pieces_are_what_hangs_together_by_right_connections_alone() {
     let config = FeatureConfig { pieces: true, ..FeatureConfig::default() };
     let blueprint = blueprint(0);

@@ -10,7 +10,7 @@ use safetensors::{SafeTensorError, SafeTensors};
 use serde::Deserialize;
 
 /// The supported format version.
-const FORMAT_VERSION: u32 = 1;
+const FORMAT_VERSION: u32 = 2;
 
 /// Name of the metadata entry.
 const ENTRY: &str = "lodestone";
@@ -51,16 +51,22 @@ pub(crate) struct Model {
     pub(crate) weights: Weights,
 }
 
+/// The part of the entry that every version has.
+#[derive(Deserialize)]
+struct FormatVersion {
+    format_version: u32,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Header {
-    format_version: u32,
+    #[serde(rename = "format_version")]
+    _format_version: u32,
     weights_version: u64,
     n_env_steps: u64,
     policy: PolicyConfig,
     table: Vec<Parameter>,
-    // Spelling required by format version 1.
-    #[serde(rename = "normalisation", with = "Statistics")]
+    #[serde(with = "Statistics")]
     normalization: Normalization,
 }
 
@@ -90,10 +96,11 @@ impl Model {
     pub(crate) fn read(bytes: &[u8]) -> Result<Self, ModelError> {
         let (_, metadata) = SafeTensors::read_metadata(bytes)?;
         let entry = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY)).ok_or(ModelError::NoPolicy)?;
-        let header: Header = serde_json::from_str(entry)?;
-        if header.format_version != FORMAT_VERSION {
-            return Err(ModelError::Version(header.format_version));
+        let FormatVersion { format_version } = serde_json::from_str(entry)?;
+        if format_version != FORMAT_VERSION {
+            return Err(ModelError::Version(format_version));
         }
+        let header: Header = serde_json::from_str(entry)?;
         let tensors = SafeTensors::deserialize(bytes)?;
         let mut parameters = Vec::new();
         for Parameter { name, shape } in header.table {

@@ -77,7 +77,7 @@ class SamePolicy(unittest.TestCase):
                 value += 0.01 * torch.from_numpy(golden.generate(name, 1, value.numel())).reshape(value.shape)
         header = json.loads(json.dumps(policy.header))
         columns = [x.reshape(-1, x.shape[-1]) for x in self.seen]
-        header["normalisation"] = {
+        header["normalization"] = {
             "feature_mean": [x.mean(0).tolist() for x in columns],
             # Keeps nearly constant features from becoming huge.
             "feature_std": [x.std(0).clip(0.1).tolist() for x in columns],

@@ -43,7 +43,7 @@ def scenes(policy: Policy, b: int, seed: int = 1) -> list[torch.Tensor]:
 def plain(policy: Policy) -> Policy:
     """Returns the policy without feature and value statistics."""
     header = json.loads(json.dumps(policy.header))
-    header["normalisation"] = {"feature_mean": [[]] * 3, "feature_std": [[]] * 3, "value_mean": 0.0, "value_std": 1.0}
+    header["normalization"] = {"feature_mean": [[]] * 3, "feature_std": [[]] * 3, "value_mean": 0.0, "value_std": 1.0}
     return Policy(policy.network, header)
 
 
@@ -187,7 +187,7 @@ class Settings(Case):
         policy = plain(Policy.load(golden.PRETRAINED))
         c, inputs = policy.network.config, scenes(policy, 2)
         header = json.loads(json.dumps(policy.header))
-        n = header["normalisation"]
+        n = header["normalization"]
         n["feature_mean"], n["feature_std"] = (
             [[0.5] * c.node, [], [0.0] * c.global_],
             [[0.1] * c.node, [], [2.0] * c.global_],
@@ -226,7 +226,7 @@ class Settings(Case):
         flat["policy"]["network"]["encoder"] = {"kind": "resnet", "hidden": 8, "n_blocks": 1}
         cases = [
             (tensors, {}, "no entry `lodestone`"),
-            (tensors, {"lodestone": json.dumps({"format_version": 2})}, "format version is 2"),
+            (tensors, {"lodestone": json.dumps({"format_version": 1})}, "format version is 1"),
             (tensors, {"lodestone": json.dumps(flat)}, "its encoder is `resnet`"),
             (
                 {"embed_node.w": tensors["embed_node.w"]},

@@ -1,6 +1,6 @@
 //! Writes the metrics of one service: lines of `metrics.jsonl` and TensorBoard curves.
 
-use std::fs::{self, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
 
@@ -73,7 +73,8 @@ impl MetricsWriter {
         Ok(writer)
     }
 
-    /// Appends lines in one write, so that lines of other writers cannot interleave.
+    /// Appends lines in one write, so that lines of other writers cannot interleave. If the file ends in a part of a
+    /// line, which a full disk or a power loss leaves behind, that line is ended first.
     ///
     /// # Errors
     /// If writing fails; some of the lines may have been written.
@@ -82,20 +83,26 @@ impl MetricsWriter {
             if let Some(folder) = self.path.parent() {
                 fs::create_dir_all(folder)?;
             }
-            OpenOptions::new().create(true).append(true).open(&self.path)?.write_all(&lines.0)
+            let mut file = OpenOptions::new().create(true).read(true).append(true).open(&self.path)?;
+            let end: &[u8] = if is_cut(&mut file)? { b"\n" } else { b"" };
+            file.write_all(&[end, &lines.0].concat())
         };
         write().map_err(|source| WriteError::Io { path: self.path.clone(), source })
     }
 
-    /// Writes the settings of the run, the text of its `config.toml`, verbatim and to the table of hyperparameters.
+    /// Writes the settings of the run, from the text of its `config.toml`, as text and to the table of hyperparameters.
+    /// Leaves out `dashboard`, which holds the page's token: event files are shared.
     ///
     /// # Errors
     /// If writing fails.
     pub fn settings(&mut self, config: &str) -> Result<(), WriteError> {
+        // A token in text that is not TOML could not be found.
+        let Ok(mut settings) = toml::from_str::<toml::Table>(config) else { return Ok(()) };
+        settings.remove("dashboard");
+        let hyperparameters = serde_json::to_value(&settings)?;
         let mut write = || {
-            self.tensorboard.text(0, "settings", &format!("```toml\n{config}```"))?;
-            // Text that is not TOML is still shown verbatim.
-            toml::from_str::<Value>(config).map_or(Ok(()), |settings| self.tensorboard.hyperparameters(&settings))
+            self.tensorboard.text(0, "settings", &format!("```toml\n{settings}```"))?;
+            self.tensorboard.hyperparameters(&hyperparameters)
         };
         write().map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
     }
@@ -120,6 +127,16 @@ impl MetricsWriter {
     }
 }
 
+/// Returns whether the file ends in the middle of a line.
+fn is_cut(file: &mut File) -> io::Result<bool> {
+    let mut last = [b'\n'];
+    if file.metadata()?.len() > 0 {
+        file.seek(SeekFrom::End(-1))?;
+        file.read_exact(&mut last)?;
+    }
+    Ok(last != [b'\n'])
+}
+
 /// Returns the last line of `metrics.jsonl` under `key` that `accepts` accepts, among the last 4 MiB; `None` if there
 /// is none.
 ///
@@ -128,7 +145,7 @@ impl MetricsWriter {
 pub fn last_line(paths: &RunPaths, key: &str, accepts: impl Fn(&Value) -> bool) -> io::Result<Option<Value>> {
     /// Holds hundreds of updates, each below 20 KB.
     const TAIL: u64 = 4 << 20;
-    let mut file = match fs::File::open(paths.metrics()) {
+    let mut file = match File::open(paths.metrics()) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         opened => opened?,
     };
@@ -163,6 +180,40 @@ mod tests {
         let events = String::from_utf8_lossy(&fs::read(writer.tensorboard.path()).unwrap()).into_owned();
         let written = scalars.map(|(tag, _)| events.contains(tag));
         assert_eq!(written, [false, false, false, true, true]);
+    }
+
+    #[test]
+    fn the_token_stays_out_of_event_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = MetricsWriter::open(&RunPaths::new(folder.path()), Role::Learner).unwrap();
+        let token = "0123456789abcdef";
+        let page = format!("[dashboard.web]\nlisten = \"0.0.0.0:80\"\ntoken = \"{token}\"\n");
+        writer.settings(&format!("seed = 1\n\n{page}\n[learner]\ngamma = 0.9\n")).unwrap();
+        writer.settings(&format!("{page}no TOML\n")).unwrap();
+        let events = String::from_utf8_lossy(&fs::read(writer.tensorboard.path()).unwrap()).into_owned();
+        for shown in ["seed = 1\n\n[learner]\ngamma = 0.9\n```", "learner.gamma"] {
+            assert!(events.contains(shown), "{events}");
+        }
+        assert!(!events.contains(token) && !events.contains("dashboard"), "{events}");
+    }
+
+    #[test]
+    fn a_line_that_was_cut_does_not_spoil_the_next_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        let cut = || OpenOptions::new().append(true).open(paths.metrics()).unwrap().write_all(b"{\"key\":").unwrap();
+        let mut line = Lines::default();
+        line.push("learner", &json!({ "n": 1 })).unwrap();
+        let whole = "{\"key\":\"learner\",\"n\":1}\n";
+        let writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
+        writer.append(&line).unwrap();
+        cut();
+        writer.append(&line).unwrap();
+        cut();
+        MetricsWriter::open(&paths, Role::Evaluator).unwrap();
+        writer.append(&line).unwrap();
+        let written = fs::read_to_string(paths.metrics()).unwrap();
+        assert_eq!(written, format!("{whole}{{\"key\":\n{whole}{{\"key\":\n{whole}"));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! This version reads what an earlier version wrote: a run's folder with configuration, checkpoint, history, and
+//! This version reads what earlier versions wrote: a run's folder with configuration, checkpoint, history, and
 //! recordings.
 
 use std::fs;
@@ -8,9 +8,9 @@ use serde_json::Value;
 
 use crate::support::program::{lodestone, n_saved_steps};
 
-/// Copies the run that the program of version 0.1.0 left behind into `folder`.
-fn old_run(folder: &Path) -> PathBuf {
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden/run-0.1.0");
+/// Copies the run `name` that an earlier version left behind into `folder`.
+fn old_run(name: &str, folder: &Path) -> PathBuf {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden").join(name);
     let run = folder.join("run");
     copy(&golden, &run);
     run
@@ -36,17 +36,35 @@ fn output(folder: &Path, args: &[&str]) -> String {
     stdout
 }
 
-#[test]
-fn a_run_of_version_0_1_0_is_continued_evaluated_and_reported() {
-    let folder = tempfile::tempdir().unwrap();
-    let run = old_run(folder.path());
-    output(folder.path(), &["report", "run"]);
-    let groups = fs::read_to_string(run.join("report/groups.md")).unwrap();
+/// Reports a run, and renders one of its recordings.
+fn report_and_render(folder: &Path) {
+    output(folder, &["report", "run"]);
+    let groups = fs::read_to_string(folder.join("run/report/groups.md")).unwrap();
     assert!(groups.contains("train 2-6"), "{groups}");
+    let recording = "run/replays/2_000/00000000-failure.trajectory";
+    output(folder, &["render", recording, "--format", "png-strip", "--out", "pictures"]);
+}
+
+#[test]
+fn the_policy_of_a_run_of_version_0_1_0_is_refused_and_everything_else_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = old_run("run-0.1.0", folder.path());
+    report_and_render(folder.path());
+    for command in [["eval", "--checkpoint", "run"], ["train", "--resume", "run"]] {
+        let output = lodestone(folder.path()).args(command).output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && stderr.contains("has format version 1"), "{command:?}: {stderr}");
+    }
+    assert_eq!(n_saved_steps(&run), 256);
+}
+
+#[test]
+fn a_run_of_format_version_2_is_continued_evaluated_and_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = old_run("run-format-2", folder.path());
+    report_and_render(folder.path());
     let table = output(folder.path(), &["eval", "--checkpoint", "run", "--episodes", "1"]);
     assert!(table.contains("2_000"), "{table}");
-    let recording = "run/replays/2_000/00000000-failure.trajectory";
-    output(folder.path(), &["render", recording, "--format", "png-strip", "--out", "pictures"]);
 
     assert_eq!(n_saved_steps(&run), 256);
     output(folder.path(), &["train", "--resume", "run", "--steps", "512"]);

@@ -9,33 +9,33 @@ use learner::Model;
 use proto::ActionMode;
 
 /// Steps to success in one greedy episode of each validation blueprint, from mixed starts with seed 1, or `None` for a
-/// failure; measured on a CPU with AVX2 and without AVX-512. Other CPUs sum in a different order, and a few episodes
+/// failure; measured on a CPU with AVX-512. Other CPUs sum in a different order, and a few episodes
 /// end differently.
 const SAMPLE: [(&str, Option<u16>); 24] = [
-    ("validation_7_000", Some(34)),
-    ("validation_7_001", Some(35)),
-    ("validation_8_000", Some(32)),
-    ("validation_8_001", Some(44)),
-    ("validation_9_000", Some(44)),
-    ("validation_9_001", Some(51)),
-    ("validation_10_000", Some(52)),
-    ("validation_10_001", Some(56)),
-    ("validation_11_000", Some(64)),
-    ("validation_11_001", Some(54)),
-    ("validation_12_000", Some(64)),
-    ("validation_12_001", Some(60)),
-    ("validation_12_002", Some(62)),
-    ("validation_13_000", None),
-    ("validation_13_001", Some(75)),
-    ("validation_13_002", Some(73)),
-    ("validation_14_000", Some(84)),
-    ("validation_14_001", Some(73)),
-    ("validation_14_002", Some(72)),
-    ("validation_15_000", Some(75)),
-    ("validation_15_001", Some(70)),
-    ("validation_15_002", Some(94)),
-    ("validation_16_000", Some(75)),
-    ("validation_16_001", Some(80)),
+    ("validation_7_000", Some(32)),
+    ("validation_7_001", Some(31)),
+    ("validation_8_000", Some(34)),
+    ("validation_8_001", Some(38)),
+    ("validation_9_000", Some(41)),
+    ("validation_9_001", Some(42)),
+    ("validation_10_000", Some(50)),
+    ("validation_10_001", Some(50)),
+    ("validation_11_000", Some(56)),
+    ("validation_11_001", Some(51)),
+    ("validation_12_000", Some(57)),
+    ("validation_12_001", Some(54)),
+    ("validation_12_002", Some(54)),
+    ("validation_13_000", Some(63)),
+    ("validation_13_001", Some(68)),
+    ("validation_13_002", Some(69)),
+    ("validation_14_000", Some(70)),
+    ("validation_14_001", Some(69)),
+    ("validation_14_002", Some(66)),
+    ("validation_15_000", Some(71)),
+    ("validation_15_001", Some(66)),
+    ("validation_15_002", Some(72)),
+    ("validation_16_000", Some(83)),
+    ("validation_16_001", Some(98)),
 ];
 
 #[test]
@@ -74,9 +74,7 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
 /// Whether this CPU sums in the order in which the sample was measured.
 fn is_same_arithmetic() -> bool {
     #[cfg(target_arch = "x86_64")]
-    return std::arch::is_x86_feature_detected!("avx2")
-        && std::arch::is_x86_feature_detected!("fma")
-        && !std::arch::is_x86_feature_detected!("avx512f");
+    return std::arch::is_x86_feature_detected!("avx512f");
     #[cfg(not(target_arch = "x86_64"))]
     false
 }

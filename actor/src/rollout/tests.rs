@@ -104,6 +104,15 @@ fn diverged_episodes_are_dropped_and_counted() {
 }
 
 #[test]
+fn episodes_that_diverge_in_their_burn_in_are_counted_as_well() {
+    use Status::{Diverged, Running};
+    let burn_in = BurnInConfig { probability: 1.0, max_steps: 1 };
+    let mut rollout = with_burn_in(&[&[Diverged, Running, Running]], 1, burn_in);
+    run(&mut rollout, 1);
+    assert_eq!(rollout.counters().n_diverged_episodes, 1);
+}
+
+#[test]
 fn the_same_seed_gives_the_same_segments() {
     use Status::{Running, Success, TimeLimit};
     let scripts: [&[Status]; 3] = [&[Running, TimeLimit], &[Running, Running, Success], &[Running]];

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bus::MetricsSample;
 use proto::ActorId;
-use proto::keys::METRICS_LEARNER;
+use proto::keys::{METRICS_EVAL_SUMMARY, METRICS_LEARNER};
 use proto::metrics::{ActorMetrics, LearnerMetrics};
 use serde::Serialize;
 use serde_json::json;
@@ -20,6 +20,9 @@ use runlog::overview::{Passes, PassesView, SCHEMA_VERSION};
 
 /// Maximum number of remembered metrics keys; enough for the whole catalog and hundreds of actors.
 const MAX_KEYS: usize = 1024;
+
+/// Keys for which there is always room, because the page cannot show a run without them.
+const VITAL_KEYS: [&str; 2] = [METRICS_LEARNER, METRICS_EVAL_SUMMARY];
 
 /// Maximum size of a forwarded metrics sample in bytes. A learner's is below 20 KB.
 const MAX_SAMPLE_BYTES: usize = 256 << 10;
@@ -140,8 +143,10 @@ impl Board {
         {
             state.points.push(&learner.value);
         }
-        let is_new = !state.latest.contains_key(&sample.suffix);
-        if text.len() > MAX_SAMPLE_BYTES || (is_new && state.latest.len() >= MAX_KEYS) {
+        let has_room = state.latest.len() < MAX_KEYS
+            || state.latest.contains_key(&sample.suffix)
+            || VITAL_KEYS.contains(&sample.suffix.as_str());
+        if text.len() > MAX_SAMPLE_BYTES || !has_room {
             state.counts.samples_dropped_total += 1;
             return;
         }
@@ -279,5 +284,24 @@ mod tests {
         assert_eq!(labels.map(|name| points[0].get(name)), [None; 3]);
         assert_eq!(labels.map(|name| points[1][name].as_f64()), [0.75, 0.25, 0.5].map(Some));
         assert_eq!([&points[0]["elapsed_s"], &points[1]["elapsed_s"]], [&json!(2520.5), &json!(5000.0)]);
+    }
+
+    #[test]
+    fn many_actors_leave_room_for_the_learner_and_the_evaluator() {
+        let board = Board::default();
+        let tell = |sample| board.told(News::Metrics(vec![sample]), Duration::ZERO);
+        (0..MAX_KEYS).for_each(|i| tell(samples::actor(&format!("a-{i}"))));
+        let known = |key: &str| board.state().latest.get(key).cloned();
+        let n_dropped = || board.state().counts.samples_dropped_total;
+        for sample in [samples::learner(), samples::evaluation()] {
+            tell(sample.clone());
+            assert!(known(&sample.suffix).is_some(), "{}", sample.suffix);
+        }
+        assert_eq!(n_dropped(), 0);
+        // A known actor may still report, another one may not.
+        tell(samples::actor("a-0"));
+        assert_eq!(n_dropped(), 0);
+        tell(samples::actor("late"));
+        assert_eq!((n_dropped(), known("actor/late")), (1, None));
     }
 }

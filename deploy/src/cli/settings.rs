@@ -115,7 +115,7 @@ impl ConfigArgs {
             Some(name) => Preset::find(name)?.overrides()?,
             None => Vec::new(),
         };
-        overrides.extend(Override::from_variables(std::env::vars()));
+        overrides.extend(Override::from_variables(std::env::vars_os())?);
         for text in &self.set {
             overrides.push(Override::parse(text)?);
         }

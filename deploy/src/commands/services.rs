@@ -9,7 +9,7 @@ use blueprints::Catalog;
 use bus::Bus;
 use dashboard::config::WebConfig;
 use dashboard::{About, Kind, Page, Source};
-use evaluator::{EvaluationProgress, EvaluatorSetup, Listeners, Stop};
+use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::keys::{self, METRICS_LEARNER};
 use proto::metrics::EvalReport;
@@ -84,6 +84,7 @@ pub(super) async fn run_learner(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let config = &settings.config;
+    check_evaluator(config, Catalog::builtin())?;
     let setup = learner_setup(config, args.run.init_from.as_deref(), Catalog::builtin())?;
     let health = Reporter::start(Role::Learner.as_str(), args.member.health.health_file.as_deref())?;
     let run_dir = run_dir(args.run.run_dir.as_deref(), settings, &setup, &origin)?;
@@ -113,6 +114,10 @@ pub(super) async fn run_evaluator(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let config = &settings.config;
+    // A worker is told what to run.
+    if !args.worker {
+        check_evaluator(config, Catalog::builtin())?;
+    }
     let id = match &args.member.id {
         Some(id) => id.clone(),
         None => random_name(Role::Evaluator.as_str()).map_err(anyhow::Error::from)?,
@@ -297,6 +302,17 @@ pub(super) fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Cata
     })
 }
 
+/// Checks, before anything is written, that an evaluator with these settings finds all of its blueprints in `catalog`.
+/// The last evaluation needs no check of its own, because it adds splits to the selection.
+///
+/// # Errors
+/// Names the section with an unknown blueprint, or with a selection of none.
+pub(super) fn check_evaluator(config: &Config, catalog: &Catalog) -> Result<(), Failure> {
+    let EvaluatorConfig { selection, films, .. } = &config.evaluator;
+    selection.select(catalog).map_err(|error| invalid("evaluator.selection", error))?;
+    films.check_in(catalog).map_err(|error| invalid("evaluator.films.blueprints", error))
+}
+
 /// Claims the run folder that a learner with this setup starts or continues. If it cannot continue the run, the folder
 /// stays unchanged.
 pub(super) fn run_dir(
@@ -338,4 +354,36 @@ fn actor_id(id: Option<String>) -> Result<ActorId, Failure> {
 
 fn invalid(origin: &str, message: impl std::fmt::Display) -> Failure {
     ConfigError::Invalid { origin: origin.to_owned(), message: message.to_string() }.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Override;
+
+    #[test]
+    fn an_evaluator_without_its_blueprints_is_refused_by_the_name_of_the_setting() {
+        let check = |set: &str| {
+            let set = Override::parse(set).unwrap();
+            let config = crate::config::merge("", "defaults", crate::config::Base::Defaults, &[set]).unwrap();
+            check_evaluator(&config, Catalog::builtin())
+        };
+        assert!(check("evaluator.films.blueprints=[\"2_000\"]").is_ok());
+        for (set, expected) in [
+            ("evaluator.selection.blueprints=[\"2_999\"]", "evaluator.selection: the catalog has no blueprint 2_999"),
+            (
+                "evaluator.selection.splits=[]",
+                "evaluator.selection: the selection of splits, sizes and blueprints leaves nothing to evaluate",
+            ),
+            (
+                "evaluator.films.blueprints=[\"2_999\"]",
+                "evaluator.films.blueprints: the catalog has no blueprint 2_999",
+            ),
+        ] {
+            let failure = check(set).unwrap_err();
+            // Code 64.
+            assert!(matches!(failure, Failure::Config(ConfigError::Invalid { .. })), "{failure:?}");
+            assert_eq!(failure.to_string(), expected);
+        }
+    }
 }

@@ -57,6 +57,7 @@ pub(super) async fn run(
     shutdown: CancellationToken,
 ) -> Result<Summary, Failure> {
     let (config, start, catalog) = (&settings.config, Instant::now(), goals.catalog());
+    services::check_evaluator(config, catalog)?;
     let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
     // Bind the page before writing anything, because the address may be taken.
     let page = page(config, args, terminal).await?;
@@ -192,5 +193,6 @@ fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
 
 /// The program as it was invoked, so that printed commands can be pasted.
 fn program() -> String {
-    std::env::args().next().unwrap_or_else(|| "lodestone".to_owned())
+    let name = std::env::args_os().next();
+    name.map_or_else(|| "lodestone".to_owned(), |name| name.to_string_lossy().into_owned())
 }

@@ -1,5 +1,7 @@
 //! The layers over a file: variables and flags, each of which sets one key.
 
+use std::ffi::OsString;
+
 use super::{Config, ConfigError, Preset};
 
 /// Name of the base of a file that overrides the plain defaults.
@@ -44,25 +46,30 @@ impl Override {
     /// `LODESTONE_LEARNER__GAMMA` sets `learner.gamma`. Only names with two underscores between section and key count,
     /// plus `LODESTONE_SEED`, `LODESTONE_RUN`, and `LODESTONE_DEVICE`: Kubernetes sets variables such as
     /// `LODESTONE_PORT_7447_TCP` in every container for a service named `lodestone`, and these are not settings.
-    pub fn from_variables(variables: impl IntoIterator<Item = (String, String)>) -> Vec<Self> {
-        let mut overrides: Vec<Self> = variables
-            .into_iter()
-            .filter_map(|(name, value)| {
-                let key = name.strip_prefix(PREFIX)?.to_ascii_lowercase();
-                let counts = key.contains("__") || ["seed", "run", "device"].contains(&key.as_str());
-                // The run's name is a setting of the bus, but every process may set it.
-                let key = if key == "run" { "bus__run".to_owned() } else { key };
-                // A name is text, whatever TOML would make of it: 7 and 2026-11-23 are names, too.
-                let is_text = key == "bus__run";
-                counts.then(|| Self {
+    ///
+    /// # Errors
+    /// Names a setting whose value is not Unicode. Other variables may hold anything.
+    pub fn from_variables(variables: impl IntoIterator<Item = (OsString, OsString)>) -> Result<Vec<Self>, ConfigError> {
+        let of_variable = |(name, value): (OsString, OsString)| {
+            let name = name.to_string_lossy().into_owned();
+            let key = name.strip_prefix(PREFIX)?.to_ascii_lowercase();
+            let counts = key.contains("__") || ["seed", "run", "device"].contains(&key.as_str());
+            // The run's name is a setting of the bus, but every process may set it.
+            let key = if key == "run" { "bus__run".to_owned() } else { key };
+            // A name is text, whatever TOML would make of it: 7 and 2026-11-23 are names, too.
+            let is_text = key == "bus__run";
+            counts.then(|| match value.into_string() {
+                Ok(value) => Ok(Self {
                     path: key.split("__").map(str::to_owned).collect(),
                     value: if is_text { toml::Value::String(value.trim().to_owned()) } else { parse_value(&value) },
                     origin: name,
-                })
+                }),
+                Err(_) => Err(ConfigError::Value { origin: name, message: "the value is not Unicode".to_owned() }),
             })
-            .collect();
+        };
+        let mut overrides: Vec<Self> = variables.into_iter().filter_map(of_variable).collect::<Result<_, _>>()?;
         overrides.sort_by(|a, b| a.origin.cmp(&b.origin));
-        overrides
+        Ok(overrides)
     }
 
     /// One override per key of a table; a section that is a choice becomes one override.
@@ -267,6 +274,8 @@ fn is_whole(number: f64) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::ffi::OsStringExt;
+
     use super::*;
 
     /// Merges over the defaults, unless the text names another base.
@@ -289,7 +298,7 @@ mod tests {
 
     #[test]
     fn later_layers_win() {
-        let environment = Override::from_variables([("LODESTONE_SEED".to_owned(), "2".to_owned())]);
+        let environment = Override::from_variables([("LODESTONE_SEED".into(), "2".into())]).unwrap();
         assert_eq!(merge("seed = 1", "file", &[]).unwrap().seed, 1);
         assert_eq!(merge("seed = 1", "file", &environment).unwrap().seed, 2);
         let all = [environment, vec![Override::flag("--seed", "seed", 3)]].concat();
@@ -374,10 +383,19 @@ mod tests {
             ("LODESTONE_ACTOR__N_WORLDS", "8"),
             ("HOME", "/"),
         ];
-        let overrides = Override::from_variables(variables.map(|(name, value)| (name.to_owned(), value.to_owned())));
+        let overrides = Override::from_variables(variables.map(|(name, value)| (name.into(), value.into()))).unwrap();
         assert_eq!(overrides.len(), 1);
         assert_eq!(overrides[0].path, ["actor", "n_worlds"]);
         assert_eq!(merge("", "defaults", &overrides).unwrap().actor.n_worlds, 8);
+    }
+
+    #[test]
+    fn only_settings_must_be_unicode() {
+        let odd = || OsString::from_vec(b"caf\xe9".to_vec());
+        let others = [(odd(), odd()), ("HOME".into(), odd()), ("LODESTONE_RUN_DIR".into(), odd())];
+        assert!(Override::from_variables(others).unwrap().is_empty());
+        let error = Override::from_variables([("LODESTONE_BUS__RUN".into(), odd())]).unwrap_err().to_string();
+        assert_eq!(error, "LODESTONE_BUS__RUN: the value is not Unicode");
     }
 
     #[test]

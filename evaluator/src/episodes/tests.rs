@@ -1,5 +1,6 @@
 //! Evaluations of untrained weights in real worlds.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use blueprints::{Catalog, Split};
@@ -133,6 +134,22 @@ fn what_one_thread_cannot_start_ends_the_work_of_all() {
     let setup = EvalSetup { catalog: &catalog, ..small_setup(episodes) };
     let result = evaluate(&setup, &small_policy(), &weights(), &goals, &|| true);
     assert_eq!(result.unwrap_err().to_string(), format!("an episode of blueprint {} cannot be started", goals[1].id()));
+}
+
+#[test]
+fn a_panic_of_one_thread_ends_the_work_of_all() {
+    // With two sequences for two threads, the thread of the first call has one of them, which the other must not await.
+    let setup = small_setup(EpisodeConfig { n_episodes: 1, n_threads: 2, n_worlds: 1, ..Default::default() });
+    let n_calls = AtomicUsize::new(0);
+    // An idle thread calls ten times per second. A limit of a minute makes the test fail instead of hang.
+    let keep_going = || match n_calls.fetch_add(1, Ordering::Relaxed) {
+        0 => panic!("out of order"),
+        n => n < 600,
+    };
+    let evaluation = || evaluate(&setup, &small_policy(), &weights(), &blueprints(2), &keep_going);
+    let panic = catch_unwind(AssertUnwindSafe(evaluation)).unwrap_err();
+    assert_eq!(panic.downcast_ref::<&str>(), Some(&"out of order"));
+    assert!(n_calls.into_inner() < 600, "the other thread waited");
 }
 
 #[test]

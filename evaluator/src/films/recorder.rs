@@ -41,9 +41,10 @@ struct Files {
 }
 
 /// Small films for TensorBoard, in two files. When the newer file is full, the older one is deleted.
-struct Reel {
+pub(super) struct Reel {
     folder: PathBuf,
     writer: EventWriter,
+    /// The previous file, of this process or of the one before it.
     older: Option<PathBuf>,
     n_bytes: u64,
     /// Maximum size of one file.
@@ -140,14 +141,22 @@ impl Files {
 
 impl Reel {
     /// Creates the event file in a folder other than that of the scalars, because readers treat all files of a folder
-    /// as one series.
-    fn create(tensorboard: &Path, room_mb: u64) -> io::Result<Self> {
+    /// as one series. Of the files that earlier processes left there, only the newest is kept, because a run that
+    /// restarts often would otherwise exceed `room_mb` megabytes.
+    ///
+    /// # Errors
+    /// If the folder cannot be read, a file cannot be deleted, or the new one cannot be created.
+    pub(super) fn create(tensorboard: &Path, room_mb: u64) -> io::Result<Self> {
         let folder = tensorboard.join("films");
+        std::fs::create_dir_all(&folder)?;
+        let mut left = event_files(&folder)?;
+        let older = left.pop();
+        left.into_iter().try_for_each(std::fs::remove_file)?;
         let writer = EventWriter::create(&folder)?;
-        Ok(Self { folder, writer, older: None, n_bytes: 0, max_bytes: room_mb * 1_000_000 / 2 })
+        Ok(Self { folder, writer, older, n_bytes: 0, max_bytes: room_mb * 1_000_000 / 2 })
     }
 
-    fn add(&mut self, clip: &Clip, small: &Miniature) -> io::Result<()> {
+    pub(super) fn add(&mut self, clip: &Clip, small: &Miniature) -> io::Result<()> {
         let [width, height] = small.size_px.map(|side| i32::try_from(side).unwrap_or(i32::MAX));
         let n_bytes = (small.gif.len() * clip.tags.len()) as u64;
         if self.n_bytes > 0 && self.n_bytes + n_bytes > self.max_bytes {
@@ -161,4 +170,24 @@ impl Reel {
         let picture = Picture { height, width, colorspace: 3, encoded: small.gif.clone() };
         self.writer.picture(clip.n_env_steps, &clip.tags, &picture)
     }
+}
+
+/// Returns the event files in the folder that an [`EventWriter`] named, oldest first: their names begin with the time.
+/// Files of other programs end in more than numbers.
+///
+/// # Errors
+/// If the folder cannot be read.
+fn event_files(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let numbers = name.to_str().and_then(|name| name.strip_prefix("events.out.tfevents."));
+        let is_ours = numbers.is_some_and(|numbers| numbers.bytes().all(|c| c.is_ascii_digit() || c == b'.'));
+        if is_ours && entry.file_type()?.is_file() {
+            files.push(entry.path());
+        }
+    }
+    files.sort();
+    Ok(files)
 }

@@ -10,10 +10,12 @@ use proto::codec::decode_trajectory;
 use proto::metrics::FilmCounts;
 use proto::unit::End;
 use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Scene, Start, Status};
+use render::video::Miniature;
 use runlog::RunPaths;
 
 use super::VideoRecorder;
 use super::queue::{ClipQueue, ROOM};
+use super::recorder::Reel;
 use super::selector::EpisodeSelector;
 use crate::config::{EpisodeConfig, FilmsConfig};
 use crate::episodes::evaluate_in_parts;
@@ -123,6 +125,38 @@ fn a_full_queue_drops_and_counts_and_nobody_waits() {
     let expected =
         FilmCounts { n_waiting: ROOM as u64, dropped_total: n_offered - ROOM as u64, ..FilmCounts::default() };
     assert_eq!(queue.counts(), expected);
+}
+
+#[test]
+fn restarts_leave_no_more_than_two_files_for_tensorboard() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("films");
+    let [oldest, older, newest] = [
+        "events.out.tfevents.1000000000.900000.12",
+        "events.out.tfevents.1000000001.000000.9",
+        "events.out.tfevents.1000000001.500000.10",
+    ];
+    let others = ["events.out.tfevents.1000000000.host.7.v2", "notes.txt"];
+    fs::create_dir_all(folder.join("events.out.tfevents.1000000000.000000.1")).unwrap();
+    for name in [newest, oldest, older].iter().chain(&others) {
+        fs::write(folder.join(name), "").unwrap();
+    }
+    let is_there = |name: &&str| folder.join(name).is_file();
+    let mut reel = Reel::create(dir.path(), 1).unwrap();
+    assert_eq!([oldest, older, newest].map(|name| is_there(&name)), [false, false, true]);
+    // The new file, the newest of the earlier ones, and what is not an event file of ours.
+    assert_eq!(names(&folder).len(), 2 + 3);
+
+    let queue = Arc::new(ClipQueue::default());
+    assert!(play(&selector(&FilmsConfig::default(), &queue), &scene(), ActionMode::Greedy, End::TimeLimit));
+    let (clip, _) = queue.next().unwrap();
+    // Half of the megabyte holds one of these films, so the second goes to another file.
+    let film = Miniature { gif: vec![0; 300_000], size_px: [1, 1] };
+    reel.add(&clip, &film).unwrap();
+    assert!(is_there(&newest));
+    reel.add(&clip, &film).unwrap();
+    assert!(!is_there(&newest) && others.iter().all(is_there));
+    assert_eq!(names(&folder).len(), 2 + 3);
 }
 
 #[test]

@@ -4,10 +4,13 @@ use std::time::Duration;
 
 use blueprints::{Catalog, Split};
 use proto::metrics::EvalSummary;
+use proto::{RewardTerms, Start};
 
 use super::*;
 use crate::config::{EvaluatorConfig, Every, ResetFreeConfig, Selection};
 use crate::episodes::tests::{small_policy, small_setup, weights};
+use crate::report::{End, summarize};
+use crate::sequences::EpisodeSpec;
 
 /// Fails a test that waits for something that does not happen.
 async fn within<T>(future: impl Future<Output = T>) -> T {
@@ -201,6 +204,54 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     assert_eq!(report.summary.n_planned, 40);
     let n_told = report.summary.all.mode.success.n_episodes;
     assert!((n_ended..40).contains(&n_told), "{n_told} after {n_ended}");
+    bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
+    let mut outlets = Outlets {
+        records: None,
+        evaluations: Passes::default(),
+        publishers: Publishers::new(&bus).await.unwrap(),
+        last: None,
+        reports: None,
+        listener: None,
+        progress: None,
+        films: None,
+    };
+    let goal = Catalog::builtin().of_split(Split::Train)[0];
+    let episode = EpisodeSpec::new(goal, Start::Scattered, 1, 0).result(
+        ActionMode::Greedy,
+        End::TimeLimit,
+        8,
+        RewardTerms::default(),
+        false,
+    );
+    let report = |version, is_complete| {
+        let mut report = summarize(WeightsVersion(version), 0, std::slice::from_ref(&episode));
+        report.summary.is_complete = is_complete;
+        report
+    };
+    // Before the first complete report, there is nothing to tell.
+    outlets.publish_last().await.unwrap();
+    outlets.put(report(1, true)).await.unwrap();
+    outlets.publishers.publish(&report(2, false)).await.unwrap();
+    bus.count_refused_weights();
+    outlets.publish_last().await.unwrap();
+    let mut told = Vec::new();
+    for _ in 0..3 {
+        let sample = within(summaries.recv()).await.unwrap();
+        let summary: EvalSummary = serde_json::from_value(sample.value).unwrap();
+        told.push((summary.weights_version.0, summary.is_complete, summary.bus.weights_refused_total));
+    }
+    assert_eq!(told, [(1, true, 0), (2, false, 0), (1, true, 1)]);
+    // Its results by blueprint are told again too.
+    let mut scores = bus.metrics_subscriber(&keys::metrics_eval(Split::Train, goal.id())).await.unwrap();
+    let score: EvalBlueprint = serde_json::from_value(within(scores.recv()).await.unwrap().value).unwrap();
+    assert_eq!(score.weights_version.0, 1);
     bus.close().await;
 }
 

@@ -236,6 +236,7 @@ impl Passes {
         let value = value_loss(values, old, target, config.value_clip).sum();
         let mut loss = value.clone() * config.value_coefficient;
         // While labels move the policy, the ratio can overflow, and infinity times a weight of 0 is NaN.
+        let policy = if config.policy > 0.0 { policy } else { Tensor::zeros([1], device) };
         if config.policy > 0.0 {
             let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
             loss = loss + (policy.clone() - entropies) * config.policy;

@@ -48,6 +48,24 @@ fn resumed_learner_continues_bit_for_bit() {
 }
 
 #[test]
+fn a_critic_that_learns_alone_resumes_bit_for_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    let [none, all] = [0.0, 1.0].map(Schedule::Constant);
+    let mut setup = small_setup(4);
+    setup.config.imitation =
+        Some(ImitationConfig { weight: none.clone(), ppo_weight: none, value_weight: all, ..Default::default() });
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    train(&setup, &mut learner, 2);
+    let path = learner.save(dir.path()).unwrap();
+    assert_eq!(learner.checkpoint().adam.n_steps, 0);
+    let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
+    train(&setup, &mut learner, 2);
+    train(&setup, &mut resumed, 2);
+    assert!(learner.checkpoint().critic_adam.is_some());
+    assert_eq!(resumed.checkpoint(), learner.checkpoint());
+}
+
+#[test]
 fn resumed_learner_keeps_its_labels() {
     let dir = tempfile::tempdir().unwrap();
     let mut setup = small_setup(4);
@@ -140,8 +158,22 @@ fn oldest_and_unfinished_checkpoints_are_removed() {
     // Saving again replaces the checkpoint of the same step.
     learner.save(dir.path()).unwrap();
     fs::create_dir(dir.path().join(".new-99")).unwrap();
-    checkpoint::prune(dir.path(), 2).unwrap();
+    checkpoint::prune(dir.path(), learner.n_env_steps(), 2).unwrap();
     assert_eq!(names(dir.path()), ["step-1024", "step-768"]);
+}
+
+#[test]
+fn a_damaged_checkpoint_of_later_steps_does_not_displace_the_newest() {
+    let dir = tempfile::tempdir().unwrap();
+    let (setup, mut learner, _) = saved(dir.path(), 1);
+    train(&setup, &mut learner, 2);
+    fs::write(learner.save(dir.path()).unwrap().join("adam.safetensors"), b"short").unwrap();
+    let found = Checkpoint::read_latest(dir.path()).unwrap();
+    let mut resumed = Learner::resume(setup.clone(), found.checkpoint).unwrap();
+    train(&setup, &mut resumed, 1);
+    let path = resumed.save(dir.path()).unwrap();
+    checkpoint::prune(dir.path(), resumed.n_env_steps(), 1).unwrap();
+    assert_eq!(Checkpoint::read_latest(dir.path()).unwrap().path, path);
 }
 
 fn names(dir: &Path) -> Vec<String> {

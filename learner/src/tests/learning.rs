@@ -6,6 +6,7 @@ use blueprints::{BlockIdx, Catalog, Inventory};
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
 use policy::{NetworkConfig, Policy, PolicyConfig};
+use proto::metrics::PpoMetrics;
 use proto::{ActionMode, Agent, Driver, Label, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -175,6 +176,10 @@ fn rewards_without_weight_cannot_spoil_a_step() {
     let metrics = learner.update().unwrap();
     assert_eq!(metrics.ppo.n_skipped_steps, 0);
     assert_ne!(learner.weights().parameters, before.parameters, "the critic learns");
+    // JSON writes what is not finite as null, which no reader accepts.
+    let text = serde_json::to_string(&metrics.ppo).unwrap();
+    let read: PpoMetrics = serde_json::from_str(&text).unwrap();
+    assert_eq!(read.policy_loss, 0.0);
 }
 
 /// Returns the label that [`labeled`] adds to every scene.
@@ -261,9 +266,15 @@ fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_net
     assert_eq!(started.weights().normalization, learner.weights().normalization);
     assert_eq!((started.version().0, started.n_env_steps()), (0, 0));
     assert!(started.checkpoint().adam.first.iter().all(|moment| *moment == 0.0));
-    setup.policy.network.value_hidden = vec![16];
-    let error = Learner::new(setup).unwrap_err().to_string();
+    let mut other = setup.clone();
+    other.policy.network.value_hidden = vec![16];
+    let error = Learner::new(other).unwrap_err().to_string();
     assert!(error.contains("policy.network"), "{error}");
+    let mut broken = Model::from(&learner.checkpoint());
+    broken.weights.normalization.value_std = f32::INFINITY;
+    setup.init = Some(Arc::new(broken));
+    let error = Learner::new(setup).unwrap_err().to_string();
+    assert!(error.contains("does not fit"), "{error}");
 }
 
 #[test]

@@ -39,18 +39,7 @@ pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, F
             }
             continue;
         }
-        let segment = read(path)?;
-        match recordings.iter_mut().find(|known| is_same_episode(&known.segments[0], &segment)) {
-            Some(known) => {
-                known.files.push(path.clone());
-                known.segments.push(segment);
-            }
-            None => {
-                let stem =
-                    path.file_stem().map_or_else(|| "film".to_owned(), |stem| stem.to_string_lossy().into_owned());
-                recordings.push(Recording { name: stem, files: vec![path.clone()], segments: vec![segment] });
-            }
-        }
+        add(&mut recordings, path, read(path)?);
     }
     recordings.retain(|recording| goals.are_shown(&recording.segments[0].task.blueprint));
     if recordings.is_empty() {
@@ -63,6 +52,29 @@ pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, F
         return Err(Failure::Usage(format!("two recordings would become {}; rename one of the files", episodes[i].0)));
     }
     Ok(episodes)
+}
+
+/// Adds a segment to the recording of its episode, or starts one.
+fn add(recordings: &mut Vec<Recording>, path: &Path, segment: Trajectory) {
+    let steps = |segment: &Trajectory| {
+        let first = usize::from(segment.first_step);
+        (first, first + segment.transitions.len())
+    };
+    let (first, end) = steps(&segment);
+    // Episodes of one blueprint from several evaluations pass for the same, but no episode has a step twice.
+    let is_new = |other: &Trajectory| end <= steps(other).0 || steps(other).1 <= first;
+    let continues =
+        |known: &&mut Recording| is_same_episode(&known.segments[0], &segment) && known.segments.iter().all(is_new);
+    match recordings.iter_mut().find(continues) {
+        Some(known) => {
+            known.files.push(path.to_owned());
+            known.segments.push(segment);
+        }
+        None => {
+            let name = path.file_stem().map_or_else(|| "film".to_owned(), |stem| stem.to_string_lossy().into_owned());
+            recordings.push(Recording { name, files: vec![path.to_owned()], segments: vec![segment] });
+        }
+    }
 }
 
 /// The files of all recordings of a run with names for their films, ordered by blueprint and weights version.
@@ -129,5 +141,70 @@ fn explained(bytes: &[u8], error: &DecodeError) -> String {
         }
         (_, true) => format!("is no valid trajectory: {error}"),
         (_, false) => format!("is not a recorded trajectory: {error}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::{BlockIdx, Catalog, N_BLOCKS};
+    use proto::{Action, Driver, Pose, RewardTerms, Scene, Start, Status, Task, Transition, WeightsVersion};
+
+    use super::*;
+
+    /// Steps `first` to `last` of an episode with the start that this blueprint has in every evaluation.
+    fn segment(first: u16, last: u16) -> Trajectory {
+        let pose = |i: usize| Pose { position: [0.5 * i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] };
+        let scene = Scene {
+            blocks: std::array::from_fn(pose),
+            speeds_mps: [0.0; N_BLOCKS],
+            joints: Vec::new(),
+            grippers: [None, None],
+            n_heavy_contacts: 0,
+        };
+        let transition = Transition {
+            scene: scene.clone(),
+            action: Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] },
+            behavior_log_prob: 0.0,
+            value: 0.0,
+            reward: RewardTerms::default(),
+            label: None,
+        };
+        let mut blocks = BlockIdx::all();
+        Trajectory {
+            actor: "evaluator".parse().unwrap(),
+            epoch: 0,
+            seq: first.into(),
+            weights_version: WeightsVersion(0),
+            task: Task {
+                blueprint: "2_000".parse().unwrap(),
+                assignment: std::array::from_fn(|_| blocks.next().unwrap()),
+                start: Start::Scattered,
+                seed: 1,
+            },
+            driver: Driver::Greedy,
+            first_step: first,
+            n_burn_in_steps: 0,
+            transitions: vec![transition; usize::from(last - first)],
+            last_scene: scene,
+            status: Status::Running,
+            bootstrap_value: 0.0,
+            outcome: None,
+        }
+    }
+
+    #[test]
+    fn recordings_of_one_blueprint_are_episodes_of_their_own_and_segments_are_joined() {
+        let mut recordings = Vec::new();
+        for (name, first, last) in [("v1", 0, 4), ("v2", 0, 3), ("v2-end", 3, 6), ("v1-end", 4, 5), ("v3", 0, 5)] {
+            add(&mut recordings, Path::new(&format!("replays/2_000/{name}.trajectory")), segment(first, last));
+        }
+        let goals = Goals { catalog: Catalog::builtin().clone(), chosen: Vec::new() };
+        let lengths: Vec<(String, usize)> = recordings
+            .into_iter()
+            .map(|recording| recording.episode(&goals).unwrap())
+            .map(|(name, episode)| (name, episode.n_steps()))
+            .collect();
+        let expected = [("v1", 5), ("v2", 6), ("v3", 5)].map(|(name, n_steps)| (name.to_owned(), n_steps));
+        assert_eq!(lengths, expected);
     }
 }
