@@ -22,12 +22,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use policy::PolicyConfig;
+use policy::parameters::VALUE_HEAD;
 use proto::codec::{decode_trajectory, encode_trajectory};
 use proto::{Trajectory, Weights};
 use serde::{Deserialize, Serialize};
 
 use crate::adam::Adam;
-use crate::ppo::VALUE_HEAD;
 use crate::state::LearnerState;
 use files::FileInfo;
 pub use tensors::ParameterInfo;
@@ -45,7 +45,7 @@ const MODEL: &str = "model.json";
 const STATE: &str = "state.json";
 
 /// Format version of checkpoints and policies, incremented when older readers cannot read the files, or when the policy
-/// would read other features ([`policy::features::FEATURE_LAYOUT`]).
+/// would read other features ([`policy::config::FEATURE_LAYOUT`]).
 pub(crate) const FORMAT_VERSION: u32 = 2;
 
 /// The complete state of a learner.

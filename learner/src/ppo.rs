@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use burn::tensor::Device;
 use policy::PolicyConfig;
-use policy::parameters::{ParameterError, ParameterSpec};
+use policy::parameters::{ParameterError, ParameterSpec, VALUE_HEAD};
 use proto::metrics::{ImitationMetrics, PpoMetrics};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -22,9 +22,6 @@ pub(crate) use imitation_update::ImitationSource;
 use imitation_update::ImitationUpdate;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
-
-/// Prefix of the names of the value head's parameters.
-pub(crate) const VALUE_HEAD: &str = "value.";
 
 /// Maximum number of samples for estimating the KL divergence of an update.
 const KL_SAMPLES: usize = 2048;

@@ -5,7 +5,9 @@ use std::ops::Bound::Excluded;
 use proto::{InvalidSetting, config_hash, settings};
 use serde::{Deserialize, Serialize};
 
-use crate::features::FEATURE_LAYOUT;
+/// Version of the lists in `features.rs`, incremented when an entry moves or changes its meaning. Increment the format
+/// versions of checkpoints and policies with it, so that programs refuse parameters that were trained on other features.
+pub const FEATURE_LAYOUT: u32 = 2;
 
 settings! {
     /// Everything that determines the meaning of a set of parameters. All services of a run use the same configuration.

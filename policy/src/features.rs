@@ -70,10 +70,6 @@ use proto::{Gripper, N_GRIPPERS, Observation, Scene};
 use crate::config::{FeatureConfig, PolicyConfig};
 use crate::geometry::{Frame, rotation, rotation_vector};
 
-/// Version of the lists above, incremented when an entry moves or changes its meaning. Increment the format versions of
-/// checkpoints and policies with it, so that programs refuse parameters that were trained on other features.
-pub const FEATURE_LAYOUT: u32 = 2;
-
 /// Number of directed edges between different blocks.
 pub const N_EDGES: usize = N_BLOCKS * (N_BLOCKS - 1);
 

@@ -13,6 +13,9 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::Network;
 
+/// Prefix of the names of the value head's parameters.
+pub const VALUE_HEAD: &str = "value.";
+
 /// Name, shape, and initializer of one parameter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ParameterSpec {
