@@ -9,8 +9,7 @@ use learner::Model;
 use proto::ActionMode;
 
 /// Steps to success in one greedy episode of each validation blueprint, from mixed starts with seed 1, or `None` for a
-/// failure; measured on a CPU with AVX-512. Other CPUs sum in a different order, and a few episodes
-/// end differently.
+/// failure; measured on a CPU with AVX-512. Other CPUs sum in a different order, and a few episodes end differently.
 const SAMPLE: [(&str, Option<u16>); 24] = [
     ("validation_7_000", Some(32)),
     ("validation_7_001", Some(31)),
