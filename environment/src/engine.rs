@@ -19,7 +19,7 @@ const GROUND_HALF_EXTENTS_M: [f32; 3] = [60.0, 60.0, 0.5];
 /// Time at rest after which a block sleeps and costs nothing until it is touched, s; the engine's default is 0.5. With
 /// 0.1, the expert breaks more of the special blueprints.
 const SLEEP_AFTER_S: f32 = 0.2;
-/// Speed below which a block is at rest, m/s; the engine's default would be 0.04.
+/// Half the speed of a block's fastest point below which it is at rest, m/s; the engine's default would be 0.005.
 const SLEEP_BELOW_MPS: f32 = 0.1;
 
 /// Solver iterations while structures stand. With 4, towers and long bridges sag and sway until they come apart; more
@@ -57,6 +57,11 @@ pub(crate) struct Engine {
     physics: PhysicsConfig,
     /// Number of configured substeps computed as one.
     n_merged: u8,
+    /// Substeps since the reset.
+    n_substeps: u32,
+    /// The last substep that computed each block, and that substep's length in seconds. Sleeping blocks keep the
+    /// impulses of theirs.
+    solved: [(u32, f32); N_BLOCKS],
 }
 
 /// Velocity of a rigid body in the world frame: linear (of its center) and angular.
@@ -128,6 +133,8 @@ impl Engine {
             ground,
             physics: physics.clone(),
             n_merged: 1,
+            n_substeps: 0,
+            solved: [(0, 0.0); N_BLOCKS],
         }
     }
 
@@ -139,6 +146,7 @@ impl Engine {
         self.now.clone_from(&self.template);
         self.pipeline = PhysicsPipeline::new();
         self.ccd = CCDSolver::new();
+        (self.n_substeps, self.solved) = (0, [(0, 0.0); N_BLOCKS]);
         for (block, pose) in BlockIdx::all().zip(poses) {
             self.body_mut(block).set_position(pose_to_rapier(pose), true);
         }
@@ -162,6 +170,7 @@ impl Engine {
 
     /// Advances by one substep.
     pub(crate) fn substep(&mut self) {
+        let were_asleep = self.asleep();
         self.pipeline.step(
             to_rapier(self.gravity),
             &self.parameters,
@@ -177,6 +186,17 @@ impl Engine {
             &(),
             &(),
         );
+        self.n_substeps += 1;
+        let are_asleep = self.asleep();
+        for (i, solved) in self.solved.iter_mut().enumerate() {
+            if !(were_asleep[i] && are_asleep[i]) {
+                *solved = (self.n_substeps, self.parameters.dt);
+            }
+        }
+    }
+
+    fn asleep(&self) -> [bool; N_BLOCKS] {
+        self.handles.map(|handle| self.now.bodies[handle].is_sleeping())
     }
 
     pub(crate) fn pose(&self, block: BlockIdx) -> Isometry3<f32> {
@@ -288,17 +308,22 @@ impl Engine {
         self.now.joints.remove(joint, true);
     }
 
-    /// Calls `f` with the two bodies of every contact that carried more than `min_force_n` in the last substep. `None`
-    /// is the ground.
+    /// Calls `f` with the two bodies of every contact that carried more than `min_force_n` in the last substep that
+    /// computed it: contacts of sleeping blocks carry what they did before. `None` is the ground.
     pub(crate) fn for_each_contact(&self, min_force_n: f32, mut f: impl FnMut([Option<BlockIdx>; 2])) {
-        let min_impulse = min_force_n * self.parameters.dt;
         for pair in self.now.narrow_phase.contact_pairs() {
-            if pair.total_impulse_magnitude() > min_impulse {
-                let block = |collider| {
-                    let body = self.now.colliders.get(collider)?.parent()?;
-                    BlockIdx::all().find(|b| self.handles[b.get()] == body)
-                };
-                f([block(pair.collider1), block(pair.collider2)]);
+            let impulse = pair.total_impulse_magnitude();
+            if impulse <= 0.0 {
+                continue;
+            }
+            let block = |collider| {
+                let body = self.now.colliders.get(collider)?.parent()?;
+                BlockIdx::all().find(|b| self.handles[b.get()] == body)
+            };
+            let blocks = [block(pair.collider1), block(pair.collider2)];
+            let last = blocks.iter().flatten().map(|b| self.solved[b.get()]).max_by_key(|(substep, _)| *substep);
+            if last.is_some_and(|(_, dt)| impulse > min_force_n * dt) {
+                f(blocks);
             }
         }
     }

@@ -188,6 +188,25 @@ fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
 }
 
 #[test]
+fn a_sleeping_contact_keeps_its_force_when_substeps_change() {
+    // A slab of six cubes weighs 11.8 N.
+    let slab = block(14);
+    let mut rig = Rig::new(EnvironmentConfig::default(), &[(slab, at(0.0, 0.0, 0.05, 0.0))]);
+    let bears = |rig: &Rig, force_n: f32| {
+        let mut bears = false;
+        rig.engine.for_each_contact(force_n, |blocks| bears |= blocks.contains(&Some(slab)));
+        bears
+    };
+    rig.engine.merge(2);
+    (0..50).for_each(|_| rig.engine.substep());
+    assert!(rig.engine.is_asleep(slab) && bears(&rig, 11.0) && !bears(&rig, 12.5));
+    // Half as long, with half the impulse for the same force.
+    rig.engine.merge(1);
+    rig.engine.substep();
+    assert!(rig.engine.is_asleep(slab) && bears(&rig, 11.0) && !bears(&rig, 12.5));
+}
+
+#[test]
 fn joints_leave_the_solver_only_while_nothing_touches_what_is_carried() {
     // Three cubes in a row, carried around between loose blocks and into the ground.
     let placed = [(0, 0.0, 0.5), (1, 0.1, 0.5), (2, 0.2, 0.5), (3, 0.5, 0.05), (4, -0.3, 0.05), (8, 0.1, 0.05)];
