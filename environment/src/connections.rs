@@ -216,8 +216,9 @@ impl Connections {
         let b_in_a = Isometry3::from_parts(joint.relative.position_m().into(), joint.relative.rotation.quaternion());
         let frame_a = Isometry3::translation(middle.x, middle.y, middle.z);
         let frame_b = b_in_a.inverse() * frame_a;
-        let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency_hz);
         let snap_left = self.substeps(self.config.snap_ms);
+        let frequency_hz = if snap_left == 0 { self.config.hold_frequency_hz } else { frequency_hz };
+        let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency_hz);
         let n_strong_pairs = pairs.len().min(usize::from(self.config.break_max_pairs)) as f32;
         self.live.push(Connection { joint, b_in_a, handle, n_strong_pairs, snap_left, load: 0.0, is_spared: false });
         self.regroup();

@@ -187,7 +187,7 @@ impl Env for World {
     fn step(&mut self, action: &Action) -> StepResult {
         let diverged = StepResult { reward: RewardTerms::default(), status: Status::Diverged };
         self.n_steps = self.n_steps.saturating_add(1);
-        let chosen = action.choices.iter().flatten();
+        let chosen = action.choices.iter().take(self.config.n_grippers.into()).flatten();
         if !self.alive || chosen.copied().any(|b| action.moves[b.get()].iter().any(|x| !x.is_finite())) {
             self.alive = false;
             return diverged;
