@@ -19,7 +19,7 @@ settings! {
         /// ablation uses 2.
         pub transition_delay_steps: u8 = 0, in 0..=100;
         /// Maximum episode length in steps, after which the episode ends with `TimeLimit`.
-        pub episode_steps: u16 = 100, in 1..=10_000;
+        pub episode_steps: u16 = 100, in 1..=1000;
         /// Rigid bodies and time steps.
         pub physics: PhysicsConfig;
         /// Magnet attraction, snapping, and breaking.
