@@ -83,12 +83,15 @@ settings! {
     /// How the learning rate changes from update to update.
     pub enum RateRule = Adaptive {
         /// Stays constant.
-        Fixed,
+        Fixed(FixedRate),
         /// Adapts to the KL divergence of the updates.
         Adaptive(AdaptiveRate),
         /// Follows a schedule, regardless of the initial learning rate.
         Line(RateLine),
     }
+
+    /// Settings of the constant rate (none).
+    pub struct FixedRate {}
 
     /// A rule that keeps the policy's change per update within a band.
     pub struct AdaptiveRate {

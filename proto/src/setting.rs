@@ -179,7 +179,8 @@ pub fn key(path: &str, field: &str) -> String {
 /// section with that key. `struct Name, check method` calls `method(&self, path: &str)` last, for rules that the forms
 /// above cannot express.
 ///
-/// `enum Name = Variant { … }` is a choice by `kind`. The default is `Variant` with the defaults of its section.
+/// `enum Name = Variant { … }` is a choice by `kind`. The default is `Variant` with the defaults of its section. Each
+/// variant has a section, if need be an empty one, because serde would ignore unknown keys of a variant without.
 #[macro_export]
 macro_rules! settings {
     () => {};
@@ -238,6 +239,7 @@ macro_rules! settings {
         }
 
         impl $crate::setting::Section for $name {
+            #[allow(unused_variables, reason = "a section may be empty")]
             fn validate_at(&self, path: &str) -> ::core::result::Result<(), $crate::InvalidSetting> {
                 $($crate::settings!(
                     @check self path $field $(= $default $(, in $range)? $(, where $rule => $expected)?)?
@@ -262,7 +264,7 @@ macro_rules! settings {
     (
         $(#[$meta:meta])*
         $vis:vis enum $name:ident = $default:ident {
-            $($(#[$variant_meta:meta])* $variant:ident $(($section:ty))?,)*
+            $($(#[$variant_meta:meta])* $variant:ident($section:ty),)*
         }
         $($rest:tt)*
     ) => {
@@ -270,7 +272,7 @@ macro_rules! settings {
         #[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
         #[serde(tag = "kind", rename_all = "kebab-case")]
         $vis enum $name {
-            $($(#[$variant_meta])* $variant $(($section))?,)*
+            $($(#[$variant_meta])* $variant($section),)*
         }
 
         impl ::core::default::Default for $name {
@@ -281,10 +283,9 @@ macro_rules! settings {
 
         impl $crate::setting::Section for $name {
             fn validate_at(&self, path: &str) -> ::core::result::Result<(), $crate::InvalidSetting> {
-                $($(if let Self::$variant(section) = self {
-                    return <$section as $crate::setting::Section>::validate_at(section, path);
-                })?)*
-                Ok(())
+                match self {
+                    $(Self::$variant(section) => <$section as $crate::setting::Section>::validate_at(section, path),)*
+                }
             }
         }
 
@@ -316,10 +317,13 @@ mod tests {
         /// A choice.
         enum Choice = Some {
             /// Nothing.
-            None,
+            None(Empty),
             /// Something.
             Some(Inner),
         }
+
+        /// A section without settings.
+        struct Empty {}
 
         /// A section in a section.
         struct Inner {
@@ -340,7 +344,12 @@ mod tests {
         assert_eq!(config.validate(), Ok(()));
         assert_eq!(serde_json::from_str::<Outer>("{}").unwrap(), config);
         assert_eq!((config.choice, config.inner), (Choice::Some(Inner { weight: 1.0 }), None));
-        assert!(serde_json::from_str::<Outer>(r#"{"m": 1}"#).unwrap_err().to_string().contains("unknown field `m`"));
+        for unknown in
+            [r#"{"m": 1}"#, r#"{"choice": {"kind": "none", "m": 1}}"#, r#"{"choice": {"kind": "some", "m": 1}}"#]
+        {
+            let error = serde_json::from_str::<Outer>(unknown).unwrap_err().to_string();
+            assert!(error.contains("unknown field `m`"), "{error}");
+        }
     }
 
     #[test]
@@ -362,7 +371,7 @@ mod tests {
             spoil(&mut config);
             assert_eq!(config.validate().unwrap_err().to_string(), message);
         }
-        assert_eq!(Outer { choice: Choice::None, ..Default::default() }.validate(), Ok(()));
+        assert_eq!(Outer { choice: Choice::None(Empty {}), ..Default::default() }.validate(), Ok(()));
         let ranges = [expected(&above_to(0.0, 1.0)), expected(&(..7)), expected::<u8>(&(..))];
         assert_eq!(ranges, ["above 0 and at most 1", "any number and below 7", "any number"]);
     }

@@ -11,7 +11,7 @@ use proto::{ActionMode, Agent, Driver, Label, Observation, Outcome, RewardTerms,
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{ImitationConfig, LearnerConfig, Objective, RateLine, RateRule, Schedule};
+use crate::config::{FixedRate, ImitationConfig, LearnerConfig, Objective, RateLine, RateRule, Schedule};
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::{Learner, LearnerSetup, Model};
 
@@ -68,7 +68,7 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
 fn rewarded_choice_becomes_more_likely() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.rate_rule = RateRule::Fixed;
+    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let mut rates = Vec::new();
@@ -132,7 +132,7 @@ fn weights_are_independent_of_the_number_of_threads() {
 fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.rate_rule = RateRule::Fixed;
+    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let first = learner.weights();
