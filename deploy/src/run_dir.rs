@@ -171,7 +171,7 @@ impl RunDir {
         let is_new = !paths.config().exists();
         if has_begun(&paths) && origin.config.as_ref() != Some(&path) {
             return Err(Failure::Usage(format!(
-                "{shown} holds a run already: continue it with `--resume {shown}` or choose another `--run-dir`"
+                "{shown} holds a run already: choose another `--run-dir`, or continue a training with `train --resume {shown}`"
             )));
         }
         Ok(Self { paths, is_new, preset: None, _lock: lock })
@@ -304,7 +304,7 @@ mod tests {
         drop(start(&path, &Origin::default()).unwrap());
         fs::write(RunPaths::new(&path).metrics(), "{}\n").unwrap();
         let message = start(&path, &Origin::default()).unwrap_err().to_string();
-        assert!(message.contains("holds a run already: continue it with `--resume"), "{message}");
+        assert!(message.contains("or continue a training with `train --resume"), "{message}");
         let resumed = Origin::find(&RunArgs { resume: Some(path.clone()), ..RunArgs::default() });
         assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: None }, "it was killed before it saved");
         drop(start(&path, &resumed).unwrap());

@@ -10,8 +10,7 @@ use anyhow::Context;
 use blueprints::Group;
 use blueprints::{Blueprint, Catalog, Split};
 use evaluator::{
-    EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, ResetFreeConfig, evaluate_expert_followed,
-    render_expert,
+    EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, evaluate_expert_followed, render_expert,
 };
 use proto::Trajectory;
 use proto::codec::encode_trajectory;
@@ -57,11 +56,14 @@ pub(super) fn run(command: &ExpertCommand, terminal: &Terminal, shutdown: &Cance
 
 fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
-    let mut environment = defaults(&overrides)?.evaluation_environment();
+    Override::only_in(&["environment", "evaluator.reset_free"], &overrides)?;
+    let config = defaults(&overrides)?;
+    let mut environment = config.evaluation_environment();
     // Set after validation, which expects as many grippers in the policy's network: no policy acts here.
     environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
-    tell_choices(&args.blueprint, &terminal.on_stderr())?;
-    let goals = Goals::open(&[&args.ids[..], &args.blueprint[..]].concat())?;
+    let named = [&args.ids[..], &args.blueprint[..]].concat();
+    tell_choices(&named, &terminal.on_stderr())?;
+    let goals = Goals::open(&named)?;
     let catalog = goals.catalog();
     let selected = select(&goals, &args.split)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
@@ -80,7 +82,7 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken
             n_worlds: 1,
             ..Default::default()
         },
-        reset_free: args.reset_free.then(ResetFreeConfig::default),
+        reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
         seed: args.seed,
     };
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;

@@ -62,7 +62,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
             let source = models::Source::of(args.checkpoint.as_deref())?;
-            goals::tell_choices(&args.blueprint, terminal)?;
+            goals::tell_choices(&[&args.ids[..], &args.blueprint[..]].concat(), terminal)?;
             let program = play::Program::of(&args)?;
             let config = play::configure(&source, &program, &args)?;
             on_runtime(async |shutdown| play::run(source, program, &config, &args, terminal, shutdown).await)

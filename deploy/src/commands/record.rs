@@ -43,6 +43,7 @@ struct Recording<'k> {
 /// `shutdown` came first.
 pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
+    Override::only_in(&["environment", "policy"], &overrides)?;
     let PerformerArgs { checkpoint, expert, sampled, .. } = &args.performer;
     // The expert acts in the world of the shipped policy, and its episodes are recorded with that policy's features.
     let source = Source::of(checkpoint.as_deref())?;

@@ -27,8 +27,17 @@ const REPORT: &str = "report";
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let stdout = terminal;
     let terminal = &if args.json { terminal.on_stderr() } else { terminal.clone() };
+    if args.beside.len() >= MAX_RUNS {
+        return Err(Failure::Usage(format!("--beside: a picture has room for {} runs besides RUN", MAX_RUNS - 1)));
+    }
     let seeds = seeds::runs_in(&args.run);
     if !seeds.is_empty() && !RunPaths::new(args.run.clone()).history().exists() {
+        if args.minus.is_some() || !args.beside.is_empty() {
+            let run = args.run.display();
+            return Err(Failure::Usage(format!(
+                "--minus and --beside compare single runs, and {run} is a folder of several seeds: name one of its runs"
+            )));
+        }
         return of_seeds(args, &seeds, terminal, stdout);
     }
     let (acting, name) = (args.acting, name(&args.run));

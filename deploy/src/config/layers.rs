@@ -90,6 +90,26 @@ impl Override {
         overrides
     }
 
+    /// Refuses overrides of keys outside these sections, which the command would ignore.
+    ///
+    /// # Errors
+    /// Names the first such override and the sections.
+    pub fn only_in(sections: &[&str], overrides: &[Self]) -> Result<(), ConfigError> {
+        let is_read = |given: &&Self| {
+            let key = given.renamed().path.join(".");
+            sections
+                .iter()
+                .any(|section| key.strip_prefix(section).is_some_and(|rest| rest.is_empty() || rest.starts_with('.')))
+        };
+        match overrides.iter().find(|given| !is_read(given)) {
+            None => Ok(()),
+            Some(given) => Err(ConfigError::Value {
+                origin: given.origin.clone(),
+                message: format!("this command reads {} alone; see its flags for the rest", sections.join(" and ")),
+            }),
+        }
+    }
+
     /// The same override with the key's current name.
     fn renamed(&self) -> Self {
         let path = self.path.join(".");
@@ -363,12 +383,32 @@ mod tests {
     }
 
     #[test]
+    fn keys_that_a_command_does_not_read_are_refused() {
+        let only = |text: &str| {
+            let given = Override::parse(text).unwrap();
+            Override::only_in(&["environment", "evaluator.reset_free"], &[given]).map_err(|error| error.to_string())
+        };
+        for text in ["environment.episode_steps=50", "evaluator.reset_free.n_runs=5", "environment={n_grippers=1}"] {
+            assert_eq!(only(text), Ok(()));
+        }
+        for text in ["evaluator.episodes.starts=mixed", "seed=5", "environments.x=1", "evaluator.reset_freed=1"] {
+            let expected = format!(
+                "--set {text}: this command reads environment and evaluator.reset_free alone; see its flags for the rest"
+            );
+            assert_eq!(only(text), Err(expected));
+        }
+    }
+
+    #[test]
     fn a_key_of_a_choice_can_be_set() {
         let set = |text: &str| merge("", "defaults", &[Override::parse(text).unwrap()]).unwrap();
         let adaptive = learner::config::AdaptiveRate { high_kl: 0.03, ..Default::default() };
         let rule = |text| set(text).learner.optimizer.rate_rule;
         assert_eq!(rule("learner.optimizer.rate_rule.high_kl=0.03"), learner::config::RateRule::Adaptive(adaptive));
-        assert_eq!(rule("learner.optimizer.rate_rule.kind=fixed"), learner::config::RateRule::Fixed);
+        assert_eq!(
+            rule("learner.optimizer.rate_rule.kind=fixed"),
+            learner::config::RateRule::Fixed(learner::config::FixedRate {})
+        );
         assert_eq!(set("evaluator.every.versions=3").evaluator.every, evaluator::Every::Versions(3));
         let blueprints = vec!["2_000".to_owned().try_into().unwrap()];
         let filter = set("actor.tasks.filter.blueprints=[\"2_000\"]").actor.tasks.filter;
