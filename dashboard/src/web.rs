@@ -136,7 +136,8 @@ impl Page {
         let board = Arc::new(Board::default());
         let shutdown = CancellationToken::new();
         let _ended_with_this = shutdown.clone().drop_guard();
-        let replays = Arc::new(Replays::new(Onlooker::new(source.policy, source.weights)));
+        let onlooker = Onlooker::new(source.policy, source.weights);
+        let replays = Arc::new(Replays::new(onlooker, source.about.catalog.clone()));
         let films = Films::new(source.run);
         let shown =
             Shown { about: source.about, board: board.clone(), replays: replays.clone(), films, stage: source.stage };
@@ -224,7 +225,7 @@ impl FinishedRun {
         self.passes.iter().for_each(|pass| board.judged(pass));
         self.learner.iter().for_each(|learner| board.learned(learner));
         let (_, weights) = watch::channel(self.weights);
-        let replays = Arc::new(Replays::new(Onlooker::new(self.policy, weights)));
+        let replays = Arc::new(Replays::new(Onlooker::new(self.policy, weights), self.about.catalog.clone()));
         Shown { about: self.about, board, replays, films: Films::new(Some(self.run)), stage: self.stage }
     }
 }

@@ -30,6 +30,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[derive(Debug)]
 pub(super) struct Replays {
     onlooker: Onlooker,
+    /// The goals of the run.
+    catalog: Catalog,
     wanted: Notify,
     newest: Mutex<Option<Bytes>>,
 }
@@ -42,7 +44,7 @@ struct ReplayView {
     weights_version: u64,
     blueprint: String,
     title: String,
-    /// `success` or `time limit`.
+    /// `success`, `time limit`, or `cut short` for an episode whose physics diverged.
     end: &'static str,
     /// Time between two scenes in seconds.
     step_s: f32,
@@ -78,14 +80,14 @@ struct SceneView {
 }
 
 impl Replays {
-    /// Creates an empty recorder.
-    pub(super) fn new(onlooker: Onlooker) -> Self {
-        Self { onlooker, wanted: Notify::default(), newest: Mutex::default() }
+    /// Creates an empty recorder of episodes with the goals in `catalog`.
+    pub(super) fn new(onlooker: Onlooker, catalog: Catalog) -> Self {
+        Self { onlooker, catalog, wanted: Notify::default(), newest: Mutex::default() }
     }
 
     /// Returns the JSON of a recorded episode whose goal is in the catalog; `None` if it cannot be shown.
     pub(super) fn show_known(&self, segments: &[Trajectory]) -> Option<Bytes> {
-        self.show(segments, Catalog::builtin().find(&segments.first()?.task.blueprint)?.as_ref())
+        self.show(segments, self.catalog.find(&segments.first()?.task.blueprint)?.as_ref())
     }
 
     /// Returns the JSON of a recorded episode with this goal; `None` if it cannot be shown. Takes around ten
@@ -159,7 +161,11 @@ fn view(
         weights_version: first.weights_version.0,
         blueprint: first.task.blueprint.to_string(),
         title: goal.title().to_owned(),
-        end: if episode.status() == Status::Success { "success" } else { "time limit" },
+        end: match episode.status() {
+            Status::Success => "success",
+            Status::TimeLimit => "time limit",
+            Status::Running | Status::Diverged => "cut short",
+        },
         step_s: STEP_S,
         unit_m: UNIT_M,
         half_extents_m: BlockIdx::all().map(|block| inventory.half_extents_m(block)).collect(),

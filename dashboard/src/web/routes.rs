@@ -29,7 +29,8 @@ use super::server::Connection;
 use super::stage::{self, Stage};
 use crate::config::{Token, WebConfig};
 
-/// Name of the cookie that holds the token.
+/// Beginning of the name of the cookie that holds the token. The rest depends on the token: browsers send the cookies of
+/// a host to all its ports, so one name would let the page of another run overwrite it.
 const COOKIE_NAME: &str = "lodestone_token";
 
 /// Headers of every response. Only the page's own files are loaded or run, no other site may frame the page, and links
@@ -93,7 +94,7 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Rou
     let board = first.board.clone();
     let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
     let opens = first.about.kind == Kind::Play;
-    // All runs of a page have the same goals.
+    // The gallery shows the goals of the first run.
     let catalog = Arc::new(first.about.catalog.clone());
     let names = std::iter::once(&first).chain(&others).map(|run| run.about.run.clone()).collect::<Vec<_>>();
     let mut guarded = of_run(first, &names);
@@ -156,6 +157,7 @@ fn of_run(run: Shown, names: &[String]) -> Router {
         .route("/api/poster", get(poster))
         .route("/metrics", get(metrics))
         .layer(Extension(name))
+        .layer(Extension(Arc::new(run.about.catalog)))
         .layer(Extension(run.films))
         .layer(Extension(run.replays))
         .layer(Extension(run.stage))
@@ -315,7 +317,8 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
 /// Redirects to the same path without the token, which would otherwise stay in the browser's history.
 fn keep_in_cookie(token: &Token, path: &str) -> Response {
     // `Lax`, because `Strict` would reject a first visit through a link from another site.
-    let cookie = format!("{COOKIE_NAME}={}; Path=/; HttpOnly; SameSite=Lax", token.reveal());
+    let (of_token, token) = (proto::config_hash(&token.reveal()), token.reveal());
+    let cookie = format!("{COOKIE_NAME}_{of_token:016x}={token}; Path=/; HttpOnly; SameSite=Lax");
     // Keep one leading slash: with two, the path would name another host.
     let path = format!("/{}", path.trim_start_matches('/'));
     match (HeaderValue::from_str(&path), HeaderValue::from_str(&cookie)) {
@@ -330,7 +333,7 @@ fn in_headers(token: &Token, headers: &HeaderMap) -> bool {
     let bearer = bearer.any(|value| value.strip_prefix("Bearer ").is_some_and(|guess| token.is(guess)));
     let in_cookie = |cookies: String| {
         let mut pairs = cookies.split(';').filter_map(|pair| pair.trim().split_once('='));
-        pairs.any(|(name, guess)| name == COOKIE_NAME && token.is(guess))
+        pairs.any(|(name, guess)| name.starts_with(COOKIE_NAME) && token.is(guess))
     };
     bearer || headers.get_all(COOKIE).iter().map(text).any(in_cookie)
 }

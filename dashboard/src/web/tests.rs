@@ -232,6 +232,9 @@ async fn a_token_keeps_others_out_but_not_probes() {
     assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Lax"), "{cookie}");
     let cookie = cookie.split(';').next().unwrap();
     assert_eq!(served.status("/", &format!("Cookie: {cookie}\r\n")).await, 200);
+    // The cookie of another page on this host has another name, so both are sent.
+    let both = format!("Cookie: lodestone_token_0={}; {cookie}\r\n", "x".repeat(16));
+    assert_eq!(served.status("/", &both).await, 200);
     // Two slashes would redirect to a host of that name.
     assert!(served.get(&format!("//evil.example?token={TOKEN}")).await.contains("location: /evil.example\r\n"));
     let metrics = served.get_with("/metrics", &format!("Authorization: Bearer {TOKEN}\r\n")).await;
@@ -415,14 +418,26 @@ async fn a_drawing_is_checked_and_built() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn runs_that_have_ended_stand_side_by_side() {
     let dir = tempfile::tempdir().unwrap();
-    let finished = |name: &str, n_env_steps| {
+    // The second run has a goal of its own, and a film of it.
+    let text = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test").replace("2_000", "mine");
+    let own = Catalog::builtin().with(&Catalog::from_files([("mine.toml", text.as_str())]).unwrap());
+    let mut recorded = segment(2, 0, 3, true);
+    recorded.task.blueprint = "mine".parse().unwrap();
+    for (folder, file, bytes) in [
+        ("videos/mine", "00000007-success.mp4", b"the film".to_vec()),
+        ("replays/mine", "00000007-success.trajectory", encode_trajectory(&recorded)),
+    ] {
+        std::fs::create_dir_all(dir.path().join(folder)).unwrap();
+        std::fs::write(dir.path().join(folder).join(file), bytes).unwrap();
+    }
+    let finished = |name: &str, n_env_steps, catalog| {
         let about = About {
             kind: Kind::Finished,
             run: name.to_owned(),
             preset: None,
             n_env_steps: Some(n_env_steps),
             blueprints: Vec::new(),
-            catalog: Catalog::builtin().clone(),
+            catalog,
         };
         let (policy, weights) = untrained();
         let run = RunPaths::new(dir.path());
@@ -431,20 +446,31 @@ async fn runs_that_have_ended_stand_side_by_side() {
     };
     let page = Page::bind(&WebConfig::default()).await.unwrap();
     let (address, shutdown) = (page.address(), CancellationToken::new());
-    let task = tokio::spawn(page.show(finished("a", 100), vec![finished("b", 200)], shutdown.clone()));
-    let get = async |path: &str| {
+    let task = tokio::spawn(page.show(
+        finished("a", 100, Catalog::builtin().clone()),
+        vec![finished("b", 200, own)],
+        shutdown.clone(),
+    ));
+    let ask = async |path: &str| {
         let mut stream = TcpStream::connect(address).await.unwrap();
         stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await.unwrap();
-        let mut answer = String::new();
-        within(stream.read_to_string(&mut answer)).await.unwrap();
-        serde_json::from_str::<Value>(answer.split_once("\r\n\r\n").unwrap().1).unwrap()
+        let mut answer = Vec::new();
+        within(stream.read_to_end(&mut answer)).await.unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
     };
+    let get =
+        async |path: &str| serde_json::from_str::<Value>(ask(path).await.split_once("\r\n\r\n").unwrap().1).unwrap();
     let about = get("/runs/1/api/about").await;
     assert_eq!((&about["run"], &about["kind"], &about["can_play"]), (&json!("b"), &json!("finished"), &json!(false)));
     let runs = json!([{ "name": "a", "base": "" }, { "name": "b", "base": "/runs/1" }]);
     assert_eq!((&about["runs"], &get("/api/about").await["runs"]), (&runs, &runs));
     assert_eq!(get("/api/history").await["passes"][0]["n_env_steps"], 100);
     assert_eq!(get("/runs/1/api/history").await["passes"][0]["n_env_steps"], 200);
+    let film = "mine.7.success.1";
+    assert_eq!(get(&format!("/runs/1/api/recording?id={film}")).await["blueprint"], "mine");
+    assert_eq!(status(&ask(&format!("/runs/1/api/poster?id={film}")).await), 200);
+    // The first run does not know that goal.
+    assert_eq!(status(&ask(&format!("/api/recording?id={film}")).await), 404);
     shutdown.cancel();
     within(task).await.unwrap().unwrap();
 }
