@@ -7,7 +7,7 @@ use tokio::sync::mpsc;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::QueryTarget;
+use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::Sample;
 
 use super::counters::BusCounters;
@@ -114,6 +114,8 @@ impl MetricsSubscriber {
             .session
             .get(self.key.clone())
             .target(QueryTarget::All)
+            // Otherwise replies wait for the slowest publisher, and then overwrite what was published meanwhile.
+            .consolidation(ConsolidationMode::None)
             .callback(move |reply| {
                 if let Ok(sample) = reply.result() {
                     inbox.push(sample);
