@@ -201,7 +201,6 @@ fn dropped(page: &mut Scrape, state: &State) {
             ("stale", ingest.stale_total),
             ("invalid", ingest.invalid_total),
             ("name_taken", ingest.name_taken_total),
-            ("duplicate", ingest.duplicates_total),
             ("expired", learner.expired_total),
             ("unmade", learner.unmade_total),
         ]
@@ -211,6 +210,11 @@ fn dropped(page: &mut Scrape, state: &State) {
         "learner_trajectories_dropped",
         "Trajectories that the learner did not learn from, by reason",
         reasons,
+    );
+    page.counter(
+        "learner_duplicates",
+        "Trajectories that came again after the learner had taken them",
+        learner.map(|learner| learner.ingest.duplicates_total),
     );
     page.counter(
         "learner_back_pressure",
