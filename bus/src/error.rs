@@ -34,7 +34,7 @@ pub enum BusError {
         advice: &'static str,
     },
     /// Metrics cannot be serialized as JSON.
-    #[error("metrics {key} cannot be written as JSON: {source}")]
+    #[error("metrics {key} cannot be written as JSON")]
     Json {
         /// Their key.
         key: String,

@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use proto::WeightsVersion;
 use proto::metrics::{EvalBlueprint, EvalReport, EvalResetFree};
-use rusqlite::{Connection, OpenFlags};
+use rusqlite::{Connection, ErrorCode, OpenFlags};
 
 pub use schema::SCHEMA_VERSION;
 
@@ -92,13 +92,23 @@ pub enum HistoryError {
         source: std::io::Error,
     },
     /// SQLite returned an error, or the file is damaged.
-    #[error("the history {} cannot be used: {error}; move it away to begin a new one", path.display())]
+    #[error("the history {} cannot be used: {error}; {}", path.display(), advice(error))]
     Database {
         /// The file.
         path: PathBuf,
         /// SQLite's error.
         error: rusqlite::Error,
     },
+}
+
+/// Returns what to do about an error of SQLite.
+fn advice(error: &rusqlite::Error) -> &'static str {
+    match error.sqlite_error_code() {
+        Some(ErrorCode::NotADatabase | ErrorCode::DatabaseCorrupt) => "move it away to begin a new one",
+        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => "close the other programs that use it",
+        Some(ErrorCode::DiskFull) => "make room on its disk",
+        _ => "check that it can be written, and that this program made it",
+    }
 }
 
 /// A history open for writing; there is at most one writer at a time.

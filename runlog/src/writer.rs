@@ -22,7 +22,7 @@ pub struct MetricsWriter {
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
     /// A file or folder cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
+    #[error("cannot write {}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -30,7 +30,7 @@ pub enum WriteError {
         source: io::Error,
     },
     /// The metrics cannot be serialized as JSON.
-    #[error("metrics are no JSON: {0}")]
+    #[error("metrics are no JSON")]
     Json(#[from] serde_json::Error),
 }
 
