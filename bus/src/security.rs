@@ -154,7 +154,9 @@ pub(super) fn is_endpoint(text: &str) -> bool {
 /// Returns whether the system chooses the endpoint's port.
 pub(super) fn has_any_port(endpoint: &str) -> bool {
     let address = endpoint.split(['?', '#']).next().unwrap_or_default();
-    is_endpoint(endpoint) && address.rsplit_once(':').is_some_and(|(_, port)| port.parse() == Ok(0_u16))
+    is_endpoint(endpoint)
+        && !endpoint.starts_with("unixsock-stream/")
+        && address.rsplit_once(':').is_some_and(|(_, port)| port.parse() == Ok(0_u16))
 }
 
 /// Returns whether the endpoint is encrypted.

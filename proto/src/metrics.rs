@@ -359,9 +359,9 @@ pub struct BusCounts {
     pub weights_refused_total: u64,
     /// Pulls of weights that failed and were retried.
     pub pulls_failed_total: u64,
-    /// Queries for weights or metrics that carried a payload.
+    /// Queries for weights, metrics, or the history that carried a payload, and invalid evaluation units.
     pub queries_invalid_total: u64,
-    /// Queries for weights or metrics dropped because too many were waiting.
+    /// Queries for weights, metrics, or the history, and evaluation units, dropped because too many were waiting.
     pub queries_dropped_total: u64,
     /// Metrics that were not JSON.
     pub metrics_invalid_total: u64,

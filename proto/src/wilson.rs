@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 const Z_95: f64 = 1.959_963_984_540_054;
 
 /// A success rate with its 95 % Wilson score interval.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SuccessRate {
     /// Episodes that succeeded.
     pub n_successes: u64,
@@ -18,6 +18,13 @@ pub struct SuccessRate {
     pub wilson_low: f64,
     /// Upper end of the interval, 1 without episodes.
     pub wilson_high: f64,
+}
+
+impl Default for SuccessRate {
+    /// Returns the rate without episodes.
+    fn default() -> Self {
+        Self::new(0, 0)
+    }
 }
 
 impl SuccessRate {

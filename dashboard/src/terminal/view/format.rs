@@ -47,7 +47,7 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
-/// Formats a success rate in percent with its confidence interval, 23 characters; `-` without episodes.
+/// Formats a success rate in percent with its confidence interval, 22 characters; `-` without episodes.
 pub(super) fn success(success: &SuccessRate) -> String {
     if success.n_episodes == 0 {
         return "-".to_owned();
