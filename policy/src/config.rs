@@ -46,7 +46,11 @@ settings! {
         /// Nodes: the remaining fraction of an episode of this many steps; set it to `environment.episode_steps`. A
         /// critic without it cannot distinguish a late start from a bad one.
         #[serde(skip_serializing_if = "Option::is_none")]
-        pub remaining_time: Option<u16> = None, in 1..=10_000;
+        pub remaining_time: Option<u16> = None, in 1..=1000;
+        /// Nodes and edges: positions and distances saturate at 1 m, so that structures larger than those in training
+        /// look like the largest of them.
+        #[serde(skip_serializing_if = "std::ops::Not::not")]
+        pub saturation: bool = false;
         /// Number of grippers in the globals; must equal the network's.
         pub n_grippers: u8 = 2;
     }
