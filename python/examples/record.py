@@ -11,6 +11,8 @@ Minari stores datasets in ~/.minari, or in MINARI_DATASETS_PATH if set.
 from __future__ import annotations
 
 import argparse
+import re
+from pathlib import Path
 
 import gymnasium
 import lodestone
@@ -26,6 +28,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--name", help="name of the dataset; lodestone/BLUEPRINT/AGENT-v0 by default")
     args = parser.parse_args()
+    # Minari allows neither dots nor further slashes in a name.
+    goal = re.sub(r"[^A-Za-z0-9_-]", "-", Path(args.blueprint).stem)
     agent = lodestone.Expert() if args.agent == "expert" else lodestone.Policy.pretrained()
     env = DataCollector(gymnasium.make("Lodestone/Assembly-v0", blueprint=args.blueprint, starts=args.starts))
     n_built = 0
@@ -37,7 +41,7 @@ def main() -> None:
             done = terminated or truncated
         n_built += terminated
     dataset = env.create_dataset(
-        dataset_id=args.name or f"lodestone/{args.blueprint}/{args.agent}-v0",
+        dataset_id=args.name or f"lodestone/{goal}/{args.agent}-v0",
         algorithm_name=args.agent,
         description=f"The {args.agent} assembles {args.blueprint} from {args.starts} starts.",
     )

@@ -1,7 +1,8 @@
 """Batches of worlds and the policy, in Rust. `lodestone.batch` and `lodestone.agents` are what to use instead.
 
 Arrays are C-contiguous. `n` is the number of worlds, `g` the number of grippers. Whatever is wrong with an argument raises
-ValueError, or TypeError for an array of another type or layout, and leaves the worlds as they are.
+ValueError, or TypeError for an array of another type or layout, and leaves the worlds as they are. A world that cannot
+start an episode raises ValueError as well, after all the others have started or stepped.
 """
 
 from collections.abc import Sequence

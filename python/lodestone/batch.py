@@ -31,7 +31,7 @@ MAX_FEATURE = 256.0
 SUCCESS, TIME_LIMIT, DIVERGED = 1, 2, 3
 # Named feature sets. The flags are those of `[policy.features]` in a configuration.
 FEATURES: dict[str, dict[str, bool]] = {
-    "all": {"plan": True, "pieces": True},
+    "all": {"plan": True, "pieces": True, "saturation": True},
     "paper": {"up_axis": False, "membership": False, "block_shape": False, "needed_moves": False},
 }
 
@@ -119,7 +119,8 @@ class Batch:
             block, and the move of the block with the highest score. If two grippers choose the same block, it moves by
             the mean of their moves.
         mask: With `blueprint`, the scores of flat actions choose only among the blueprint's blocks and connected
-            blocks, like `mask` in `[policy]`. With `none`, they choose among all blocks.
+            blocks, like `mask` in `[policy]`. Where `Expert` or a policy chooses another block, nothing moves. With
+            `none`, they choose among all blocks.
         num_threads: Number of threads that step worlds, by default the number of processors but at most `n`.
     """
 
@@ -185,6 +186,8 @@ class Batch:
         """Starts episodes in the worlds selected by `mask` and writes their observations to `out`."""
         seeds = [None if seed is None else int(seed) % 2**64 for seed in seeds]
         blueprint, start = options.get("blueprint"), options.get("start")
+        # If an episode cannot start, the others have started nevertheless.
+        self.latest = None
         self.worlds.reset(mask, seeds, blueprint, start, arrays(out))
         self.latest = out
 
@@ -193,6 +196,7 @@ class Batch:
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float32]]:
         """Steps each world, or starts an episode where `resets` is set. See `Worlds.step` of the native module."""
         choices, moves = self.to_native(action)
+        self.latest = None
         result = self.worlds.step(choices, moves, resets, arrays(out))
         self.latest = out
         return result
@@ -217,9 +221,17 @@ class Batch:
         """Returns which block scores of flat actions count [n, 16], or None if all do."""
         return self.worlds.allowed() if self.masked else None
 
+    def within_mask(self, moves: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns the moves [n, 16, 6] with zeros for blocks that no flat action can choose.
+
+        A flat action with such a choice takes another block instead, which must not make the move.
+        """
+        allowed = self.allowed()
+        return moves if allowed is None else np.where(allowed[:, :, None], moves, np.float32(0.0))
+
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> Action:
         """Converts choices and moves to a batch of actions in the action space."""
-        moves = moves.clip(-1.0, 1.0)
+        moves = self.within_mask(moves.clip(-1.0, 1.0))
         return flatten(choices, moves).reshape(self.n, -1) if self.flat_action else {"choices": choices, "moves": moves}
 
     def about(self, row: int) -> dict[str, Any]:

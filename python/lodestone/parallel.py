@@ -140,7 +140,7 @@ class AssemblyParallelEnv(ParallelEnv):
 
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> dict[str, Any]:
         """Converts choices [1, grippers] and moves [1, 16, 6] to one action per agent."""
-        moves = moves.clip(-1.0, 1.0)
+        moves = self.batch.within_mask(moves.clip(-1.0, 1.0))
         made: dict[str, Any] = {}
         for gripper, agent in enumerate(self.possible_agents):
             choice = int(choices[0, gripper])
@@ -187,7 +187,8 @@ class AssemblyParallelEnv(ParallelEnv):
                 nodes[:, [1, 2]] = nodes[:, [2, 1]]
                 globals_ = np.roll(globals_, len(globals_) // 2)
             view = {"nodes": nodes, "edges": edges, "globals": globals_}
-            views[agent] = spaces.flatten(self.batch.observation_space, view) if self.flat_observation else view
+            # `spaces.flatten` would sort the parts by name.
+            views[agent] = np.concatenate([part.ravel() for part in view.values()]) if self.flat_observation else view
         return views
 
     def _show(self) -> None:

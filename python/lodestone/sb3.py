@@ -43,6 +43,8 @@ class AssemblyVecEnv(VecEnv):
             observation, infos = self.envs.reset(seed=seeds, options=self._options[0])
             self.reset_infos = [_row(infos, row) for row in range(self.num_envs)]
         else:
+            if self.envs.is_new:
+                self.envs.reset(seed=seeds)
             for row, options in enumerate(self._options):
                 mask = np.arange(self.num_envs) == row
                 observation, infos = self.envs.reset(seed=seeds, options={**options, "reset_mask": mask})

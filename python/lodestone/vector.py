@@ -133,6 +133,11 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         """Returns the state of a world in the format of `AssemblyEnv.scene`."""
         return self.batch.worlds.scene(row)
 
+    @property
+    def is_new(self) -> bool:
+        """Whether no episode has begun yet."""
+        return self._observation is None
+
     def _arrays(self) -> Observation:
         return self.batch.empty() if self.copy or self._observation is None else self._observation
 
@@ -143,7 +148,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
             expected = f"booleans of shape ({self.num_envs},), at least one of them true"
             raise ValueError(f"options['reset_mask'] is {mask.dtype} of shape {mask.shape}: expected {expected}")
-        if self._observation is None and not mask.all():
+        if self.is_new and not mask.all():
             raise ValueError("options['reset_mask'] leaves out environments that have no episode yet")
         return mask
 

@@ -44,6 +44,9 @@ pub(crate) enum GoalError {
     /// The catalog keeps only one blueprint per structure, so this one could not be played.
     #[error("blueprint {0} is the same structure as another one in the list: name only one of them")]
     Replaced(BlueprintId),
+    /// Two different blueprints with one id, of which only the last could be played.
+    #[error("two different blueprints are called {0}: give one of the two another `id`")]
+    Repeated(BlueprintId),
     /// A file is not a valid blueprint.
     #[error(transparent)]
     File(#[from] CatalogError),
@@ -53,7 +56,7 @@ impl Goals {
     /// Resolves `names`: ids of the catalog or the generator, splits, paths of files or folders, and texts of files.
     ///
     /// # Errors
-    /// Returns an error if no goals result, a name is unknown, or one goal replaces another.
+    /// Returns an error if no goals result, a name is unknown, two goals share an id, or one goal replaces another.
     pub(crate) fn new(names: &[String]) -> Result<Self, GoalError> {
         let mut catalog = Catalog::builtin().clone();
         let mut ids = Vec::new();
@@ -62,17 +65,15 @@ impl Goals {
             if name.contains('\n') {
                 let file = "the text of a blueprint";
                 choices.extend(chosen(file, name));
-                let own = check_text(file, name).blueprint.map_err(CatalogError::from)?;
-                ids.push(own.id().clone());
-                catalog = catalog.with(&Catalog::of_one(own));
+                let own = Catalog::of_one(check_text(file, name).blueprint.map_err(CatalogError::from)?);
+                add(&own, &mut ids, &mut catalog)?;
             } else if is_path(&catalog, name) {
                 let path = Path::new(name);
                 let own = Catalog::load(path)?;
                 for (file, text) in read_files(path)? {
                     choices.extend(chosen(&file, &text));
                 }
-                ids.extend(own.iter().map(Blueprint::id).cloned());
-                catalog = catalog.with(&own);
+                add(&own, &mut ids, &mut catalog)?;
             } else if let Ok(split) = name.parse::<Split>() {
                 ids.extend(catalog.of_split(split).into_iter().map(Blueprint::id).cloned());
             } else {
@@ -102,6 +103,22 @@ impl Goals {
     pub(crate) fn n_blocks(&self, goal: &BlueprintId) -> usize {
         self.catalog.find(goal).map_or(0, |blueprint| blueprint.n_blocks())
     }
+}
+
+/// Adds the user's own blueprints to the goals and the catalog.
+///
+/// # Errors
+/// Returns an error if another structure among the goals has the same id.
+fn add(own: &Catalog, ids: &mut Vec<BlueprintId>, catalog: &mut Catalog) -> Result<(), GoalError> {
+    for blueprint in own.iter() {
+        let other = catalog.find(blueprint.id()).map(|other| other.canonical_hash());
+        if ids.contains(blueprint.id()) && other != Some(blueprint.canonical_hash()) {
+            return Err(GoalError::Repeated(blueprint.id().clone()));
+        }
+    }
+    ids.extend(own.iter().map(Blueprint::id).cloned());
+    *catalog = catalog.with(own);
+    Ok(())
 }
 
 /// Parses an id. Returns `None` unless the catalog or the generator has that blueprint.

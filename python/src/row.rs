@@ -3,7 +3,7 @@
 use environment::{Env, EnvironmentConfig, Expert, ResetError, StartError, StepResult, World};
 use policy::FeatureConfig;
 use policy::features::write_features;
-use proto::{Action, RewardTerms, Status, Task};
+use proto::{Action, RewardTerms, Start, Status, Task};
 use rand_chacha::ChaCha8Rng;
 
 use crate::picture::Stage;
@@ -46,8 +46,15 @@ impl Row {
     pub(crate) fn begin(&mut self, tasks: &Tasks, wish: &Wish) -> Result<(), StartError> {
         let mut n_tried = 1;
         loop {
-            let task = tasks.draw(wish, &mut self.rng);
-            match self.world.reset(&task, &tasks.goals.catalog) {
+            let mut task = tasks.draw(wish, &mut self.rng);
+            let mut result = self.world.reset(&task, &tasks.goals.catalog);
+            // The first episode has no state to begin with, nor has one after a divergence. Who asks for this very
+            // start is told.
+            if !wish.has_start() && matches!(result, Err(ResetError::NothingToKeep)) {
+                task.start = Start::Scattered;
+                result = self.world.reset(&task, &tasks.goals.catalog);
+            }
+            match result {
                 Ok(()) => {
                     self.task = Some(task);
                     self.status = Status::Running;

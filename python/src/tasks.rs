@@ -102,6 +102,11 @@ impl Wish {
         let start = start.map(|text| StartRule::parse(text, catalog)).transpose()?;
         Ok(Self { goal, start })
     }
+
+    /// Returns whether the start is asked for, not drawn.
+    pub(crate) fn has_start(&self) -> bool {
+        self.start.is_some()
+    }
 }
 
 impl Tasks {

@@ -56,18 +56,19 @@ impl Worlds {
     #[allow(clippy::too_many_arguments, reason = "a thin layer, called from one place")]
     fn new(
         py: Python<'_>,
-        n: usize,
+        n: i64,
         blueprints: Vec<String>,
         starts: Vec<(String, f64)>,
         shuffle_blocks: bool,
         settings: &str,
         features: &str,
-        n_threads: usize,
+        n_threads: i64,
     ) -> PyResult<Self> {
-        if n == 0 || n_threads == 0 {
+        let positive = |number: i64| usize::try_from(number).ok().filter(|number| *number > 0);
+        let (Some(n), Some(n_threads)) = (positive(n), positive(n_threads)) else {
             let text = format!("{n} worlds on {n_threads} threads: expected at least one of each");
             return Err(PyValueError::new_err(text));
-        }
+        };
         let config: EnvironmentConfig = parsed("settings", settings)?;
         let features: FeatureConfig = parsed("features", features)?;
         let features = FeatureConfig { n_grippers: config.n_grippers, ..features };
@@ -256,18 +257,12 @@ impl Worlds {
     }
 
     /// Returns a picture of a world and its goal, `[height, width, 3]`.
-    fn picture<'py>(
-        &self,
-        py: Python<'py>,
-        row: usize,
-        width: usize,
-        height: usize,
-    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        let sides = 32..=4096;
-        if !(sides.contains(&width) && sides.contains(&height)) {
+    fn picture<'py>(&self, py: Python<'py>, row: usize, width: i64, height: i64) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let side = |pixels: i64| usize::try_from(pixels).ok().filter(|pixels| (32..=4096).contains(pixels));
+        let (Some(width), Some(height)) = (side(width), side(height)) else {
             let text = format!("a picture of {width} × {height} pixels: expected 32 to 4096 each");
             return Err(PyValueError::new_err(text));
-        }
+        };
         let mut all = self.lock(py);
         let row = all.get_mut(row).ok_or_else(|| PyIndexError::new_err(format!("there is no world {row}")))?;
         let pixels = py.detach(|| {

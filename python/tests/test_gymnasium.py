@@ -35,6 +35,9 @@ CATALOG = Path(__file__).parents[2] / "blueprints/catalog"
 # The structure of 4_000 under another name.
 COPY = (CATALOG / "4_000.toml").read_text().replace('"4_000"', '"mine_4_000"')
 
+# Two structures under one name.
+TWINS = [(CATALOG / f"{name}.toml").read_text().replace(f'"{name}"', '"mine"') for name in ("3_000", "4_000")]
+
 
 class SingleEnvironment(unittest.TestCase):
     def test_gymnasium_finds_nothing(self) -> None:
@@ -65,6 +68,18 @@ class SingleEnvironment(unittest.TestCase):
         before = env.unwrapped.scene()["positions"]
         env.reset(options={"start": "as-it-is"})
         np.testing.assert_array_equal(env.unwrapped.scene()["positions"], before)
+
+    def test_as_it_is_begins_scattered_where_nothing_is_left(self) -> None:
+        env = lodestone.AssemblyEnv(blueprint="2_000", starts="as-it-is")
+        self.assertEqual(env.reset(seed=1)[1]["start"], "scattered")
+        before = env.scene()["positions"]
+        self.assertEqual(env.reset()[1]["start"], "as-it-is")
+        np.testing.assert_array_equal(env.scene()["positions"], before)
+        env.step({"choices": np.array([0, 1]), "moves": np.full((16, 6), np.nan, np.float32)})
+        self.assertEqual(env.reset()[1]["start"], "scattered")
+        # Who asks for it is told.
+        with self.assertRaisesRegex(ValueError, "no previous state"):
+            lodestone.AssemblyEnv(blueprint="2_000").reset(seed=1, options={"start": "as-it-is"})
 
     def test_blueprints_come_from_files_and_splits(self) -> None:
         with tempfile.TemporaryDirectory() as folder:
@@ -145,6 +160,8 @@ class SingleEnvironment(unittest.TestCase):
             ({"settings": __file__}, f"settings: {__file__} is not TOML"),
             ({"starts": "prebuilt:train"}, '"train" is unknown: expected one id, such as 4_000'),
             ({"blueprint": ["4_000", COPY]}, "blueprint 4_000 is the same structure as another one"),
+            ({"blueprint": TWINS}, "two different blueprints are called mine:"),
+            ({"num_threads": -1}, "1 worlds on -1 threads"),
             ({"features": "none"}, "'none' are unknown"),
             ({"features": {"up": True}}, "unknown field `up`"),
             ({"observation": "pixels"}, "'pixels' is unknown"),

@@ -53,6 +53,13 @@ class PettingZoo(unittest.TestCase):
             np.testing.assert_array_equal(np.flatnonzero(seen[agent]["nodes"][:, 2]), [other])
             np.testing.assert_array_equal(np.flatnonzero(seen[agent]["globals"][34:50]), [other])
 
+    def test_flat_observations_have_the_order_of_all_others(self) -> None:
+        env, flat = parallel_env(blueprint="2_000"), parallel_env(blueprint="2_000", observation="flat")
+        seen, expected = flat.reset(seed=1)[0], env.reset(seed=1)[0]
+        for agent, parts in expected.items():
+            parts = [parts[name].ravel() for name in ("nodes", "edges", "globals")]
+            np.testing.assert_array_equal(seen[agent], np.concatenate(parts))
+
     def test_it_shows_its_world(self) -> None:
         os.environ["SDL_VIDEODRIVER"] = "dummy"
         for mode, shown in (("rgb_array", (64, 96, 3)), ("human", None), (None, None)):
@@ -157,6 +164,12 @@ class Agents(unittest.TestCase):
             held = env.scene()["held"]
             self.assertTrue(matters[held].all())
             self.assertEqual((held == block).all(), matters[block])
+        # The block that is taken in place of a masked one does not get its move.
+        masked = int(np.flatnonzero(~matters)[0])
+        choices, moves = np.array([[masked, masked]]), np.ones((1, 16, 6), np.float32)
+        native = env.batch.to_native(env.batch.from_native(choices, moves))
+        self.assertTrue(matters[native[0]].all())
+        self.assertFalse(native[1].any())
         with self.assertRaisesRegex(ValueError, "mask 'blueprint' is for flat actions"):
             lodestone.AssemblyEnv(mask="blueprint")
 
@@ -192,6 +205,9 @@ class StableBaselines3(unittest.TestCase):
 
     def test_options_choose_the_next_goals(self) -> None:
         envs = AssemblyVecEnv(3, blueprint="2_000", starts="scattered")
+        envs.set_options([{"blueprint": "3_000"}, {}, {"blueprint": "2_001"}])
+        envs.reset()
+        self.assertEqual([info["blueprint"] for info in envs.reset_infos], ["3_000", "2_000", "2_001"])
         envs.set_options({"blueprint": "3_000"})
         envs.reset()
         self.assertEqual([info["blueprint"] for info in envs.reset_infos], ["3_000"] * 3)
