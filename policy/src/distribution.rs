@@ -50,8 +50,8 @@ impl<'a> ActionDistribution<'a> {
         Self { logits, locs, scales, form }
     }
 
-    /// Samples the blocks and the moves of all 16 blocks. Draws the moves of blocks that no gripper has
-    /// chosen, too. Returns `None` if a gripper's logits are not a distribution, because one of them is not finite.
+    /// Samples the blocks and the moves of all 16 blocks, chosen or not. Returns `None` if a gripper's logits are not a
+    /// distribution, because one of them is not finite.
     pub fn sample(&self, rng: &mut ChaCha8Rng) -> Option<Action> {
         let mut choices = [None; N_GRIPPERS];
         for (choice, logits) in choices.iter_mut().zip(self.logits.chunks_exact(N_BLOCKS)) {

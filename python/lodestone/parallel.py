@@ -17,7 +17,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from lodestone.batch import DIVERGED, N_BLOCKS, N_FLAT, N_MOVES, SUCCESS, TIME_LIMIT, Batch, unflatten
+from lodestone.batch import DIVERGED, N_BLOCKS, N_FLAT, N_MOVES, SUCCESS, TIME_LIMIT, Batch, arrays, unflatten
 from lodestone.env import checked
 from lodestone.window import Window
 
@@ -188,7 +188,7 @@ class AssemblyParallelEnv(ParallelEnv):
                 globals_ = np.roll(globals_, len(globals_) // 2)
             view = {"nodes": nodes, "edges": edges, "globals": globals_}
             # `spaces.flatten` would sort the parts by name.
-            views[agent] = np.concatenate([part.ravel() for part in view.values()]) if self.flat_observation else view
+            views[agent] = np.concatenate([part.ravel() for part in arrays(view)]) if self.flat_observation else view
         return views
 
     def _show(self) -> None:
