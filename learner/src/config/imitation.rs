@@ -28,9 +28,9 @@ settings! {
         pub move_delta: f32 = 0.1, in above(0.0);
         /// Scenes per gradient step.
         pub minibatch_size: usize = 256, in 1..=65536;
-        /// Gradient steps with labels per update. They are combined with PPO's steps; if PPO takes fewer, the rest
-        /// follow on their own.
-        pub steps_per_update: usize = 32, in 1..=65536;
+        /// Gradient steps with labels per update, rounded. They are combined with PPO's steps; if PPO takes fewer, the
+        /// rest follow on their own.
+        pub steps_per_update: Schedule = Schedule::Constant(32.0), in 1.0..=65536.0;
         /// Replay buffer of labeled scenes.
         pub replay: ReplayConfig;
     }

@@ -39,7 +39,7 @@ impl<'a> ImitationUpdate<'a> {
     pub(super) fn new(imitation_source: ImitationSource<'a>, n_env_steps: u64) -> Option<Self> {
         let weight = imitation_source.config.weight.at(n_env_steps);
         let scale_weight = imitation_source.config.scale_weight.at(n_env_steps);
-        let n_left = imitation_source.config.steps_per_update;
+        let n_left = imitation_source.config.steps_per_update.at(n_env_steps).round() as usize;
         let is_active = weight > 0.0 && imitation_source.replay.n_steps() > 0;
         is_active.then(|| Self {
             imitation_source,

@@ -74,7 +74,7 @@ fn resumed_learner_keeps_its_labels() {
     let replay = ReplayConfig { capacity_steps: 1024, ..Default::default() };
     let imitation = ImitationConfig {
         minibatch_size: 32,
-        steps_per_update: 6,
+        steps_per_update: Schedule::Constant(6.0),
         ppo_weight: one.clone(),
         kl_weight: one,
         replay,

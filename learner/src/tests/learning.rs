@@ -201,7 +201,8 @@ pub(super) fn labeled(mut trajectories: Vec<Trajectory>, driver: Driver) -> Vec<
 #[test]
 fn labels_are_learned_and_expert_successes_are_not_counted() {
     let mut setup = small_setup(3);
-    let imitation = ImitationConfig { minibatch_size: 32, steps_per_update: 40, ..Default::default() };
+    let n_steps = Schedule::Constant(40.0);
+    let imitation = ImitationConfig { minibatch_size: 32, steps_per_update: n_steps, ..Default::default() };
     setup.config.imitation = Some(imitation);
     setup.config.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Constant(3e-3) });
     let mut learner = Learner::new(setup.clone()).unwrap();
@@ -225,12 +226,27 @@ fn labels_are_learned_and_expert_successes_are_not_counted() {
 }
 
 #[test]
+fn the_number_of_steps_with_labels_follows_its_schedule() {
+    let mut setup = small_setup(3);
+    let n_steps = Schedule::Line(vec![(256, 6.0), (512, 2.4)]);
+    let imitation = ImitationConfig { minibatch_size: 32, steps_per_update: n_steps, ..Default::default() };
+    setup.config.imitation = Some(imitation);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let n_gradient_steps = [0; 3].map(|_| {
+        feed(&learner, labeled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
+        learner.update().unwrap().imitation.unwrap().n_gradient_steps
+    });
+    assert_eq!(n_gradient_steps, [6, 6, 2]);
+}
+
+#[test]
 fn ppo_uses_only_sampled_actions() {
     let mut setup = small_setup(3);
     let one = Schedule::Constant(1.0);
     let imitation = ImitationConfig {
         minibatch_size: 32,
-        steps_per_update: 2,
+        steps_per_update: Schedule::Constant(2.0),
         ppo_weight: one.clone(),
         value_weight: one.clone(),
         kl_weight: one,
@@ -283,7 +299,7 @@ fn deviations_become_as_small_as_the_errors_where_labels_train_them() {
         let mut setup = small_setup(3);
         let imitation = ImitationConfig {
             minibatch_size: 32,
-            steps_per_update: 40,
+            steps_per_update: Schedule::Constant(40.0),
             scale_weight: Schedule::Constant(scale_weight),
             ..Default::default()
         };
