@@ -50,7 +50,8 @@ class Policy:
     def pretrained(cls, action: Literal["native", "flat"] = "native") -> Policy:
         """Returns the policy that ships with the package.
 
-        It was trained with the environments' default settings and `features`.
+        It expects the environments' default `features`. Its training drew the physics of each episode around the
+        default settings.
         """
         return cls(_native.Policy.pretrained(), action)
 
