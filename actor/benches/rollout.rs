@@ -114,12 +114,7 @@ fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Wei
         segment_len: 32,
         burn_in: actor::BurnInConfig::default(),
         dagger: Some(DaggerMixture::new(dagger, environment.clone())),
-        identity: Identity {
-            actor: ActorId::try_from("bench".to_owned()).unwrap(),
-            epoch: 0,
-            first_seq: 0,
-            seq_step: 1,
-        },
+        identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0 },
         seed: 0,
     };
     let worlds = (0..N_WORLDS).map(|_| World::new(environment).unwrap()).collect();

@@ -23,6 +23,8 @@ pub struct Backlog {
 #[derive(Debug, Default)]
 struct State {
     segments: VecDeque<Trajectory>,
+    /// Number of the next segment.
+    next_seq: u64,
     closed: bool,
 }
 
@@ -32,15 +34,20 @@ impl Backlog {
         Self { limit: limit.max(1), when_full, state: Mutex::default(), filled: Notify::new(), emptied: Condvar::new() }
     }
 
-    /// Adds the newest segment.
+    /// Numbers the newest segment and adds it.
+    ///
+    /// All threads share the numbers, which follow the order of the queue: the learner remembers only the newest numbers
+    /// of an actor and would take those of a slower thread for old ones.
     ///
     /// If the backlog is full, this drops the oldest segment, or blocks the thread until there is room or the backlog
     /// is closed. Returns how many segments were dropped.
-    pub fn push(&self, segment: Trajectory) -> u64 {
+    pub fn push(&self, mut segment: Trajectory) -> u64 {
         let mut state = self.lock();
         while self.when_full == FullBacklog::Pause && !state.closed && state.segments.len() >= self.limit {
             self.emptied.wait(&mut state);
         }
+        segment.seq = state.next_seq;
+        state.next_seq += 1;
         state.segments.push_back(segment);
         let n_dropped = self.shed(&mut state);
         drop(state);
@@ -137,7 +144,7 @@ mod tests {
     use crate::segment::{Cut, SegmentBuilder};
     use crate::toy;
 
-    fn segment(seq: u64) -> Trajectory {
+    fn segment() -> Trajectory {
         let mut rollout = SegmentBuilder::new(1, toy::task(), proto::Driver::Sampled);
         let transition = proto::Transition {
             scene: toy::scene(),
@@ -149,7 +156,7 @@ mod tests {
         };
         let cut = rollout.push(transition, WeightsVersion(0), &toy::scene(), Status::Running, &toy::identity());
         let Cut::Segment(segment) = cut else { panic!("a segment of one step is complete") };
-        Trajectory { seq, ..*segment }
+        *segment
     }
 
     async fn drain(backlog: &Backlog) -> Vec<u64> {
@@ -164,11 +171,11 @@ mod tests {
     #[tokio::test]
     async fn the_newest_segments_are_kept_and_the_others_counted() {
         let backlog = Backlog::new(3, FullBacklog::DropOldest);
-        let n_dropped: u64 = (0..5).map(|seq| backlog.push(segment(seq))).sum();
+        let n_dropped: u64 = (0..5).map(|_| backlog.push(segment())).sum();
         assert_eq!((n_dropped, backlog.len()), (2, 3));
         // A segment that is put back is the oldest, so it is dropped if its place was taken in the meantime.
         let taken = backlog.pop().await.unwrap();
-        assert_eq!((taken.seq, backlog.push(segment(5))), (2, 0));
+        assert_eq!((taken.seq, backlog.push(segment())), (2, 0));
         assert_eq!(backlog.put_back(taken), 1);
         assert_eq!(drain(&backlog).await, [3, 4, 5]);
     }
@@ -176,7 +183,7 @@ mod tests {
     #[tokio::test]
     async fn a_segment_that_comes_back_is_sent_first() {
         let backlog = Backlog::new(3, FullBacklog::DropOldest);
-        (0..3).for_each(|seq| assert_eq!(backlog.push(segment(seq)), 0));
+        (0..3).for_each(|_| assert_eq!(backlog.push(segment()), 0));
         let taken = backlog.pop().await.unwrap();
         assert_eq!(backlog.put_back(taken), 0);
         assert_eq!(drain(&backlog).await, [0, 1, 2]);
@@ -186,7 +193,7 @@ mod tests {
     async fn a_pausing_backlog_drops_nothing() {
         let backlog = Arc::new(Backlog::new(2, FullBacklog::Pause));
         let pushing = backlog.clone();
-        let thread = tokio::task::spawn_blocking(move || (0..20).map(|seq| pushing.push(segment(seq))).sum::<u64>());
+        let thread = tokio::task::spawn_blocking(move || (0..20).map(|_| pushing.push(segment())).sum::<u64>());
         let mut seqs = Vec::new();
         while seqs.len() < 20 {
             seqs.push(backlog.pop().await.unwrap().seq);
@@ -196,11 +203,23 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn numbers_follow_the_order_of_the_queue_across_threads() {
+        let backlog = Backlog::new(400, FullBacklog::Pause);
+        std::thread::scope(|scope| {
+            for n_segments in [100, 300] {
+                let backlog = &backlog;
+                scope.spawn(move || (0..n_segments).for_each(|_| assert_eq!(backlog.push(segment()), 0)));
+            }
+        });
+        assert_eq!(drain(&backlog).await, (0..400).collect::<Vec<_>>());
+    }
+
+    #[tokio::test]
     async fn closing_wakes_a_paused_thread() {
         let backlog = Arc::new(Backlog::new(1, FullBacklog::Pause));
-        backlog.push(segment(0));
+        backlog.push(segment());
         let pushing = backlog.clone();
-        let thread = tokio::task::spawn_blocking(move || pushing.push(segment(1)));
+        let thread = tokio::task::spawn_blocking(move || pushing.push(segment()));
         backlog.close();
         thread.await.unwrap();
         assert_eq!(drain(&backlog).await, [0, 1]);

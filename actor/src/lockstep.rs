@@ -48,7 +48,7 @@ impl Lockstep {
 
 fn first(setup: &ActorSetup, seed: u64, weights: &Weights) -> anyhow::Result<Rollout<'static, World>> {
     setup.config.validate().context("invalid actor configuration")?;
-    let identity = Identity { actor: setup.id.clone(), epoch: 0, first_seq: 0, seq_step: 1 };
+    let identity = Identity { actor: setup.id.clone(), epoch: 0 };
     let worlds: Result<Vec<World>, _> = (0..setup.config.n_worlds).map(|_| World::new(&setup.environment)).collect();
     let setup = RolloutSetup { seed, ..RolloutSetup::new(setup, identity) };
     Ok(Rollout::new(setup, worlds.context("invalid environment configuration")?, weights)?)

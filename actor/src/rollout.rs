@@ -33,7 +33,7 @@ pub struct RolloutSetup<'c> {
     pub burn_in: BurnInConfig,
     /// The DAgger mixture, if there is an expert.
     pub dagger: Option<DaggerMixture>,
-    /// Name and numbering of the segments.
+    /// Origin of the segments.
     pub identity: Identity,
     /// Seed of tasks and actions.
     pub seed: u64,
@@ -218,7 +218,8 @@ impl<'c, E: Env> Rollout<'c, E> {
         Ok(EnvSlot { task_rng, segment, dagger, label: None, n_burn_in })
     }
 
-    /// Advances every world by one step and returns the segments that this finished, in the order of the worlds.
+    /// Advances every world by one step and returns the segments that this finished, in the order of the worlds and
+    /// numbered from the rollout's first.
     ///
     /// # Errors
     /// If no new task can be started, or with [`PolicyError::NoDistribution`] before any world has moved. In the latter
@@ -263,7 +264,7 @@ impl<'c, E: Env> Rollout<'c, E> {
             match slot.segment.push(transition, self.version, after, result.status, identity) {
                 Cut::None => {}
                 Cut::Segment(mut trajectory) => {
-                    trajectory.seq = identity.first_seq + identity.seq_step * self.counters.n_segments;
+                    trajectory.seq = self.counters.n_segments;
                     self.counters.n_segments += 1;
                     if needs_bootstrap(result.status) {
                         unvalued.push((finished.len(), row));

@@ -109,8 +109,7 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
     }
     let mut threads = JoinSet::new();
     for thread_idx in 0..config.n_threads {
-        let identity =
-            Identity { actor: id.clone(), epoch, first_seq: thread_idx as u64, seq_step: config.n_threads as u64 };
+        let identity = Identity { actor: id.clone(), epoch };
         // The seed still needs the version of the first weights.
         let rollout = RolloutSetup::new(&setup, identity);
         let (environment, weights, shared) = (setup.environment.clone(), weights.clone(), shared.clone());

@@ -2,17 +2,13 @@
 
 use proto::{ActorId, Driver, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
 
-/// Origin and numbering of segments. Each number is unique together with the actor's name and start time.
+/// Origin of segments.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// Name of the actor.
     pub actor: ActorId,
     /// Start time of the actor process, ms since 1970.
     pub epoch: u64,
-    /// Number of the first segment.
-    pub first_seq: u64,
-    /// Increment between numbers, at least 1: the number of threads, so that they never share one.
-    pub seq_step: u64,
 }
 
 /// Collects the steps of one episode.

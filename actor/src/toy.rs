@@ -115,7 +115,7 @@ pub(crate) fn trajectory() -> Trajectory {
 }
 
 pub(crate) fn identity() -> Identity {
-    Identity { actor: ActorId::try_from("toy".to_owned()).unwrap(), epoch: 1, first_seq: 10, seq_step: 2 }
+    Identity { actor: ActorId::try_from("toy".to_owned()).unwrap(), epoch: 1 }
 }
 
 /// Returns the configuration of a network small enough for tests.

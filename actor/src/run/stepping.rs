@@ -28,7 +28,7 @@ pub(super) fn step_worlds(
 ) -> anyhow::Result<()> {
     let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(environment)).collect();
     let Some(first) = first_usable(&setup, &mut weights, shared)? else { return Ok(()) };
-    let Identity { actor, epoch, .. } = setup.identity.clone();
+    let Identity { actor, epoch } = setup.identity.clone();
     let life = Life { run_seed: setup.seed, actor, epoch, version: first.version };
     setup.seed = life.thread_seed(thread_idx);
     let rollout = Rollout::new(setup, worlds.context("invalid environment configuration")?, &first)?;
