@@ -117,7 +117,7 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
         threads.spawn_blocking(move || step_worlds(rollout, &environment, n_worlds, weights, &shared, thread_idx));
     }
 
-    shared.stop_with_first(&mut threads).await?;
+    let stepped = shared.stop_with_first(&mut threads).await;
     // Segments that arrive after the senders have ended are counted below.
     let drained = tokio::time::timeout(Duration::from_millis(config.drain_timeout_ms), async {
         while senders.join_next().await.is_some() {}
@@ -137,6 +137,7 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
     reporting.await.context("the task that reports metrics failed")?;
     let report = shared.report();
     tracing::info!(actor = %id, env_steps = report.counters.n_env_steps, n_unsent, "actor ends");
+    stepped?;
     if lost_name {
         let (role, advice) = (Role::Actor.as_str(), "choose another --id");
         return Err(BusError::NameTaken { role, name: id.as_str().to_owned(), advice }.into());
