@@ -109,20 +109,24 @@ struct WorkerClient {
 }
 
 impl WorkerClient {
-    /// Runs until the evaluator ends or the remote worker refuses.
+    /// Runs until the evaluator ends. A remote worker that refuses is asked again in the next evaluation: it may have
+    /// refused only the weights.
     async fn run(mut self) {
         loop {
             let Ok(open) = self.evaluations.wait_for(Option::is_some).await.map(|open| open.clone()) else { return };
             let Some(open) = open else { continue };
             let mut opened = self.evaluations.clone();
             opened.mark_unchanged();
-            tokio::select! {
+            let changed = tokio::select! {
                 // Dropping the `serve` future returns its leased sequences to the work queue.
-                changed = opened.changed() => if changed.is_err() { return },
+                changed = opened.changed() => changed,
                 refusal = self.serve(&open) => {
-                    tracing::warn!(worker = self.name, refusal, "a remote worker is of no use");
-                    return;
+                    tracing::warn!(worker = self.name, refusal, "a remote worker is of no use in this evaluation");
+                    opened.changed().await
                 }
+            };
+            if changed.is_err() {
+                return;
             }
         }
     }

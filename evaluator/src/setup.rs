@@ -78,5 +78,7 @@ pub struct EvaluatorSetup {
 pub(crate) fn setup_hash(setup: &EvaluatorSetup) -> u64 {
     let catalog = setup.catalog.iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
     let catalog: Vec<_> = catalog.collect();
-    config_hash(&(env!("CARGO_PKG_VERSION"), &setup.environment, setup.policy.hash(), catalog))
+    // The policy's hash is that of its parameters, which are valid with any mask and grip.
+    let PolicyConfig { mask, grip_steps, .. } = &setup.policy;
+    config_hash(&(env!("CARGO_PKG_VERSION"), &setup.environment, setup.policy.hash(), mask, grip_steps, catalog))
 }

@@ -51,6 +51,37 @@ async fn brought(queue: &Arc<WorkQueue>) -> Vec<Vec<EpisodeResult>> {
     within(waiting).await.unwrap()
 }
 
+#[test]
+fn workers_must_act_as_the_evaluator_does() {
+    let judge = setup("judge", 8);
+    assert_eq!(setup_hash(&judge), setup_hash(&setup("worker", 8)));
+    let mut masked = judge.clone();
+    masked.policy.mask = policy::BlockMask::Blueprint;
+    let mut gripping = judge.clone();
+    gripping.policy.grip_steps += 1;
+    for other in [masked, gripping, setup("judge", 9)] {
+        assert_ne!(setup_hash(&other), setup_hash(&judge));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_that_refused_is_asked_again_in_the_next_evaluation() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let mut units: UnitServer = bus.serve_units("moody").await.unwrap();
+    let _token = bus.declare_alive(Role::Worker, "moody").await.unwrap();
+    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8))).await.unwrap();
+    for _ in 0..2 {
+        let queue = Arc::new(WorkQueue::default());
+        queue.post(&sequences(), ActionMode::Greedy);
+        workers.open(queue, Arc::new(weights()));
+        let call = within(units.recv()).await.unwrap();
+        call.answer(EvalAnswer::Refused("not these weights".to_owned())).await;
+        workers.close();
+    }
+    bus.close().await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn remote_workers_find_what_the_evaluator_would() {
     let dir = tempfile::tempdir().unwrap();
