@@ -79,11 +79,13 @@ impl Curriculum {
             }
         }
         match &self.config {
-            CurriculumConfig::Uniform(_) => {}
+            // A saved run may have had another curriculum.
+            CurriculumConfig::Uniform(_) => set_probabilities(&mut self.tasks, |_| 1.0),
             CurriculumConfig::Paper(paper) => {
                 self.tasks.values_mut().for_each(|task| task.success_rate *= paper.decay);
-                // Exponents are at most 1 / temperature apart and at most 0, so nothing overflows.
-                set_probabilities(&mut self.tasks, |rate| (-rate / paper.temperature).exp());
+                // The largest exponent is 0, so the sum is at least 1 however small the temperature is.
+                let lowest = self.tasks.values().map(|task| task.success_rate).fold(1.0, f64::min);
+                set_probabilities(&mut self.tasks, |rate| ((lowest - rate) / paper.temperature).exp());
             }
             CurriculumConfig::Learnability(learnability) => {
                 let total: f64 = self.tasks.values().map(|t| t.success_rate * (1.0 - t.success_rate)).sum();
@@ -203,6 +205,30 @@ mod tests {
         for (p, expected) in probabilities(&curriculum).iter().zip([0.2, 0.4, 0.4]) {
             assert!((p - (0.4 / 3.0 + 0.6 * expected)).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_small_temperature_gives_all_to_the_lowest_rate() {
+        let ids = ids(2);
+        let config = PaperConfig { tau: 1.0, temperature: 1e-6, episodes_per_batch: 2, ..PaperConfig::default() };
+        let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), of_two(&ids));
+        curriculum.update([(&ids[0], true), (&ids[1], false)]);
+        assert_eq!(probabilities(&curriculum), [0.0, 1.0]);
+        curriculum.update([(&ids[0], true), (&ids[1], true)]);
+        assert_eq!(probabilities(&curriculum), [0.5, 0.5]);
+    }
+
+    #[test]
+    fn a_run_that_goes_on_without_a_curriculum_draws_all_equally() {
+        let ids = ids(2);
+        let tasks = [(ids[0].clone(), 2), (ids[1].clone(), 5)];
+        let widening = CurriculumConfig::Widening(WideningConfig { first_size: 2, ..WideningConfig::default() });
+        let saved = Curriculum::new(widening, tasks.clone());
+        assert_eq!(probabilities(&saved), [1.0, 0.0]);
+        let uniform = CurriculumConfig::Uniform(UniformConfig {});
+        let mut curriculum = Curriculum::new(uniform, tasks).with_state_of(saved);
+        curriculum.update([(&ids[0], true)]);
+        assert_eq!(probabilities(&curriculum), [0.5, 0.5]);
     }
 
     #[test]

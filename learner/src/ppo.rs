@@ -151,8 +151,11 @@ impl Ppo {
         progress: &mut Progress<'_>,
     ) -> (PpoMetrics, Option<ImitationMetrics>) {
         let terms = config.loss_at(progress.n_env_steps);
-        if let RateRule::Line(line) = &config.optimizer.rate_rule {
-            progress.learning_rate.0 = line.points.at(progress.n_env_steps);
+        match &config.optimizer.rate_rule {
+            // A resumed run may have been given another rate.
+            RateRule::Fixed(_) => progress.learning_rate.0 = config.optimizer.learning_rate,
+            RateRule::Line(line) => progress.learning_rate.0 = line.points.at(progress.n_env_steps),
+            RateRule::Adaptive(_) => {}
         }
         if terms.imitator_kl > 0.0 && self.imitator.is_none() {
             self.workers.freeze(&self.parameters).expect("finite parameters of the same number");

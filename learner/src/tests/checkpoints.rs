@@ -10,7 +10,7 @@ use proto::Driver;
 
 use super::learning::{bandit, feed, labeled, small_setup};
 use crate::checkpoint::{self, Checkpoint, CheckpointError, files};
-use crate::config::{ImitationConfig, ReplayConfig, Schedule};
+use crate::config::{FixedRate, ImitationConfig, RateRule, ReplayConfig, Schedule};
 use crate::model::Model;
 use crate::{Learner, LearnerError, LearnerSetup};
 
@@ -63,6 +63,18 @@ fn a_critic_that_learns_alone_resumes_bit_for_bit() {
     train(&setup, &mut resumed, 2);
     assert!(learner.checkpoint().critic_adam.is_some());
     assert_eq!(resumed.checkpoint(), learner.checkpoint());
+}
+
+#[test]
+fn resumed_learner_takes_another_fixed_rate() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut setup = small_setup(4);
+    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    let path = Learner::new(setup.clone()).unwrap().save(dir.path()).unwrap();
+    setup.config.optimizer.learning_rate = 1e-4;
+    let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
+    feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5)));
+    assert_eq!(resumed.update().unwrap().ppo.learning_rate, f64::from(1e-4_f32));
 }
 
 #[test]
