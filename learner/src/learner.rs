@@ -9,6 +9,7 @@ use blueprints::{Blueprint, BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
 use policy::{Policy, PolicyConfig};
+use proto::codec::MAX_PARAMETERS;
 use proto::{Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -66,6 +67,9 @@ pub enum LearnerError {
     /// A training blueprint is not in the catalog.
     #[error("training blueprint {0} is not in the catalog")]
     UnknownTask(BlueprintId),
+    /// The network has too many parameters for a message with its weights.
+    #[error("the network has {0} parameters, more than the {MAX_PARAMETERS} that the bus carries: make it smaller")]
+    TooLarge(usize),
     /// The checkpoint cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
@@ -138,6 +142,10 @@ impl Learner {
         });
         let replay = setup.config.imitation.as_ref().map(|imitation| Replay::new(imitation.replay.clone()));
         let ppo = Ppo::new(&setup.policy, setup.seed, &device, n_threads);
+        let n_parameters = ppo.parameters().len();
+        if n_parameters > MAX_PARAMETERS {
+            return Err(LearnerError::TooLarge(n_parameters));
+        }
         let init = setup.init.clone();
         let mut learner = Self { ppo, state, mailbox, replay, n_unmade: 0, setup };
         if let Some(model) = init {

@@ -220,9 +220,9 @@ impl Worker {
         let mailbox = self.learner.mailbox();
         let mut last_report = Instant::now();
         let mut restart = true;
+        self.send(None);
         // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
-        let mut open = self.send(None);
-        while open && !self.is_over() {
+        while !self.publications.is_closed() && !self.is_over() {
             self.pulse.beat();
             let enough = match &mut self.options.feed {
                 None => mailbox.wait(settings.steps_per_update, POLL_INTERVAL),
@@ -247,7 +247,7 @@ impl Worker {
             if let Err(error) = self.write(&metrics) {
                 tracing::warn!(%error, "metrics were not written");
             }
-            open = self.send(Some(metrics));
+            self.send(Some(metrics));
             if self.learner.n_updates().is_multiple_of(settings.checkpoints.every_updates) {
                 restart = true;
                 // A full disk should not end a run that still makes progress; only the last checkpoint must succeed.
@@ -279,8 +279,12 @@ impl Worker {
         reached || self.shutdown.is_cancelled()
     }
 
-    fn send(&self, metrics: Option<LearnerMetrics>) -> bool {
-        self.publications.blocking_send(Publication { weights: self.newest.clone(), metrics }).is_ok()
+    /// Hands the newest weights to the bus, unless the session failed.
+    fn send(&self, metrics: Option<LearnerMetrics>) {
+        let publication = Publication { weights: self.newest.clone(), metrics };
+        if self.publications.blocking_send(publication).is_err() {
+            tracing::debug!("the weights were not published, because the session failed");
+        }
     }
 
     fn save(&self, checkpoints: &Path) -> Result<PathBuf, checkpoint::CheckpointError> {
