@@ -92,10 +92,10 @@ pub struct Learner {
     n_unmade: u64,
 }
 
-/// Maximum number of blocks in the goals that one update generates, per environment step. Two grippers need at least
-/// half as many steps as a goal has blocks, so this suffices for all genuine goals of an update. Only an actor that
-/// tries to overload the learner sends more: generating a large goal takes up to 30 ms.
-const GENERATED_BLOCKS_PER_STEP: usize = 2;
+/// Maximum number of blocks in the goals that one update generates, per environment step. The shortest episodes, which
+/// begin near a goal of 16 blocks, take a few steps, so this suffices for all genuine goals of an update. Only an actor
+/// that tries to overload the learner sends more: generating a large goal takes up to 30 ms.
+const GENERATED_BLOCKS_PER_STEP: usize = 4;
 
 impl Learner {
     /// Creates a learner, untrained unless `setup.init` is a policy.
