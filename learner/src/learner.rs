@@ -221,12 +221,13 @@ impl Learner {
         Ok(learner)
     }
 
-    /// Puts a trajectory into the mailbox.
+    /// Puts a trajectory into the mailbox, even beyond its capacity: whoever makes trajectories between updates could
+    /// only throw away what does not fit.
     ///
     /// # Errors
     /// The reason for the refusal, which the mailbox counts.
     pub fn ingest(&self, trajectory: Trajectory) -> Result<(), Refusal> {
-        self.mailbox.push(trajectory)
+        self.mailbox.push_beyond_capacity(trajectory)
     }
 
     /// Returns the mailbox, which other threads fill.

@@ -60,6 +60,15 @@ impl Mailbox {
     /// `Stale` if it is more than `max_policy_lag` versions old, `Full` if the mailbox is at capacity, and `Invalid` if
     /// this learner cannot use it.
     pub fn push(&self, trajectory: Trajectory) -> Result<(), Refusal> {
+        self.put(trajectory, self.config.capacity_steps)
+    }
+
+    /// As [`Self::push`], but never full: for a sender that waits for the updates anyway and cannot send again.
+    pub(crate) fn push_beyond_capacity(&self, trajectory: Trajectory) -> Result<(), Refusal> {
+        self.put(trajectory, usize::MAX)
+    }
+
+    fn put(&self, trajectory: Trajectory, capacity_steps: usize) -> Result<(), Refusal> {
         let admitted = self.admission.check(&trajectory);
         let mut state = self.lock();
         if let Err(reason) = admitted {
@@ -71,7 +80,7 @@ impl Mailbox {
             return Err(Refusal::Stale);
         }
         // The last trajectory may exceed the capacity: otherwise one that does not fit could block an update forever.
-        if state.is_closed || state.n_steps >= self.config.capacity_steps {
+        if state.is_closed || state.n_steps >= capacity_steps {
             state.counts.full_total += 1;
             return Err(Refusal::Full);
         }
@@ -212,6 +221,17 @@ mod tests {
         }
         assert_eq!((mailbox.n_steps(), mailbox.push(trajectory(4, 0))), (12, Err(Refusal::Full)));
         assert_eq!(mailbox.take(10).len(), 3);
+    }
+
+    #[test]
+    fn a_sender_that_cannot_send_again_is_never_refused_for_lack_of_room() {
+        let mailbox = mailbox(10);
+        for _ in 0..5 {
+            mailbox.push_beyond_capacity(trajectory(4, 0)).unwrap();
+        }
+        assert_eq!((mailbox.n_steps(), mailbox.counts().full_total), (20, 0));
+        mailbox.set_version(WeightsVersion(3));
+        assert_eq!(mailbox.push_beyond_capacity(trajectory(4, 0)), Err(Refusal::Stale));
     }
 
     #[test]

@@ -220,6 +220,7 @@ impl Worker {
         let mailbox = self.learner.mailbox();
         let mut last_report = Instant::now();
         let mut restart = true;
+        let mut fed = Ok(());
         self.send(None);
         // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
         while !self.publications.is_closed() && !self.is_over() {
@@ -227,13 +228,19 @@ impl Worker {
             let enough = match &mut self.options.feed {
                 None => mailbox.wait(settings.steps_per_update, POLL_INTERVAL),
                 Some(_) if self.learner.ready() => true,
-                Some(feed) => {
-                    for trajectory in feed(&self.newest, std::mem::take(&mut restart))? {
-                        // The mailbox counts refusals.
-                        let _ = self.learner.ingest(trajectory);
+                Some(feed) => match feed(&self.newest, std::mem::take(&mut restart)) {
+                    Ok(trajectories) => {
+                        for trajectory in trajectories {
+                            // The mailbox counts refusals.
+                            let _ = self.learner.ingest(trajectory);
+                        }
+                        false
                     }
-                    false
-                }
+                    Err(error) => {
+                        fed = Err(error);
+                        break;
+                    }
+                },
             };
             if !enough {
                 continue;
@@ -259,6 +266,7 @@ impl Worker {
         // Trajectories acknowledged after the checkpoint would be lost.
         mailbox.close();
         let checkpoint = self.save(&checkpoints).map_err(|error| self.lost(error, &checkpoints))?;
+        fed?;
         let weights_version = self.learner.version();
         Ok(Summary {
             weights_version,
