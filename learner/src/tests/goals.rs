@@ -33,8 +33,8 @@ fn held_out_structures_are_dropped_under_any_id() {
 
 #[test]
 fn goals_generated_per_update_are_bounded() {
-    let goal = |index: usize| format!("gen1-any-7_4_{index:03}");
-    // 256 steps allow 512 blocks: 128 goals with 4 blocks each.
+    let goal = |index: usize| format!("gen1-any-7_8_{index:03}");
+    // 256 steps allow 1,024 blocks: 128 goals with 8 blocks each.
     let distinct: Vec<String> = (0..256).map(goal).collect();
     let all = update(&distinct);
     assert_eq!((all.unmade_total, all.n_steps), (128, 128));
