@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM: the first signal shuts down gracefully, the second exits at once.
+//! SIGINT, SIGTERM, and SIGHUP: the first signal shuts down gracefully, the second exits at once.
 
 use std::time::Duration;
 
@@ -11,34 +11,86 @@ use crate::exit::{Failure, INTERRUPTED};
 /// its process group.
 const ECHO: Duration = Duration::from_millis(500);
 
-/// Cancels `shutdown` at the first signal from now on, and exits at the second.
+/// How long the last line may take before the process exits. Only a terminal that nobody reads takes longer.
+const LAST_LINE: Duration = Duration::from_millis(200);
+
+/// Cancels `shutdown` at the first signal from now on, and exits at the second. SIGHUP, which says that the terminal is
+/// gone, counts unless the process was started to ignore it (`nohup`).
 ///
 /// # Errors
 /// When a signal handler cannot be installed.
 pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
     let handler = |kind| signal(kind).map_err(|error| Failure::Service(anyhow::Error::from(error)));
-    let (mut interrupt, mut terminate) = (handler(SignalKind::interrupt())?, handler(SignalKind::terminate())?);
+    let mut signals = Signals {
+        interrupt: handler(SignalKind::interrupt())?,
+        terminate: handler(SignalKind::terminate())?,
+        hangup: if ignores_hangup() { None } else { Some(handler(SignalKind::hangup())?) },
+    };
     tokio::spawn(async move {
-        any(&mut interrupt, &mut terminate).await;
+        signals.next().await;
         shutdown.cancel();
-        tracing::info!("stopping; press Ctrl-C again to end at once");
+        // On threads of their own, because a terminal that nobody reads (Ctrl-S) blocks whoever writes to it.
+        drop(tokio::task::spawn_blocking(|| tracing::info!("stopping; press Ctrl-C again to end at once")));
         let echoes = async {
             loop {
-                any(&mut interrupt, &mut terminate).await;
+                signals.next().await;
             }
         };
         let _: Result<(), _> = tokio::time::timeout(ECHO, echoes).await;
-        any(&mut interrupt, &mut terminate).await;
-        tracing::warn!("ended by a second signal");
+        signals.next().await;
+        let last_line = tokio::task::spawn_blocking(|| tracing::warn!("ended by a second signal"));
+        drop(tokio::time::timeout(LAST_LINE, last_line).await);
         #[expect(clippy::disallowed_methods, reason = "this is the way out when draining hangs")]
         std::process::exit(INTERRUPTED.into());
     });
     Ok(())
 }
 
-async fn any(interrupt: &mut Signal, terminate: &mut Signal) {
-    tokio::select! {
-        _ = interrupt.recv() => {}
-        _ = terminate.recv() => {}
+/// The signals that end a process.
+struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+    hangup: Option<Signal>,
+}
+
+impl Signals {
+    /// Waits for any of them.
+    async fn next(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+            Some(_) = recv(self.hangup.as_mut()) => {}
+        }
+    }
+}
+
+/// Waits for a signal; `None` at once if it is not handled.
+async fn recv(signal: Option<&mut Signal>) -> Option<()> {
+    signal?.recv().await
+}
+
+/// Whether the process was started to ignore SIGHUP. Where this is unknown (no `/proc`), the signal is left as it is.
+fn ignores_hangup() -> bool {
+    std::fs::read_to_string("/proc/self/status").map_or(true, |status| ignores(&status, SignalKind::hangup()))
+}
+
+/// Whether a process with this status file ignores the signal.
+fn ignores(status: &str, signal: SignalKind) -> bool {
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_none_or(|mask| (mask >> (signal.as_raw_value() - 1)) & 1 == 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ignored_signals_are_read_from_the_status_file() {
+        let status = |mask: &str| format!("Name:\tlodestone\nSigBlk:\t0000000000000000\nSigIgn:\t{mask}\n");
+        // SIGHUP is signal 1, SIGPIPE 13, and Rust's runtime always ignores the latter.
+        assert!(!ignores(&status("0000000000001000"), SignalKind::hangup()));
+        assert!(ignores(&status("0000000000001001"), SignalKind::hangup()));
+        assert!(ignores(&status("0000000000001000"), SignalKind::pipe()));
     }
 }

@@ -95,12 +95,21 @@ fn in_lockstep_a_resumed_run_goes_on_bit_by_bit() {
     }
 }
 
-#[test]
-fn a_signal_drains_and_saves() {
+/// Starts a training, sends it the signal once it learns, and returns whether it ended well and the steps it saved.
+fn signaled(signal: &str) -> (bool, u64) {
     let folder = tempfile::tempdir().unwrap();
-    let mut child = lodestone(folder.path())
+    let program = lodestone(folder.path());
+    // The tests may run under `nohup`, which their children would inherit.
+    let mut wrapped = Command::new("env");
+    program.get_envs().for_each(|(name, _)| {
+        wrapped.env_remove(name);
+    });
+    let mut child = wrapped
+        .arg("--default-signal=HUP")
+        .arg(program.get_program())
         .args(["train", "--run-dir", "run"])
         .args(SMALL)
+        .current_dir(folder.path())
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn()
@@ -108,13 +117,20 @@ fn a_signal_drains_and_saves() {
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
     // The learner's first line means that everything is running and has learned.
     lines.find(|line| line.as_ref().unwrap().contains("steps/s")).unwrap().unwrap();
-    let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
     for line in lines {
         line.unwrap();
     }
-    assert!(child.wait().unwrap().success());
-    assert!(n_saved_steps(&folder.path().join("run")) >= 256);
+    (child.wait().unwrap().success(), n_saved_steps(&folder.path().join("run")))
+}
+
+#[test]
+fn a_signal_drains_and_saves() {
+    // Ctrl-C, what supervisors send, and what a terminal that is closed sends.
+    for signal in ["-INT", "-TERM", "-HUP"] {
+        let (ended_well, n_steps) = signaled(signal);
+        assert!(ended_well && n_steps >= 256, "{signal}: {n_steps} steps saved");
+    }
 }
 
 #[test]

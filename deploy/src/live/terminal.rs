@@ -13,9 +13,17 @@ const MAX_HELD: usize = 1 << 16;
 /// The terminal, or the streams that replace it; clones share it.
 #[derive(Clone, Debug)]
 pub struct Terminal {
-    bars: MultiProgress,
+    bars: Bars,
     held: Arc<Mutex<Option<Held>>>,
     prints_to_stderr: bool,
+}
+
+/// Progress bars below the lines; clones share them.
+#[derive(Clone, Debug)]
+struct Bars {
+    drawn: MultiProgress,
+    /// The bars that are not finished; locked by whoever writes lines or changes a bar.
+    all: Arc<Mutex<Vec<ProgressBar>>>,
 }
 
 /// Log lines that wait until the screen is free.
@@ -33,6 +41,7 @@ pub struct HeldLog(Option<Terminal>);
 #[derive(Debug)]
 pub(super) struct Progress {
     bar: ProgressBar,
+    bars: Bars,
 }
 
 /// Writes log lines to stderr, above the bar. It never fails: if stderr is closed, lines are lost. Otherwise the logger
@@ -45,11 +54,31 @@ impl Default for Terminal {
         // A bar makes sense only if both results and bar are visible.
         let is_terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
         let target = if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-        Self { bars: MultiProgress::with_draw_target(target), held: Arc::default(), prints_to_stderr: false }
+        Self::with_bars_on(target)
+    }
+}
+
+impl Bars {
+    /// Writes lines above the bars. A terminal that is gone, for example because its window was closed, hides the bars.
+    ///
+    /// `MultiProgress::suspend` would panic when the terminal is gone, and again in each later thread that logs.
+    fn write_above<T>(&self, write: impl FnOnce() -> io::Result<T>) -> io::Result<T> {
+        let all = self.all.lock();
+        if self.drawn.clear().is_err() {
+            self.drawn.set_draw_target(ProgressDrawTarget::hidden());
+        }
+        let written = write();
+        all.iter().for_each(ProgressBar::force_draw);
+        written
     }
 }
 
 impl Terminal {
+    fn with_bars_on(target: ProgressDrawTarget) -> Self {
+        let bars = Bars { drawn: MultiProgress::with_draw_target(target), all: Arc::default() };
+        Self { bars, held: Arc::default(), prints_to_stderr: false }
+    }
+
     /// The same terminal, for messages to people while stdout carries data for a program.
     pub fn on_stderr(&self) -> Self {
         Self { prints_to_stderr: true, ..self.clone() }
@@ -58,7 +87,7 @@ impl Terminal {
     /// Prints lines to stdout, or to stderr after [`Self::on_stderr`]. A closed pipe does not end a run.
     pub fn print(&self, text: &str) {
         let text = text.trim_end();
-        let written = self.bars.suspend(|| match self.prints_to_stderr {
+        let written = self.bars.write_above(|| match self.prints_to_stderr {
             false => writeln!(io::stdout(), "{text}"),
             true => writeln!(io::stderr(), "{text}"),
         });
@@ -82,7 +111,10 @@ impl Terminal {
             "{{bar:24}} {{human_pos}}/{{human_len}} {what}, {{elapsed}}\n{{msg}}"
         ))
         .unwrap_or_else(|_| ProgressStyle::default_bar());
-        Progress { bar: self.bars.add(ProgressBar::new(n).with_style(style)) }
+        let mut all = self.bars.all.lock();
+        let bar = self.bars.drawn.add(ProgressBar::new(n).with_style(style));
+        all.push(bar.clone());
+        Progress { bar, bars: self.bars.clone() }
     }
 }
 
@@ -92,12 +124,21 @@ impl Progress {
     }
 
     pub(super) fn set(&self, n: u64, message: &str) {
+        let _all = self.bars.all.lock();
         self.bar.set_position(n);
         self.bar.set_message(message.to_owned());
     }
 
     pub(super) fn finish(&self) {
+        let mut all = self.bars.all.lock();
         self.bar.finish_and_clear();
+        all.retain(|bar| !bar.is_finished());
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.finish();
     }
 }
 
@@ -134,11 +175,76 @@ impl Write for LogWriter {
             }
             return Ok(bytes.len());
         }
-        Ok(self.0.bars.suspend(|| io::stderr().write(bytes)).unwrap_or(bytes.len()))
+        Ok(self.0.bars.write_above(|| io::stderr().write(bytes)).unwrap_or(bytes.len()))
     }
 
     fn flush(&mut self) -> io::Result<()> {
         io::stderr().flush().unwrap_or_default();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use indicatif::TermLike;
+
+    use super::*;
+
+    /// A terminal whose window has been closed.
+    #[derive(Debug)]
+    struct Gone;
+
+    impl TermLike for Gone {
+        fn width(&self) -> u16 {
+            80
+        }
+
+        fn move_cursor_up(&self, _: usize) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn move_cursor_down(&self, _: usize) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn move_cursor_right(&self, _: usize) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn move_cursor_left(&self, _: usize) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn write_line(&self, _: &str) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn write_str(&self, _: &str) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn clear_line(&self) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+
+        fn flush(&self) -> io::Result<()> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+    }
+
+    #[test]
+    fn a_terminal_that_is_gone_hides_the_bar_and_ends_no_thread() {
+        let terminal = Terminal::with_bars_on(ProgressDrawTarget::term_like(Box::new(Gone))).on_stderr();
+        let progress = terminal.progress(10, "episodes");
+        progress.set(1, "one");
+        assert!(progress.is_drawn());
+
+        terminal.print("the first line finds out");
+        assert!(!progress.is_drawn());
+        let (mut log, lines) = (terminal.make_writer(), b"a thread logs\n");
+        let written = std::thread::spawn(move || log.write(lines)).join();
+        assert!(matches!(written, Ok(Ok(14))), "{written:?}");
+        progress.set(2, "two");
+        progress.finish();
     }
 }
