@@ -4,10 +4,10 @@
 //! the run's own authority and a password, both of the same role, and gets the rights that `access` grants that role.
 //! Everything else is denied.
 
-use std::fs;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
+use std::{fs, io};
 
 use proto::settings;
 use serde_json::{Value, json};
@@ -46,6 +46,8 @@ pub enum KeysError {
     Unreadable {
         /// The file.
         path: PathBuf,
+        /// The kind of the system's error.
+        kind: io::ErrorKind,
         /// The system's error.
         reason: String,
     },
@@ -168,7 +170,11 @@ pub(super) fn is_quic(endpoint: &str) -> bool {
 }
 
 fn read(path: &Path) -> Result<String, KeysError> {
-    fs::read_to_string(path).map_err(|error| KeysError::Unreadable { path: path.to_owned(), reason: error.to_string() })
+    fs::read_to_string(path).map_err(|error| KeysError::Unreadable {
+        path: path.to_owned(),
+        kind: error.kind(),
+        reason: error.to_string(),
+    })
 }
 
 /// Checks the certificate here because zenoh would silently retry forever with an invalid one.

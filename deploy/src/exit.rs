@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use blueprints::Split;
-use bus::BusError;
+use bus::{BusError, KeysError};
 use dashboard::WebError;
 use dashboard::terminal::WatchError;
 use dataset::DatasetError;
@@ -30,7 +30,7 @@ pub enum Failure {
     /// The page cannot be served at the configured address; code 64.
     #[error(transparent)]
     Page(#[from] WebError),
-    /// Keys cannot be made; code 64, or 2 if keys already exist.
+    /// Keys cannot be made; code 64, 2 if keys already exist, or 66 if a file cannot be read or written.
     #[error(transparent)]
     Keys(#[from] MakeKeysError),
     /// A service is unhealthy; code 1.
@@ -87,7 +87,7 @@ pub enum Failure {
     /// A split of the catalog without blueprints; code 64.
     #[error("the catalog has no blueprints of the split {0}")]
     EmptySplit(Split),
-    /// A checkpoint or run directory cannot be read or written; code 66.
+    /// A checkpoint, a run directory, or a key file cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
     /// The evaluation history of a run cannot be read; code 66.
@@ -111,13 +111,21 @@ pub enum Failure {
 
 impl From<BusError> for Failure {
     fn from(error: BusError) -> Self {
-        match error {
+        match &error {
+            // A file system that fails may work later, so this is not a setting that nobody can use.
+            BusError::Keys(KeysError::Unreadable { kind, .. }) if !is_lasting(*kind) => Self::Checkpoint(error.into()),
             BusError::Config(_) | BusError::Keys(_) => {
                 Self::Config(ConfigError::Invalid { origin: "bus".to_owned(), message: error.to_string() })
             }
-            error => Self::Bus(error.into()),
+            _ => Self::Bus(error.into()),
         }
     }
+}
+
+/// Whether a file that cannot be read for this reason stays so until somebody changes it.
+fn is_lasting(kind: io::ErrorKind) -> bool {
+    use io::ErrorKind::{InvalidData, IsADirectory, NotADirectory, NotFound, PermissionDenied};
+    matches!(kind, NotFound | PermissionDenied | NotADirectory | IsADirectory | InvalidData)
 }
 
 impl From<WatchError> for Failure {
@@ -156,6 +164,9 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Keys(MakeKeysError::Exists(_)) => 2,
+            Self::Checkpoint(_) | Self::History(_) | Self::NothingToShow(_) | Self::Keys(MakeKeysError::Io { .. }) => {
+                66
+            }
             Self::Config(_)
             | Self::Keys(_)
             | Self::Page(_)
@@ -169,9 +180,27 @@ impl Failure {
             | Self::Dataset(_)
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
-            Self::Checkpoint(_) | Self::History(_) | Self::NothingToShow(_) => 66,
             Self::Service(_) | Self::Unhealthy(_) => 1,
             Self::Interrupted { .. } => INTERRUPTED,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_on_a_file_system_that_fails_are_no_wrong_setting() {
+        let code = |kind| {
+            let error = KeysError::Unreadable { path: "keys/learner".into(), kind, reason: kind.to_string() };
+            Failure::from(BusError::Keys(error)).exit_code()
+        };
+        // Supervisors start again after 66, but not after 64.
+        assert_eq!(code(io::ErrorKind::StaleNetworkFileHandle), ExitCode::from(66));
+        assert_eq!(code(io::ErrorKind::NotFound), ExitCode::from(64));
+        let full = |kind: io::ErrorKind| MakeKeysError::Io { path: "keys/router".into(), source: kind.into() };
+        assert_eq!(Failure::from(full(io::ErrorKind::StorageFull)).exit_code(), ExitCode::from(66));
+        assert_eq!(Failure::from(MakeKeysError::Exists("keys".into())).exit_code(), ExitCode::from(2));
     }
 }

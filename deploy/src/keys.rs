@@ -47,8 +47,8 @@ pub enum MakeKeysError {
     /// The system's random number generator or the cryptography failed.
     #[error("making a key: {0}")]
     Crypto(String),
-    /// A file or folder cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
+    /// A file or folder cannot be read or written.
+    #[error("cannot use {}: {source}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -127,7 +127,10 @@ pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), 
     let absent = |reason: String| MakeKeysError::NoAuthority { folder: authority.clone(), reason };
     let read = |name: &str| {
         let path = authority.join(name);
-        fs::read_to_string(&path).map_err(|error| absent(format!("{}: {error}", path.display())))
+        fs::read_to_string(&path).map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound => absent(format!("{}: {source}", path.display())),
+            _ => MakeKeysError::Io { path, source },
+        })
     };
     let key = KeyPair::from_pem(&read(KEY_FILE)?).map_err(|error| absent(error.to_string()))?;
     let issuer = Issuer::from_ca_cert_pem(&read(CERTIFICATE_FILE)?, key).map_err(|error| absent(error.to_string()))?;
