@@ -80,9 +80,13 @@ start_router() {
     return 65
 }
 
-# Checks by the learner's lock file that no other learner is using the run's folder.
+# Checks by the learner's lock file that no other learner is using the run's folder. If the file cannot be locked for
+# another reason, for example because the file system has no locks, the learner starts and says what is wrong.
 is_free() {
-    [[ ! -e $run/run.lock ]] || flock --nonblock "$run/run.lock" true
+    local code=0
+    [[ -e $run/run.lock ]] || return 0
+    flock --nonblock --conflict-exit-code 75 "$run/run.lock" true || code=$?
+    ((code != 75))
 }
 
 start_learner() {
@@ -167,28 +171,32 @@ watch_over() {
 
 # Runs router, learner, and evaluator until the run is finished, cannot continue, or this job should end.
 serve() {
-    local code n_failures=0 began
+    local code ended n_failures=0 began
     while [[ -z $stopping ]]; do
-        start_router || return
-        [[ -z $stopping ]] || break
-        is_free || say "waits for the learner that holds $run/run.lock"
         began=$SECONDS
-        code=1
-        if watch_over; then
-            case $code in
-            0)
-                if is_finished; then
-                    return 0
-                fi
-                say "somebody ended the learner before its steps were reached"
-                ;;
-            2 | 64)
-                say "the learner cannot work: it ended with $code, and would again"
-                return "$code"
-                ;;
-            *) say "the learner ended with $code" ;;
-            esac
+        code=0
+        ended=router
+        start_router || code=$?
+        [[ -z $stopping ]] || break
+        if ((code == 0)); then
+            is_free || say "waits for the learner that holds $run/run.lock"
+            ended=
+            ! watch_over || ended=learner
         fi
+        case $ended:$code in
+        :*) ;;
+        learner:0)
+            if is_finished; then
+                return 0
+            fi
+            say "somebody ended the learner before its steps were reached"
+            ;;
+        *:2 | *:64)
+            say "the $ended cannot work: it ended with $code, and would again"
+            return "$code"
+            ;;
+        *) say "the $ended ended with $code" ;;
+        esac
         [[ -z $stopping ]] || break
         end_all
         ((SECONDS - began < 300)) || n_failures=0
