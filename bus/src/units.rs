@@ -13,9 +13,6 @@ use proto::codec::{MAX_UNIT_BYTES, decode_answer, decode_unit, encode_answer, en
 use proto::keys;
 use proto::unit::{EvalAnswer, EvalUnit};
 
-/// Timeout of a unit. It only matters for a worker that hangs; a worker that ends is noticed at once.
-const UNIT_TIMEOUT: Duration = Duration::from_secs(300);
-
 /// Sends units to one remote worker.
 #[derive(Debug)]
 pub struct WorkerCaller {
@@ -42,9 +39,12 @@ pub struct UnitCall {
 /// Reasons why a unit was not run.
 #[derive(Debug, thiserror::Error)]
 pub enum CallError {
-    /// The remote worker is gone or did not answer in time.
+    /// The remote worker is gone or busy.
     #[error("no answer")]
     NoAnswer,
+    /// The remote worker did not answer in time.
+    #[error("no answer in time")]
+    TooLate,
     /// The answer breaks a rule.
     #[error("invalid answer: {0}")]
     Invalid(#[from] proto::DecodeError),
@@ -54,11 +54,12 @@ pub enum CallError {
 }
 
 impl Bus {
-    /// Declares the caller of the remote worker with this name.
+    /// Declares the caller of the remote worker with this name, which waits for answers for up to `patience`. A worker
+    /// that ends is noticed sooner.
     ///
     /// # Errors
     /// If the session is closed.
-    pub async fn worker_caller(&self, worker: &str) -> Result<WorkerCaller, BusError> {
+    pub async fn worker_caller(&self, worker: &str, patience: Duration) -> Result<WorkerCaller, BusError> {
         let key = keys::worker(worker);
         let querier = self
             .session
@@ -66,7 +67,7 @@ impl Bus {
             .congestion_control(CongestionControl::Block)
             .priority(Priority::DataLow)
             .consolidation(ConsolidationMode::None)
-            .timeout(UNIT_TIMEOUT)
+            .timeout(patience)
             .await
             .map_err(BusError::during(format!("declaring {key}")))?;
         Ok(WorkerCaller { querier, _open: self.clone() })
@@ -111,7 +112,8 @@ impl WorkerCaller {
         let sent = self.querier.get().payload(bytes).encoding(encoding).await;
         let replies = sent.map_err(|_| CallError::NoAnswer)?;
         let reply = replies.recv_async().await.map_err(|_| CallError::NoAnswer)?;
-        let sample = reply.result().map_err(|_| CallError::NoAnswer)?;
+        // Workers send no errors of their own; zenoh does after the timeout.
+        let sample = reply.result().map_err(|_| CallError::TooLate)?;
         Ok(decode_answer(&sample.payload().to_bytes())?)
     }
 }

@@ -14,10 +14,16 @@ use tokio_util::task::AbortOnDropHandle;
 
 use crate::report::EpisodeResult;
 use crate::sequences::EpisodeSpec;
-use crate::work_queue::{Lease, WorkQueue, WorkerGuard};
+use crate::work_queue::{Lease, MAX_LEASED, WorkQueue, WorkerGuard};
 
 /// Maximum number of remote workers used.
 const MAX_WORKERS: usize = 256;
+
+/// How long a remote worker may take for a unit. A worker that ends is noticed at once.
+pub(crate) const UNIT_PATIENCE: Duration = Duration::from_secs(300);
+
+/// Number of units in a row that a remote worker may leave unanswered before the evaluation goes on without it.
+const MAX_TOO_LATE: u32 = 3;
 
 /// Pause after a remote worker did not answer.
 const PAUSE: Duration = Duration::from_secs(1);
@@ -39,11 +45,11 @@ pub(crate) struct Dispatcher {
 }
 
 impl Dispatcher {
-    /// Starts watching for remote workers, which must have the same `setup_hash`.
-    pub(crate) async fn start(bus: &Bus, setup_hash: u64) -> anyhow::Result<Self> {
+    /// Starts watching for remote workers, which must have the same `setup_hash` and may take `patience` for a unit.
+    pub(crate) async fn start(bus: &Bus, setup_hash: u64, patience: Duration) -> anyhow::Result<Self> {
         let (open, evaluations) = watch::channel(None);
         let workers = bus.alive(Role::Worker).await.context("looking for remote workers")?;
-        let manager = Manager { bus: bus.clone(), setup_hash, evaluations };
+        let manager = Manager { bus: bus.clone(), setup_hash, patience, evaluations };
         Ok(Self {
             open,
             pass: PassId { epoch: process_epoch_ms(), number: 0 },
@@ -66,6 +72,7 @@ impl Dispatcher {
 struct Manager {
     bus: Bus,
     setup_hash: u64,
+    patience: Duration,
     evaluations: watch::Receiver<Option<Open>>,
 }
 
@@ -81,11 +88,12 @@ impl Manager {
                 if workers.len() >= MAX_WORKERS || workers.contains_key(&name) {
                     continue;
                 }
-                let (bus, hash, evaluations) = (self.bus.clone(), self.setup_hash, self.evaluations.clone());
+                let (bus, hash, patience) = (self.bus.clone(), self.setup_hash, self.patience);
+                let evaluations = self.evaluations.clone();
                 let worker = tokio::spawn({
                     let name = name.clone();
                     async move {
-                        match bus.worker_caller(&name).await {
+                        match bus.worker_caller(&name, patience).await {
                             Ok(caller) => WorkerClient { name, hash, caller, evaluations }.run().await,
                             Err(error) => tracing::warn!(worker = name, %error, "a remote worker cannot be reached"),
                         }
@@ -135,9 +143,10 @@ impl WorkerClient {
     async fn serve(&self, open: &Open) -> String {
         let guard = WorkerGuard::new(open.queue.clone());
         let mut posted = open.queue.watch();
+        let (mut at_most, mut n_too_late) = (MAX_LEASED, 0);
         loop {
             posted.mark_unchanged();
-            let Some(lease) = guard.take() else {
+            let Some(lease) = guard.take(at_most) else {
                 // Sequences returned at the end of a round are left to the evaluator's own threads.
                 if posted.changed().await.is_err() {
                     std::future::pending::<()>().await;
@@ -146,7 +155,10 @@ impl WorkerClient {
             };
             match self.call(open, &lease).await {
                 Ok(EvalAnswer::Episodes(episodes)) => match fit(&lease, &episodes) {
-                    Some(results) => lease.bring(results),
+                    Some(results) => {
+                        lease.bring(results);
+                        n_too_late = 0;
+                    }
                     None => return "its answer has another shape than its unit".to_owned(),
                 },
                 Ok(EvalAnswer::Refused(why)) => return why,
@@ -154,6 +166,16 @@ impl WorkerClient {
                 Err(CallError::NoAnswer) => {
                     drop(lease);
                     tokio::time::sleep(PAUSE).await;
+                }
+                Err(CallError::TooLate) => {
+                    n_too_late += 1;
+                    if n_too_late == MAX_TOO_LATE {
+                        return format!("it answered none of {MAX_TOO_LATE} units in time");
+                    }
+                    let n_sequences = lease.specs().count();
+                    tracing::warn!(worker = self.name, n_sequences, "a remote worker did not answer in time");
+                    // It may only be slow.
+                    at_most = (n_sequences / 2).max(1);
                 }
                 Err(error) => return error.to_string(),
             }

@@ -16,7 +16,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::EpisodeConfig;
-use crate::dispatcher::Dispatcher;
+use crate::dispatcher::{Dispatcher, UNIT_PATIENCE};
 use crate::episodes::evaluate_in_parts;
 use crate::films::{EpisodeSelector, VideoRecorder};
 use crate::nice::on_thread;
@@ -74,7 +74,8 @@ pub struct Stop {
 ///
 /// # Errors
 /// If the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
-/// started, the records cannot be written, or another evaluator writes the same history.
+/// started, the records cannot be opened or the history's last rows cannot be written at the end, or another evaluator
+/// writes the same history.
 pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.validate().context("invalid evaluator configuration")?;
     setup.config.films.check_in(setup.catalog)?;
@@ -98,7 +99,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
     }
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&evaluations.overview())?;
-    let outlets = Outlets {
+    let mut outlets = Outlets {
         records,
         evaluations,
         publishers,
@@ -108,12 +109,15 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
         progress: listeners.progress,
         films: films.as_ref(),
     };
-    let ended = evaluate_all(&setup, bus, weights, &selected, last, outlets, &stop).await;
+    let ended = evaluate_all(&setup, bus, weights, &selected, last, &mut outlets, &stop).await;
+    let kept = outlets.catch_up().await;
     if let Some(films) = films {
         // Off the async runtime, because the current film takes a moment to finish.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
     }
-    ended.map(|n_evaluations| Summary { n_evaluations })
+    let n_evaluations = ended?;
+    kept?;
+    Ok(Summary { n_evaluations })
 }
 
 /// Sends an evaluation to the listener, which may be gone.
@@ -139,14 +143,14 @@ async fn evaluate_all(
     mut weights: watch::Receiver<Option<Arc<Weights>>>,
     selected: &Selected,
     mut last: Option<Evaluated>,
-    mut outlets: Outlets<'_>,
+    outlets: &mut Outlets<'_>,
     stop: &Stop,
 ) -> anyhow::Result<u64> {
     let _alive = tokio::select! {
         () = stop.now.cancelled() => return Ok(0),
         alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
     };
-    let mut workers = Dispatcher::start(bus, setup_hash(setup)).await?;
+    let mut workers = Dispatcher::start(bus, setup_hash(setup), UNIT_PATIENCE).await?;
     let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();
@@ -237,11 +241,14 @@ impl Outlets<'_> {
         tell(self.listener.as_ref(), evaluation.clone());
         self.evaluations.push(&evaluation);
         self.publishers.history.set(&self.evaluations.overview())?;
-        if let Some(open) = self.records.take() {
+        if let Some(mut open) = self.records.take() {
             let report = report.clone();
             // Off the async runtime, because the disk and readers of the history may be slow.
-            let kept = tokio::task::spawn_blocking(move || open.keep(&report, &evaluation));
-            self.records = Some(kept.await.context("the recording thread panicked")??);
+            let kept = tokio::task::spawn_blocking(move || {
+                open.keep(&report, evaluation);
+                open
+            });
+            self.records = Some(kept.await.context("the recording thread panicked")?);
         }
         self.publishers.publish(&report).await?;
         if let Some(reports) = &self.reports {
@@ -249,6 +256,13 @@ impl Outlets<'_> {
         }
         self.last = Some(report);
         Ok(())
+    }
+
+    /// Writes the evaluations that the history could not take before.
+    async fn catch_up(&mut self) -> anyhow::Result<()> {
+        let Some(mut open) = self.records.take() else { return Ok(()) };
+        let kept = tokio::task::spawn_blocking(move || open.catch_up());
+        kept.await.context("the recording thread panicked")?.context("the last evaluations are lost")
     }
 
     /// Publishes the last complete report again, if there is one. After an evaluation that is given up, its last part

@@ -15,7 +15,7 @@ use crate::sequences::EpisodeSpec;
 
 /// Maximum number of sequences that a remote worker takes at a time: a few seconds of work, which is also the most that
 /// must be repeated if it disconnects.
-const MAX_LEASED: usize = 64;
+pub(crate) const MAX_LEASED: usize = 64;
 
 /// Progress of an evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -201,12 +201,12 @@ impl WorkerGuard {
         Self(queue)
     }
 
-    /// Leases waiting sequences to the worker, if there are any: at most half of its share, so that the others have as
-    /// much left.
-    pub(crate) fn take(&self) -> Option<Lease> {
+    /// Leases up to `at_most` waiting sequences to the worker, if there are any: no more than half of its share, so that
+    /// the others have as much left.
+    pub(crate) fn take(&self, at_most: usize) -> Option<Lease> {
         let mut table = self.0.table();
         let n_waiting = table.sequences.iter().filter(|sequence| matches!(sequence.state, State::Waiting)).count();
-        let n = (n_waiting / (2 * (table.n_workers + 1))).clamp(1, MAX_LEASED);
+        let n = (n_waiting / (2 * (table.n_workers + 1))).clamp(1, at_most);
         let sequences: Vec<_> = std::iter::from_fn(|| table.take()).take(n).collect();
         let (round, acting) = (table.round, table.acting);
         drop(table);

@@ -1,5 +1,7 @@
 //! Evaluation units and their answers across the bus, and invalid ones.
 
+use std::time::Duration;
+
 use proto::codec::{decode_answer, encode_unit};
 use proto::unit::{EvalAnswer, EvalUnit};
 
@@ -10,7 +12,7 @@ use crate::samples;
 async fn unit_is_answered() {
     let cluster = Cluster::start().await;
     let mut server = cluster.client().await.serve_units("helper").await.unwrap();
-    let caller = cluster.client().await.worker_caller("helper").await.unwrap();
+    let caller = cluster.client().await.worker_caller("helper", Duration::from_secs(300)).await.unwrap();
     let answering = tokio::spawn(async move {
         let call = server.recv().await.unwrap();
         let unit = call.unit.clone();

@@ -70,7 +70,7 @@ async fn a_worker_that_refused_is_asked_again_in_the_next_evaluation() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let mut units: UnitServer = bus.serve_units("moody").await.unwrap();
     let _token = bus.declare_alive(Role::Worker, "moody").await.unwrap();
-    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8))).await.unwrap();
+    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8)), UNIT_PATIENCE).await.unwrap();
     for _ in 0..2 {
         let queue = Arc::new(WorkQueue::default());
         queue.post(&sequences(), ActionMode::Greedy);
@@ -79,6 +79,31 @@ async fn a_worker_that_refused_is_asked_again_in_the_next_evaluation() {
         call.answer(EvalAnswer::Refused("not these weights".to_owned())).await;
         workers.close();
     }
+    bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_that_is_too_late_gets_less_and_then_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let mut units: UnitServer = bus.serve_units("slow").await.unwrap();
+    let queue = Arc::new(WorkQueue::default());
+    queue.post(&sequences(), ActionMode::Greedy);
+    let open = Open { pass: PassId { epoch: 1, number: 0 }, queue: queue.clone(), weights: Arc::new(weights()) };
+    let caller = bus.worker_caller("slow", Duration::from_millis(500)).await.unwrap();
+    let client = WorkerClient { name: "slow".to_owned(), hash: 0, caller, evaluations: watch::channel(None).1 };
+    let holding = async {
+        let mut held = Vec::new();
+        for _ in 0..MAX_TOO_LATE {
+            held.push(units.recv().await.unwrap());
+        }
+        held
+    };
+    let (reason, held) = within(async { tokio::join!(client.serve(&open), holding) }).await;
+    assert_eq!(reason, "it answered none of 3 units in time");
+    assert_eq!(held.iter().map(|call| call.unit.sequences.len()).collect::<Vec<_>>(), [3, 1, 1]);
+    // What it left undone is there for others.
+    assert_eq!(std::iter::from_fn(|| queue.take()).count(), 12);
     bus.close().await;
 }
 
@@ -99,7 +124,7 @@ async fn remote_workers_find_what_the_evaluator_would() {
     let small = small_setup(EpisodeConfig::default());
     let queue = Arc::new(WorkQueue::default());
     queue.post(&sequences(), ActionMode::Sampled);
-    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8))).await.unwrap();
+    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8)), UNIT_PATIENCE).await.unwrap();
     workers.open(queue.clone(), Arc::new(weights()));
     let taken = within(idle.recv()).await.unwrap();
     assert!(taken.unit.is_sampled && taken.unit.weights.is_none());

@@ -39,13 +39,13 @@ fn every_sequence_is_given_to_one() {
     queue.post(&sequences(20), ActionMode::Greedy);
     let (first, second) = (WorkerGuard::new(queue.clone()), WorkerGuard::new(queue.clone()));
     // With two remote workers and the evaluator: 20 / 6 and (20 - 3) / 6 sequences.
-    let (some, more) = (first.take().unwrap(), second.take().unwrap());
+    let (some, more) = (first.take(MAX_LEASED).unwrap(), second.take(MAX_LEASED).unwrap());
     assert_eq!((some.specs().count(), more.specs().count()), (3, 2));
     bring(some, 1);
     while let Some((sequence_idx, specs)) = queue.take() {
         queue.bring(sequence_idx, result(&specs, 9));
     }
-    assert!(!queue.is_done() && first.take().is_none());
+    assert!(!queue.is_done() && first.take(MAX_LEASED).is_none());
     bring(more, 2);
     assert!(queue.is_done());
     assert_eq!(queue.n_assisted(), 5);
@@ -56,7 +56,7 @@ fn every_sequence_is_given_to_one() {
 fn what_is_not_brought_is_for_others() {
     let queue = queue();
     queue.post(&sequences(4), ActionMode::Greedy);
-    let lost = WorkerGuard::new(queue.clone()).take().unwrap();
+    let lost = WorkerGuard::new(queue.clone()).take(MAX_LEASED).unwrap();
     assert_eq!((lost.specs().count(), queue.take().map(|(sequence_idx, _)| sequence_idx)), (1, Some(1)));
     drop(lost);
     assert_eq!(queue.take().map(|(sequence_idx, _)| sequence_idx), Some(0));
@@ -67,7 +67,7 @@ fn what_comes_too_late_changes_nothing() {
     let queue = queue();
     let guard = WorkerGuard::new(queue.clone());
     queue.post(&sequences(1), ActionMode::Greedy);
-    let (late, lost) = (guard.take().unwrap(), sequences(1));
+    let (late, lost) = (guard.take(MAX_LEASED).unwrap(), sequences(1));
     queue.post(&lost, ActionMode::Sampled);
     bring(late, 1);
     assert!(!queue.is_done());
