@@ -31,6 +31,9 @@ const NAME_PATIENCE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 1
 /// Pause before retrying a learner whose mailbox is full or that reports the name as taken.
 const RETRY_PAUSE: Duration = Duration::from_millis(50);
 
+/// Pause before a segment that nobody acknowledged is sent again.
+const NO_REPLY_PAUSE: Duration = Duration::from_millis(250);
+
 /// Results of an actor process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
@@ -301,7 +304,8 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
                 *shared.name_taken_since.lock() = None;
                 return Sent::Done;
             }
-            Err(SendError::NoReply) => {}
+            // A router that restarts takes a moment.
+            Err(SendError::NoReply) => tokio::time::sleep(NO_REPLY_PAUSE).await,
             Err(SendError::NoLearner) => return Sent::NobodyThere,
             Err(SendError::Refused(Refusal::Full)) => return Sent::Busy,
             Err(SendError::Refused(Refusal::NameTaken)) => {
