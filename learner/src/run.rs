@@ -72,7 +72,8 @@ struct Publication {
     metrics: Option<LearnerMetrics>,
 }
 
-/// Trains until `shutdown` or the configured number of steps, then saves a checkpoint.
+/// Trains until `shutdown` or the configured number of steps, then saves a checkpoint. Returns `None` if `shutdown` came
+/// before it had begun, for example while it waited for another learner of the run to end.
 ///
 /// With a `feed`, the updating thread requests trajectories between updates, and results do not depend on time: equal
 /// seeds produce equal weights, even after resuming from one of the periodic checkpoints.
@@ -80,11 +81,14 @@ struct Publication {
 /// # Errors
 /// If the feed fails, a setting is invalid, the checkpoint cannot be resumed, the session fails, or the last checkpoint
 /// cannot be written.
-pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Summary> {
+pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Option<Summary>> {
     let folder = options.run_dir.folder();
     fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     // Wait before any cleanup, because another learner may be writing there.
-    let _alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_TIMEOUT).await?;
+    let _alive = tokio::select! {
+        alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_TIMEOUT) => alive?,
+        () = shutdown.cancelled() => return Ok(None),
+    };
     let (setup, resume, checkpoints) = (options.setup.clone(), options.resume.clone(), options.run_dir.checkpoints());
     let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref(), &checkpoints)).await??;
 
@@ -137,7 +141,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     if let Some(server) = Arc::into_inner(server) {
         server.close().await?;
     }
-    report
+    report.map(Some)
 }
 
 async fn publish(

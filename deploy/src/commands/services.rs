@@ -182,12 +182,12 @@ pub(super) async fn actor(setup: ActorSetup, bus: Bus, shutdown: CancellationTok
     Ok(())
 }
 
-/// Runs a learner.
+/// Runs a learner; returns `None` if `shutdown` came before it had begun.
 pub(super) async fn learner(
     options: RunOptions,
     bus: Bus,
     shutdown: CancellationToken,
-) -> Result<learner::Summary, Failure> {
+) -> Result<Option<learner::Summary>, Failure> {
     Ok(learner::run(options, &bus, shutdown).await?)
 }
 

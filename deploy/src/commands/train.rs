@@ -96,7 +96,9 @@ pub(super) async fn run(
     let learner = services::learner(options, bus.clone(), training.clone());
     let (interrupted, told) = (shutdown.clone(), config.evaluator.evaluate_last.then(|| terminal.clone()));
     running.spawn(async move {
-        let report = learner.await?;
+        let Some(report) = learner.await? else {
+            return Err(Failure::Service(anyhow::anyhow!("interrupted before training began; nothing was saved")));
+        };
         if let Some(terminal) = told.filter(|_| !interrupted.is_cancelled()) {
             terminal.print("the last weights are evaluated now; Ctrl-C ends without that");
         }

@@ -50,7 +50,7 @@ async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (Su
     });
     let weights = act(bus, &setup, n_updates).await;
     shutdown.cancel();
-    (learning.await.unwrap().unwrap(), weights)
+    (learning.await.unwrap().unwrap().unwrap(), weights)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -115,8 +115,23 @@ async fn run_ends_at_its_number_of_steps() {
         max_env_steps: Some(0),
         feed: None,
     };
-    let report = run(options, &bus, CancellationToken::new()).await.unwrap();
+    let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
     assert!(report.checkpoint.ends_with("checkpoints/step-0"));
+    bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_learner_that_waits_for_another_one_ends_when_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let _other = bus.declare_alive(proto::Role::Learner, "learner").await.unwrap();
+    let run_dir = RunPaths::new(dir.path().join("run"));
+    let options =
+        RunOptions { setup: small_setup(7), run_dir: run_dir.clone(), resume: None, max_env_steps: None, feed: None };
+    let shutdown = CancellationToken::new();
+    shutdown.cancel();
+    assert_eq!(run(options, &bus, shutdown).await.unwrap(), None);
+    assert!(!run_dir.checkpoints().exists());
     bus.close().await;
 }
