@@ -104,6 +104,9 @@ pub enum Failure {
         /// Episodes that were planned.
         n_planned: u64,
     },
+    /// A signal ended a command that would have written a folder; code 130.
+    #[error("interrupted; {} was not written", .0.display())]
+    NothingWritten(PathBuf),
     /// A service failed while running; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
@@ -181,7 +184,7 @@ impl Failure {
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
             Self::Service(_) | Self::Unhealthy(_) => 1,
-            Self::Interrupted { .. } => INTERRUPTED,
+            Self::Interrupted { .. } | Self::NothingWritten(_) => INTERRUPTED,
         })
     }
 }

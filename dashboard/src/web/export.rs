@@ -1,7 +1,8 @@
 //! A static copy of the page for any web server: every response that a browser could request becomes a file.
 
-use std::fs;
+use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
+use std::{fs, io};
 
 use anyhow::{Context, ensure};
 use axum::Router;
@@ -37,10 +38,11 @@ pub(super) async fn export(
     folder: &Path,
 ) -> anyhow::Result<usize> {
     let unmade = || format!("cannot make the folder {}, which must be new", folder.display());
-    fs::create_dir(folder).with_context(unmade)?;
+    ensure!(!folder.exists(), unmade());
+    let unfinished = Unfinished::create(folder).with_context(unmade)?;
     let bases: Vec<String> = (0..=others.len()).map(routes::base).collect();
     let routes = TowerToHyperService::new(routes::routes(first, others, WebConfig::default()));
-    let mut copy = Copy { routes, folder, n_files: 0 };
+    let mut copy = Copy { routes, folder: &unfinished.0, n_files: 0 };
     for (path, _, text) in ASSETS {
         let text = text.replacen("<html ", "<html data-copy ", usize::from(path == "/"));
         copy.write(if path == "/" { "/index.html" } else { path }, text.as_bytes())?;
@@ -52,7 +54,39 @@ pub(super) async fn export(
     for id in goals {
         copy.take(&format!("/api/picture?id={id}"), &format!("/api/picture/{id}.png")).await?;
     }
-    Ok(copy.n_files)
+    let n_files = copy.n_files;
+    fs::rename(&unfinished.0, folder).with_context(|| format!("cannot rename the copy to {}", folder.display()))?;
+    Ok(n_files)
+}
+
+/// The folder of a copy that is not complete, beside its final place; removed when dropped.
+struct Unfinished(PathBuf);
+
+impl Unfinished {
+    fn create(folder: &Path) -> io::Result<Self> {
+        let mut name = OsString::from(".");
+        name.push(folder.file_name().ok_or(io::ErrorKind::InvalidInput)?);
+        name.push(".part");
+        let path = folder.with_file_name(name);
+        // Left by a process that was killed.
+        match fs::remove_dir_all(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        fs::create_dir(&path)?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        // Nothing is there after the copy was renamed.
+        if let Err(error) = fs::remove_dir_all(&self.0)
+            && error.kind() != io::ErrorKind::NotFound
+        {
+            tracing::warn!(%error, folder = %self.0.display(), "an incomplete copy was left behind");
+        }
+    }
 }
 
 impl Copy<'_> {

@@ -38,7 +38,7 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
         let goals = recorded(named.ids(), &first.about);
         first.about.catalog = named.into_catalog();
         let n_files = tokio::select! {
-            () = shutdown.cancelled() => return Ok(()),
+            () = shutdown.cancelled() => return Err(Failure::NothingWritten(folder.clone())),
             n_files = dashboard::export(first, others, &goals, folder) => n_files?,
         };
         terminal.print(&format!("wrote {n_files} files to {}; any web server can serve them", folder.display()));
