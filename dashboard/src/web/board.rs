@@ -10,6 +10,7 @@ use proto::keys::{METRICS_EVAL_SUMMARY, METRICS_LEARNER};
 use proto::metrics::{ActorMetrics, LearnerMetrics};
 use serde::Serialize;
 use serde_json::json;
+use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 
 use super::events::{Events, Viewers, event};
@@ -57,7 +58,7 @@ pub(super) struct PageCounts {
     pub(super) connections_refused_total: u64,
     /// Connections that exceeded their time limit.
     pub(super) connections_expired_total: u64,
-    /// Requests without the token or with a foreign host name.
+    /// Requests without the token, with a foreign host name, or from another site.
     pub(super) requests_refused_total: u64,
 }
 
@@ -65,6 +66,8 @@ pub(super) struct PageCounts {
 #[derive(Debug, Default)]
 struct Points {
     kept: Vec<Point>,
+    /// The newest, kept or not.
+    newest: Option<Point>,
     /// Number of updates skipped between two kept ones.
     n_skipped: usize,
     n_seen: usize,
@@ -102,7 +105,7 @@ struct HistoryView<'b> {
     schema_version: u32,
     #[serde(flatten)]
     passes: PassesView<'b>,
-    learner: &'b [Point],
+    learner: Vec<&'b Point>,
 }
 
 impl Board {
@@ -174,16 +177,15 @@ impl Board {
         self.state().publish(&axum::body::Bytes::from_static(b": still here\n\n"));
     }
 
-    /// Adds a listener, which first receives the known state. Returns `None` if there are too many. `close` ends its
-    /// connection.
-    pub(super) fn listen(&self, close: CancellationToken) -> Option<Events> {
+    /// Adds a listener, which keeps its `place` and first receives the known state. `close` ends its connection.
+    pub(super) fn listen(&self, close: CancellationToken, place: OwnedSemaphorePermit) -> Events {
         let mut state = self.state();
         let mut first = b"retry: 2000\n\n".to_vec();
         first.extend_from_slice(&event("roster", &json!(state.roster())));
         // Omit results by blueprint: they are part of the history that the page requests.
         let latest = state.latest.iter().filter(|(key, _)| !key.starts_with("eval/"));
         latest.for_each(|(_, text)| first.extend_from_slice(text));
-        state.viewers.add(first.into(), close)
+        state.viewers.add(first.into(), close, place)
     }
 
     /// Returns whether there is anything to show.
@@ -198,7 +200,7 @@ impl Board {
         serde_json::to_vec(&HistoryView {
             schema_version: SCHEMA_VERSION,
             passes: state.passes.view(),
-            learner: &state.points.kept,
+            learner: state.points.all(),
         })
     }
 }
@@ -226,14 +228,20 @@ impl State {
 }
 
 impl Points {
+    /// Returns the points that are kept, and the newest one, which is how a finished run ended.
+    fn all(&self) -> Vec<&Point> {
+        let newest = self
+            .newest
+            .iter()
+            .filter(|newest| self.kept.last().is_none_or(|last| last.n_env_steps < newest.n_env_steps));
+        self.kept.iter().chain(newest).collect()
+    }
+
     fn push(&mut self, learner: &LearnerMetrics) {
         // After a restart from an older checkpoint or from scratch, drop the points that the learner repeats.
         self.kept.retain(|point| point.n_env_steps < learner.n_env_steps);
         self.n_seen += 1;
-        if !self.n_seen.is_multiple_of(self.n_skipped + 1) {
-            return;
-        }
-        self.kept.push(Point {
+        let point = Point {
             elapsed_s: learner.elapsed_s.max(learner.run_elapsed_s),
             n_env_steps: learner.n_env_steps,
             weights_version: learner.weights_version.0,
@@ -249,7 +257,12 @@ impl Points {
                 block_loss: imitation.block_loss,
                 move_loss: imitation.move_loss,
             }),
-        });
+        };
+        self.newest = Some(point.clone());
+        if !self.n_seen.is_multiple_of(self.n_skipped + 1) {
+            return;
+        }
+        self.kept.push(point);
         if self.kept.len() > MAX_POINTS {
             let mut place = 0;
             self.kept.retain(|_| {
@@ -284,6 +297,22 @@ mod tests {
         assert_eq!(labels.map(|name| points[0].get(name)), [None; 3]);
         assert_eq!(labels.map(|name| points[1][name].as_f64()), [0.75, 0.25, 0.5].map(Some));
         assert_eq!([&points[0]["elapsed_s"], &points[1]["elapsed_s"]], [&json!(2520.5), &json!(5000.0)]);
+    }
+
+    #[test]
+    fn history_of_many_updates_ends_with_the_last_one() {
+        let board = Board::default();
+        let mut learner = samples::learner();
+        let n_updates = 2 * MAX_POINTS as u64 + 7;
+        for update in 1..=n_updates {
+            learner.value["n_env_steps"] = (100 * update).into();
+            board.told(News::Metrics(vec![learner.clone()]), Duration::ZERO);
+        }
+        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
+        let points = history["learner"].as_array().unwrap();
+        assert!(points.len() <= MAX_POINTS + 1);
+        assert!(points.is_sorted_by_key(|point| point["n_env_steps"].as_u64()));
+        assert_eq!(points.last().unwrap()["n_env_steps"], json!(100 * n_updates));
     }
 
     #[test]

@@ -6,13 +6,13 @@ use std::task::{Context, Poll};
 
 use axum::body::Bytes;
 use futures_core::Stream;
-use tokio::sync::mpsc;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_util::sync::CancellationToken;
 
 /// Capacity of a browser's event queue. A pass over the whole catalog is a burst of 167.
 const QUEUE: usize = 1024;
 
-/// Maximum number of browsers listening at a time.
+/// Maximum number of browsers listening at a time, to all runs of the page together.
 pub(super) const MAX_VIEWERS: usize = 32;
 
 /// All listening browsers.
@@ -30,6 +30,7 @@ struct Viewer {
 pub(super) struct Events {
     first: Option<Bytes>,
     queue: mpsc::Receiver<Bytes>,
+    _place: OwnedSemaphorePermit,
 }
 
 /// Formats an event. JSON contains no line breaks, so `data` is one line.
@@ -38,15 +39,12 @@ pub(super) fn event(name: &'static str, data: &serde_json::Value) -> Bytes {
 }
 
 impl Viewers {
-    /// Adds a listener that receives `first` before everything else. Returns `None` if there are too many.
-    pub(super) fn add(&mut self, first: Bytes, close: CancellationToken) -> Option<Events> {
+    /// Adds a listener, which keeps its `place` and receives `first` before everything else.
+    pub(super) fn add(&mut self, first: Bytes, close: CancellationToken, place: OwnedSemaphorePermit) -> Events {
         self.0.retain(|viewer| !viewer.queue.is_closed());
-        if self.0.len() >= MAX_VIEWERS {
-            return None;
-        }
         let (sender, queue) = mpsc::channel(QUEUE);
         self.0.push(Viewer { queue: sender, close });
-        Some(Events { first: Some(first), queue })
+        Events { first: Some(first), queue, _place: place }
     }
 
     /// Sends to all listeners. Closes the connections of those with a full queue and returns their number.
@@ -84,29 +82,37 @@ impl Stream for Events {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use tokio::sync::Semaphore;
+
     use super::*;
 
     #[test]
     fn who_does_not_listen_is_dropped_and_the_others_are_not() {
         let mut viewers = Viewers::default();
+        let places = Arc::new(Semaphore::new(2));
+        let place = || places.clone().try_acquire_owned().unwrap();
         let (closed, other_closed) = (CancellationToken::new(), CancellationToken::new());
-        let _slow = viewers.add(Bytes::new(), closed.clone()).unwrap();
+        let _slow = viewers.add(Bytes::new(), closed.clone(), place());
         let text = event("metrics", &serde_json::json!({ "key": "a\nb" }));
         assert_eq!(text, "event: metrics\ndata: {\"key\":\"a\\nb\"}\n\n");
         for _ in 0..QUEUE {
             assert_eq!(viewers.send(&text), 0);
         }
-        let _quick = viewers.add(Bytes::new(), other_closed.clone()).unwrap();
+        let _quick = viewers.add(Bytes::new(), other_closed.clone(), place());
         assert_eq!((viewers.send(&text), viewers.len()), (1, 1));
         assert!(closed.is_cancelled() && !other_closed.is_cancelled());
     }
 
     #[test]
-    fn the_number_of_listeners_is_limited() {
+    fn a_listener_that_is_gone_leaves_its_place() {
         let mut viewers = Viewers::default();
-        let all: Vec<_> = (0..=MAX_VIEWERS).map(|_| viewers.add(Bytes::new(), CancellationToken::new())).collect();
-        assert_eq!(all.iter().filter(|viewer| viewer.is_none()).count(), 1);
-        drop(all);
-        assert!(viewers.add(Bytes::new(), CancellationToken::new()).is_some());
+        let places = Arc::new(Semaphore::new(1));
+        let place = places.clone().try_acquire_owned().unwrap();
+        let listener = viewers.add(Bytes::new(), CancellationToken::new(), place);
+        assert_eq!(places.available_permits(), 0);
+        drop(listener);
+        assert_eq!(places.available_permits(), 1);
     }
 }

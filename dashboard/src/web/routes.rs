@@ -15,11 +15,13 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use blueprints::Catalog;
 use serde::Serialize;
+use tokio::sync::Semaphore;
 use tokio::task::JoinError;
 
 use super::about::{About, Kind, about};
 use super::board::Board;
 use super::drawing::{self, OneCheck};
+use super::events::MAX_VIEWERS;
 use super::films::{FilmView, Films};
 use super::gallery::{self, Gallery};
 use super::prometheus;
@@ -119,6 +121,7 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Rou
         .fallback(StatusCode::NOT_FOUND)
         .layer(Extension(Arc::new(Gallery::default())))
         .layer(Extension(catalog))
+        .layer(Extension(Places(Arc::new(Semaphore::new(MAX_VIEWERS)))))
         .layer(Extension(OneCheck::default()))
         .layer(DefaultBodyLimit::max(drawing::MAX_BYTES))
         .layer(from_fn_with_state(guard, authorize))
@@ -241,14 +244,21 @@ async fn metrics(State(board): State<Arc<Board>>, Extension(run): Extension<Name
     }
 }
 
-async fn events(State(board): State<Arc<Board>>, Extension(connection): Extension<Connection>) -> Response {
-    match board.listen(connection.close.clone()) {
-        Some(events) => {
-            connection.lasts();
-            ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
-        }
-        None => (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "10")], "too many browsers listen\n").into_response(),
-    }
+/// The places for listening browsers, which all runs share.
+#[derive(Clone)]
+struct Places(Arc<Semaphore>);
+
+async fn events(
+    State(board): State<Arc<Board>>,
+    Extension(connection): Extension<Connection>,
+    Extension(places): Extension<Places>,
+) -> Response {
+    let Ok(place) = places.0.try_acquire_owned() else {
+        return (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "10")], "too many browsers listen\n").into_response();
+    };
+    connection.lasts();
+    let events = board.listen(connection.close.clone(), place);
+    ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
 }
 
 /// Returns the newest episode, or 202 while there is none. Each request also triggers the recording of a newer one.
@@ -292,15 +302,15 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
     let Some(token) = &guard.token else {
         // Protects against DNS rebinding: a foreign site may resolve its own name to 127.0.0.1, but the `Host` header
         // reveals it.
-        if is_for_us(request.headers(), &guard.hosts) {
+        let refusal = if !is_for_us(request.headers(), &guard.hosts) {
+            "without a token the page answers to 127.0.0.1, localhost and web.hosts only\n"
+        } else if is_for_another_site(&request) {
+            "without a token the page does not answer to other sites\n"
+        } else {
             return next.run(request).await;
-        }
+        };
         guard.board.state().counts.requests_refused_total += 1;
-        return (
-            StatusCode::FORBIDDEN,
-            "without a token the page answers to 127.0.0.1, localhost and web.hosts only\n",
-        )
-            .into_response();
+        return (StatusCode::FORBIDDEN, refusal).into_response();
     };
     let in_query = request.uri().query().into_iter().flat_map(|query| query.split('&'));
     let in_query = in_query.filter_map(|pair| pair.strip_prefix("token=")).any(|guess| token.is(guess));
@@ -336,6 +346,14 @@ fn in_headers(token: &Token, headers: &HeaderMap) -> bool {
         pairs.any(|(name, guess)| name.starts_with(COOKIE_NAME) && token.is(guess))
     };
     bearer || headers.get_all(COOKIE).iter().map(text).any(in_cookie)
+}
+
+/// Returns whether a browser sends the request on behalf of another site, which could otherwise keep this process busy.
+/// A link to the page is no such request.
+fn is_for_another_site(request: &Request) -> bool {
+    let told = |name: &str| request.headers().get(name).map(HeaderValue::as_bytes);
+    let is_visit = request.method() == Method::GET && told("sec-fetch-dest") == Some(b"document");
+    matches!(told("sec-fetch-site"), Some(b"cross-site" | b"same-site")) && !is_visit
 }
 
 /// Returns whether the request addresses `localhost`, a loopback address or one of `hosts`, with any port.

@@ -197,6 +197,29 @@ async fn only_what_is_meant_to_be_seen_is_served() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn other_sites_may_link_to_the_page_but_not_use_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let served = serve(dir.path(), None).await;
+    let table = [
+        ("/api/history", "cross-site", "empty", 403),
+        ("/api/history", "same-site", "empty", 403),
+        ("/three.js", "cross-site", "script", 403),
+        ("/", "cross-site", "iframe", 403),
+        ("/", "cross-site", "document", 200),
+        ("/api/history", "same-origin", "empty", 200),
+        ("/", "none", "document", 200),
+        ("/healthz", "cross-site", "empty", 200),
+    ];
+    for (path, site, dest, expected) in table {
+        let headers = format!("Sec-Fetch-Site: {site}\r\nSec-Fetch-Dest: {dest}\r\n");
+        assert_eq!(served.status(path, &headers).await, expected, "{path} {site} {dest}");
+    }
+    let metrics = served.get("/metrics").await;
+    assert!(metrics.contains("lodestone_page_dropped_total{run=\"r\",reason=\"request_refused\"} 4\n"), "{metrics}");
+    served.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_token_keeps_others_out_but_not_probes() {
     let dir = tempfile::tempdir().unwrap();
     let served = serve(dir.path(), Some(TOKEN)).await;
