@@ -42,8 +42,11 @@ impl Trends {
         }
     }
 
-    /// Records an evaluation.
+    /// Records an evaluation that has ended. The first episodes of one say little.
     pub(super) fn evaluated(&mut self, summary: &EvalSummary) {
+        if !summary.is_complete {
+            return;
+        }
         let success = [&summary.all.mode.success, &summary.all.sampled.success];
         push(
             &mut self.evaluated,

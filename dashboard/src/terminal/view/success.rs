@@ -19,8 +19,15 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
     let summary = &heard.value;
     let (version, n_env_steps) = (summary.weights_version.0, count(summary.n_env_steps));
     let judged = age(now, heard.at);
+    let title = match n_so_far(summary) {
+        None => format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {judged}"),
+        Some(n) => {
+            let n_planned = summary.n_planned;
+            format!("Success in % so far, {n} of {n_planned} episodes: weights {version}, {n_env_steps} steps")
+        }
+    };
     let mut lines = vec![
-        heading(format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {judged}")),
+        heading(title),
         columns(format!(
             "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
             "group", "        greedy (95 %)", "of", " sampled (95 %)", "of"
@@ -29,6 +36,12 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
     lines.extend(summary.groups.iter().chain([&summary.all]).map(group));
     lines.extend(extremes(&run.judged_blueprints(), summary, width));
     lines
+}
+
+/// Returns the number of episodes of an evaluation that is not complete.
+fn n_so_far(summary: &EvalSummary) -> Option<u64> {
+    let outcomes = [&summary.all.mode.success, &summary.all.sampled.success];
+    (!summary.is_complete).then(|| outcomes.iter().map(|success| success.n_episodes).sum())
 }
 
 fn group(group: &EvalGroup) -> Line<'static> {
@@ -47,7 +60,11 @@ fn group(group: &EvalGroup) -> Line<'static> {
 pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
     let mut blueprints = run.judged_blueprints();
     let judged = run.evaluation().map_or_else(String::new, |heard| {
-        format!(": weights {}, evaluated {}", heard.value.weights_version.0, age(now, heard.at))
+        let version = heard.value.weights_version.0;
+        match n_so_far(&heard.value) {
+            None => format!(": weights {version}, evaluated {}", age(now, heard.at)),
+            Some(n) => format!(" so far, {n} of {} episodes: weights {version}", heard.value.n_planned),
+        }
     });
     // Blueprints without episodes sort last.
     let rate = |blueprint: &EvalBlueprint| {
