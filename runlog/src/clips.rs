@@ -77,7 +77,8 @@ impl ClipName {
 }
 
 impl ClipStore {
-    /// Writes a file atomically through a temporary name, and removes the oldest files beyond the limit.
+    /// Writes a file atomically through a temporary name, and removes the oldest files beyond the limit. Clips of newer
+    /// versions are from before the run went back to an older checkpoint, so they count as the oldest.
     ///
     /// # Errors
     /// If writing fails.
@@ -88,18 +89,18 @@ impl ClipStore {
         let (path, part) = (folder.join(format!("{name}.{kind}")), folder.join(format!(".{name}.{kind}.part")));
         fs::write(&part, bytes)?;
         fs::rename(&part, &path)?;
-        self.remove_old(&folder, label.ending)?;
+        self.remove_old(&folder, label)?;
         Ok(path)
     }
 
-    fn remove_old(&self, folder: &Path, ending: Ending) -> io::Result<()> {
+    fn remove_old(&self, folder: &Path, newest: ClipName) -> io::Result<()> {
         let mut found = Vec::new();
         for entry in fs::read_dir(folder)? {
             let name = entry?.file_name();
             let label = name.to_str().and_then(|name| name.strip_suffix(self.kind)?.strip_suffix('.'));
-            found.extend(label.and_then(ClipName::of).filter(|label| label.ending == ending));
+            found.extend(label.and_then(ClipName::of).filter(|label| label.ending == newest.ending));
         }
-        found.sort_unstable();
+        found.sort_unstable_by_key(|&label| (label.version <= newest.version, label));
         let n_old = found.len().saturating_sub(self.keep);
         found[..n_old]
             .iter()
@@ -172,7 +173,7 @@ mod tests {
         for foreign in ["mine.mp4", "1-success.mp4", "00000001-success.txt"] {
             fs::write(folder.join(foreign), "").unwrap();
         }
-        for version in [1, 3, 2] {
+        for version in [1, 2, 3] {
             store.put(&blueprint, label(version, Ending::Success, 1), b"film").unwrap();
         }
         store.put(&blueprint, label(1, Ending::Failure, 1), b"film").unwrap();
@@ -185,5 +186,17 @@ mod tests {
         let shown: Vec<_> = clips(dir.path()).into_iter().map(|film| (film.version.0, film.ending)).collect();
         assert_eq!(shown, [(3, "success"), (2, "success"), (1, "failure")]);
         assert!(clips(&dir.path().join("nowhere")).is_empty());
+    }
+
+    #[test]
+    fn after_a_return_to_an_older_checkpoint_new_clips_replace_abandoned_ones() {
+        let dir = tempfile::tempdir().unwrap();
+        let store = ClipStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
+        let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
+        let kept = |version| {
+            store.put(&blueprint, label(version, Ending::Success, 1), b"film").unwrap();
+            clips(dir.path()).into_iter().map(|clip| clip.version.0).collect::<Vec<_>>()
+        };
+        assert_eq!([700, 800, 301, 302].map(kept), [vec![700], vec![800, 700], vec![800, 301], vec![302, 301]]);
     }
 }

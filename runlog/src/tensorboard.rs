@@ -129,7 +129,12 @@ pub struct Picture {
 #[derive(Debug)]
 pub struct EventWriter {
     path: PathBuf,
+    /// Open for appending, so that a write follows what is left after a cut record is removed.
     file: File,
+    /// Length of the whole records.
+    n_bytes: u64,
+    /// Whether a write has failed, which may have left a part of its record.
+    is_cut: bool,
 }
 
 impl EventWriter {
@@ -143,7 +148,8 @@ impl EventWriter {
         // Readers require this prefix and read files in name order.
         let name = format!("events.out.tfevents.{now:017.6}.{}", std::process::id());
         let path = folder.join(name);
-        let mut writer = Self { file: File::create_new(&path)?, path };
+        let file = File::options().append(true).create_new(true).open(&path)?;
+        let mut writer = Self { path, file, n_bytes: 0, is_cut: false };
         let file_version = Some("brain.Event:2".to_owned());
         writer.append(&Event { wall_time: now, step: 0, file_version, summary: None })?;
         Ok(writer)
@@ -204,7 +210,16 @@ impl EventWriter {
     }
 
     fn append(&mut self, event: &Event) -> io::Result<()> {
-        self.file.write_all(&record(&event.encode_to_vec()))
+        let bytes = record(&event.encode_to_vec());
+        // Readers stop at a record that is cut short, so nothing after it would ever be seen.
+        if self.is_cut {
+            self.file.set_len(self.n_bytes)?;
+        }
+        self.is_cut = true;
+        self.file.write_all(&bytes)?;
+        self.is_cut = false;
+        self.n_bytes += bytes.len() as u64;
+        Ok(())
     }
 }
 
@@ -334,6 +349,23 @@ mod tests {
         ];
         let wanted = wanted.map(|(name, kind)| (name.to_owned(), Setting { kind: Some(kind) }));
         assert_eq!(session.by_name, BTreeMap::from(wanted));
+    }
+
+    #[test]
+    fn a_record_that_is_cut_short_is_removed_before_the_next() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(dir.path()).unwrap();
+        writer.scalars(1, [("a".to_owned(), 1.0)]).unwrap();
+        // A write that fails in its middle, as on a full disk.
+        let whole = fs::read(writer.path()).unwrap();
+        fs::write(writer.path(), [&whole[..], b"\x10\0\0"].concat()).unwrap();
+        writer.is_cut = true;
+        writer.scalars(2, [("a".to_owned(), 2.0)]).unwrap();
+        let after = fs::read(writer.path()).unwrap();
+        assert_eq!(after[..whole.len()], whole);
+        let length = u64::from_le_bytes(after[whole.len()..][..8].try_into().unwrap()) as usize;
+        assert_eq!(Event::decode(&after[whole.len() + 12..][..length]).unwrap().step, 2);
+        assert_eq!(after.len(), whole.len() + 12 + length + 4);
     }
 
     #[test]

@@ -24,7 +24,8 @@ impl Collector {
         let place = self.begun.iter().position(|segments| segments.last().is_some_and(follows));
         let mut segments = match place {
             Some(place) => self.begun.remove(place),
-            None if segment.first_step == 0 => Vec::new(),
+            // The segments of an episode begin after its burn-in.
+            None if segment.first_step == segment.n_burn_in_steps => Vec::new(),
             None => {
                 self.n_left_out += 1;
                 return None;
@@ -71,6 +72,19 @@ mod tests {
         let episode = collector.add(of_task(2, 2, 4)).unwrap();
         assert_eq!(episode, [of_task(2, 0, 2), of_task(2, 2, 4)]);
         assert_eq!(collector.n_left_out(), 2);
+    }
+
+    #[test]
+    fn an_episode_begins_after_its_burn_in() {
+        let mut collector = Collector::default();
+        let [first, second] = [(1, 3), (3, 4)].map(|(first, last)| {
+            let mut segment = of_task(1, first, last);
+            segment.n_burn_in_steps = 1;
+            segment
+        });
+        assert_eq!(collector.add(second.clone()), None);
+        assert_eq!(collector.add(first.clone()), None);
+        assert_eq!(collector.add(second.clone()), Some(vec![first, second]));
     }
 
     #[test]
