@@ -79,12 +79,10 @@ class Policy:
         batch = target.batch
         if self.native.n_grippers != batch.n_grippers:
             raise ValueError(f"a policy for {self.native.n_grippers} grippers cannot act with {batch.n_grippers}")
-        seen = self._parts(batch.latest, batch.n) if batch.latest is not None and self._sees_what(batch) else None
-        if seen is None:
-            nd, ed, gd = self.native.sizes
-            shapes = ((batch.n, N_BLOCKS, nd), (batch.n, N_EDGES, ed), (batch.n, gd))
-            seen = _three([np.empty(shape, np.float32) for shape in shapes])
-            batch.worlds.observe(self.native.features, seen)
+        nd, ed, gd = self.native.sizes
+        shapes = ((batch.n, N_BLOCKS, nd), (batch.n, N_EDGES, ed), (batch.n, gd))
+        seen = _three([np.empty(shape, np.float32) for shape in shapes])
+        batch.worlds.observe(self.native.features, seen)
         actions, _, _ = self.native.act(*seen, not deterministic)
         return target.put(actions)
 
@@ -112,9 +110,6 @@ class Policy:
         n = len(observation["nodes"]) if isinstance(observation, dict) else len(observation)
         return self.native.act(*self._parts(observation, n), False)[2]
 
-    def _sees_what(self, batch: Batch) -> bool:
-        return batch.worlds.sizes == self.native.sizes and batch.worlds.features == self.native.features
-
     def _parts(self, observation: Observation, n: int) -> Parts:
         nd, ed, gd = self.native.sizes
         shapes = ((n, N_BLOCKS, nd), (n, N_EDGES, ed), (n, gd))
@@ -129,6 +124,8 @@ class Policy:
         for name, part, shape in zip(("nodes", "edges", "globals"), parts, shapes, strict=True):
             if np.size(part) != np.prod(shape):
                 raise ValueError(f"{name} has shape {np.shape(part)}: this policy expects {shape}")
+            if not np.isfinite(part).all():
+                raise ValueError(f"{name} has entries that are not finite")
         pairs = zip(parts, shapes, strict=True)
         return _three([np.ascontiguousarray(part, np.float32).reshape(shape) for part, shape in pairs])
 

@@ -157,7 +157,6 @@ class Batch:
             n, names_of(blueprint), pairs, shuffle_blocks, read_settings(settings), self.features, threads
         )
         self.n_grippers = self.worlds.n_grippers
-        self.latest: Observation | None = None
 
         nd, ed, gd = self.worlds.sizes
         self.shapes = {"nodes": (N_BLOCKS, nd), "edges": (N_EDGES, ed), "globals": (gd,)}
@@ -186,30 +185,22 @@ class Batch:
         """Starts episodes in the worlds selected by `mask` and writes their observations to `out`."""
         seeds = [None if seed is None else int(seed) % 2**64 for seed in seeds]
         blueprint, start = options.get("blueprint"), options.get("start")
-        # If an episode cannot start, the others have started nevertheless.
-        self.latest = None
         self.worlds.reset(mask, seeds, blueprint, start, arrays(out))
-        self.latest = out
 
     def step(
         self, action: Action, resets: NDArray[np.bool_], out: Observation
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float32]]:
         """Steps each world, or starts an episode where `resets` is set. See `Worlds.step` of the native module."""
         choices, moves = self.to_native(action)
-        self.latest = None
-        result = self.worlds.step(choices, moves, resets, arrays(out))
-        self.latest = out
-        return result
+        return self.worlds.step(choices, moves, resets, arrays(out))
 
     def to_native(self, action: Action) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Converts a batch of actions to choices [n, grippers] and moves [n, 16, 6]."""
         if isinstance(action, dict):
             if self.flat_action:
                 raise ValueError("an action is a dictionary: expected flat ones")
-            return (
-                np.ascontiguousarray(action["choices"], np.int64),
-                np.ascontiguousarray(action["moves"], np.float32),
-            )
+            choices, moves = parts_of(action, ("choices", "moves"))
+            return whole_numbers("choices", choices), np.ascontiguousarray(moves, np.float32)
         if not self.flat_action:
             raise ValueError(f"an action is {type(action).__name__}: expected a dictionary of choices and moves")
         flat = np.asarray(action, np.float32)
@@ -245,6 +236,22 @@ def arrays(observation: Observation) -> list[NDArray[np.float32]]:
     if isinstance(observation, dict):
         return [observation["nodes"], observation["edges"], observation["globals"]]
     return [observation]
+
+
+def parts_of(action: Mapping[str, Any], names: Sequence[str]) -> list[Any]:
+    """Returns the named parts of an action; raises ValueError if one is missing."""
+    for name in names:
+        if name not in action:
+            raise ValueError(f"an action has no {name}: expected a dictionary of {' and '.join(names)}")
+    return [action[name] for name in names]
+
+
+def whole_numbers(name: str, values: Any) -> NDArray[np.int64]:
+    """Converts an array of integers, or raises ValueError."""
+    values = np.asarray(values)
+    if not np.issubdtype(values.dtype, np.integer):
+        raise ValueError(f"{name} has the type {values.dtype}: expected whole numbers")
+    return np.ascontiguousarray(values, np.int64)
 
 
 def row_of(batch: Any, row: int) -> Any:

@@ -107,10 +107,18 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
 
 def checked(options: Options | Mapping[str, Any] | None) -> Mapping[str, Any]:
     """Validates the options of `reset` and returns them, or an empty mapping for None."""
-    options = {} if options is None else options
+    options = mapping(options)
     for name, value in options.items():
         if name not in ("blueprint", "start"):
             raise ValueError(f"option {name!r} is unknown: expected blueprint or start")
         if not (value is None or isinstance(value, str)):
             raise ValueError(f"option {name!r} is {value!r}: expected a text")
+    return options
+
+
+def mapping(options: Any) -> Mapping[str, Any]:
+    """Returns the options, or an empty mapping for None; raises ValueError if they are something else."""
+    options = {} if options is None else options
+    if not isinstance(options, Mapping):
+        raise ValueError(f"options are {options!r}: expected a dictionary")
     return options

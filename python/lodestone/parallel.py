@@ -17,8 +17,20 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from lodestone.batch import DIVERGED, N_BLOCKS, N_FLAT, N_MOVES, SUCCESS, TIME_LIMIT, Batch, arrays, unflatten
-from lodestone.env import checked
+from lodestone.batch import (
+    DIVERGED,
+    N_BLOCKS,
+    N_FLAT,
+    N_MOVES,
+    SUCCESS,
+    TIME_LIMIT,
+    Batch,
+    arrays,
+    parts_of,
+    unflatten,
+    whole_numbers,
+)
+from lodestone.env import checked, mapping
 from lodestone.window import Window
 
 _ONE = np.ones(1, np.bool_)
@@ -88,7 +100,7 @@ class AssemblyParallelEnv(ParallelEnv):
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Starts an episode; `options` may name a `blueprint` and a `start`."""
         # PettingZoo's API test passes {"options": 1} and expects no error.
-        options = checked({name: value for name, value in (options or {}).items() if name != "options"})
+        options = checked({name: value for name, value in mapping(options).items() if name != "options"})
         if seed is not None or self._random is None:
             self._random, _ = seeding.np_random(seed)
             seed = seed if seed is not None else int(self._random.integers(2**63))
@@ -167,13 +179,16 @@ class AssemblyParallelEnv(ParallelEnv):
                 raise ValueError(f"no action for agent {agent}")
             action = actions[agent]
             if self.flat_action:
-                flat[0, gripper] = action
+                flat[0, gripper] = _numbers(f"the action of {agent}", action, N_FLAT)
                 continue
-            choice = int(action["choice"])
+            if not isinstance(action, Mapping):
+                raise ValueError(f"the action of {agent} is {action!r}: expected a dictionary of choice and move")
+            choice, move = parts_of(action, ("choice", "move"))
+            choice = int(whole_numbers(f"the choice of {agent}", choice).reshape(()))
             if not 0 <= choice < N_BLOCKS:
                 raise ValueError(f"the choice of {agent} is {choice}: expected a block from 0 to {N_BLOCKS - 1}")
             flat[0, gripper, choice] = 1.0
-            flat[0, gripper, N_BLOCKS:] = action["move"]
+            flat[0, gripper, N_BLOCKS:] = _numbers(f"the move of {agent}", move, N_MOVES)
         if self.flat_action:
             return flat
         choices, moves = unflatten(flat)
@@ -196,6 +211,13 @@ class AssemblyParallelEnv(ParallelEnv):
             if self._window is None:
                 self._window = Window("Lodestone", self.render_size, self.metadata["render_fps"])
             self._window.show(self.batch.worlds.picture(0, *self.render_size))
+
+
+def _numbers(name: str, values: Any, n: int) -> NDArray[np.float32]:
+    values = np.asarray(values, np.float32)
+    if values.shape != (n,):
+        raise ValueError(f"{name} has shape {values.shape}: expected ({n},)")
+    return values
 
 
 def parallel_env(**kwargs: Any) -> AssemblyParallelEnv:

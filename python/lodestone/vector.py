@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from lodestone.batch import DIVERGED, SUCCESS, TIME_LIMIT, Action, Batch, Observation, arrays, row_of
-from lodestone.env import checked
+from lodestone.batch import DIVERGED, SUCCESS, TIME_LIMIT, Action, Batch, Observation, row_of
+from lodestone.env import checked, mapping
 
 
 class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
     """`AssemblyEnv` worlds that step in parallel on native threads, without the global interpreter lock.
 
     Behaves like `gymnasium.vector.SyncVectorEnv` over the same number of `AssemblyEnv`s: world i yields the same
-    episodes as an environment reset with seed + i. Features are written directly into the returned arrays.
+    episodes as an environment reset with seed + i.
 
     Args:
         num_envs: Number of worlds.
@@ -58,7 +59,10 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         self.single_action_space = self.batch.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._observation: Observation | None = None
+        # With `copy`, callers never see these arrays.
+        self._observation = self.batch.empty()
+        # Whether no episode has begun yet.
+        self.is_new = True
         self._ended = np.zeros(num_envs, np.bool_)
         self._seeded = np.zeros(num_envs, np.bool_)
 
@@ -69,7 +73,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
 
         A single seed expands to seed, seed + 1, and so on. `options` may also set a `blueprint` and a `start`.
         """
-        options = dict(options or {})
+        options = dict(mapping(options))
         mask = self._mask(options.pop("reset_mask", None))
         options = checked(options)
         if isinstance(seed, (int, np.integer)):
@@ -81,15 +85,11 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         for row in np.flatnonzero(mask & ~self._seeded).tolist():
             if seeds[row] is None:
                 seeds[row] = int(self.np_random.integers(2**63))
-        out = self._arrays()
-        if self._observation is not None and out is not self._observation and not mask.all():
-            for new, old in zip(arrays(out), arrays(self._observation), strict=True):
-                new[:] = old
-        self.batch.reset(mask, seeds, options, out)
-        self._observation = out
+        self.batch.reset(mask, seeds, options, self._observation)
+        self.is_new = False
         self._seeded |= mask
         self._ended &= ~mask
-        return out, self._with_episodes({}, mask)
+        return self._observed(), self._with_episodes({}, mask)
 
     def step(
         self, actions: Action
@@ -99,9 +99,8 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         if self.autoreset_mode == AutoresetMode.DISABLED and resets.any():
             row = int(np.flatnonzero(resets)[0])
             raise ValueError(f"the episode of environment {row} has ended: reset it with options['reset_mask']")
-        out = self._arrays()
+        out = self._observation
         rewards, statuses, terms = self.batch.step(actions, resets, out)
-        self._observation = out
         terminations = statuses == SUCCESS
         truncations = (statuses == TIME_LIMIT) | (statuses == DIVERGED)
         ended = terminations | truncations
@@ -121,7 +120,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
             for name, values in (("is_success", terminations & stepped), ("diverged", diverged)):
                 infos[name], infos[f"_{name}"] = values, stepped.copy()
             infos["reward_terms"], infos["_reward_terms"] = np.where(stepped[:, None], terms, 0), stepped.copy()
-        return out, rewards, terminations, truncations, self._with_episodes(infos, resets)
+        return self._observed(), rewards, terminations, truncations, self._with_episodes(infos, resets)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Returns an image of each world with its goal in the corner, [height, width, 3] of unsigned bytes."""
@@ -133,13 +132,8 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         """Returns the state of a world in the format of `AssemblyEnv.scene`."""
         return self.batch.worlds.scene(row)
 
-    @property
-    def is_new(self) -> bool:
-        """Whether no episode has begun yet."""
-        return self._observation is None
-
-    def _arrays(self) -> Observation:
-        return self.batch.empty() if self.copy or self._observation is None else self._observation
+    def _observed(self) -> Observation:
+        return deepcopy(self._observation) if self.copy else self._observation
 
     def _mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import unittest
 import warnings
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -183,6 +184,12 @@ class SingleEnvironment(unittest.TestCase):
             env.step({**idle, "choices": np.array([0, 16])})
         with self.assertRaisesRegex(ValueError, r"moves has shape \[1, 16, 5\]"):
             env.step({**idle, "moves": np.zeros((16, 5), np.float32)})
+        with self.assertRaisesRegex(ValueError, "choices has the type float64: expected whole numbers"):
+            env.step({**idle, "choices": np.array([0.0, 1.9])})
+        with self.assertRaisesRegex(ValueError, "no choices: expected a dictionary of choices and moves"):
+            env.step({"choice": 1, "moves": idle["moves"]})
+        with self.assertRaisesRegex(ValueError, "options are 3: expected a dictionary"):
+            env.reset(options=3)
         with self.assertRaisesRegex(ValueError, "option 'blueprnt' is unknown"):
             env.reset(options={"blueprnt": "2_000"})
         with self.assertRaisesRegex(ValueError, '"nowhere" is unknown'):
@@ -294,6 +301,21 @@ class VectorEnvironment(unittest.TestCase):
             second = envs.step(envs.action_space.sample())[0]
             self.assertEqual(second["nodes"] is first["nodes"], not copy)
             self.assertEqual(np.array_equal(first["nodes"], kept), copy)
+
+    def test_what_a_caller_does_to_an_observation_stays_with_the_caller(self) -> None:
+        for form in ("features", "flat"):
+            envs = gymnasium.make_vec(
+                ID, num_envs=2, blueprint="3_000", observation=form, autoreset_mode=AutoresetMode.DISABLED
+            )
+            first, _ = envs.reset(seed=1)
+            policy = lodestone.Policy.pretrained()
+            before, kept = policy.act(envs), deepcopy(first)
+            for array in first.values() if isinstance(first, dict) else [first]:
+                array /= 256
+            self.assertTrue(data_equivalence(policy.act(envs), before, exact=True))
+            mask = np.array([True, False])
+            again, _ = envs.reset(seed=[1, None], options={"reset_mask": mask})
+            self.assertTrue(data_equivalence(again, kept, exact=True))
 
     def test_wrappers_of_gymnasium_work(self) -> None:
         envs = gymnasium.make_vec(ID, num_envs=3, **SHORT)

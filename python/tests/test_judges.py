@@ -77,6 +77,18 @@ class PettingZoo(unittest.TestCase):
             env.step({"gripper_0": {"choice": 0, "move": np.zeros(6, np.float32)}})
         with self.assertRaisesRegex(ValueError, "choice of gripper_0 is 16"):
             env.step({agent: {"choice": 16, "move": np.zeros(6, np.float32)} for agent in env.agents})
+        for action, error in (
+            ({"choice": 1.9, "move": np.zeros(6)}, "choice of gripper_0 has the type float64"),
+            ({"choice": 1, "move": 0.3}, r"move of gripper_0 has shape \(\): expected \(6,\)"),
+            ({"choice": 1}, "no move: expected a dictionary of choice and move"),
+            (1, "action of gripper_0 is 1: expected a dictionary"),
+        ):
+            with self.subTest(action), self.assertRaisesRegex(ValueError, error):
+                env.step(dict.fromkeys(env.agents, action))
+        flat = parallel_env(blueprint="2_000", action="flat")
+        flat.reset(seed=1)
+        with self.assertRaisesRegex(ValueError, r"action of gripper_0 has shape \(\): expected \(22,\)"):
+            flat.step(dict.fromkeys(flat.agents, 0.5))
         before = env.scene()["positions"]
         with self.assertRaisesRegex(ValueError, "option 'blueprnt' is unknown: expected blueprint or start"):
             env.reset(options={"blueprnt": "2_000"})
