@@ -25,12 +25,23 @@ const AMPLE_MARGIN_U: f64 = 0.35;
 /// Maximum number of intermediate structures that a search visits on one side.
 const MAX_VISITS: usize = 4000;
 
-/// The blueprint has no assembly order.
+/// No assembly order was found.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("whichever side it lies on, it cannot be put together block by block: blocks {missing:?} are never reached")]
+#[error("{}: blocks {missing:?} are never reached", impossible(*gave_up))]
 pub struct NoAssembly {
     /// The blocks missing from the largest structure that the search reached on any side.
     pub missing: Vec<BlockIdx>,
+    /// Whether the search visited too many structures on some side to prove that there is no order.
+    pub gave_up: bool,
+}
+
+/// Says that no order was found, and whether there may be one.
+pub(crate) fn impossible(gave_up: bool) -> &'static str {
+    if gave_up {
+        "the search for an order in which it can be put together block by block gave up"
+    } else {
+        "whichever side it lies on, it cannot be put together block by block"
+    }
 }
 
 /// The assembly orders of a blueprint. Queries take `&mut self` to cache results that depend only on the blueprint.
@@ -50,11 +61,13 @@ struct Side {
     safe: BTreeMap<Parts, bool>,
     /// The largest structure reached.
     furthest: Parts,
+    /// Whether a search ended at [`MAX_VISITS`].
+    gave_up: bool,
 }
 
 impl Side {
     fn new(up: [i32; 3]) -> Self {
-        Self { up, safe: BTreeMap::new(), furthest: Parts::default() }
+        Self { up, safe: BTreeMap::new(), furthest: Parts::default(), gave_up: false }
     }
 }
 
@@ -72,14 +85,17 @@ impl Assembly {
         let geometry = Geometry::new(placements);
         let blocks = placements.iter().map(|p| p.block).collect();
         let mut ranked = Vec::new();
-        let mut furthest = Parts::default();
+        let (mut furthest, mut gave_up) = (Parts::default(), false);
         for up in UPS {
             let mut side = Side::new(up);
             if let Some(margin_u) = side.least_margin(&geometry) {
                 let ample = margin_u.min(AMPLE_MARGIN_U);
                 ranked.push((ample - 0.05 * f64::from(geometry.height(up)), side));
-            } else if side.furthest.len() > furthest.len() {
-                furthest = side.furthest;
+            } else {
+                gave_up |= side.gave_up;
+                if side.furthest.len() > furthest.len() {
+                    furthest = side.furthest;
+                }
             }
         }
         // The sort is stable, so the drawing's own up direction wins ties.
@@ -87,7 +103,7 @@ impl Assembly {
         let sides: Vec<Side> = ranked.into_iter().map(|(_, side)| side).collect();
         if sides.is_empty() {
             let missing = geometry.all().without(furthest).iter().map(|part| placements[part].block).collect();
-            return Err(NoAssembly { missing });
+            return Err(NoAssembly { missing, gave_up });
         }
         Ok(Self { geometry, blocks, sides })
     }
@@ -204,13 +220,18 @@ impl Side {
         if let Some(&known) = self.safe.get(&placed) {
             return known;
         }
-        if *visits == 0 {
-            return false;
-        }
-        *visits -= 1;
         if placed.len() > self.furthest.len() {
             self.furthest = placed;
         }
+        // Without this, the search would visit every structure that can be built around a part that is shut out.
+        if geometry.all().without(placed).iter().any(|part| geometry.is_shut_out(placed, part, self.up)) {
+            return false;
+        }
+        if *visits == 0 {
+            self.gave_up = true;
+            return false;
+        }
+        *visits -= 1;
         let candidates = self.candidates(geometry, placed);
         let safe = candidates.into_iter().any(|part| self.search(geometry, placed.with(part), visits));
         // A search that was cut short proves nothing, so do not cache it.

@@ -500,15 +500,21 @@ impl<'a> Structure<'a> {
     }
 
     fn assembly(&self) -> Result<(), BlueprintError> {
-        Assembly::of_placements(self.placements).map(|_| ()).map_err(|NoAssembly { missing }| {
+        // In the order of the blueprint, because the search depends on it among equals.
+        Assembly::of_placements(&self.by_block()).map(|_| ()).map_err(|NoAssembly { missing, gave_up }| {
             let name = |block: &BlockIdx| self.placements.iter().position(|p| p.block == *block).map(|i| self.name(i));
-            BlueprintError::NoAssembly { blocks: missing.iter().filter_map(name).collect() }
+            BlueprintError::NoAssembly { blocks: missing.iter().filter_map(name).collect(), gave_up }
         })
     }
 
-    fn blueprint(&self) -> Blueprint {
+    fn by_block(&self) -> Vec<Placement> {
         let mut placements = self.placements.to_vec();
         placements.sort_by_key(|p| p.block);
+        placements
+    }
+
+    fn blueprint(&self) -> Blueprint {
+        let placements = self.by_block();
         let mut links = Vec::new();
         for (i, a) in placements.iter().enumerate() {
             for b in &placements[i + 1..] {

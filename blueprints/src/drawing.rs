@@ -165,7 +165,9 @@ impl Drawing {
                     found.problems.push(self.explain(&error, &placements));
                     // A structure that is too weak nearly always lacks an assembly order too, and that error names the
                     // blocks at fault.
-                    if let (false, Err(NoAssembly { missing })) = (is_assembly, Assembly::of_placements(&placements)) {
+                    if let (false, Err(NoAssembly { missing, .. })) =
+                        (is_assembly, Assembly::of_placements(&placements))
+                    {
                         found.problems.push(self.unreached(&missing, &placements));
                     }
                 }
@@ -286,7 +288,7 @@ impl Drawing {
                 let words = "are pulled apart: too much hangs on their magnets";
                 self.problem(Check::Strength, of_blocks(&named, placements), words)
             }
-            BlueprintError::NoAssembly { blocks } => {
+            BlueprintError::NoAssembly { blocks, .. } => {
                 self.unreached(&blocks.iter().filter_map(find).collect::<Vec<_>>(), placements)
             }
             _ => Problem { check: Check::Format, blocks: Vec::new(), text: error.to_string() },

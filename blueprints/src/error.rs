@@ -1,6 +1,7 @@
 //! Errors of blueprint files.
 
 use crate::BlueprintId;
+use crate::assembly::impossible;
 
 /// An error in a blueprint's text or structure. Blocks are named as in the file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -125,12 +126,12 @@ pub enum BlueprintError {
         max_force_n: f64,
         max_torque_nm: f64,
     },
-    /// The structure has no assembly order.
+    /// No assembly order was found; `gave_up` says that there may be one.
     #[error(
-        "whichever side it lies on, it cannot be put together block by block so that all stands and each block has a \
-         straight way in: blocks {blocks:?} are never reached"
+        "{} so that all stands and each block has a straight way in: blocks {blocks:?} are never reached",
+        impossible(*gave_up)
     )]
-    NoAssembly { blocks: Vec<String> },
+    NoAssembly { blocks: Vec<String>, gave_up: bool },
 }
 
 /// Advice about two blocks that repel. An enum, because a string would make every error larger.

@@ -177,17 +177,27 @@ impl Geometry {
         })
     }
 
-    /// Returns the directions in which a group can leave every face that it touches.
-    fn directions(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Vec<[i32; 3]> {
+    /// Returns whether the part can be added neither to `placed` nor to anything built on it: it would be between two
+    /// placed parts, or hang below one.
+    pub(super) fn is_shut_out(&self, placed: Parts, part: usize, up: [i32; 3]) -> bool {
+        is_blocked(self.touched(placed, Parts::one(part)), up)
+    }
+
+    /// Returns on which sides a group touches `placed`: entry `d` is whether it lies in direction `d` from a part.
+    fn touched(&self, placed: Parts, group: Parts) -> [bool; 6] {
         let mut sides = [false; 6];
         for part in group.iter() {
             for (side, others) in sides.iter_mut().zip(&self.contacts[part]) {
                 *side |= !others.intersection(placed).is_empty();
             }
         }
-        let squeezed = (0..3).any(|axis| sides[2 * axis] && sides[2 * axis + 1]);
-        let hangs = sides[direction_idx(up.map(|x| -x))];
-        if squeezed || hangs || sides.iter().all(|&side| !side) {
+        sides
+    }
+
+    /// Returns the directions in which a group can leave every face that it touches.
+    fn directions(&self, placed: Parts, group: Parts, up: [i32; 3]) -> Vec<[i32; 3]> {
+        let sides = self.touched(placed, group);
+        if is_blocked(sides, up) || sides.iter().all(|&side| !side) {
             return Vec::new();
         }
         let away: [i32; 3] = std::array::from_fn(|axis| i32::from(sides[2 * axis]) - i32::from(sides[2 * axis + 1]));
@@ -271,6 +281,12 @@ impl Box3 {
         let shares = (0..3).all(|k| k == axis || overlap(k) > 0);
         shares.then(|| 2 * axis + usize::from(self.low[axis] < other.low[axis]))
     }
+}
+
+/// Returns whether faces touched on these sides leave no straight way out, except from below.
+fn is_blocked(sides: [bool; 6], up: [i32; 3]) -> bool {
+    let is_squeezed = (0..3).any(|axis| sides[2 * axis] && sides[2 * axis + 1]);
+    is_squeezed || sides[direction_idx(up.map(|x| -x))]
 }
 
 fn axis_of(direction: [i32; 3]) -> usize {

@@ -11,7 +11,7 @@ fn assembly_error_names_the_unplaced_blocks() {
     let id: BlueprintId = "7_999".parse().unwrap();
     let draft = Draft::of_placements(id, Split::Train, "jack".to_owned(), &placements, inventory);
     let error = Structure::new(&draft, &placements, inventory).assembly().unwrap_err();
-    let BlueprintError::NoAssembly { blocks } = &error else { panic!("{error}") };
+    let BlueprintError::NoAssembly { blocks, gave_up: false } = &error else { panic!("{error}") };
     assert!(!blocks.is_empty() && blocks.iter().all(|name| draft.blocks.iter().any(|b| b.name == *name)), "{error}");
 }
 
@@ -91,4 +91,64 @@ fn blocks_without_axes_are_not_told_to_leave_them_out() {
     assert_eq!(advice(""), "no turns let all blocks attract, so move one, or let it lie another way with `size`");
     let turned = ",\n{ name = \"e\", type = \"1x1x1\", at = [0, 1, 2], axes = \"+x +y\" }";
     assert_eq!(advice(turned), "move one, or leave out the `axes` of the blocks around them");
+}
+
+/// A cube between two slabs that a beam joins, and eleven blocks that can be placed at any time.
+const TRAP: &str = r#"
+blocks = [
+{ name = "C", type = "4x1x1", at = [1,-1,0], size = [4,1,1] },
+{ name = "X", type = "3x2x1", at = [0,0,0], size = [3,2,1] },
+{ name = "Y", type = "3x2x1", at = [4,0,0], size = [3,2,1] },
+{ name = "m", type = "1x1x1", at = [3,0,0] },
+{ name = "L1", type = "2x1x1", at = [0,2,0], size = [1,2,1] },
+{ name = "L2", type = "3x1x1", at = [2,2,0], size = [1,3,1] },
+{ name = "L3", type = "2x1x1", at = [4,2,0], size = [1,2,1] },
+{ name = "L4", type = "3x1x1", at = [6,2,0], size = [1,3,1] },
+{ name = "L5", type = "2x1x1", at = [-2,1,0], size = [2,1,1] },
+{ name = "L6", type = "2x1x1", at = [7,1,0], size = [2,1,1] },
+{ name = "L7", type = "1x1x1", at = [0,-1,0] },
+{ name = "L8", type = "1x1x1", at = [6,-1,0] },
+{ name = "L9", type = "2x2x1", at = [1,-3,0], size = [2,2,1] },
+{ name = "L10",type = "4x1x1", at = [4,-5,0], size = [1,4,1] },
+{ name = "L11",type = "1x1x1", at = [5,0,1] },
+{ name = "L12",type = "2x2x1", at = [0,0,1], size = [2,2,1] },
+]
+"#;
+
+/// A slab between two beams, listed before them.
+const UNORDERED: &str = r#"
+blocks = [
+{ name = "C", type = "3x2x1", at = [0,-3,0], size = [2,3,1] },
+{ name = "m", type = "2x2x1", at = [0,0,0], size = [2,2,1] },
+{ name = "X", type = "4x1x1", at = [-1,-2,0], size = [1,4,1] },
+{ name = "Y", type = "4x1x1", at = [2,-2,0], size = [1,4,1] },
+{ name = "L1", type = "3x1x1", at = [-4,-2,0], size = [3,1,1] },
+{ name = "L2", type = "3x1x1", at = [-4,0,0], size = [3,1,1] },
+{ name = "L3", type = "2x2x1", at = [-2,2,0], size = [2,2,1] },
+{ name = "L4", type = "1x1x1", at = [-1,-3,0] },
+{ name = "L5", type = "2x1x1", at = [3,-2,0], size = [2,1,1] },
+{ name = "L6", type = "1x1x1", at = [3,0,0] },
+{ name = "L7", type = "2x1x1", at = [2,2,0], size = [1,2,1] },
+{ name = "L8", type = "1x1x1", at = [2,-3,0] },
+{ name = "L9", type = "2x1x1", at = [1,-5,0], size = [1,2,1] },
+{ name = "L10",type = "3x2x1", at = [0,-3,1], size = [2,3,1] },
+{ name = "L11",type = "1x1x1", at = [-1,1,1] },
+{ name = "L12",type = "2x1x1", at = [2,0,1], size = [1,2,1] },
+]
+"#;
+
+#[test]
+fn many_independent_blocks_do_not_exhaust_the_search() {
+    let report = check_text("trap.toml", TRAP);
+    assert_eq!(failures(&report), []);
+    assert!(report.blueprint.unwrap().plan().is_some());
+}
+
+#[test]
+fn the_order_of_blocks_in_a_file_does_not_matter() {
+    let report = check_text("unordered.toml", UNORDERED);
+    assert_eq!(failures(&report), []);
+    assert!(report.blueprint.unwrap().plan().is_some());
+    // The completed text lists the blocks in another order.
+    assert_eq!(failures(&check_text("again.toml", &report.completed.unwrap())), []);
 }
