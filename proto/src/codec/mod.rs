@@ -13,6 +13,7 @@ mod weights;
 
 use prost::Message;
 use prost::bytes::Buf;
+use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 
 pub use error::DecodeError;
 pub use prost::bytes::Bytes;
@@ -32,10 +33,44 @@ const MAX_SMALL_BYTES: usize = 4096;
 
 /// Parses `bytes` if they are at most `limit` long.
 fn parse<M: Message + Default>(message: &'static str, bytes: impl Buf, limit: usize) -> Result<M, DecodeError> {
-    if bytes.remaining() > limit {
-        return Err(DecodeError::TooLarge { message, bytes: bytes.remaining(), limit });
-    }
+    check_size(message, bytes.remaining(), limit)?;
     M::decode(bytes).map_err(|source| DecodeError::Malformed { message, source })
+}
+
+fn check_size(message: &'static str, bytes: usize, limit: usize) -> Result<(), DecodeError> {
+    if bytes > limit { Err(DecodeError::TooLarge { message, bytes, limit }) } else { Ok(()) }
+}
+
+/// Returns the bytes of each element of the repeated field `tag` of messages, or an error that says what is `expected`
+/// if there are more than `limit`.
+///
+/// An empty element is two bytes long and becomes a value of hundreds of bytes, so this check comes before parsing.
+fn elements<'b>(
+    message: &'static str,
+    (field, tag): (&'static str, u32),
+    mut bytes: &'b [u8],
+    (limit, expected): (usize, &'static str),
+) -> Result<Vec<&'b [u8]>, DecodeError> {
+    let malformed = |source| DecodeError::Malformed { message, source };
+    let mut found = Vec::new();
+    while !bytes.is_empty() {
+        let (key, wire_type) = decode_key(&mut bytes).map_err(malformed)?;
+        if (key, wire_type) != (tag, WireType::LengthDelimited) {
+            skip_field(wire_type, key, &mut bytes, DecodeContext::default()).map_err(malformed)?;
+            continue;
+        }
+        if found.len() == limit {
+            return Err(check::invalid(field, format!("more than {limit}"), expected));
+        }
+        let length = decode_varint(&mut bytes).map_err(malformed)?;
+        // A length beyond the end is left to the parser, which has an error for it.
+        let Some((element, rest)) = usize::try_from(length).ok().and_then(|n| bytes.split_at_checked(n)) else {
+            return Ok(found);
+        };
+        found.push(element);
+        bytes = rest;
+    }
+    Ok(found)
 }
 
 fn check_version(found: u32) -> Result<(), DecodeError> {

@@ -8,7 +8,7 @@ use super::scene::{
     action_from_wire, action_to_wire, reward_from_wire, reward_to_wire, scene_from_wire, scene_to_wire,
 };
 use super::scene::{label_from_wire, label_to_wire};
-use super::{DecodeError, PROTOCOL_VERSION, check_version, parse};
+use super::{DecodeError, PROTOCOL_VERSION, check_size, check_version, elements, parse};
 use crate::{ActorId, Driver, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire};
 
 /// Maximum length of a segment, in steps.
@@ -16,6 +16,9 @@ pub const MAX_SEGMENT_STEPS: usize = 1000;
 
 /// Maximum size of an encoded trajectory, in bytes: 1001 scenes with all possible joints.
 pub const MAX_TRAJECTORY_BYTES: usize = 8 << 20;
+
+/// Number of the field `transitions` of `Trajectory`.
+const TRANSITIONS: u32 = 8;
 
 /// Encodes a trajectory.
 pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
@@ -52,6 +55,8 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
 /// # Errors
 /// The error names the first field that breaks a rule, and its value.
 pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
+    check_size("Trajectory", bytes.len(), MAX_TRAJECTORY_BYTES)?;
+    elements("Trajectory", ("transitions", TRANSITIONS), bytes, (MAX_SEGMENT_STEPS, "1 to 1000 steps"))?;
     let message: wire::Trajectory = parse("Trajectory", bytes, MAX_TRAJECTORY_BYTES)?;
     check_version(message.protocol_version)?;
     let n_transitions = message.transitions.len();
@@ -110,8 +115,8 @@ fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
 }
 
 fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
-    if trajectory.n_burn_in_steps > trajectory.first_step {
-        return Err(invalid("n_burn_in_steps", trajectory.n_burn_in_steps, "at most first_step"));
+    if ![0, trajectory.first_step].contains(&trajectory.n_burn_in_steps) {
+        return Err(invalid("n_burn_in_steps", trajectory.n_burn_in_steps, "0, or first_step on the first segment"));
     }
     let ended = trajectory.status != Status::Running;
     let Some(outcome) = trajectory.outcome else {

@@ -7,7 +7,7 @@ use super::error::DecodeError;
 use super::scene::{reward_from_wire, reward_to_wire};
 use super::trajectory::{task_from_wire, task_to_wire};
 use super::weights::{MAX_WEIGHTS_BYTES, weights_from_wire, weights_to_wire};
-use super::{PROTOCOL_VERSION, check_version, parse};
+use super::{PROTOCOL_VERSION, check_size, check_version, elements, parse};
 use crate::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, MAX_UNIT_SEQUENCES, PassId};
 use crate::wire;
 
@@ -19,6 +19,12 @@ const MAX_ANSWER_BYTES: usize = 8 << 20;
 
 /// Maximum length of a refusal's reason, in characters.
 const MAX_REFUSAL_CHARS: usize = 500;
+
+/// Number of the field `sequences` of `EvalUnit`.
+const SEQUENCES: u32 = 7;
+
+/// Number of the field `tasks` of `EvalLane`.
+const TASKS: u32 = 1;
 
 /// Encodes a unit.
 pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
@@ -40,6 +46,11 @@ pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
 /// # Errors
 /// The error names the first field that breaks a rule, and its value.
 pub fn decode_unit(bytes: &[u8]) -> Result<EvalUnit, DecodeError> {
+    check_size("EvalUnit", bytes.len(), MAX_UNIT_BYTES)?;
+    let limit = (MAX_UNIT_SEQUENCES, "1 to 1000");
+    for sequence in elements("EvalUnit", ("sequences", SEQUENCES), bytes, limit)? {
+        elements("EvalUnit", ("sequences.tasks", TASKS), sequence, limit)?;
+    }
     let message: wire::EvalUnit = parse("EvalUnit", bytes, MAX_UNIT_BYTES)?;
     check_version(message.protocol_version)?;
     check_count("sequences", message.sequences.len())?;

@@ -113,7 +113,8 @@ prop_compose! {
         actor in "[a-z0-9-]{1,64}",
         [epoch, seq, version] in any::<[u64; 3]>(),
         task in task(),
-        [first_step, burn_in] in prop::array::uniform2(0..60_000u16),
+        first_step in 0..60_000u16,
+        is_after_burn_in in any::<bool>(),
         transitions in prop::collection::vec(transition(two_grippers), 1..4),
         last_scene in scene(two_grippers),
         status in prop::sample::select(vec![Status::Running, Status::Success, Status::TimeLimit]),
@@ -126,7 +127,7 @@ prop_compose! {
         let success = status == Status::Success || lucky;
         Trajectory {
             actor: actor.parse().unwrap(), epoch, seq, weights_version: WeightsVersion(version), task,
-            driver, first_step, n_burn_in_steps: burn_in.min(first_step),
+            driver, first_step, n_burn_in_steps: if is_after_burn_in { first_step } else { 0 },
             transitions, last_scene, status,
             bootstrap_value: if status == Status::Success { 0.0 } else { bootstrap },
             outcome: (status != Status::Running).then_some(Outcome { success, n_steps, episode_return }),

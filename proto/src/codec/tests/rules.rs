@@ -58,7 +58,7 @@ fn wrong_lengths_are_refused() {
     check(|t| t.transitions.clear(), "transitions is 0 steps, expected 1 to 1000 steps");
     check(
         |t| t.transitions = vec![t.transitions[0].clone(); 1001],
-        "transitions is 1001 steps, expected 1 to 1000 steps",
+        "transitions is more than 1000, expected 1 to 1000 steps",
     );
     check_wire(|t| first_scene(t).poses.truncate(111), "scene.poses is 111 values, expected 112 values");
     check_wire(|t| first_scene(t).speeds.push(0.0), "scene.speeds is 17 values, expected 16 values");
@@ -103,7 +103,7 @@ fn inconsistent_endings_are_refused() {
         |t| t.outcome.as_mut().unwrap().success = false,
         "outcome.success is false, expected true when the status is success",
     );
-    check(|t| t.n_burn_in_steps = 41, "n_burn_in_steps is 41, expected at most first_step");
+    check(|t| t.n_burn_in_steps = 41, "n_burn_in_steps is 41, expected 0, or first_step on the first segment");
     check(|t| t.first_step = 1, "outcome.n_steps is 42, expected first_step plus the number of transitions");
 }
 
@@ -175,7 +175,10 @@ fn invalid_units_and_answers_are_refused() {
     };
     check(|unit| unit.sequences.clear(), "sequences is 0, expected 1 to 1000");
     check(|unit| unit.sequences[1].tasks.clear(), "sequences.tasks is 0, expected 1 to 1000");
-    check(|unit| unit.sequences = vec![unit.sequences[0].clone(); 1001], "sequences is 1001, expected 1 to 1000");
+    check(
+        |unit| unit.sequences = vec![unit.sequences[0].clone(); 1001],
+        "sequences is more than 1000, expected 1 to 1000",
+    );
     let check = |change: fn(&mut wire::EvalEpisode), message: &str| {
         let mut answer = wire::EvalAnswer::decode(encode_answer(&samples::episodes()).as_slice()).unwrap();
         let Some(wire::eval_answer::Answer::Episodes(episodes)) = &mut answer.answer else { panic!("{answer:?}") };
@@ -207,4 +210,18 @@ fn invalid_labels_are_refused() {
         assert_eq!(decode_trajectory(&trajectory.encode_to_vec()).unwrap_err().to_string(), message);
     };
     check(3, "driver is 3, expected sample, mode or expert");
+}
+
+#[test]
+fn repeated_fields_are_counted_before_they_are_parsed() {
+    // Two bytes for each empty transition or task, which would take hundreds of bytes in memory.
+    let transitions = [0x42, 0x00].repeat(MAX_TRAJECTORY_BYTES / 2);
+    let error = decode_trajectory(&transitions).unwrap_err().to_string();
+    assert_eq!(error, "transitions is more than 1000, expected 1 to 1000 steps");
+    let sequence = [0x0a, 0x00].repeat(1001);
+    let length = ((sequence.len() & 0x7f) | 0x80) as u8;
+    let unit = [&[0x3a, length, (sequence.len() >> 7) as u8][..], &sequence].concat();
+    assert_eq!(decode_unit(&unit).unwrap_err().to_string(), "sequences.tasks is more than 1000, expected 1 to 1000");
+    let sequences = [0x3a, 0x00].repeat(1001);
+    assert_eq!(decode_unit(&sequences).unwrap_err().to_string(), "sequences is more than 1000, expected 1 to 1000");
 }
