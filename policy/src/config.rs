@@ -1,7 +1,7 @@
 //! Policy settings: features, network, and action distribution.
 
-use std::ops::Bound::Excluded;
-
+use blueprints::N_BLOCKS;
+use proto::codec::MAX_PARAMETERS;
 use proto::{InvalidSetting, config_hash, settings};
 use serde::{Deserialize, Serialize};
 
@@ -56,7 +56,7 @@ settings! {
     }
 
     /// The network (paper, section "Agents" and its listing).
-    pub struct NetworkConfig {
+    pub struct NetworkConfig, check size {
         /// Maps the features to one vector per block and one for the scene.
         pub encoder: EncoderConfig;
         /// Length of the node, edge, and global vectors, and of the keys that choose blocks.
@@ -114,7 +114,7 @@ settings! {
         /// at most 10.
         pub max_std: Option<f32> = None;
         /// Smallest standard deviation; the default is the paper's.
-        pub floor: f32 = 1e-6, in (Excluded(0.0), Excluded(1.0));
+        pub floor: f32 = 1e-6, in 1e-6..1.0;
     }
 }
 
@@ -176,6 +176,33 @@ impl NetworkConfig {
             EncoderConfig::Gat(gat) if gat.self_edges => 256,
             _ => 240,
         }
+    }
+}
+
+impl NetworkConfig {
+    /// Refuses a network that the bus could not carry, before a process tries to hold it.
+    fn size(&self, path: &str) -> Result<(), InvalidSetting> {
+        let n = self.n_parameters_at_least();
+        let expected = format_args!("at most {MAX_PARAMETERS}: make it smaller");
+        InvalidSetting::check(format_args!("the number of parameters of {path}"), n, n <= MAX_PARAMETERS, expected)
+    }
+
+    /// Returns the number of entries of the large matrices, which have nearly all parameters.
+    fn n_parameters_at_least(&self) -> usize {
+        let layers = match self.encoder {
+            EncoderConfig::Gat(gat) => {
+                // Message, query, and key read 2, 2, and 1 vectors; the result becomes one.
+                let n_vectors = if gat.attention { 6 } else { 3 };
+                let attention = n_vectors * self.width * gat.n_heads * gat.head_dim;
+                // Two MLPs map two vectors to one.
+                gat.n_layers * (attention + 2 * 3 * self.width * gat.mlp_hidden)
+            }
+            EncoderConfig::Resnet(resnet) => {
+                resnet.hidden * (2 * resnet.n_blocks * resnet.hidden + N_BLOCKS * self.width)
+            }
+        };
+        let value: usize = self.value_hidden.windows(2).map(|pair| pair[0] * pair[1]).sum();
+        layers + value
     }
 }
 

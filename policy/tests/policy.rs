@@ -349,7 +349,11 @@ fn the_initial_standard_deviation_is_as_configured() {
 #[test]
 fn bad_settings_name_the_field_and_the_range() {
     type Spoil = fn(&mut PolicyConfig);
-    let cases: [(Spoil, &str); 5] = [
+    let cases: [(Spoil, &str); 6] = [
+        (
+            |c| c.network.encoder = EncoderConfig::Resnet(ResnetConfig { hidden: 8192, n_blocks: 32 }),
+            "the number of parameters of policy.network = 4303880192: expected at most 25165824: make it smaller",
+        ),
         (|c| c.network.n_grippers = 3, "policy.network.n_grippers = 3: expected 1..=2"),
         (|c| c.network.width = 0, "policy.network.width = 0: expected 1..=1024"),
         (|c| c.features.n_grippers = 1, "policy.features.n_grippers = 1: expected 2, as policy.network.n_grippers"),
