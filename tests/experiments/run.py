@@ -6,14 +6,16 @@
     python3 tests/experiments/run.py runs/experiments --table              # only tables of existing runs, no training
 
 Each experiment trains the preset `compact` with one change. A run takes 15 to 85 minutes on two cores. Complete
-runs are skipped, and interrupted runs resume from their newest checkpoint. Build the program first:
-cargo build --release.
+runs are skipped, and interrupted runs resume from their newest checkpoint. `imitator` and `labels-only` begin with
+the labels of `compact`: the first evaluates its last checkpoint before the rewards, the second goes on from there.
+Build the program first: cargo build --release.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import statistics
 import subprocess
 import sys
@@ -23,6 +25,8 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 LABELS_TO_THE_END = {"weight": 1.0, "value_weight": 0.0, "ppo_weight": 0.0, "kl_weight": 0.0}
+# The step of `compact` at which its labels begin to make way for rewards.
+END_OF_LABELS = 640_000
 
 
 def features(*names: str) -> list[str]:
@@ -32,7 +36,9 @@ def features(*names: str) -> list[str]:
 
 # Name -> arguments that change `compact`.
 EXPERIMENTS: dict[str, list[str]] = {
-    "compact": [],
+    # All checkpoints are kept, for the experiments that begin with one of them.
+    "compact": ["--set", "learner.checkpoints.keep=5"],
+    "imitator": [],
     "labels-only": [
         arg for key, value in LABELS_TO_THE_END.items() for arg in ("--set", f"learner.imitation.{key}={value}")
     ],
@@ -51,6 +57,8 @@ EXPERIMENTS: dict[str, list[str]] = {
     "paper-inputs": features("plan", "pieces", "up_axis", "membership", "block_shape", "needed_moves"),
     **{f"only-{blueprint}": ["--blueprint", blueprint] for blueprint in ("6_005", "12_000", "16_001")},
 }
+# Experiments that begin with the last checkpoint of `compact` before the end of its labels.
+FROM_LABELS = ("imitator", "labels-only")
 # Experiments that are also evaluated without resets, as in the paper.
 RESET_FREE = ("compact", "no-blueprint-resets")
 GROUPS = ("train 2-6", "train 7-11", "train 12-16", "validation", "test 12-16", "in a row")
@@ -60,6 +68,11 @@ ACTING = {"greedy": "mode", "sampled": "sampled"}
 
 class InterruptedTraining(Exception):
     """A training ended before its last step."""
+
+
+def steps_of(folder: Path) -> list[int]:
+    """Returns the steps of a run's checkpoints."""
+    return [int(path.name.removeprefix("step-")) for path in folder.glob("checkpoints/step-*")]
 
 
 def train(program: Path, folder: Path, args: list[str]) -> None:
@@ -75,22 +88,40 @@ def train(program: Path, folder: Path, args: list[str]) -> None:
     with folder.with_suffix(".log").open("a") as log:
         subprocess.run(command, stdout=log, stderr=log, check=True)
     n_env_steps = tomllib.loads((folder / "config.toml").read_text())["n_env_steps"]
-    steps = (int(path.name.removeprefix("step-")) for path in folder.glob("checkpoints/step-*"))
-    if max(steps, default=0) < n_env_steps:
+    if max(steps_of(folder), default=0) < n_env_steps:
         raise InterruptedTraining(f"the training in {folder} was interrupted; run the script again")
 
 
-def complete(program: Path, folder: Path, name: str, seed: int, episodes: int) -> None:
+def fork(source: Path, folder: Path) -> None:
+    """Copies the part of a run that a new run needs to go on from the end of its labels."""
+    checkpoint = f"checkpoints/step-{max(step for step in steps_of(source) if step <= END_OF_LABELS)}"
+    if folder.exists():
+        return
+    part = folder.with_suffix(".part")
+    shutil.rmtree(part, ignore_errors=True)
+    shutil.copytree(source / checkpoint, part / checkpoint)
+    for name in ("config.toml", "meta.json"):
+        shutil.copy(source / name, part)
+    part.rename(folder)
+
+
+def complete(program: Path, out: Path, name: str, seed: int, episodes: int) -> None:
     """Trains and evaluates one run, skipping the parts that are done."""
+    folder = out / name / f"seed-{seed}"
     report = folder / "report.json"
     if report.exists():
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
+    if name in FROM_LABELS:
+        complete(program, out, "compact", seed, episodes)
+        fork(out / "compact" / f"seed-{seed}", folder)
     trained = folder.with_suffix(".trained")
-    if not trained.exists():
+    if name != "imitator" and not trained.exists():
         begun = (folder / "config.toml").exists()
         of_new = ["--preset", "compact", *EXPERIMENTS[name], "--seed", str(seed), "--run-dir", str(folder)]
         start = ["--resume", str(folder)] if begun else of_new
+        if name in FROM_LABELS:
+            start += EXPERIMENTS[name]
         print(f"{name}, seed {seed}: training in {folder}", flush=True)
         train(program, folder, start)
         trained.touch()
@@ -123,11 +154,11 @@ def rates(reports: list[dict[str, Any]], mode: str) -> dict[str, float]:
 
 
 def cell(found: list[float]) -> str:
-    """Formats the mean in percent, with the extremes if there are several seeds."""
+    """Formats the mean in percent, with the extremes if they differ."""
     if not found:
         return "–"
-    mean = f"{100 * statistics.mean(found):.1f}%"
-    return mean if len(found) == 1 else f"{mean} ({100 * min(found):.1f}–{100 * max(found):.1f})"
+    mean, least, most = (f"{100 * value:.1f}" for value in (statistics.mean(found), min(found), max(found)))
+    return f"{mean}%" if least == most else f"{mean}% ({least}–{most})"
 
 
 def table(out: Path, names: list[str], columns: tuple[str, ...]) -> str:
@@ -160,7 +191,7 @@ def main() -> int:
     for seed in [] if args.table else args.seeds:
         for name in names:
             try:
-                complete(args.program, args.out / name / f"seed-{seed}", name, seed, args.episodes)
+                complete(args.program, args.out, name, seed, args.episodes)
             except subprocess.CalledProcessError as error:
                 print(f"{name}, seed {seed}: failed with {error.returncode}; see its log", file=sys.stderr)
                 n_failed += 1
