@@ -177,9 +177,7 @@ impl NetworkConfig {
             _ => 240,
         }
     }
-}
 
-impl NetworkConfig {
     /// Refuses a network that the bus could not carry, before a process tries to hold it.
     fn size(&self, path: &str) -> Result<(), InvalidSetting> {
         let n = self.n_parameters_at_least();

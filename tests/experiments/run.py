@@ -94,9 +94,12 @@ def train(program: Path, folder: Path, args: list[str]) -> None:
 
 def fork(source: Path, folder: Path) -> None:
     """Copies the part of a run that a new run needs to go on from the end of its labels."""
-    checkpoint = f"checkpoints/step-{max(step for step in steps_of(source) if step <= END_OF_LABELS)}"
     if folder.exists():
         return
+    of_labels = [step for step in steps_of(source) if step <= END_OF_LABELS]
+    if not of_labels:
+        raise SystemExit(f"{source} has kept no checkpoint from before its rewards; remove the run to train it again")
+    checkpoint = f"checkpoints/step-{max(of_labels)}"
     part = folder.with_suffix(".part")
     shutil.rmtree(part, ignore_errors=True)
     shutil.copytree(source / checkpoint, part / checkpoint)

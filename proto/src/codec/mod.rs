@@ -41,8 +41,8 @@ fn check_size(message: &'static str, bytes: usize, limit: usize) -> Result<(), D
     if bytes > limit { Err(DecodeError::TooLarge { message, bytes, limit }) } else { Ok(()) }
 }
 
-/// Returns the bytes of each element of the repeated field `tag` of messages, or an error that says what is `expected`
-/// if there are more than `limit`.
+/// Returns the bytes of each element of a message's repeated field, or an error that says what is `expected` if there
+/// are more than `limit`.
 ///
 /// An empty element is two bytes long and becomes a value of hundreds of bytes, so this check comes before parsing.
 fn elements<'b>(
