@@ -104,8 +104,8 @@ pub enum Failure {
         /// Episodes that were planned.
         n_planned: u64,
     },
-    /// A signal ended a command that would have written a folder; code 130.
-    #[error("interrupted; {} was not written", .0.display())]
+    /// A signal ended a command before it had saved anything in its folder; code 130.
+    #[error("interrupted; nothing was saved in {}", .0.display())]
     NothingWritten(PathBuf),
     /// A service failed while running; code 1.
     #[error("{0:#}")]

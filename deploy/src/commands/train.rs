@@ -94,10 +94,11 @@ pub(super) async fn run(
     let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
     let training = shutdown.child_token();
     let learner = services::learner(options, bus.clone(), training.clone());
+    let folder = run_dir.path().to_owned();
     let (interrupted, told) = (shutdown.clone(), config.evaluator.evaluate_last.then(|| terminal.clone()));
     running.spawn(async move {
         let Some(report) = learner.await? else {
-            return Err(Failure::Service(anyhow::anyhow!("interrupted before training began; nothing was saved")));
+            return Err(Failure::NothingWritten(folder));
         };
         if let Some(terminal) = told.filter(|_| !interrupted.is_cancelled()) {
             terminal.print("the last weights are evaluated now; Ctrl-C ends without that");
