@@ -54,9 +54,11 @@ pub(super) struct PageCounts {
     pub(super) samples_dropped_total: u64,
     /// Browsers that were too slow to read their events.
     pub(super) viewers_dropped_total: u64,
-    /// Connections closed at once because there were too many, or that could not be accepted.
+    /// Connections that could not be accepted.
     pub(super) connections_refused_total: u64,
     /// Connections that exceeded their time limit.
+    /// Connections closed to make room for newer ones.
+    pub(super) connections_evicted_total: u64,
     pub(super) connections_expired_total: u64,
     /// Requests without the token, with a foreign host name, or from another site.
     pub(super) requests_refused_total: u64,

@@ -245,6 +245,7 @@ fn dropped(page: &mut Scrape, state: &State) {
         ("sample_too_large_or_many", counts.samples_dropped_total),
         ("browser_too_slow", counts.viewers_dropped_total),
         ("connection_refused", counts.connections_refused_total),
+        ("connection_evicted", counts.connections_evicted_total),
         ("connection_expired", counts.connections_expired_total),
         ("request_refused", counts.requests_refused_total),
     ];
