@@ -60,7 +60,7 @@ pub(super) struct PageCounts {
     /// Connections closed to make room for newer ones.
     pub(super) connections_evicted_total: u64,
     pub(super) connections_expired_total: u64,
-    /// Requests without the token, with a foreign host name, or from another site.
+    /// Requests without the token, with a foreign host name or two, or from another site.
     pub(super) requests_refused_total: u64,
 }
 

@@ -7,10 +7,10 @@ use axum::body::{Body, Bytes};
 use axum::extract::{DefaultBodyLimit, Extension, RawQuery, Request, State};
 use axum::http::header::{
     AUTHORIZATION, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, COOKIE, HOST, LOCATION,
-    REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    ORIGIN, REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
-use axum::middleware::{Next, from_fn, from_fn_with_state};
+use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use blueprints::Catalog;
@@ -124,14 +124,14 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Rou
         .layer(Extension(Places(Arc::new(Semaphore::new(MAX_VIEWERS)))))
         .layer(Extension(OneCheck::default()))
         .layer(DefaultBodyLimit::max(drawing::MAX_BYTES))
-        .layer(from_fn_with_state(guard, authorize))
+        .layer(from_fn_with_state(guard.clone(), authorize))
         .merge(
             Router::new()
                 .route("/healthz", get(|| async { "serving\n" }))
                 .route("/readyz", get(ready))
                 .with_state(board),
         )
-        .layer(from_fn(set_headers))
+        .layer(from_fn_with_state(guard, set_headers))
 }
 
 /// Returns the path prefix of the run with index `place`.
@@ -277,19 +277,34 @@ fn failed(error: &dyn std::error::Error) -> Response {
 /// Paths of endpoints that read a body: a drawing.
 const WITH_BODY: [&str; 2] = ["/api/check", "/api/play"];
 
-/// Sets the headers of every response. Rejects requests with a body that no endpoint reads.
-async fn set_headers(request: Request, next: Next) -> Response {
+/// Sets the headers of every response. Rejects requests with a body that no endpoint reads, and those whose host is
+/// ambiguous.
+async fn set_headers(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let has_body = headers.contains_key(TRANSFER_ENCODING)
         || headers.get(CONTENT_LENGTH).is_some_and(|length| length.as_bytes() != b"0");
     let is_read = request.method() == Method::POST && WITH_BODY.iter().any(|path| request.uri().path().ends_with(path));
-    let mut response =
-        if has_body && !is_read { StatusCode::PAYLOAD_TOO_LARGE.into_response() } else { next.run(request).await };
+    let mut response = if names_two_hosts(&request) {
+        guard.refuse(StatusCode::BAD_REQUEST, "a request names one host, once\n")
+    } else if has_body && !is_read {
+        StatusCode::PAYLOAD_TOO_LARGE.into_response()
+    } else {
+        next.run(request).await
+    };
     for (name, value) in HEADERS {
         // Immutable responses have set their own cache lifetime.
         response.headers_mut().entry(name).or_insert(HeaderValue::from_static(value));
     }
     response
+}
+
+/// Returns whether the request has several `Host` headers, or a target with another host than its `Host` header. A proxy
+/// and this page could each go by another one.
+fn names_two_hosts(request: &Request) -> bool {
+    let mut hosts = request.headers().get_all(HOST).iter().map(HeaderValue::as_bytes);
+    let (first, is_single) = (hosts.next(), hosts.next().is_none());
+    let is_same = |named: &str| first.is_some_and(|host| host.eq_ignore_ascii_case(named.as_bytes()));
+    !is_single || request.uri().authority().is_some_and(|named| !is_same(named.as_str()))
 }
 
 struct Guard {
@@ -298,30 +313,43 @@ struct Guard {
     hosts: Vec<String>,
 }
 
+impl Guard {
+    fn refuse(&self, status: StatusCode, reason: &'static str) -> Response {
+        self.board.state().counts.requests_refused_total += 1;
+        (status, reason).into_response()
+    }
+}
+
 async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     let Some(token) = &guard.token else {
         // Protects against DNS rebinding: a foreign site may resolve its own name to 127.0.0.1, but the `Host` header
         // reveals it.
         let refusal = if !is_for_us(request.headers(), &guard.hosts) {
             "without a token the page answers to 127.0.0.1, localhost and web.hosts only\n"
-        } else if is_for_another_site(&request) {
+        } else if Asker::of(&request).is_another_site() {
             "without a token the page does not answer to other sites\n"
         } else {
             return next.run(request).await;
         };
-        guard.board.state().counts.requests_refused_total += 1;
-        return (StatusCode::FORBIDDEN, refusal).into_response();
+        return guard.refuse(StatusCode::FORBIDDEN, refusal);
     };
     let in_query = request.uri().query().into_iter().flat_map(|query| query.split('&'));
     let in_query = in_query.filter_map(|pair| pair.strip_prefix("token=")).any(|guess| token.is(guess));
     if in_query {
         return keep_in_cookie(token, request.uri().path());
     }
-    if in_headers(token, request.headers()) {
+    if is_in_header(token, request.headers()) {
         return next.run(request).await;
     }
-    guard.board.state().counts.requests_refused_total += 1;
-    (StatusCode::UNAUTHORIZED, "open the page with ?token=…, or send Authorization: Bearer …\n").into_response()
+    if !is_in_cookie(token, request.headers()) {
+        return guard
+            .refuse(StatusCode::UNAUTHORIZED, "open the page with ?token=…, or send Authorization: Bearer …\n");
+    }
+    // A browser adds the cookie by itself, also for another page of this host on another port.
+    if Asker::of(&request).uses_the_cookie() {
+        return guard.refuse(StatusCode::FORBIDDEN, "a cookie does not let other sites use the page\n");
+    }
+    next.run(request).await
 }
 
 /// Redirects to the same path without the token, which would otherwise stay in the browser's history.
@@ -337,23 +365,60 @@ fn keep_in_cookie(token: &Token, path: &str) -> Response {
     }
 }
 
-fn in_headers(token: &Token, headers: &HeaderMap) -> bool {
-    let text = |value: &HeaderValue| value.to_str().map(str::to_owned).unwrap_or_default();
-    let mut bearer = headers.get_all(AUTHORIZATION).iter().map(text);
-    let bearer = bearer.any(|value| value.strip_prefix("Bearer ").is_some_and(|guess| token.is(guess)));
-    let in_cookie = |cookies: String| {
-        let mut pairs = cookies.split(';').filter_map(|pair| pair.trim().split_once('='));
-        pairs.any(|(name, guess)| name.starts_with(COOKIE_NAME) && token.is(guess))
-    };
-    bearer || headers.get_all(COOKIE).iter().map(text).any(in_cookie)
+/// Returns the values of a header as text; empty where they are none.
+fn values(headers: &HeaderMap, name: HeaderName) -> impl Iterator<Item = &str> {
+    headers.get_all(name).iter().map(|value| value.to_str().unwrap_or_default())
 }
 
-/// Returns whether a browser sends the request on behalf of another site, which could otherwise keep this process busy.
-/// A link to the page is no such request.
-fn is_for_another_site(request: &Request) -> bool {
-    let told = |name: &str| request.headers().get(name).map(HeaderValue::as_bytes);
-    let is_visit = request.method() == Method::GET && told("sec-fetch-dest") == Some(b"document");
-    matches!(told("sec-fetch-site"), Some(b"cross-site" | b"same-site")) && !is_visit
+fn is_in_header(token: &Token, headers: &HeaderMap) -> bool {
+    values(headers, AUTHORIZATION).any(|value| value.strip_prefix("Bearer ").is_some_and(|guess| token.is(guess)))
+}
+
+fn is_in_cookie(token: &Token, headers: &HeaderMap) -> bool {
+    let mut pairs =
+        values(headers, COOKIE).flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    pairs.any(|(name, guess)| name.starts_with(COOKIE_NAME) && token.is(guess))
+}
+
+/// Headers in which a browser says how the site that asks relates to the one that it asks, and what it asks for.
+const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+const SEC_FETCH_DEST: HeaderName = HeaderName::from_static("sec-fetch-dest");
+
+/// What a browser says about the site on whose behalf it sends a request, which could keep this process busy. `None`
+/// where it says nothing; a link to the page is no request of another site.
+struct Asker {
+    /// Whether `Sec-Fetch-Site` names another site. Browsers send it to this machine and to encrypted pages only.
+    by_fetch: Option<bool>,
+    /// Whether `Origin` is another host or port than `Host`. Browsers leave it out of most of their GET requests.
+    by_origin: Option<bool>,
+}
+
+impl Asker {
+    fn of(request: &Request) -> Self {
+        let headers = request.headers();
+        let is_visit = request.method() == Method::GET && values(headers, SEC_FETCH_DEST).eq(["document"]);
+        let is_foreign = |site: &str| !is_visit && !matches!(site, "same-origin" | "none");
+        let host = values(headers, HOST).next().unwrap_or_default();
+        let is_elsewhere = |origin: &str| {
+            let named = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
+            !named.is_some_and(|named| named.eq_ignore_ascii_case(host))
+        };
+        Self {
+            by_fetch: values(headers, SEC_FETCH_SITE).map(is_foreign).reduce(|a, b| a || b),
+            by_origin: values(headers, ORIGIN).map(is_elsewhere).reduce(|a, b| a || b),
+        }
+    }
+
+    /// Returns whether either header names another site.
+    fn is_another_site(&self) -> bool {
+        self.by_fetch == Some(true) || self.by_origin == Some(true)
+    }
+
+    /// Returns whether another site makes use of the browser's cookie. `Sec-Fetch-Site` decides where there is one,
+    /// because a proxy in front of the page may put its own name into `Host`.
+    fn uses_the_cookie(&self) -> bool {
+        self.by_fetch.or(self.by_origin) == Some(true)
+    }
 }
 
 /// Returns whether the request addresses `localhost`, a loopback address or one of `hosts`, with any port.

@@ -176,6 +176,23 @@ async fn only_what_is_meant_to_be_seen_is_served() {
         ("GET / HTTP/1.1", "Host: localhost\r\nContent-Length: 4\r\n", 413),
         ("GET / HTTP/1.1", "Host: localhost\r\nTransfer-Encoding: chunked\r\n", 413),
         ("GET\0/ HTTP/1.1", &host, 400),
+        // One host, named once: what comes first or last depends on who reads it.
+        ("GET / HTTP/1.1", "Host: localhost\r\nHost: evil.example\r\n", 400),
+        ("GET / HTTP/1.1", "Host: evil.example\r\nHost: localhost\r\n", 400),
+        ("GET / HTTP/1.1", "Host: localhost\r\nHost: localhost\r\n", 400),
+        ("GET /healthz HTTP/1.1", "Host: localhost\r\nHost: localhost\r\n", 400),
+        ("GET / HTTP/1.1", "Host: localhost, evil.example\r\n", 403),
+        ("GET / HTTP/1.1", "Host: localhost@evil.example\r\n", 403),
+        ("GET http://localhost/ HTTP/1.1", "Host: LOCALHOST\r\n", 200),
+        ("GET http://localhost/ HTTP/1.1", "Host: evil.example\r\n", 400),
+        ("GET http://evil.example/ HTTP/1.1", "Host: localhost\r\n", 400),
+        ("GET http://evil.example/ HTTP/1.1", "Host: evil.example\r\n", 403),
+        ("GET http://localhost@evil.example/ HTTP/1.1", "Host: localhost\r\n", 400),
+        ("GET http://localhost/ HTTP/1.1", "", 400),
+        ("GET http://localhost/ HTTP/1.0", "", 400),
+        ("GET /healthz HTTP/1.0", "", 200),
+        ("OPTIONS * HTTP/1.1", &host, 404),
+        ("CONNECT localhost:80 HTTP/1.1", "Host: localhost:80\r\n", 404),
     ];
     for (line, headers, expected) in table {
         let answer = served.send(format!("{line}\r\n{headers}\r\n").as_bytes()).await;
@@ -215,8 +232,30 @@ async fn other_sites_may_link_to_the_page_but_not_use_it() {
         let headers = format!("Sec-Fetch-Site: {site}\r\nSec-Fetch-Dest: {dest}\r\n");
         assert_eq!(served.status(path, &headers).await, expected, "{path} {site} {dest}");
     }
+    // Browsers without `Sec-Fetch-Site` send `Origin` for what scripts and forms ask for.
+    let own = format!("http://{}", served.address);
+    let table = [
+        (&own[..], "", 200),
+        (&own.to_uppercase().replace("HTTP", "http"), "", 200),
+        (&own, "Sec-Fetch-Site: same-origin\r\n", 200),
+        ("http://evil.example", "", 403),
+        ("http://evil.example", "Sec-Fetch-Site: same-origin\r\n", 403),
+        ("http://127.0.0.1:1", "", 403),
+        ("http://127.0.0.1", "", 403),
+        (&format!("{own}.evil.example"), "", 403),
+        (&format!("ftp://{}", served.address), "", 403),
+        ("null", "", 403),
+        ("", "", 403),
+        (&own, "Origin: http://evil.example\r\n", 403),
+        (&own, "Sec-Fetch-Site: same-origin\r\nSec-Fetch-Site: cross-site\r\n", 403),
+        (&own, "Sec-Fetch-Site: other\r\n", 403),
+    ];
+    for (origin, more, expected) in table {
+        let headers = format!("Origin: {origin}\r\n{more}");
+        assert_eq!(served.status("/api/history", &headers).await, expected, "{headers}");
+    }
     let metrics = served.get("/metrics").await;
-    assert!(metrics.contains("lodestone_page_dropped_total{run=\"r\",reason=\"request_refused\"} 4\n"), "{metrics}");
+    assert!(metrics.contains("lodestone_page_dropped_total{run=\"r\",reason=\"request_refused\"} 15\n"), "{metrics}");
     served.end().await;
 }
 
@@ -259,10 +298,21 @@ async fn a_token_keeps_others_out_but_not_probes() {
     // The cookie of another page on this host has another name, so both are sent.
     let both = format!("Cookie: lodestone_token_0={}; {cookie}\r\n", "x".repeat(16));
     assert_eq!(served.status("/", &both).await, 200);
+    // A browser adds the cookie to what other sites ask for, but not the header. A proxy may have changed the host.
+    let elsewhere = "Origin: http://127.0.0.1:1\r\n";
+    for (headers, expected) in [
+        (format!("Cookie: {cookie}\r\nSec-Fetch-Site: same-site\r\n"), 403),
+        (format!("Cookie: {cookie}\r\nSec-Fetch-Site: same-site\r\nSec-Fetch-Dest: document\r\n"), 200),
+        (format!("Cookie: {cookie}\r\n{elsewhere}"), 403),
+        (format!("Cookie: {cookie}\r\n{elsewhere}Sec-Fetch-Site: same-origin\r\n"), 200),
+        (format!("Authorization: Bearer {TOKEN}\r\n{elsewhere}"), 200),
+    ] {
+        assert_eq!(served.status("/", &headers).await, expected, "{headers}");
+    }
     // Two slashes would redirect to a host of that name.
     assert!(served.get(&format!("//evil.example?token={TOKEN}")).await.contains("location: /evil.example\r\n"));
     let metrics = served.get_with("/metrics", &format!("Authorization: Bearer {TOKEN}\r\n")).await;
-    assert!(metrics.contains("lodestone_page_dropped_total{run=\"r\",reason=\"request_refused\"} 9\n"), "{metrics}");
+    assert!(metrics.contains("lodestone_page_dropped_total{run=\"r\",reason=\"request_refused\"} 11\n"), "{metrics}");
     served.end().await;
 }
 
