@@ -26,8 +26,11 @@
 //! assert_eq!(error, "inbox.walk.speed_mps = NaN: expected above 0 and at most 10");
 //! ```
 
-use std::fmt::Display;
+use std::fmt::{Debug, Display};
 use std::ops::{Bound, RangeBounds};
+
+use serde::Serialize;
+use serde_json::Value;
 
 /// A setting outside its range.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -166,6 +169,20 @@ pub fn key(path: &str, field: &str) -> String {
     if path.is_empty() { field.to_owned() } else { format!("{path}.{field}") }
 }
 
+/// Returns a value as it would be written in a file, for error messages.
+pub fn shown(value: &(impl Serialize + Debug)) -> String {
+    fn text(value: &Value) -> String {
+        match value {
+            Value::Array(values) => format!("[{}]", values.iter().map(text).collect::<Vec<_>>().join(", ")),
+            leaf => leaf.to_string(),
+        }
+    }
+    // By way of text, so that an f32 such as 0.1 does not become 0.10000000149011612.
+    let read = serde_json::to_string(value).and_then(|json| serde_json::from_str::<Value>(&json));
+    // NaN and infinity have no JSON form.
+    read.ok().filter(|value| !value.is_null()).map_or_else(|| format!("{value:?}"), |value| text(&value))
+}
+
 /// Defines sections of the configuration: types with serde derives, defaults, ranges, and checks.
 ///
 /// A field is one of
@@ -199,7 +216,7 @@ macro_rules! settings {
             let rule: fn(&Self) -> bool = $rule;
             $crate::InvalidSetting::check(
                 $crate::setting::key($path, stringify!($field)),
-                format_args!("{:?}", $self.$field),
+                $crate::setting::shown(&$self.$field),
                 rule($self),
                 $expected,
             )?;
@@ -371,6 +388,9 @@ mod tests {
             spoil(&mut config);
             assert_eq!(config.validate().unwrap_err().to_string(), message);
         }
+        let ids: Vec<blueprints::BlueprintId> = vec!["2_000".parse().unwrap(), "2_001".parse().unwrap()];
+        assert_eq!(shown(&ids), r#"["2_000", "2_001"]"#);
+        assert_eq!([shown(&0.1_f32), shown(&f32::NAN), shown(&"a")], ["0.1", "NaN", "\"a\""]);
         assert_eq!(Outer { choice: Choice::None(Empty {}), ..Default::default() }.validate(), Ok(()));
         let ranges = [expected(&above_to(0.0, 1.0)), expected(&(..7)), expected::<u8>(&(..))];
         assert_eq!(ranges, ["above 0 and at most 1", "any number and below 7", "any number"]);

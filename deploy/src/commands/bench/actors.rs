@@ -240,6 +240,6 @@ fn endpoint(transport: Transport, folder: &Path, name: &str) -> anyhow::Result<S
 fn expect_ready(part: &Part, patience: Duration) -> anyhow::Result<(usize, Option<String>)> {
     match part.hear(patience)? {
         Note::Ready { n_actors, shortfall } => Ok((n_actors, shortfall)),
-        other => anyhow::bail!("a process began with {other:?}"),
+        Note::Sank(_) | Note::Sent(_) => anyhow::bail!("a process reported before it was ready"),
     }
 }
