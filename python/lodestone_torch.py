@@ -25,6 +25,7 @@ multiplied together. They then act on 16 nodes instead of 240 edges (policy/src/
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import sys
@@ -40,7 +41,7 @@ from torch.nn import functional as F
 
 N_BLOCKS = 16
 MOVE = 6
-FORMAT_VERSION = 2
+FORMAT_VERSIONS = (2, 3)
 MAX_NORMALIZED = 10.0
 LAYER_NORM_EPSILON = 1e-5
 NO_EDGE = -1e9
@@ -106,6 +107,19 @@ class Config:
         if self.max_std is not None:
             std = self.max_std * math.atanh(std / self.max_std)
         return math.log(math.expm1(max(std - self.floor, 1e-6)))
+
+
+def digest(table: list[dict[str, Any]], tensors: dict[str, Tensor]) -> str:
+    """Returns the SHA-256 digest of names, shapes, and values in the order of the table (policy/src/parameters.rs)."""
+    sha256 = hashlib.sha256()
+    for entry in table:
+        name, shape = entry["name"].encode(), entry["shape"]
+        for part in (len(name).to_bytes(8, "little"), name, len(shape).to_bytes(8, "little")):
+            sha256.update(part)
+        for n in shape:
+            sha256.update(n.to_bytes(8, "little"))
+        sha256.update(tensors[entry["name"]].detach().float().contiguous().numpy().astype("<f4").tobytes())
+    return sha256.hexdigest()
 
 
 class Linear(nn.Module):
@@ -363,14 +377,16 @@ class Policy(nn.Module):
             if entry is None:
                 raise ValueError("its metadata has no entry `lodestone`; write one with `lodestone export`")
             header = json.loads(entry)
-            if header["format_version"] != FORMAT_VERSION:
-                raise ValueError(
-                    f"its format version is {header['format_version']}, this module reads {FORMAT_VERSION}"
-                )
+            if header["format_version"] not in FORMAT_VERSIONS:
+                known = " and ".join(map(str, FORMAT_VERSIONS))
+                raise ValueError(f"its format version is {header['format_version']}, this module reads {known}")
             network = GraphNetwork(Config.of(header))
             for name, value in network.state_dict().items():
                 if name not in tensors or tensors[name].shape != value.shape:
                     raise ValueError(f"it has no tensor {name} of shape {list(value.shape)}")
+            # Files of format version 2 have no digest.
+            if header["format_version"] > 2 and header["digest"] != digest(header["table"], tensors):
+                raise ValueError("its tensors are not those that were exported: their digest is another")
             network.load_state_dict(tensors)
         except (OSError, SafetensorError, KeyError, TypeError, RuntimeError, ValueError) as error:
             raise ValueError(f"{path} is not a policy that this module reads: {error}") from error
@@ -379,7 +395,10 @@ class Policy(nn.Module):
     def save(self, path: str | Path) -> None:
         """Writes a file that Lodestone can read, for example with `lodestone eval --checkpoint FILE`."""
         tensors = {name: value.float().contiguous() for name, value in self.network.state_dict().items()}
-        save_file(tensors, str(path), metadata={"lodestone": json.dumps(self.header, separators=(",", ":"))})
+        header = self.header
+        if "digest" in header:
+            header = {**header, "digest": digest(header["table"], tensors)}
+        save_file(tensors, str(path), metadata={"lodestone": json.dumps(header, separators=(",", ":"))})
 
     def folded(self) -> list[Folded]:
         """Returns the folded matrices of each layer."""

@@ -110,6 +110,7 @@ fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Wei
     let setup = RolloutSetup {
         catalog: Catalog::builtin(),
         policy: policy.clone(),
+        settings: Default::default(),
         tasks: TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() },
         segment_len: 32,
         burn_in: actor::BurnInConfig::default(),
@@ -126,6 +127,7 @@ fn untrained(policy: &PolicyConfig) -> Weights {
         version: WeightsVersion(0),
         n_env_steps: 0,
         network_hash: policy.hash(),
+        settings: Default::default(),
         parameters: engine(policy).parameters(),
         normalization: Normalization::default(),
         task_probabilities: BTreeMap::new(),

@@ -150,7 +150,6 @@ mod tests {
             scene: toy::scene(),
             action: proto::Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
             behavior_log_prob: 0.0,
-            value: 0.0,
             reward: Default::default(),
             label: None,
         };

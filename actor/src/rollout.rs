@@ -5,8 +5,8 @@ use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, Step, VecEnv};
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::{
-    ActionMode, Agent, Decision, Driver, Label, Observation, Status, Task, Trajectory, Transition, Weights,
-    WeightsVersion,
+    ActionMode, Agent, CanonicalSettings, Decision, Driver, Label, Observation, Status, Task, Trajectory, Transition,
+    Weights, WeightsVersion,
 };
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::config::BurnInConfig;
 use crate::dagger::{DaggerEpisode, DaggerMixture};
-use crate::segment::{Cut, Identity, SegmentBuilder, needs_bootstrap};
+use crate::segment::{Cut, Identity, SegmentBuilder};
 use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskConfig, TaskSampler};
 
@@ -23,8 +23,10 @@ use crate::task::{FilterError, TaskConfig, TaskSampler};
 pub struct RolloutSetup<'c> {
     /// Source of goals and starts.
     pub catalog: &'c Catalog,
-    /// The policy that acts; it must match the learner's.
+    /// The policy that acts.
     pub policy: PolicyConfig,
+    /// Settings of policy and worlds, which must be the learner's.
+    pub settings: CanonicalSettings,
     /// Selection of goals and starts.
     pub tasks: TaskConfig,
     /// Steps after which a segment is cut, at least 1.
@@ -39,6 +41,16 @@ pub struct RolloutSetup<'c> {
     pub seed: u64,
 }
 
+impl RolloutSetup<'_> {
+    /// Checks that weights are of a run with the settings of this rollout.
+    ///
+    /// # Errors
+    /// [`PolicyError::OtherSettings`] with the first difference.
+    pub(crate) fn check(&self, weights: &Weights) -> Result<(), PolicyError> {
+        policy::check_settings(weights.version, &weights.settings, &self.settings)
+    }
+}
+
 impl RolloutSetup<'static> {
     /// Creates the setup for an actor's rollout.
     pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
@@ -46,6 +58,7 @@ impl RolloutSetup<'static> {
         Self {
             catalog,
             policy: policy.clone(),
+            settings: setup.settings(),
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
             burn_in: config.burn_in,
@@ -60,6 +73,8 @@ impl RolloutSetup<'static> {
 #[derive(Debug)]
 pub struct Rollout<'c, E> {
     setup: RolloutSetup<'c>,
+    /// Hash of the setup's settings, which every segment carries.
+    settings_hash: u64,
     policy: Policy,
     version: WeightsVersion,
     tasks: TaskSampler,
@@ -161,12 +176,13 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// # Errors
     /// If the filter selects nothing, the weights do not fit the policy, or no task can be started.
     pub fn new(setup: RolloutSetup<'c>, worlds: Vec<E>, weights: &Weights) -> Result<Self, RolloutError> {
+        setup.check(weights)?;
         let policy = Policy::with_weights(&setup.policy, weights)?;
         let mut tasks = TaskSampler::new(&setup.tasks, setup.catalog)?;
         tasks.follow(weights);
         let (seed, version, envs) = (setup.seed, weights.version, VecEnv::new(worlds));
-        let counters = RolloutCounters::default();
-        let mut rollout = Self { setup, policy, version, tasks, envs, slots: Vec::new(), counters };
+        let (settings_hash, counters) = (setup.settings.hash(), RolloutCounters::default());
+        let mut rollout = Self { setup, settings_hash, policy, version, tasks, envs, slots: Vec::new(), counters };
         rollout.restart(seed)?;
         Ok(rollout)
     }
@@ -176,6 +192,7 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// # Errors
     /// If the weights do not fit the policy; the old ones then stay in use.
     pub fn set_weights(&mut self, weights: &Weights) -> Result<(), RolloutError> {
+        self.setup.check(weights)?;
         self.policy.load(weights)?;
         self.tasks.follow(weights);
         self.version = weights.version;
@@ -229,8 +246,6 @@ impl<'c, E: Env> Rollout<'c, E> {
         let mut mixture = Mixture { policy: &mut self.policy, slots: &mut self.slots };
         let steps = self.envs.step(&mut mixture, &modes)?;
         let mut finished: Vec<Trajectory> = Vec::new();
-        // Finished segments that need the value of their last scene, and the rows of their worlds.
-        let mut unvalued: Vec<(usize, usize)> = Vec::new();
         let mut ended: Vec<usize> = Vec::new();
         for (row, Step { scene, decision, result }) in steps.into_iter().enumerate() {
             let slot = &mut self.slots[row];
@@ -256,7 +271,6 @@ impl<'c, E: Env> Rollout<'c, E> {
                 scene,
                 action: decision.action,
                 behavior_log_prob,
-                value: decision.value,
                 reward: result.reward,
                 label: slot.label,
             };
@@ -264,11 +278,8 @@ impl<'c, E: Env> Rollout<'c, E> {
             match slot.segment.push(transition, self.version, after, result.status, identity) {
                 Cut::None => {}
                 Cut::Segment(mut trajectory) => {
-                    trajectory.seq = self.counters.n_segments;
+                    (trajectory.seq, trajectory.settings_hash) = (self.counters.n_segments, self.settings_hash);
                     self.counters.n_segments += 1;
-                    if needs_bootstrap(result.status) {
-                        unvalued.push((finished.len(), row));
-                    }
                     finished.push(*trajectory);
                 }
                 Cut::Diverged { n_dropped_steps } => {
@@ -284,13 +295,6 @@ impl<'c, E: Env> Rollout<'c, E> {
                 Status::TimeLimit => self.counters.n_episodes += 1,
                 Status::Running | Status::Diverged => {}
             }
-        }
-        let last: Vec<Observation<'_>> = unvalued.iter().map(|&(_, row)| self.envs.env(row).observation()).collect();
-        // The worlds have moved, so weights without a value for a last scene must not stop the step. The learner
-        // refuses a segment without a value, and the actor counts it.
-        let values = self.policy.values(&last).unwrap_or_else(|_| vec![f32::NAN; last.len()]);
-        for ((segment_idx, _), value) in unvalued.into_iter().zip(values) {
-            finished[segment_idx].bootstrap_value = value;
         }
         for row in ended {
             self.slots[row] = self.begin(row, self.slots[row].task_rng.clone())?;

@@ -53,8 +53,8 @@ pub struct Summary {
 /// previous ones stay in use.
 ///
 /// # Errors
-/// If a configuration is invalid, the session fails at the start, the weights are for another network, no task can be
-/// started, or another live actor has the same name and keeps it.
+/// If a configuration is invalid, the session fails at the start, the weights are of a run with other settings or for
+/// another network, no task can be started, or another live actor has the same name and keeps it.
 pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Summary> {
     let ActorSetup { config, id, .. } = &setup;
     config.validate().context("invalid actor configuration")?;
@@ -218,7 +218,7 @@ impl Shared {
         if !refused.ptr_eq(&weak) {
             *refused = weak;
             self.bus.count_refused_weights();
-            tracing::warn!(version = weights.version.0, %error, "weights refused, those before them stay in force");
+            tracing::warn!(version = weights.version.0, %error, "weights refused");
         }
     }
 

@@ -14,8 +14,7 @@ pub struct Identity {
 /// Collects the steps of one episode.
 ///
 /// A segment ends after `segment_len` steps or with the episode. If the episode diverges, only the steps since the last
-/// cut are dropped. Earlier segments may already have been sent; they ended in valid scenes and carry the values of
-/// those.
+/// cut are dropped. Earlier segments may already have been sent; they ended in valid scenes.
 #[derive(Clone, Debug)]
 pub struct SegmentBuilder {
     segment_len: usize,
@@ -37,19 +36,13 @@ pub struct SegmentBuilder {
 pub enum Cut {
     /// No segment is complete yet.
     None,
-    /// A segment. Its number must still be filled in, and its bootstrap value if [`needs_bootstrap`] returns true.
+    /// A segment. Its number and the hash of the settings must still be filled in.
     Segment(Box<Trajectory>),
     /// The episode diverged, and steps of it were dropped.
     Diverged {
         /// Steps since the last cut, at least 1.
         n_dropped_steps: u64,
     },
-}
-
-/// Returns whether a segment ends in a state whose value counts: true after a cut and at the time limit, false after
-/// success.
-pub fn needs_bootstrap(status: Status) -> bool {
-    matches!(status, Status::Running | Status::TimeLimit)
 }
 
 impl SegmentBuilder {
@@ -88,7 +81,7 @@ impl SegmentBuilder {
 
     /// Adds a step that led to `after` with `status`, acted with weights `version`.
     ///
-    /// A segment that this completes has the name and epoch of `identity`, number 0, and bootstrap value 0.
+    /// A segment that this completes has the name and epoch of `identity`, number 0, and hash 0.
     pub fn push(
         &mut self,
         transition: Transition,
@@ -122,6 +115,7 @@ impl SegmentBuilder {
             epoch: identity.epoch,
             seq: 0,
             weights_version: oldest,
+            settings_hash: 0,
             task: self.task.clone(),
             driver: self.driver,
             first_step,
@@ -129,7 +123,6 @@ impl SegmentBuilder {
             transitions,
             last_scene: after.clone(),
             status,
-            bootstrap_value: 0.0,
             outcome: ended.then_some(outcome),
         }))
     }
@@ -147,7 +140,6 @@ mod tests {
             scene: toy::scene(),
             action: Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
             behavior_log_prob: -1.0,
-            value: 0.5,
             reward: RewardTerms { connected, ..RewardTerms::default() },
             label: None,
         }
@@ -192,11 +184,5 @@ mod tests {
         let cuts = cuts(&[running, running, running, running, (0.0, 0, Diverged)]);
         assert!(matches!(&cuts[0], Cut::Segment(first) if first.transitions.len() == 3));
         assert_eq!(cuts[1], Cut::Diverged { n_dropped_steps: 2 });
-    }
-
-    #[test]
-    fn only_success_ends_the_value() {
-        assert!(needs_bootstrap(Status::Running) && needs_bootstrap(Status::TimeLimit));
-        assert!(!needs_bootstrap(Status::Success));
     }
 }

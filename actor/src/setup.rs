@@ -3,7 +3,7 @@
 use blueprints::Catalog;
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
-use proto::ActorId;
+use proto::{ActorId, CanonicalSettings};
 
 use crate::config::ActorConfig;
 
@@ -22,4 +22,11 @@ pub struct ActorSetup {
     pub seed: u64,
     /// Source of goals and starts; the learner has the same.
     pub catalog: &'static Catalog,
+}
+
+impl ActorSetup {
+    /// Returns the settings that must be the learner's.
+    pub fn settings(&self) -> CanonicalSettings {
+        CanonicalSettings::of_run(&self.policy, &self.environment)
+    }
 }

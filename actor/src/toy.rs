@@ -93,7 +93,6 @@ pub(crate) fn trajectory() -> Trajectory {
         scene: scene(),
         action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; N_BLOCKS] },
         behavior_log_prob: -1.0,
-        value: 0.0,
         reward: RewardTerms::default(),
         label: None,
     };
@@ -102,6 +101,7 @@ pub(crate) fn trajectory() -> Trajectory {
         epoch: 2,
         seq: 0,
         weights_version: WeightsVersion(0),
+        settings_hash: 0,
         task: task(),
         driver: Driver::Sampled,
         first_step: 0,
@@ -109,7 +109,6 @@ pub(crate) fn trajectory() -> Trajectory {
         transitions: vec![transition],
         last_scene: scene(),
         status: Status::Running,
-        bootstrap_value: 0.0,
         outcome: None,
     }
 }
@@ -134,6 +133,7 @@ pub(crate) fn weights(version: u64, value: f32) -> Weights {
         version: WeightsVersion(version),
         n_env_steps: 0,
         network_hash: config.hash(),
+        settings: Default::default(),
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_mean: value, value_std: 1e-3, ..Normalization::default() },
         task_probabilities: [(id("2_000"), 1.0)].into(),

@@ -10,6 +10,7 @@ use dashboard::WebError;
 use dashboard::terminal::WatchError;
 use dataset::DatasetError;
 use learner::{CheckpointError, LearnerError};
+use proto::SettingsDifference;
 use runlog::HistoryError;
 
 use crate::config::{ConfigError, suggestion_or};
@@ -27,6 +28,9 @@ pub enum Failure {
     /// The configuration cannot be used; code 64.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// This process has other settings than its run; code 64.
+    #[error("{0:#}")]
+    OtherSettings(anyhow::Error),
     /// The page cannot be served at the configured address; code 64.
     #[error(transparent)]
     Page(#[from] WebError),
@@ -152,7 +156,9 @@ impl From<anyhow::Error> for Failure {
                 || cause.is::<HistoryError>()
                 || matches!(of_learner, Some(LearnerError::Checkpoint(_) | LearnerError::Init(_)))
         };
-        if error.chain().any(is_checkpoint) {
+        if error.chain().any(|cause| cause.is::<SettingsDifference>()) {
+            Self::OtherSettings(error)
+        } else if error.chain().any(is_checkpoint) {
             Self::Checkpoint(error)
         } else if error.chain().any(|cause| cause.is::<BusError>()) {
             Self::Bus(error)
@@ -171,6 +177,7 @@ impl Failure {
                 66
             }
             Self::Config(_)
+            | Self::OtherSettings(_)
             | Self::Keys(_)
             | Self::Page(_)
             | Self::Catalog(_)
@@ -192,6 +199,21 @@ impl Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_process_with_other_settings_than_its_run_is_not_started_again() {
+        let [theirs, own] = ["blueprint", "none"].map(|mask| {
+            let policy = std::collections::BTreeMap::from([("mask", mask)]);
+            proto::CanonicalSettings::default().with("policy", &policy)
+        });
+        let difference = theirs.difference(&own).unwrap();
+        let error = evaluator::PolicyError::OtherSettings { version: proto::WeightsVersion(5), difference };
+        let failure = Failure::from(anyhow::Error::new(actor::RolloutError::from(error)));
+        assert_eq!(failure.exit_code(), ExitCode::from(64));
+        let sentence =
+            r#"weights 5 are of a run with other settings: policy.mask is "blueprint" there and "none" here"#;
+        assert_eq!(failure.to_string(), sentence);
+    }
 
     #[test]
     fn keys_on_a_file_system_that_fails_are_no_wrong_setting() {

@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::Context;
 use bus::{AliveWatch, Bus, CallError, WorkerCaller, process_epoch_ms};
 use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
-use proto::{ActionMode, Role, Weights};
+use proto::{ActionMode, CanonicalSettings, Role, Weights};
 use tokio::sync::watch;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -45,11 +45,11 @@ pub(crate) struct Dispatcher {
 }
 
 impl Dispatcher {
-    /// Starts watching for remote workers, which must have the same `setup_hash` and may take `patience` for a unit.
-    pub(crate) async fn start(bus: &Bus, setup_hash: u64, patience: Duration) -> anyhow::Result<Self> {
+    /// Starts watching for remote workers, which must have the same `settings` and may take `patience` for a unit.
+    pub(crate) async fn start(bus: &Bus, settings: CanonicalSettings, patience: Duration) -> anyhow::Result<Self> {
         let (open, evaluations) = watch::channel(None);
         let workers = bus.alive(Role::Worker).await.context("looking for remote workers")?;
-        let manager = Manager { bus: bus.clone(), setup_hash, patience, evaluations };
+        let manager = Manager { bus: bus.clone(), settings, patience, evaluations };
         Ok(Self {
             open,
             pass: PassId { epoch: process_epoch_ms(), number: 0 },
@@ -71,7 +71,7 @@ impl Dispatcher {
 
 struct Manager {
     bus: Bus,
-    setup_hash: u64,
+    settings: CanonicalSettings,
     patience: Duration,
     evaluations: watch::Receiver<Option<Open>>,
 }
@@ -88,13 +88,13 @@ impl Manager {
                 if workers.len() >= MAX_WORKERS || workers.contains_key(&name) {
                     continue;
                 }
-                let (bus, hash, patience) = (self.bus.clone(), self.setup_hash, self.patience);
+                let (bus, settings, patience) = (self.bus.clone(), self.settings.clone(), self.patience);
                 let evaluations = self.evaluations.clone();
                 let worker = tokio::spawn({
                     let name = name.clone();
                     async move {
                         match bus.worker_caller(&name, patience).await {
-                            Ok(caller) => WorkerClient { name, hash, caller, evaluations }.run().await,
+                            Ok(caller) => WorkerClient { name, settings, caller, evaluations }.run().await,
                             Err(error) => tracing::warn!(worker = name, %error, "a remote worker cannot be reached"),
                         }
                     }
@@ -111,7 +111,7 @@ impl Manager {
 /// Serves one remote worker.
 struct WorkerClient {
     name: String,
-    hash: u64,
+    settings: CanonicalSettings,
     caller: WorkerCaller,
     evaluations: watch::Receiver<Option<Open>>,
 }
@@ -184,7 +184,7 @@ impl WorkerClient {
 
     async fn call(&self, open: &Open, lease: &Lease) -> Result<EvalAnswer, CallError> {
         let mut unit = EvalUnit {
-            setup_hash: self.hash,
+            settings: self.settings.clone(),
             pass: open.pass,
             weights: None,
             is_sampled: lease.acting == ActionMode::Sampled,

@@ -16,10 +16,10 @@ impl Recording {
     /// Adds a step.
     pub(crate) fn push(&mut self, step: Step) {
         let Step { scene, decision: Decision { action, .. }, result: StepResult { reward, .. } } = step;
-        self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, value: 0.0, reward, label: None });
+        self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, reward, label: None });
     }
 
-    /// Returns the episode as a trajectory, without log-probabilities and values, because it is not used for learning.
+    /// Returns the episode as a trajectory, without log-probabilities, because it is not used for learning.
     /// Returns `None` if the episode has no steps.
     pub(crate) fn into_trajectory(
         self,
@@ -46,6 +46,7 @@ impl Recording {
             epoch: 0,
             seq: 0,
             weights_version,
+            settings_hash: 0,
             task: task.clone(),
             driver,
             first_step: 0,
@@ -53,7 +54,6 @@ impl Recording {
             transitions: self.transitions,
             last_scene: last.clone(),
             status,
-            bootstrap_value: 0.0,
             outcome: (status != Status::Running).then_some(outcome),
         })
     }

@@ -23,7 +23,7 @@ use crate::nice::on_thread;
 use crate::pool::EvaluationPool;
 use crate::records::Records;
 use crate::schedule::{Due, LastEvaluation, due};
-use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
+use crate::setup::{EvalError, EvalSetup, EvaluatorSetup};
 use crate::vetting::vetted;
 use crate::work_queue::{EvaluationProgress, WorkQueue};
 
@@ -150,7 +150,7 @@ async fn evaluate_all(
         () = stop.now.cancelled() => return Ok(0),
         alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
     };
-    let mut workers = Dispatcher::start(bus, setup_hash(setup), UNIT_PATIENCE).await?;
+    let mut workers = Dispatcher::start(bus, setup.settings(), UNIT_PATIENCE).await?;
     let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();

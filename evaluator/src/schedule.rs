@@ -63,6 +63,7 @@ mod tests {
             version: WeightsVersion(version),
             n_env_steps,
             network_hash: 0,
+            settings: Default::default(),
             parameters: Vec::new(),
             normalization: Default::default(),
             task_probabilities: Default::default(),

@@ -1,12 +1,12 @@
 //! The setup of an evaluation, and its errors.
 
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 
 use blueprints::Catalog;
 use environment::{EnvironmentConfig, StartError};
 use policy::{PolicyConfig, PolicyError};
-use proto::InvalidSetting;
-use proto::config_hash;
+use proto::{CanonicalSettings, InvalidSetting, config_hash};
 use runlog::RunPaths;
 
 use crate::config::{EpisodeConfig, EvaluatorConfig, ResetFreeConfig};
@@ -74,11 +74,13 @@ pub struct EvaluatorSetup {
     pub catalog: &'static Catalog,
 }
 
-/// Hashes everything other than weights and tasks that affects an episode's result.
-pub(crate) fn setup_hash(setup: &EvaluatorSetup) -> u64 {
-    let catalog = setup.catalog.iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
-    let catalog: Vec<_> = catalog.collect();
-    // The policy's hash is that of its parameters, which are valid with any mask and grip.
-    let PolicyConfig { mask, grip_steps, .. } = &setup.policy;
-    config_hash(&(env!("CARGO_PKG_VERSION"), &setup.environment, setup.policy.hash(), mask, grip_steps, catalog))
+impl EvaluatorSetup {
+    /// Returns everything other than weights and tasks that affects an episode's result.
+    pub(crate) fn settings(&self) -> CanonicalSettings {
+        let catalog = self.catalog.iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
+        let hash = config_hash(&catalog.collect::<Vec<_>>());
+        CanonicalSettings::of_run(&self.policy, &self.environment)
+            .with("catalog", &BTreeMap::from([("hash", hash)]))
+            .with("program", &BTreeMap::from([("version", env!("CARGO_PKG_VERSION"))]))
+    }
 }

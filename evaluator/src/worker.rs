@@ -7,7 +7,7 @@ use blueprints::Catalog;
 use bus::{Bus, Pulse};
 use policy::Policy;
 use proto::unit::{EvalAnswer, EvalEpisode, EvalUnit, PassId};
-use proto::{ActionMode, Role, Weights};
+use proto::{ActionMode, CanonicalSettings, Role, Weights};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::EpisodeConfig;
@@ -16,7 +16,7 @@ use crate::nice::on_thread;
 use crate::pool::EvaluationPool;
 use crate::report::EpisodeResult;
 use crate::sequences::EpisodeSpec;
-use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, setup_hash};
+use crate::setup::{EvalError, EvalSetup, EvaluatorSetup};
 use crate::work_queue::WorkQueue;
 
 /// Runs units of evaluators under the name `setup.id` until `shutdown`; returns how many. Uses the setup's number of
@@ -31,7 +31,7 @@ pub async fn run_worker(setup: EvaluatorSetup, bus: &Bus, shutdown: Cancellation
     // Only after `serve_units`, because an evaluator sends units to all workers that are alive.
     let _alive = bus.declare_alive(Role::Worker, &setup.id).await?;
     let pulse = bus.pulse().clone();
-    let mut worker = RemoteWorker { hash: setup_hash(&setup), setup, held: None, pulse };
+    let mut worker = RemoteWorker { settings: setup.settings(), setup, held: None, pulse };
     let mut n_units = 0;
     loop {
         let waiting = bus.pulse().waiting();
@@ -51,7 +51,7 @@ pub async fn run_worker(setup: EvaluatorSetup, bus: &Bus, shutdown: Cancellation
 
 struct RemoteWorker {
     setup: EvaluatorSetup,
-    hash: u64,
+    settings: CanonicalSettings,
     held: Option<(PassId, Arc<Weights>)>,
     pulse: Pulse,
 }
@@ -59,10 +59,11 @@ struct RemoteWorker {
 impl RemoteWorker {
     /// Returns `None` if `shutdown` was canceled before the unit was done.
     async fn answer(&mut self, unit: &EvalUnit, shutdown: &CancellationToken) -> anyhow::Result<Option<EvalAnswer>> {
-        if unit.setup_hash != self.hash {
-            let refusal = "the worker has another version, network or world: start it with the evaluator's settings";
-            tracing::warn!("refused a unit of an evaluator with another version, network or world");
-            return Ok(Some(EvalAnswer::Refused(refusal.to_owned())));
+        if let Some(difference) = unit.settings.difference(&self.settings) {
+            let difference = difference.between("at the evaluator", "at the worker");
+            tracing::warn!(difference, "refused a unit of an evaluator with other settings");
+            let refusal = format!("{difference}: start the worker with the evaluator's settings");
+            return Ok(Some(EvalAnswer::Refused(refusal)));
         }
         if let Some(weights) = &unit.weights {
             self.held = Some((unit.pass, Arc::new(weights.clone())));

@@ -9,6 +9,7 @@ use proto::codec::*;
 
 fuzz_target!(|bytes: &[u8]| {
     round_trip(bytes, decode_trajectory, encode_trajectory);
+    round_trip(bytes, decode_recording, encode_recording);
     round_trip(
         bytes,
         |bytes| decode_weights(Bytes::copy_from_slice(bytes)),

@@ -37,6 +37,8 @@ fn main() {
         generated: None,
         seed: 0,
         device: DeviceKind::Cpu,
+        settings: Default::default(),
+        acting: Default::default(),
         init: None,
     };
     let n_epochs = setup.config.n_epochs;
@@ -63,7 +65,6 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
                 moves: std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))),
             },
             behavior_log_prob: -12.0,
-            value: 0.0,
             reward: RewardTerms { blocks: rng.random_range(-0.1..0.1), ..RewardTerms::default() },
             label: None,
         })
@@ -75,6 +76,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         epoch: 0,
         seq: rng.random(),
         weights_version: proto::WeightsVersion(version),
+        settings_hash: proto::CanonicalSettings::default().hash(),
         task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
         driver: proto::Driver::Sampled,
         first_step: 0,
@@ -82,7 +84,6 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         transitions,
         last_scene: scene(rng),
         status: Status::Running,
-        bootstrap_value: 0.0,
         outcome: None,
     }
 }

@@ -1,11 +1,13 @@
-//! Admission rules for trajectories: a training goal, the learner's number of grippers, and plausible values. Every
-//! check is cheap.
+//! Admission rules for trajectories: the run's settings, a goal and a start that its actors draw, and plausible values.
+//! Every check is cheap.
 
 use std::collections::BTreeMap;
 
 use blueprints::generator::{Draws, Request};
-use blueprints::{BlueprintId, Catalog, Split};
-use proto::{Action, Label, RewardTerms, Scene, Start, Status, Trajectory};
+use blueprints::{BlueprintId, Split};
+use proto::{Action, Driver, Label, RewardTerms, Scene, Start, Status, Trajectory};
+
+use crate::learner::LearnerSetup;
 
 /// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
 const MAX_POSITION_M: f32 = 50.0;
@@ -26,12 +28,39 @@ const MAX_GRIPPER_MPS: f32 = 17.4;
 /// The same for its angular velocity.
 const MAX_GRIPPER_RADPS: f32 = 53.7;
 
-/// Longest configurable burn-in in steps. Its steps count for the run's schedules and for its end.
-const MAX_BURN_IN_STEPS: u16 = 1000;
+/// What the actors of a run do according to its settings. Everything else comes from somebody else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ActingLimits {
+    /// Longest episode in steps.
+    pub episode_steps: u16,
+    /// Longest burn-in in steps, 0 without burn-ins. Its steps count for the run's schedules and for its end.
+    pub burn_in_steps: u16,
+    /// Whether an expert acts and labels.
+    pub has_expert: bool,
+    /// Whether episodes begin with another blueprint built.
+    pub has_prebuilt_starts: bool,
+    /// Whether episodes begin near the goal.
+    pub has_near_goal_starts: bool,
+}
+
+impl Default for ActingLimits {
+    /// Returns the limits of all settings.
+    fn default() -> Self {
+        Self {
+            episode_steps: 1000,
+            burn_in_steps: 1000,
+            has_expert: true,
+            has_prebuilt_starts: true,
+            has_near_goal_starts: true,
+        }
+    }
+}
 
 /// The admission rules of one run.
 #[derive(Clone, Debug)]
 pub struct Admission {
+    settings_hash: u64,
+    acting: ActingLimits,
     n_grippers: usize,
     /// Blueprints allowed as goals and start states, with their numbers of blocks.
     training: BTreeMap<BlueprintId, usize>,
@@ -40,13 +69,20 @@ pub struct Admission {
 }
 
 impl Admission {
-    /// Creates rules that admit the training split of `catalog`, the run's own `tasks`, and, if given, `generated`
-    /// goals, with actions of `n_grippers` grippers.
-    pub fn new(catalog: &Catalog, tasks: &[BlueprintId], generated: Option<Draws>, n_grippers: usize) -> Self {
+    /// Creates rules that admit the training split of the catalog, the run's own tasks, and the generated goals that its
+    /// actors draw, from actors with its settings.
+    pub fn new(setup: &LearnerSetup) -> Self {
+        let LearnerSetup { catalog, tasks, generated, .. } = setup;
         let split =
             catalog.of_split(Split::Train).into_iter().map(|blueprint| (blueprint.id().clone(), blueprint.n_blocks()));
         let tasks = tasks.iter().filter_map(|id| Some((id.clone(), catalog.find(id)?.n_blocks())));
-        Self { n_grippers, training: split.chain(tasks).collect(), generated }
+        Self {
+            settings_hash: setup.settings.hash(),
+            acting: setup.acting,
+            n_grippers: usize::from(setup.policy.network.n_grippers),
+            training: split.chain(tasks).collect(),
+            generated: generated.clone(),
+        }
     }
 
     /// Checks whether a trajectory can be used for learning, regardless of the acting weights.
@@ -54,15 +90,16 @@ impl Admission {
     /// # Errors
     /// Returns a description of the first broken rule.
     pub fn check(&self, trajectory: &Trajectory) -> Result<(), String> {
+        if trajectory.settings_hash != self.settings_hash {
+            return Err("its actor has other settings of the policy or the world: start it with the run's".to_owned());
+        }
         self.check_task(trajectory)?;
+        self.check_acting(trajectory)?;
         if trajectory.status == Status::Diverged {
             return Err("the episode diverged".to_owned());
         }
         if trajectory.transitions.is_empty() {
             return Err("a trajectory has at least one step".to_owned());
-        }
-        if trajectory.n_burn_in_steps > MAX_BURN_IN_STEPS {
-            return Err(format!("a burn-in of {} steps is longer than any", trajectory.n_burn_in_steps));
         }
         if trajectory.outcome.as_ref().is_some_and(|outcome| outcome.success != (trajectory.status == Status::Success))
         {
@@ -82,10 +119,8 @@ impl Admission {
             if !LOG_PROBS.contains(&log_prob) {
                 return Err(at(format!("has a log-probability of {log_prob}, which no action has")));
             }
-            check_value(transition.value).map_err(at)?;
         }
-        check_scene(&trajectory.last_scene).map_err(|reason| format!("the end {reason}"))?;
-        check_value(trajectory.bootstrap_value).map_err(|reason| format!("the end {reason}"))
+        check_scene(&trajectory.last_scene).map_err(|reason| format!("the end {reason}"))
     }
 
     fn check_task(&self, trajectory: &Trajectory) -> Result<(), String> {
@@ -99,12 +134,41 @@ impl Admission {
         };
         match &trajectory.task.start {
             Start::Scattered => Ok(()),
+            Start::Prebuilt(_) if !self.acting.has_prebuilt_starts => {
+                Err("no episode of this run begins with another blueprint built".to_owned())
+            }
+            Start::NearGoal { .. } if !self.acting.has_near_goal_starts => {
+                Err("no episode of this run begins near its goal".to_owned())
+            }
             Start::Prebuilt(other) if self.training.contains_key(other) => Ok(()),
             Start::Prebuilt(other) => Err(format!("blueprint {other}, which stands at the start, is not for training")),
             Start::NearGoal { undone } if usize::from(*undone) < n_blocks => Ok(()),
             Start::NearGoal { undone } => Err(format!("{undone} blocks cannot be taken off {goal}")),
             Start::AsItIs => Err("episodes of training begin with a reset".to_owned()),
         }
+    }
+
+    /// Checks what the run's actors do: how long episodes and burn-ins are, and who acts and labels.
+    fn check_acting(&self, trajectory: &Trajectory) -> Result<(), String> {
+        let ActingLimits { episode_steps, burn_in_steps, has_expert, .. } = self.acting;
+        let n_steps = usize::from(trajectory.first_step) + trajectory.transitions.len();
+        if n_steps > usize::from(episode_steps) {
+            return Err(format!("{n_steps} steps are more than an episode of this run has, {episode_steps}"));
+        }
+        let n_burn_in_steps = trajectory.n_burn_in_steps;
+        if n_burn_in_steps > burn_in_steps {
+            return Err(format!(
+                "a burn-in of {n_burn_in_steps} steps is longer than any of this run, {burn_in_steps}"
+            ));
+        }
+        let is_by_expert =
+            trajectory.driver == Driver::Expert || trajectory.transitions.iter().any(|t| t.label.is_some());
+        // A greedy policy acts beside an expert and in burn-ins.
+        let is_greedy = trajectory.driver == Driver::Greedy && burn_in_steps == 0;
+        if !has_expert && (is_by_expert || is_greedy) {
+            return Err("no expert acts or labels in this run".to_owned());
+        }
+        Ok(())
     }
 
     fn check_action(&self, action: &Action) -> Result<(), String> {
@@ -147,11 +211,6 @@ fn check_reward(reward: &RewardTerms) -> Result<(), String> {
     odd.map_or(Ok(()), |term| Err(format!("has a reward of {term}, which no world gives")))
 }
 
-/// Checks that a value is finite. The learner computes its own values, but checkpoints contain these.
-fn check_value(value: f32) -> Result<(), String> {
-    if value.is_finite() { Ok(()) } else { Err(format!("has a value of {value}")) }
-}
-
 /// Returns whether `|x| ≤ limit`; false for NaN.
 fn within(x: f32, limit: f32) -> bool {
     x.abs() <= limit
@@ -159,14 +218,16 @@ fn within(x: f32, limit: f32) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use blueprints::Catalog;
     use blueprints::generator::Style;
     use proto::Outcome;
 
     use super::*;
     use crate::fixtures::trajectory;
+    use crate::tests::learning::small_setup;
 
     fn admission(generated: Option<Draws>) -> Admission {
-        Admission::new(Catalog::builtin(), &["gen1-arch-7_6_000".parse().unwrap()], generated, 2)
+        Admission::new(&LearnerSetup { tasks: vec!["gen1-arch-7_6_000".parse().unwrap()], generated, ..small_setup(1) })
     }
 
     fn of_goal(goal: &str, start: Start) -> Trajectory {
@@ -221,7 +282,7 @@ mod tests {
     #[test]
     fn implausible_numbers_are_refused() {
         type Spoil = fn(&mut Trajectory);
-        let cases: [(Spoil, &str); 16] = [
+        let cases: [(Spoil, &str); 14] = [
             (|t| t.transitions[1].reward.connected = 1e5, "step 1 has a reward of 100000, which no world gives"),
             (|t| t.transitions[1].reward.force = f32::NAN, "step 1 has a reward of NaN, which no world gives"),
             (|t| t.transitions[0].behavior_log_prob = -1e5, "a log-probability of -100000, which no action has"),
@@ -229,12 +290,10 @@ mod tests {
             (|t| t.transitions[0].action.moves[3][5] = 1e5, "step 0 has a move of 100000"),
             (|t| t.transitions[0].scene.blocks[7].position[2] = -60.0, "step 0 has a block at -60 m"),
             (|t| t.last_scene.blocks[7].position[0] = f32::NAN, "the end has a block at NaN m"),
-            (|t| t.transitions[0].value = f32::NAN, "step 0 has a value of NaN"),
-            (|t| t.bootstrap_value = f32::NAN, "the end has a value of NaN"),
             (|t| t.transitions[1].action.choices[1] = None, "step 1 uses 1 grippers, the network has 2"),
             (|t| t.status = Status::Diverged, "the episode diverged"),
             (|t| t.transitions.clear(), "a trajectory has at least one step"),
-            (|t| t.n_burn_in_steps = 1001, "a burn-in of 1001 steps is longer than any"),
+            (|t| t.settings_hash ^= 1, "its actor has other settings of the policy or the world"),
             (
                 |t| t.last_scene.grippers[1].as_mut().unwrap().linear_velocity[2] = -20.0,
                 "the end has a gripper that moves at -20 m/s",
@@ -259,6 +318,51 @@ mod tests {
             let reason = rules.check(&spoilt).unwrap_err();
             assert!(reason.contains(message), "{reason}");
         }
+    }
+
+    #[test]
+    fn what_the_settings_of_the_run_exclude_is_refused() {
+        type Spoil = fn(&mut Trajectory);
+        let acting = ActingLimits {
+            episode_steps: 100,
+            burn_in_steps: 60,
+            has_expert: false,
+            has_prebuilt_starts: false,
+            has_near_goal_starts: false,
+        };
+        let rules = Admission::new(&LearnerSetup { acting, ..small_setup(1) });
+        let label = |t: &mut Trajectory| {
+            let label = Label { choices: t.transitions[0].action.choices, moves: [[0.0; 6]; 2] };
+            t.transitions.iter_mut().for_each(|transition| transition.label = Some(label));
+        };
+        let cases: [(Spoil, &str); 7] = [
+            (|t| t.first_step = 99, "101 steps are more than an episode of this run has, 100"),
+            (
+                |t| (t.first_step, t.n_burn_in_steps) = (61, 61),
+                "a burn-in of 61 steps is longer than any of this run, 60",
+            ),
+            (|t| t.n_burn_in_steps = 999, "a burn-in of 999 steps is longer than any of this run, 60"),
+            (|t| t.driver = Driver::Expert, "no expert acts or labels in this run"),
+            (label, "no expert acts or labels in this run"),
+            (
+                |t| t.task.start = Start::Prebuilt("2_001".parse().unwrap()),
+                "no episode of this run begins with another blueprint built",
+            ),
+            (|t| t.task.start = Start::NearGoal { undone: 1 }, "no episode of this run begins near its goal"),
+        ];
+        for (spoil, message) in cases {
+            let mut spoilt = trajectory(2, 5);
+            spoil(&mut spoilt);
+            assert_eq!(rules.check(&spoilt), Err(message.to_owned()));
+        }
+        let mut longest = trajectory(2, 5);
+        (longest.first_step, longest.n_burn_in_steps, longest.driver) = (60, 60, Driver::Greedy);
+        assert_eq!(rules.check(&longest), Ok(()));
+        let without = ActingLimits { burn_in_steps: 0, ..acting };
+        let rules = Admission::new(&LearnerSetup { acting: without, ..small_setup(1) });
+        let mut greedy = trajectory(2, 5);
+        greedy.driver = Driver::Greedy;
+        assert!(rules.check(&greedy).is_err());
     }
 
     #[test]

@@ -4,11 +4,12 @@
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
 //! - `critic.safetensors`: the moments of the critic's own optimizer in the same form, once it has taken a step;
-//! - `mailbox.bin`: waiting trajectories, each as a little-endian u64 length and its wire form;
+//! - `mailbox.bin`: waiting trajectories, each as a little-endian u64 length and a recording;
 //! - `replay.bin`: labeled segments in the same form, only with imitation;
 //! - `imitator.safetensors`: the frozen imitator, only with imitation;
 //! - `model.json`: the policy's configuration, enough to act with the parameters;
-//! - `state.json`: the rest, and the length and FNV-1a hash of each file above.
+//! - `state.json`: the rest, the length and FNV-1a hash of each file above, and a digest of the parameters' names, shapes,
+//!   and values in their order.
 //!
 //! A checkpoint is written under a temporary name, flushed to disk, and renamed, so a folder with the final name is
 //! complete. The lengths and hashes detect other damage, such as an interrupted copy. A failed write, such as on a full
@@ -23,9 +24,10 @@ use std::sync::Arc;
 
 use policy::PolicyConfig;
 use policy::parameters::VALUE_HEAD;
-use proto::codec::{decode_trajectory, encode_trajectory};
-use proto::{Trajectory, Weights};
+use proto::codec::{decode_recording, encode_recording};
+use proto::{CanonicalSettings, Trajectory, Weights};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::adam::Adam;
 use crate::state::LearnerState;
@@ -46,7 +48,10 @@ const STATE: &str = "state.json";
 
 /// Format version of checkpoints and policies, incremented when older readers cannot read the files, or when the policy
 /// would read other features ([`policy::config::FEATURE_LAYOUT`]).
-pub(crate) const FORMAT_VERSION: u32 = 2;
+pub(crate) const FORMAT_VERSION: u32 = 3;
+
+/// Oldest format version that is read. Version 2 has no settings, no digest, and recordings without checksums.
+pub(crate) const OLDEST_VERSION: u32 = 2;
 
 /// The complete state of a learner.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +60,8 @@ pub struct Checkpoint {
     pub state: LearnerState,
     /// The policy's configuration.
     pub model: PolicyConfig,
+    /// Settings of policy and worlds; empty in checkpoints of format version 2.
+    pub settings: CanonicalSettings,
     /// Names and shapes of the parameters in the order of `parameters`.
     pub table: Vec<ParameterInfo>,
     /// All parameters as one flat vector.
@@ -94,14 +101,22 @@ pub enum CheckpointError {
     },
     /// Another version of the program wrote it.
     #[error(
-        "{path} has format version {found}, and this program reads version {FORMAT_VERSION}; use the version of \
-         Lodestone that wrote it, or train anew"
+        "{path} has format version {found}, and this program reads versions {OLDEST_VERSION} to {FORMAT_VERSION}; use the \
+         version of Lodestone that wrote it, or train anew"
     )]
     Version {
         /// The file.
         path: PathBuf,
         /// Its format version.
         found: u32,
+    },
+    /// The policy has settings that this version does not know, such as another kind of move head.
+    #[error("{path} holds a policy that this version of Lodestone does not know: {reason}")]
+    UnknownPolicy {
+        /// The file.
+        path: PathBuf,
+        /// The unknown setting.
+        reason: String,
     },
     /// There is no folder `step-<n>`.
     #[error("there is no checkpoint in {0}")]
@@ -133,6 +148,10 @@ pub(crate) struct FormatVersion {
 struct StateFile {
     format_version: u32,
     files: Vec<FileInfo>,
+    #[serde(default)]
+    settings: CanonicalSettings,
+    /// Of the parameters.
+    digest: Option<String>,
     table: Vec<ParameterInfo>,
     adam_steps: u64,
     critic_adam_steps: u64,
@@ -143,7 +162,7 @@ impl FormatVersion {
     /// Checks that this program reads the version of the file at `path`.
     pub(crate) fn check(&self, path: &Path) -> Result<(), CheckpointError> {
         match self.format_version {
-            FORMAT_VERSION => Ok(()),
+            OLDEST_VERSION..=FORMAT_VERSION => Ok(()),
             found => Err(CheckpointError::Version { path: path.into(), found }),
         }
     }
@@ -203,6 +222,8 @@ impl Checkpoint {
         let state = StateFile {
             format_version: FORMAT_VERSION,
             files,
+            settings: self.settings.clone(),
+            digest: Some(tensors::digest(&self.table, &self.parameters)),
             table: self.table.clone(),
             adam_steps: self.adam.n_steps,
             critic_adam_steps: self.critic_adam.as_ref().map_or(0, |adam| adam.n_steps),
@@ -223,6 +244,8 @@ impl Checkpoint {
         let state: StateFile = parse(path, STATE, &bytes)?;
         let verified = |name| files::read_verified(path, name, &state.files);
         let [parameters] = tensors::read(&path.join(PARAMETERS), &verified(PARAMETERS)?, &state.table, [""])?;
+        let StateFile { format_version, table, digest, .. } = &state;
+        tensors::check_digest(&path.join(STATE), *format_version, table, &parameters, digest.as_deref())?;
         let [first, second] = tensors::read(&path.join(ADAM), &verified(ADAM)?, &state.table, ["first.", "second."])?;
         let mailbox = unpack(path, MAILBOX, &verified(MAILBOX)?)?;
         let has = |name: &str| state.files.iter().any(|file| file.name == name);
@@ -242,10 +265,10 @@ impl Checkpoint {
         };
         let replay = if has(REPLAY) { unpack(path, REPLAY, &verified(REPLAY)?)? } else { Vec::new() };
         let replay = replay.into_iter().map(Arc::new).collect();
-        let model = parse(path, MODEL, &verified(MODEL)?)?;
+        let model = parse_policy(&path.join(MODEL), parse(path, MODEL, &verified(MODEL)?)?)?;
         let adam = Adam { first, second, n_steps: state.adam_steps };
-        let StateFile { table, state, .. } = state;
-        Ok(Self { state, model, table, parameters, adam, critic_adam, imitator, mailbox, replay })
+        let StateFile { table, settings, state, .. } = state;
+        Ok(Self { state, model, settings, table, parameters, adam, critic_adam, imitator, mailbox, replay })
     }
 
     /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is a checkpoint.
@@ -271,7 +294,7 @@ impl Checkpoint {
 
     /// Returns the frozen policy, as sent to the actors.
     pub fn weights(&self) -> Weights {
-        self.state.weights(self.model.hash(), self.parameters.clone())
+        self.state.weights(self.model.hash(), self.settings.clone(), self.parameters.clone())
     }
 }
 
@@ -327,10 +350,21 @@ fn parse<T: for<'de> Deserialize<'de>>(folder: &Path, name: &str, bytes: &[u8]) 
     serde_json::from_slice(bytes).map_err(|error| damaged(folder, name, error.to_string()))
 }
 
+/// Parses and checks the configuration of a policy.
+pub(crate) fn parse_policy(path: &Path, value: Value) -> Result<PolicyConfig, CheckpointError> {
+    let unknown =
+        |error: serde_json::Error| CheckpointError::UnknownPolicy { path: path.into(), reason: error.to_string() };
+    let policy: PolicyConfig = serde_json::from_value(value).map_err(unknown)?;
+    match policy.validate() {
+        Ok(()) => Ok(policy),
+        Err(error) => Err(CheckpointError::Damaged { path: path.into(), reason: error.to_string() }),
+    }
+}
+
 fn pack<'t>(trajectories: impl IntoIterator<Item = &'t Trajectory>) -> Vec<u8> {
     let mut bytes = Vec::new();
     for trajectory in trajectories {
-        let encoded = encode_trajectory(trajectory);
+        let encoded = encode_recording(trajectory);
         bytes.extend((encoded.len() as u64).to_le_bytes());
         bytes.extend(encoded);
     }
@@ -342,7 +376,7 @@ fn unpack(folder: &Path, name: &str, mut bytes: &[u8]) -> Result<Vec<Trajectory>
     while let Some((length, rest)) = bytes.split_first_chunk::<8>() {
         let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
         let Some((message, rest)) = rest.split_at_checked(length) else { break };
-        trajectories.push(decode_trajectory(message).map_err(|error| damaged(folder, name, error.to_string()))?);
+        trajectories.push(decode_recording(message).map_err(|error| damaged(folder, name, error.to_string()))?);
         bytes = rest;
     }
     if bytes.is_empty() { Ok(trajectories) } else { Err(damaged(folder, name, "its last trajectory is cut short")) }

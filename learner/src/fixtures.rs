@@ -2,7 +2,8 @@
 
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use proto::{
-    Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion,
+    Action, ActorId, CanonicalSettings, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition,
+    WeightsVersion,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -24,7 +25,6 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
             scene: scene(rng),
             action: action(rng),
             behavior_log_prob: -10.0,
-            value: 0.0,
             reward: RewardTerms::default(),
             label: None,
         })
@@ -35,6 +35,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
         epoch: 0,
         seq: rng.random(),
         weights_version: WeightsVersion(version),
+        settings_hash: CanonicalSettings::default().hash(),
         task: Task {
             blueprint: blueprint_id(),
             assignment: assignment.try_into().unwrap(),
@@ -47,7 +48,6 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
         transitions,
         last_scene: scene(rng),
         status: Status::Running,
-        bootstrap_value: 0.0,
         outcome: None,
     }
 }

@@ -10,12 +10,12 @@ use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
 use policy::{Policy, PolicyConfig};
 use proto::codec::MAX_PARAMETERS;
-use proto::{Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate};
-use crate::admission::Admission;
+use crate::admission::{ActingLimits, Admission};
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
 use crate::config::LearnerConfig;
@@ -43,6 +43,11 @@ pub struct LearnerSetup {
     pub tasks: Vec<BlueprintId>,
     /// Generated structures that actors also draw as goals, if any.
     pub generated: Option<Draws>,
+    /// Settings of policy and worlds, which must be those of every actor. Weights carry them, and trajectories their
+    /// hash.
+    pub settings: CanonicalSettings,
+    /// What actors do according to the run's settings.
+    pub acting: ActingLimits,
     /// Seed of the initial parameters and of the sample order.
     pub seed: u64,
     /// The device that computes gradients.
@@ -133,8 +138,7 @@ impl Learner {
             mailbox: MailboxCounts::default(),
             normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         };
-        let n_grippers = usize::from(setup.policy.network.n_grippers);
-        let admission = Admission::new(&setup.catalog, &setup.tasks, setup.generated.clone(), n_grippers);
+        let admission = Admission::new(&setup);
         let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), admission));
         let n_threads = setup.config.n_threads.unwrap_or_else(|| match setup.device {
             DeviceKind::Cpu => n_cores(),
@@ -307,7 +311,8 @@ impl Learner {
 
     /// Returns the newest weights.
     pub fn weights(&self) -> Weights {
-        self.state.weights(self.setup.policy.hash(), self.ppo.parameters().to_vec())
+        let settings = self.setup.settings.clone();
+        self.state.weights(self.setup.policy.hash(), settings, self.ppo.parameters().to_vec())
     }
 
     /// Returns the version of the newest weights.
@@ -331,6 +336,7 @@ impl Learner {
         Checkpoint {
             state: LearnerState { mailbox: counts, ..self.state.clone() },
             model: self.setup.policy.clone(),
+            settings: self.setup.settings.clone(),
             table: self.table(),
             parameters: self.ppo.parameters().to_vec(),
             adam: self.ppo.adam().clone(),

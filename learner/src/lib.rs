@@ -31,7 +31,7 @@ pub mod state;
 #[cfg(test)]
 mod tests;
 
-pub use admission::Admission;
+pub use admission::{ActingLimits, Admission};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::LearnerConfig;
 pub use learner::{Learner, LearnerError, LearnerSetup};

@@ -33,7 +33,7 @@ pub struct MailboxCounts {
     pub stale_total: u64,
     /// Refused because the mailbox was full.
     pub full_total: u64,
-    /// Refused because they broke a rule of the [`Admission`].
+    /// Refused because they broke a rule of the [`Admission`], or acted with newer weights than there are.
     pub invalid_total: u64,
     /// Dropped after acceptance because they became too old.
     pub expired_total: u64,
@@ -58,7 +58,8 @@ impl Mailbox {
     ///
     /// # Errors
     /// `Stale` if it is more than `max_policy_lag` versions old, `Full` if the mailbox is at capacity, and `Invalid` if
-    /// this learner cannot use it.
+    /// this learner cannot use it, or if it acted with weights that this learner has not made yet. An actor still has
+    /// such weights for a moment after the learner resumed from an older checkpoint.
     pub fn push(&self, trajectory: Trajectory) -> Result<(), Refusal> {
         self.put(trajectory, self.config.capacity_steps)
     }
@@ -71,6 +72,11 @@ impl Mailbox {
     fn put(&self, trajectory: Trajectory, capacity_steps: usize) -> Result<(), Refusal> {
         let admitted = self.admission.check(&trajectory);
         let mut state = self.lock();
+        let (acted, newest) = (trajectory.weights_version, state.version);
+        let admitted = admitted.and_then(|()| match acted <= newest {
+            true => Ok(()),
+            false => Err(format!("its weights {acted} are newer than the newest, {newest}")),
+        });
         if let Err(reason) = admitted {
             state.counts.invalid_total += 1;
             return Err(Refusal::Invalid(reason));
@@ -160,31 +166,31 @@ impl Mailbox {
     }
 }
 
-/// Returns the number of versions between the acting weights and `newest`; 0 for newer acting weights, which occur
-/// after the learner resumes from an older checkpoint.
+/// Returns the number of versions between the acting weights and `newest`.
 pub fn policy_lag(newest: WeightsVersion, trajectory: &Trajectory) -> u64 {
     newest.0.saturating_sub(trajectory.weights_version.0)
 }
 
 #[cfg(test)]
 mod tests {
-    use blueprints::{BlueprintId, Catalog};
+    use blueprints::BlueprintId;
     use proto::Status;
 
     use super::*;
     use crate::fixtures::trajectory;
+    use crate::tests::learning::small_setup;
 
     fn mailbox(capacity_steps: usize) -> Mailbox {
         let config = MailboxConfig { capacity_steps, max_policy_lag: 2 };
-        Mailbox::new(config, Admission::new(Catalog::builtin(), &[], None, 2))
+        Mailbox::new(config, Admission::new(&small_setup(1)))
     }
 
     #[test]
     fn closed_mailbox_keeps_its_trajectories_and_refuses_others() {
         let mailbox = mailbox(100);
-        mailbox.push(trajectory(2, 5)).unwrap();
+        mailbox.push(trajectory(2, 0)).unwrap();
         mailbox.close();
-        assert_eq!(mailbox.push(trajectory(2, 5)), Err(Refusal::Full));
+        assert_eq!(mailbox.push(trajectory(2, 0)), Err(Refusal::Full));
         assert_eq!((mailbox.snapshot().1.len(), mailbox.counts().full_total), (1, 1));
     }
 
@@ -237,6 +243,7 @@ mod tests {
     #[test]
     fn take_returns_whole_batches_in_order() {
         let mailbox = mailbox(100);
+        mailbox.set_version(WeightsVersion(2));
         for version in 0..3 {
             mailbox.push(trajectory(4, version)).unwrap();
         }
@@ -249,8 +256,15 @@ mod tests {
     }
 
     #[test]
-    fn newer_acting_weights_have_no_lag() {
-        assert_eq!(policy_lag(WeightsVersion(3), &trajectory(1, 7)), 0);
+    fn nothing_comes_from_the_future() {
+        let mailbox = mailbox(100);
+        mailbox.set_version(WeightsVersion(3));
+        for version in [4, 1_000_000_000, u64::MAX] {
+            let expected = format!("its weights {version} are newer than the newest, 3");
+            assert_eq!(mailbox.push(trajectory(1, version)), Err(Refusal::Invalid(expected)));
+        }
+        assert_eq!(mailbox.push(trajectory(1, 3)), Ok(()));
+        assert_eq!((mailbox.counts().invalid_total, mailbox.counts().accepted_total), (3, 1));
     }
 
     #[test]

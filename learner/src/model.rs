@@ -1,16 +1,20 @@
 //! A policy in one file, with everything needed to act and nothing that is only needed to learn.
 //!
 //! The file is a safetensors file with one f32 tensor per parameter, by name. Its metadata has one entry, `lodestone`:
-//! JSON with the policy's configuration, the order of the parameters, and the normalization.
+//! JSON with the policy's configuration, the order of the parameters, the normalization, the settings of policy and
+//! worlds, and a digest of the parameters' names, shapes, and values in their order.
 
 use std::path::Path;
 
 use policy::PolicyConfig;
-use proto::{Normalization, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
-use crate::checkpoint::{Checkpoint, CheckpointError, FORMAT_VERSION, FormatVersion, ParameterInfo, tensors};
+use crate::checkpoint::{
+    Checkpoint, CheckpointError, FORMAT_VERSION, FormatVersion, ParameterInfo, parse_policy, tensors,
+};
 use crate::state::NormalizationFields;
 
 /// Name of the metadata entry.
@@ -34,6 +38,9 @@ struct Header {
     weights_version: u64,
     n_env_steps: u64,
     policy: PolicyConfig,
+    #[serde(default)]
+    settings: CanonicalSettings,
+    digest: Option<String>,
     table: Vec<ParameterInfo>,
     #[serde(with = "NormalizationFields")]
     normalization: Normalization,
@@ -57,6 +64,8 @@ impl Model {
             weights_version: self.weights.version.0,
             n_env_steps: self.weights.n_env_steps,
             policy: self.policy.clone(),
+            settings: self.weights.settings.clone(),
+            digest: Some(tensors::digest(&self.table, &self.weights.parameters)),
             table: self.table.clone(),
             normalization: self.weights.normalization.clone(),
         };
@@ -78,20 +87,25 @@ impl Model {
         let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|error| damaged(error.to_string()))?;
         let header = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY));
         let header = header.ok_or_else(|| damaged(format!("its metadata has no entry `{ENTRY}`")))?;
-        let version: FormatVersion = serde_json::from_str(header).map_err(|error| damaged(error.to_string()))?;
-        version.check(path)?;
-        let header: Header = serde_json::from_str(header).map_err(|error| damaged(error.to_string()))?;
-        header.policy.validate().map_err(|error| damaged(error.to_string()))?;
+        let malformed = |error: serde_json::Error| damaged(error.to_string());
+        let header: Value = serde_json::from_str(header).map_err(malformed)?;
+        FormatVersion::deserialize(&header).map_err(malformed)?.check(path)?;
+        // First, because its errors are more helpful.
+        let policy = parse_policy(path, header["policy"].clone())?;
+        let header: Header = serde_json::from_value(header).map_err(malformed)?;
         let [parameters] = tensors::read(path, bytes, &header.table, [""])?;
+        let Header { format_version, table, digest, .. } = &header;
+        tensors::check_digest(path, *format_version, table, &parameters, digest.as_deref())?;
         let weights = Weights {
             version: WeightsVersion(header.weights_version),
             n_env_steps: header.n_env_steps,
-            network_hash: header.policy.hash(),
+            network_hash: policy.hash(),
+            settings: header.settings,
             parameters,
             normalization: header.normalization,
             task_probabilities: Default::default(),
             reverse_reach: Default::default(),
         };
-        Ok(Self { policy: header.policy, weights, table: header.table })
+        Ok(Self { policy, weights, table: header.table })
     }
 }

@@ -1,7 +1,7 @@
 //! The state of a learner except its network and optimizer, stored in `state.json`.
 
 use policy::normalization::FeatureMoments;
-use proto::{Normalization, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
@@ -47,11 +47,12 @@ pub struct LearnerState {
 
 impl LearnerState {
     /// Returns the frozen policy with these `parameters`.
-    pub(crate) fn weights(&self, network_hash: u64, parameters: Vec<f32>) -> Weights {
+    pub(crate) fn weights(&self, network_hash: u64, settings: CanonicalSettings, parameters: Vec<f32>) -> Weights {
         Weights {
             version: self.version,
             n_env_steps: self.n_env_steps,
             network_hash,
+            settings,
             parameters,
             normalization: self.normalization.clone(),
             task_probabilities: self.curriculum.probabilities(),

@@ -2,5 +2,5 @@
 
 mod checkpoints;
 mod goals;
-mod learning;
+pub(crate) mod learning;
 mod service;

@@ -30,4 +30,4 @@ pub use device::{DeviceError, DeviceKind};
 pub use engine::{Engine, Leaves};
 pub use features::FeatureSizes;
 pub use network::{BatchTensors, Network, NetworkOutput};
-pub use policy::{Attention, Policy, PolicyError};
+pub use policy::{Attention, Policy, PolicyError, check_settings};

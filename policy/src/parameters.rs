@@ -10,11 +10,15 @@ use burn::tensor::{Gradients, Tensor, TensorData};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use sha2::{Digest, Sha256};
 
 use crate::Network;
 
 /// Prefix of the names of the value head's parameters.
 pub const VALUE_HEAD: &str = "value.";
+
+/// Number of values that a digest takes at a time.
+const BLOCK: usize = 1024;
 
 /// Name, shape, and initializer of one parameter.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,6 +99,29 @@ pub(crate) fn check(values: &[f32], expected: usize) -> Result<(), ParameterErro
         return Err(ParameterError::Count { given: values.len(), expected });
     }
     values.iter().position(|x| !x.is_finite()).map_or(Ok(()), |index| Err(ParameterError::NotFinite { index }))
+}
+
+/// Returns the SHA-256 digest of parameters, as 64 hexadecimal digits: of the name, the number of dimensions, the
+/// dimensions, and the values of each tensor, in the order of `table`. Numbers are little-endian, and counts have 64
+/// bits. A name is preceded by its length in bytes.
+///
+/// `values` must have as many entries as the tensors in `table`; others are not part of the digest.
+pub fn digest<'t>(table: impl IntoIterator<Item = (&'t str, &'t [usize])>, mut values: &[f32]) -> String {
+    let mut digest = Sha256::new();
+    for (name, shape) in table {
+        digest.update((name.len() as u64).to_le_bytes());
+        digest.update(name);
+        digest.update((shape.len() as u64).to_le_bytes());
+        shape.iter().for_each(|n| digest.update((*n as u64).to_le_bytes()));
+        let (own, rest) = values.split_at(shape.iter().product::<usize>().min(values.len()));
+        for block in own.chunks(BLOCK) {
+            let mut bytes = [0; 4 * BLOCK];
+            bytes.as_chunks_mut::<4>().0.iter_mut().zip(block).for_each(|(place, x)| *place = x.to_le_bytes());
+            digest.update(&bytes[..4 * block.len()]);
+        }
+        values = rest;
+    }
+    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Returns the gradients of all parameters in the order of the table; 0 where the loss does not depend on a parameter.

@@ -5,7 +5,10 @@ mod trial;
 
 use blueprints::Catalog;
 use burn::tensor::Device;
-use proto::{ActionMode, Agent, Decision, InvalidSetting, Normalization, Observation, Weights, WeightsVersion};
+use proto::{
+    ActionMode, Agent, CanonicalSettings, Decision, InvalidSetting, Normalization, Observation, SettingsDifference,
+    Weights, WeightsVersion,
+};
 use rand_chacha::ChaCha8Rng;
 
 use crate::FeatureBatch;
@@ -24,8 +27,17 @@ pub enum PolicyError {
     /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] InvalidSetting),
+    /// The weights are of a run with other settings of the policy or, for an actor, the world.
+    #[error("weights {version} are of a run with other settings")]
+    OtherSettings {
+        /// Version of the weights.
+        version: WeightsVersion,
+        /// The first difference.
+        #[source]
+        difference: SettingsDifference,
+    },
     /// The weights belong to another network.
-    #[error("weights {version:?} are for network {given:016x}, this process runs {expected:016x}")]
+    #[error("weights {version} are for network {given:016x}, this process runs {expected:016x}")]
     OtherNetwork {
         /// Version of the weights.
         version: WeightsVersion,
@@ -35,7 +47,7 @@ pub enum PolicyError {
         expected: u64,
     },
     /// The parameters do not fit.
-    #[error("weights {version:?} do not fit")]
+    #[error("weights {version} do not fit")]
     Parameters {
         /// Version of the weights.
         version: WeightsVersion,
@@ -43,7 +55,7 @@ pub enum PolicyError {
         source: ParameterError,
     },
     /// The normalization statistics do not fit.
-    #[error("weights {version:?} have normalization {field} of length {given}, must be 0 or {expected}")]
+    #[error("weights {version} have normalization {field} of length {given}, must be 0 or {expected}")]
     NormalizationLength {
         /// Version of the weights.
         version: WeightsVersion,
@@ -55,7 +67,7 @@ pub enum PolicyError {
         expected: usize,
     },
     /// A statistic is not finite, or a standard deviation is not above 0.
-    #[error("weights {version:?} have {field} = {value}, must be finite and, for a standard deviation, above 0")]
+    #[error("weights {version} have {field} = {value}, must be finite and, for a standard deviation, above 0")]
     NormalizationValue {
         /// Version of the weights.
         version: WeightsVersion,
@@ -66,7 +78,7 @@ pub enum PolicyError {
     },
     /// The output of a forward pass is not a distribution over actions, or not a value: the parameters are finite, but
     /// so large that sums overflow.
-    #[error("weights {version:?} give {output} = {value} for a scene, must be a number in −1e6..=1e6")]
+    #[error("{} give {output} = {value} for a scene, must be a number in −1e6..=1e6", named(*.version))]
     NoDistribution {
         /// Version of the weights; `None` for untrained parameters.
         version: Option<WeightsVersion>,
@@ -77,12 +89,32 @@ pub enum PolicyError {
     },
 }
 
+/// Checks that weights with the settings `theirs` are of a run with `own` settings, unless theirs are not known.
+///
+/// # Errors
+/// [`PolicyError::OtherSettings`] with the first difference.
+pub fn check_settings(
+    version: WeightsVersion,
+    theirs: &CanonicalSettings,
+    own: &CanonicalSettings,
+) -> Result<(), PolicyError> {
+    match theirs.difference(own) {
+        Some(difference) if !theirs.is_empty() => Err(PolicyError::OtherSettings { version, difference }),
+        _ => Ok(()),
+    }
+}
+
+/// Names weights in an error.
+fn named(version: Option<WeightsVersion>) -> String {
+    version.map_or_else(|| "untrained weights".to_owned(), |version| format!("weights {version}"))
+}
+
 impl PolicyError {
     /// Whether only these weights are at fault, so that a process can keep its previous weights and wait for better
     /// ones. Waiting does not help with weights of another network or an invalid configuration.
     pub fn is_of_weights(&self) -> bool {
         match self {
-            Self::Config(_) | Self::OtherNetwork { .. } => false,
+            Self::Config(_) | Self::OtherSettings { .. } | Self::OtherNetwork { .. } => false,
             Self::Parameters { .. }
             | Self::NormalizationLength { .. }
             | Self::NormalizationValue { .. }
@@ -143,10 +175,12 @@ impl Policy {
     /// use.
     ///
     /// # Errors
-    /// If the weights are of another network, of the wrong length, not finite, or so large that they give no
+    /// If the weights are of another network or of a policy with other settings, of the wrong length, not finite, or so large that they give no
     /// distribution.
     pub fn load(&mut self, weights: &Weights) -> Result<(), PolicyError> {
         let version = weights.version;
+        let own = CanonicalSettings::default().with("policy", &self.config);
+        check_settings(version, &weights.settings.section("policy"), &own)?;
         let expected = self.config.hash();
         if weights.network_hash != expected {
             return Err(PolicyError::OtherNetwork { version, given: weights.network_hash, expected });
@@ -166,14 +200,6 @@ impl Policy {
         }
         *self = tried;
         Ok(())
-    }
-
-    /// Returns the values of the observed scenes, in reward units.
-    ///
-    /// # Errors
-    /// [`PolicyError::NoDistribution`] if the forward pass gives no distribution for one of the scenes.
-    pub fn values(&mut self, observations: &[Observation<'_>]) -> Result<Vec<f32>, PolicyError> {
-        Ok(self.run(observations)?.values)
     }
 
     /// Acts like [`Agent::act`], but on features, which must be those that [`FeatureBatch::push`] writes, including

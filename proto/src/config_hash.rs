@@ -15,9 +15,14 @@ use serde_json::Value;
 /// If `config` has no JSON form, such as a map with non-string keys. Every configuration has a JSON form.
 pub fn config_hash(config: &impl Serialize) -> u64 {
     let value = serde_json::to_value(config).expect("a configuration is JSON");
+    fnv1a(canonical(&value).into_bytes())
+}
+
+/// Returns the canonical form of a value.
+pub(crate) fn canonical(value: &Value) -> String {
     let mut text = String::new();
-    write(&value, &mut text);
-    fnv1a(text.into_bytes())
+    write(value, &mut text);
+    text
 }
 
 fn write(value: &Value, text: &mut String) {
@@ -55,8 +60,7 @@ mod tests {
 
     #[test]
     fn canonical_form_is_sorted_and_omits_nulls() {
-        let mut text = String::new();
-        write(&json!({ "b": [1, 0.5, null, "x\"y"], "a": { "d": true, "c": null } }), &mut text);
+        let text = canonical(&json!({ "b": [1, 0.5, null, "x\"y"], "a": { "d": true, "c": null } }));
         assert_eq!(text, r#"{"a":{"d":true},"b":[1,0.5,null,"x\"y"]}"#);
         assert_eq!(config_hash(&json!({ "b": 1, "a": 2 })), config_hash(&json!({ "a": 2, "b": 1, "c": null })));
         assert_ne!(config_hash(&json!({ "a": 1 })), config_hash(&json!({ "a": "1" })));

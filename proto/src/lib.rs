@@ -9,6 +9,7 @@
 extern crate self as proto; // The unit tests share the samples of the integration tests.
 
 pub mod agent;
+mod canonical;
 pub mod codec;
 mod config_hash;
 pub mod keys;
@@ -23,6 +24,7 @@ pub mod wilson;
 mod wire;
 
 pub use agent::{Agent, Decision, Observation};
+pub use canonical::{CanonicalSettings, NotCanonical, SettingsDifference};
 pub use codec::{Ack, DecodeError, Refusal};
 pub use config_hash::config_hash;
 pub use keys::Role;

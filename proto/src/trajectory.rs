@@ -62,8 +62,6 @@ pub struct Transition {
     pub action: Action,
     /// Joint log-probability of the action under the acting weights.
     pub behavior_log_prob: f32,
-    /// Value of `scene` under the acting weights, in reward units.
-    pub value: f32,
     /// Reward by term.
     pub reward: RewardTerms,
     /// The expert's action in `scene`; `None` without DAgger, or if the expert has no action.
@@ -138,6 +136,9 @@ pub struct Trajectory {
     pub seq: u64,
     /// Version of the weights that acted (the oldest, if they changed within the segment).
     pub weights_version: WeightsVersion,
+    /// Hash of the actor's [settings](crate::CanonicalSettings) of policy and world; 0 in recordings, which are not
+    /// learned from.
+    pub settings_hash: u64,
     /// Goal and start of the episode.
     pub task: Task,
     /// Source of the actions. `behavior_log_prob` is 0 unless actions were sampled.
@@ -153,8 +154,6 @@ pub struct Trajectory {
     pub last_scene: Scene,
     /// `Running` if the segment was cut before the episode's end; never `Diverged`.
     pub status: Status,
-    /// Value of `last_scene` for bootstrapping: 0 after success, V(last_scene) otherwise, in reward units.
-    pub bootstrap_value: f32,
     /// Present if and only if the episode ended.
     pub outcome: Option<Outcome>,
 }

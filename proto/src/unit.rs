@@ -1,6 +1,6 @@
 //! Evaluation episodes that another process runs.
 
-use crate::{RewardTerms, Task, Weights};
+use crate::{CanonicalSettings, RewardTerms, Task, Weights};
 
 /// Maximum number of sequences per unit, and of tasks per sequence.
 pub const MAX_UNIT_SEQUENCES: usize = 1000;
@@ -8,8 +8,8 @@ pub const MAX_UNIT_SEQUENCES: usize = 1000;
 /// Episodes to run with frozen weights.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EvalUnit {
-    /// Hash of everything other than weights and tasks that affects an episode's result.
-    pub setup_hash: u64,
+    /// Everything other than weights and tasks that affects an episode's result.
+    pub settings: CanonicalSettings,
     /// The evaluation, which fixes the weights.
     pub pass: PassId,
     /// The weights, if the remote worker lacks them.

@@ -1,13 +1,22 @@
 //! Published policies: parameters, normalization statistics, and task probabilities.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use blueprints::BlueprintId;
+
+use crate::CanonicalSettings;
 
 /// Version of published weights, counted from 0 (untrained).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 #[serde(transparent)]
 pub struct WeightsVersion(pub u64);
+
+impl fmt::Display for WeightsVersion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
 
 /// Running statistics frozen with a weights version.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,6 +40,9 @@ pub struct Weights {
     pub n_env_steps: u64,
     /// Hash of the network configuration; a process with a different network refuses the weights.
     pub network_hash: u64,
+    /// Settings of the policy and the world that the weights are trained with; a process with other ones refuses the
+    /// weights. Empty if they are not known, as in policies exported by early versions.
+    pub settings: CanonicalSettings,
     /// All parameters as one flat vector, in the order of `policy`'s parameter table.
     pub parameters: Vec<f32>,
     /// Statistics of features and returns.

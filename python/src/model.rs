@@ -4,13 +4,13 @@
 //! two minutes of compile time.
 
 use policy::PolicyConfig;
-use proto::{Normalization, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
 use safetensors::tensor::Dtype;
 use safetensors::{SafeTensorError, SafeTensors};
 use serde::Deserialize;
 
-/// The supported format version.
-const FORMAT_VERSION: u32 = 2;
+/// The supported format versions.
+const FORMAT_VERSIONS: std::ops::RangeInclusive<u32> = 2..=3;
 
 /// Name of the metadata entry.
 const ENTRY: &str = "lodestone";
@@ -28,8 +28,16 @@ pub(crate) enum ModelError {
     #[error("its entry `{ENTRY}` cannot be read")]
     Entry(#[from] serde_json::Error),
     /// The format version is not supported.
-    #[error("its format version is {0}, this package reads {FORMAT_VERSION}")]
+    #[error("its format version is {0}, this package reads {start} to {end}", start = FORMAT_VERSIONS.start(), end = FORMAT_VERSIONS.end())]
     Version(u32),
+    /// The tensors are not those that were exported.
+    #[error("the digest of its tensors is {found} instead of {expected}")]
+    Digest {
+        /// Digest of the tensors.
+        found: String,
+        /// Digest in the metadata.
+        expected: String,
+    },
     /// A tensor does not match the table.
     #[error("tensor {name} is {dtype:?} {shape:?}, its table says F32 {expected:?}")]
     Tensor {
@@ -65,6 +73,9 @@ struct Header {
     weights_version: u64,
     n_env_steps: u64,
     policy: PolicyConfig,
+    #[serde(default)]
+    settings: CanonicalSettings,
+    digest: Option<String>,
     table: Vec<Parameter>,
     #[serde(with = "Statistics")]
     normalization: Normalization,
@@ -97,24 +108,35 @@ impl Model {
         let (_, metadata) = SafeTensors::read_metadata(bytes)?;
         let entry = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY)).ok_or(ModelError::NoPolicy)?;
         let FormatVersion { format_version } = serde_json::from_str(entry)?;
-        if format_version != FORMAT_VERSION {
+        if !FORMAT_VERSIONS.contains(&format_version) {
             return Err(ModelError::Version(format_version));
         }
         let header: Header = serde_json::from_str(entry)?;
         let tensors = SafeTensors::deserialize(bytes)?;
         let mut parameters = Vec::new();
-        for Parameter { name, shape } in header.table {
-            let tensor = tensors.tensor(&name)?;
+        for Parameter { name, shape } in &header.table {
+            let tensor = tensors.tensor(name)?;
             if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
                 let (dtype, found) = (tensor.dtype(), tensor.shape().to_vec());
-                return Err(ModelError::Tensor { name, dtype, shape: found, expected: shape });
+                let (name, expected) = (name.clone(), shape.clone());
+                return Err(ModelError::Tensor { name, dtype, shape: found, expected });
             }
             parameters.extend(tensor.data().as_chunks::<4>().0.iter().map(|x| f32::from_le_bytes(*x)));
+        }
+        // Version 2 has no digest.
+        if format_version > 2 {
+            let expected = header.digest.unwrap_or_else(|| "none".to_owned());
+            let table = header.table.iter().map(|parameter| (parameter.name.as_str(), parameter.shape.as_slice()));
+            let found = policy::parameters::digest(table, &parameters);
+            if found != expected {
+                return Err(ModelError::Digest { found, expected });
+            }
         }
         let weights = Weights {
             version: WeightsVersion(header.weights_version),
             n_env_steps: header.n_env_steps,
             network_hash: header.policy.hash(),
+            settings: header.settings,
             parameters,
             normalization: header.normalization,
             task_probabilities: Default::default(),

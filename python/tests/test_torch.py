@@ -223,11 +223,16 @@ class Settings(Case):
         policy = Policy.load(golden.PRETRAINED)
         tensors = policy.network.state_dict()
         flat = json.loads(json.dumps(policy.header))
+        swapped = json.loads(json.dumps(policy.header))
+        places = [i for i, entry in enumerate(swapped["table"]) if entry["shape"] == swapped["table"][1]["shape"]]
+        table = swapped["table"]
+        table[places[0]], table[places[1]] = table[places[1]], table[places[0]]
         flat["policy"]["network"]["encoder"] = {"kind": "resnet", "hidden": 8, "n_blocks": 1}
         cases = [
             (tensors, {}, "no entry `lodestone`"),
             (tensors, {"lodestone": json.dumps({"format_version": 1})}, "format version is 1"),
             (tensors, {"lodestone": json.dumps(flat)}, "its encoder is `resnet`"),
+            (tensors, {"lodestone": json.dumps(swapped)}, "its tensors are not those that were exported"),
             (
                 {"embed_node.w": tensors["embed_node.w"]},
                 {"lodestone": json.dumps(policy.header)},

@@ -340,7 +340,7 @@ fn the_expert_is_judged_and_its_failures_are_explained() {
     let causes: serde_json::Value = serde_json::from_str(&causes).unwrap();
     assert_eq!((causes[0]["cause"].as_str(), causes[1]["episode_idx"].as_u64()), (Some("time"), Some(1)));
     let replay = folder.path().join("why").join(causes[0]["replay"].as_str().unwrap());
-    let replay = proto::codec::decode_trajectory(&std::fs::read(replay).unwrap()).unwrap();
+    let replay = proto::codec::decode_recording(&std::fs::read(replay).unwrap()).unwrap();
     assert_eq!((replay.task.blueprint.as_str(), replay.transitions.len()), ("16_000", 5));
     // An existing folder is not written to.
     let again = lodestone(folder.path(), &["expert", "eval", "2_000", "--explain", "why"], &[]);

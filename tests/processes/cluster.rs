@@ -128,6 +128,25 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
 }
 
 #[test]
+fn an_actor_with_other_settings_than_the_learner_ends_and_names_the_first() {
+    let cluster = Cluster::start();
+    let _learner = cluster.member("learner", &["--run-dir", "run"]);
+    for (set, difference) in [
+        ("policy.mask=blueprint", r#"policy.mask is "none" there and "blueprint" here"#),
+        ("policy.grip_steps=7", "policy.grip_steps is 1 there and 7 here"),
+        ("environment.magnets.snap_gap_m=0.02", "environment.magnets.snap_gap_m is 0.03 there and 0.02 here"),
+    ] {
+        let mut actor = command(cluster.folder.path());
+        actor.args(["actor", "--connect", &cluster.endpoint, "--set", set]).args(TASK).stderr(Stdio::piped());
+        let output = actor.output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        // Supervisors do not start a process again after 64.
+        assert_eq!(output.status.code(), Some(64), "{stderr}");
+        assert!(stderr.contains(&format!("are of a run with other settings: {difference}")), "{stderr}");
+    }
+}
+
+#[test]
 fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let Some(python) = python() else { return };
     let cluster = Cluster::start();

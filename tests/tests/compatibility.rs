@@ -5,7 +5,7 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use deploy::config::{Base, Config, PRESETS, Preset, merge};
-use learner::Model;
+use learner::{Checkpoint, Model};
 use policy::Engine;
 use proto::codec::MAX_PARAMETERS;
 
@@ -48,6 +48,18 @@ fn the_shipped_policy_is_read_and_is_one_of_the_laptop_preset() {
     let model = Model::from_bytes(&std::fs::read(&path).unwrap(), &path).unwrap();
     assert_eq!((model.weights.version.0, model.weights.n_env_steps), (439, 3_602_616));
     assert_eq!(model.weights.network_hash, network_hash("laptop"));
+}
+
+#[test]
+fn a_policy_of_format_version_2_is_read() {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("golden");
+    let path = golden.join("policy-format-2.safetensors");
+    let model = Model::from_bytes(&std::fs::read(&path).unwrap(), &path).unwrap();
+    let found = Checkpoint::read_latest(&golden.join("run-format-2/checkpoints")).unwrap();
+    // Written again, it has the present version and the same content.
+    assert_eq!(model, Model::from(&found.checkpoint));
+    assert_eq!(Model::from_bytes(&model.to_bytes().unwrap(), &path).unwrap(), model);
+    assert!(model.weights.settings.is_empty());
 }
 
 #[test]

@@ -30,6 +30,8 @@ impl Ring {
             catalog: Catalog::builtin().clone().into(),
             tasks: config.actor.tasks.filter.select(Catalog::builtin()).unwrap(),
             generated: config.actor.tasks.draws(Catalog::builtin()).unwrap(),
+            settings: config.settings(),
+            acting: config.acting_limits(),
             seed: config.seed,
             device: config.device,
             init: None,

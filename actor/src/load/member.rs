@@ -27,7 +27,8 @@ pub(super) struct Member {
     epoch: u64,
     bus: Bus,
     sender: TrajectorySender,
-    weights: WeightsSubscriber<WeightsVersion>,
+    /// Version and hash of the settings.
+    weights: WeightsSubscriber<(WeightsVersion, u64)>,
     metrics: MetricsPublisher,
     _alive: AliveToken,
     next_seq: AtomicU64,
@@ -41,7 +42,7 @@ impl Member {
             number,
             epoch: process_epoch_ms(),
             _alive: bus.declare_alive(Role::Actor, id.as_str()).await?,
-            weights: bus.weights_subscriber_keeping(|weights| weights.version).await?,
+            weights: bus.weights_subscriber_keeping(|weights| (weights.version, weights.settings.hash())).await?,
             sender: bus.trajectory_sender(&id).await?,
             metrics: bus.metrics_publisher(&keys::metrics_actor(&id)).await?,
             next_seq: AtomicU64::new(0),
@@ -86,9 +87,10 @@ impl Member {
                 },
                 None => Instant::now(),
             };
-            let version = newest(&weights);
+            let (weights_version, settings_hash) = newest(&weights);
             let (actor, epoch) = (self.id.clone(), self.epoch);
-            let segment = Trajectory { actor, epoch, seq, weights_version: version, ..script.segment(seq).clone() };
+            let segment =
+                Trajectory { actor, epoch, seq, weights_version, settings_hash, ..script.segment(seq).clone() };
             self.deliver(&segment, script.n_bytes(seq), since, tally, give_up).await;
         }
     }
@@ -155,17 +157,17 @@ impl Member {
         weights.mark_unchanged();
         let start = Instant::now();
         let mut next = start + period;
-        let mut pulls = vec![Pull { version: newest(&weights).0, unix_us: unix_us() }];
+        let mut pulls = vec![Pull { version: newest(&weights).0.0, unix_us: unix_us() }];
         loop {
             tokio::select! {
                 () = end.cancelled() => return pulls,
                 changed = weights.changed() => {
                     if changed.is_err() { return pulls }
-                    pulls.push(Pull { version: newest(&weights).0, unix_us: unix_us() });
+                    pulls.push(Pull { version: newest(&weights).0.0, unix_us: unix_us() });
                 }
                 () = tokio::time::sleep_until(next) => {
                     next += period;
-                    let metrics = self.metrics_now(&tally.copy(), newest(&weights), start.elapsed());
+                    let metrics = self.metrics_now(&tally.copy(), newest(&weights).0, start.elapsed());
                     if let Err(error) = self.metrics.put(&metrics).await {
                         tracing::debug!(%error, "metrics not published");
                     }
@@ -194,7 +196,8 @@ impl Member {
     }
 }
 
-fn newest(weights: &watch::Receiver<Option<Arc<WeightsVersion>>>) -> WeightsVersion {
+/// Returns the version of the newest weights and the hash of their settings.
+fn newest(weights: &watch::Receiver<Option<Arc<(WeightsVersion, u64)>>>) -> (WeightsVersion, u64) {
     weights.borrow().as_deref().copied().unwrap_or_default()
 }
 

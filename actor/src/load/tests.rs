@@ -21,7 +21,6 @@ fn segment(n_steps: usize) -> Trajectory {
                 moves: [[0.0; 6]; 16],
             },
             behavior_log_prob: 0.0,
-            value: 0.0,
             reward: Default::default(),
             label: None,
         };

@@ -68,10 +68,14 @@ fn first_usable(
     let mut policy = Policy::new(&setup.policy)?;
     loop {
         if let Some(newest) = weights.borrow_and_update().clone() {
-            match policy.load(&newest) {
+            match setup.check(&newest).and_then(|()| policy.load(&newest)) {
                 Ok(()) => return Ok(Some(newest)),
-                Err(error) if error.is_of_weights() => shared.refuse(&newest, &error),
-                Err(error) => return Err(error),
+                Err(error) => {
+                    shared.refuse(&newest, &error);
+                    if !error.is_of_weights() {
+                        return Err(error);
+                    }
+                }
             }
         }
         if !wait_for_others(weights, shared) {
@@ -105,7 +109,12 @@ impl Stepper {
         let Some(newest) = weights.borrow_and_update().clone() else { return Ok(()) };
         match self.rollout.set_weights(&newest) {
             Ok(()) => self.previous = Some(std::mem::replace(&mut self.current, newest)),
-            Err(RolloutError::Policy(error)) if error.is_of_weights() => shared.refuse(&newest, &error),
+            Err(RolloutError::Policy(error)) => {
+                shared.refuse(&newest, &error);
+                if !error.is_of_weights() {
+                    return Err(error.into());
+                }
+            }
             Err(error) => return Err(error),
         }
         Ok(())

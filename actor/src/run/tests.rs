@@ -91,6 +91,8 @@ async fn every_segment_is_acknowledged_or_counted() {
     }
     assert!(taken.iter().all(|trajectory| names.insert(trajectory.seq)), "numbers are unique across threads");
     assert!(taken.iter().all(|trajectory| trajectory.weights_version == WeightsVersion(3)));
+    let settings_hash = setup(config()).settings().hash();
+    assert!(taken.iter().all(|trajectory| trajectory.settings_hash == settings_hash));
     assert!(taken.iter().any(|trajectory| trajectory.status == Status::TimeLimit));
     assert_eq!(report.n_trajectories_acked, taken.len() as u64);
     assert_eq!(report.n_trajectories_acked, server.counts().accepted_total);
@@ -128,6 +130,41 @@ async fn it_waits_for_the_first_weights_and_refuses_other_networks() {
 
     let actor = Actor::start(config()).await;
     assert_eq!(actor.stop().await, Summary::default());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_actor_with_other_settings_than_its_run_ends_and_names_the_first() {
+    let other = |change: fn(&mut ActorSetup)| {
+        let mut theirs = setup(config());
+        change(&mut theirs);
+        theirs.settings()
+    };
+    let cases = [
+        (other(|s| s.environment.episode_steps = 7), "environment.episode_steps is 7 there and 6 here"),
+        (other(|s| s.policy.grip_steps = 5), "policy.grip_steps is 5 there and 1 here"),
+    ];
+    for (theirs, difference) in cases {
+        // With the first weights, and after the learner was replaced.
+        for first in [theirs.clone(), setup(config()).settings()] {
+            let is_late = first != theirs;
+            let actor = Actor::start(config()).await;
+            let mut metrics = actor.bus.metrics_subscriber("actor/toy").await.unwrap();
+            let publisher = actor.bus.weights_publisher().await.unwrap();
+            publisher.publish(Arc::new(Weights { settings: first, ..toy::weights(0, 1.0) })).await.unwrap();
+            if is_late {
+                within(metrics.recv()).await.unwrap();
+                publisher
+                    .publish(Arc::new(Weights { settings: theirs.clone(), ..toy::weights(1, 1.0) }))
+                    .await
+                    .unwrap();
+            }
+            let error = within(actor.task).await.unwrap().unwrap_err();
+            let sentence = format!("weights {} are of a run with other settings: {difference}", u8::from(is_late));
+            assert_eq!(format!("{error:#}"), sentence);
+            assert_eq!(actor.bus.counts().weights_refused_total, 1);
+            actor.bus.close().await;
+        }
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -29,7 +29,12 @@ async fn garbage_trajectory_is_refused() {
         let refusal = refused(&script, "ingest/x", payload).await;
         assert!(matches!(refusal, Refusal::Invalid(_)), "{refusal:?}");
     }
-    assert_eq!(learner.server.counts().invalid_total, 4);
+    let mut older = codec::encode_trajectory(&samples::running("x", 0));
+    assert_eq!(std::mem::replace(&mut older[1], 1), 2);
+    let reason = "it has protocol version 1, and this process speaks version 2: run one version of Lodestone in all \
+                  processes";
+    assert_eq!(refused(&script, "ingest/x", &older).await, Refusal::Invalid(reason.to_owned()));
+    assert_eq!(learner.server.counts().invalid_total, 5);
     let sender = sender(&cluster.client().await, "a").await;
     within("an ack", sender.send(&samples::labeled("a", 0))).await.unwrap();
 }

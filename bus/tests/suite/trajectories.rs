@@ -66,12 +66,11 @@ async fn invalid_trajectory_is_refused_before_the_handler() {
     let learner = Learner::start(&cluster.router, |_| Ok(())).await;
     let sender = sender(&cluster.client().await, "a").await;
     let mut nan = samples::running("a", 0);
-    nan.bootstrap_value = f32::NAN;
+    nan.last_scene.blocks[0].position[0] = f32::NAN;
     let of_another = samples::running("b", 0);
-    for (trajectory, expected) in [
-        (nan, "bootstrap_value is NaN, expected a number in −1e6..=1e6"),
-        (of_another, "actor b may not send to ingest/a"),
-    ] {
+    for (trajectory, expected) in
+        [(nan, "scene.poses is NaN, expected a number in −1e6..=1e6"), (of_another, "actor b may not send to ingest/a")]
+    {
         let answer = within("a refusal", sender.send(&trajectory)).await;
         assert!(
             matches!(&answer, Err(SendError::Refused(Refusal::Invalid(reason))) if reason == expected),

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use blueprints::Catalog;
-use proto::codec::decode_trajectory;
+use proto::codec::decode_recording;
 use proto::{Trajectory, WeightsVersion};
 use render::picture::encode;
 use render::video::{Episode, Film, LAST_S, MIN_WIDTH};
@@ -67,7 +67,7 @@ impl Films {
         let film = self.all().into_iter().find(|film| id(film) == asked)?;
         let name = Path::new(film.path.file_name()?).with_extension(RECORDING);
         let path = self.0.as_ref()?.replays().join(film.blueprint.as_str()).join(name);
-        decode_trajectory(&fs::read(path).ok()?).ok()
+        decode_recording(&fs::read(path).ok()?).ok()
     }
 
     /// Returns a PNG of the last scene of the clip with this id; `None` without a recording or if the goal is unknown.

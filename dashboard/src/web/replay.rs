@@ -242,7 +242,6 @@ pub(super) mod tests {
             scene: scene(i as f32),
             action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; 16] },
             behavior_log_prob: 0.0,
-            value: 0.0,
             reward,
             label: None,
         };
@@ -251,6 +250,7 @@ pub(super) mod tests {
             epoch: 1,
             seq: 0,
             weights_version: WeightsVersion(7),
+            settings_hash: 0,
             task: Task {
                 blueprint: "2_000".parse().unwrap(),
                 assignment: BlockIdx::all().collect::<Vec<_>>().try_into().unwrap(),
@@ -263,7 +263,6 @@ pub(super) mod tests {
             transitions: (0..n_steps).map(transition).collect(),
             last_scene: scene(9.0),
             status: if ends { Status::Success } else { Status::Running },
-            bootstrap_value: 0.0,
             outcome: ends.then_some(Outcome { success: true, n_steps: 3, episode_return: reward }),
         }
     }

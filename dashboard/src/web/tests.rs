@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use blueprints::{BlueprintId, Catalog};
 use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig};
-use proto::codec::encode_trajectory;
+use proto::codec::encode_recording;
 use proto::{Normalization, Role, WeightsVersion};
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
@@ -71,6 +71,7 @@ fn untrained() -> (PolicyConfig, Weights) {
         version: WeightsVersion(2),
         n_env_steps: 77,
         network_hash: policy.hash(),
+        settings: Default::default(),
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: [(BlueprintId::try_from("2_000".to_owned()).unwrap(), 1.0)].into(),
@@ -446,7 +447,7 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
     let recordings = dir.path().join("replays").join("2_000");
     std::fs::create_dir_all(&recordings).unwrap();
     assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
-    let recording = encode_trajectory(&segment(2, 0, 3, true));
+    let recording = encode_recording(&segment(2, 0, 3, true));
     std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
     let answer: Value = serde_json::from_str(&body(served.get("/api/recording?id=2_000.7.success.1").await)).unwrap();
     assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
@@ -527,7 +528,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
     recorded.task.blueprint = "mine".parse().unwrap();
     for (folder, file, bytes) in [
         ("videos/mine", "00000007-success.mp4", b"the film".to_vec()),
-        ("replays/mine", "00000007-success.trajectory", encode_trajectory(&recorded)),
+        ("replays/mine", "00000007-success.trajectory", encode_recording(&recorded)),
     ] {
         std::fs::create_dir_all(dir.path().join(folder)).unwrap();
         std::fs::write(dir.path().join(folder).join(file), bytes).unwrap();

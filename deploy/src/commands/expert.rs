@@ -13,7 +13,7 @@ use evaluator::{
     EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, evaluate_expert_followed, render_expert,
 };
 use proto::Trajectory;
-use proto::codec::encode_trajectory;
+use proto::codec::encode_recording;
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
@@ -145,7 +145,7 @@ fn record(folder: &Path, catalog: &Catalog, report: &ExpertReport) -> anyhow::Re
 
 fn write_replay(folder: &Path, name: &str, replay: &Trajectory) -> anyhow::Result<()> {
     let path = folder.join(name);
-    fs::write(&path, encode_trajectory(replay)).with_context(|| format!("cannot write {}", path.display()))
+    fs::write(&path, encode_recording(replay)).with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Writes one file per replay and the list of causes.

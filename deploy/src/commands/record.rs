@@ -10,7 +10,7 @@ use dataset::{About, DatasetError, DatasetId, Origin, Spaces, World, Writer};
 use evaluator::{Callbacks, EpisodeConfig, EvalSetup, Performer, Recorded, record};
 use parking_lot::Mutex;
 use proto::ActionMode;
-use proto::codec::encode_trajectory;
+use proto::codec::encode_recording;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, find, is_path, tell_choices};
@@ -211,7 +211,7 @@ impl Recording<'_> {
             }
             Sink::Trajectories(folder, n_files) => {
                 let name = format!("{n_files:05}-{id}.trajectory");
-                super::files::write_files(folder, &[(name, encode_trajectory(trajectory))])?;
+                super::files::write_files(folder, &[(name, encode_recording(trajectory))])?;
                 *n_files += 1;
             }
         }

@@ -296,6 +296,8 @@ pub(super) fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Cata
         catalog: catalog.clone().into(),
         tasks,
         generated,
+        settings: config.settings(),
+        acting: config.acting_limits(),
         seed: config.seed,
         device: config.device,
         init: init.map(|name| models::Source::named(name).map(|source| Arc::new(source.model))).transpose()?,

@@ -11,9 +11,9 @@ use actor::{ActorConfig, EnvironmentConfig, PolicyConfig};
 use bus::BusConfig;
 use dashboard::DashboardConfig;
 use evaluator::EvaluatorConfig;
-use learner::{DeviceKind, LearnerConfig};
+use learner::{ActingLimits, DeviceKind, LearnerConfig};
 use proto::setting::Section;
-use proto::settings;
+use proto::{CanonicalSettings, settings};
 
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
@@ -91,6 +91,23 @@ impl Config {
     /// The world in which policies are evaluated and shown.
     pub fn evaluation_environment(&self) -> EnvironmentConfig {
         if self.evaluator.episodes.randomization { self.environment.clone() } else { self.environment.nominal() }
+    }
+
+    /// The settings that determine what a trajectory means, which all members of a run must have.
+    pub fn settings(&self) -> CanonicalSettings {
+        CanonicalSettings::of_run(&self.policy, &self.environment)
+    }
+
+    /// What actors with these settings do.
+    pub fn acting_limits(&self) -> ActingLimits {
+        let ActorConfig { burn_in, tasks, dagger, .. } = &self.actor;
+        ActingLimits {
+            episode_steps: self.environment.episode_steps,
+            burn_in_steps: if burn_in.probability > 0.0 { burn_in.max_steps } else { 0 },
+            has_expert: dagger.is_some(),
+            has_prebuilt_starts: tasks.prebuilt_probability > 0.0,
+            has_near_goal_starts: tasks.near_goal_probability > 0.0,
+        }
     }
 
     fn check(&self) -> Result<(), String> {

@@ -10,7 +10,7 @@ use crate::config::{EpisodeConfig, EvaluatorConfig};
 use crate::episodes::tests::{agent, small_policy, small_setup, weights};
 use crate::films::EpisodeSelector;
 use crate::pool::EvaluationPool;
-use crate::setup::{EvaluatorSetup, setup_hash};
+use crate::setup::EvaluatorSetup;
 use crate::worker::run_worker;
 
 fn setup(id: &str, episode_steps: u16) -> EvaluatorSetup {
@@ -54,13 +54,15 @@ async fn brought(queue: &Arc<WorkQueue>) -> Vec<Vec<EpisodeResult>> {
 #[test]
 fn workers_must_act_as_the_evaluator_does() {
     let judge = setup("judge", 8);
-    assert_eq!(setup_hash(&judge), setup_hash(&setup("worker", 8)));
+    assert_eq!(judge.settings(), setup("worker", 8).settings());
     let mut masked = judge.clone();
     masked.policy.mask = policy::BlockMask::Blueprint;
     let mut gripping = judge.clone();
     gripping.policy.grip_steps += 1;
-    for other in [masked, gripping, setup("judge", 9)] {
-        assert_ne!(setup_hash(&other), setup_hash(&judge));
+    for (other, key) in
+        [(masked, "policy.mask"), (gripping, "policy.grip_steps"), (setup("judge", 9), "environment.episode_steps")]
+    {
+        assert_eq!(other.settings().difference(&judge.settings()).unwrap().key, key);
     }
 }
 
@@ -70,7 +72,7 @@ async fn a_worker_that_refused_is_asked_again_in_the_next_evaluation() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let mut units: UnitServer = bus.serve_units("moody").await.unwrap();
     let _token = bus.declare_alive(Role::Worker, "moody").await.unwrap();
-    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8)), UNIT_PATIENCE).await.unwrap();
+    let mut workers = Dispatcher::start(&bus, setup("judge", 8).settings(), UNIT_PATIENCE).await.unwrap();
     for _ in 0..2 {
         let queue = Arc::new(WorkQueue::default());
         queue.post(&sequences(), ActionMode::Greedy);
@@ -91,7 +93,12 @@ async fn a_worker_that_is_too_late_gets_less_and_then_nothing() {
     queue.post(&sequences(), ActionMode::Greedy);
     let open = Open { pass: PassId { epoch: 1, number: 0 }, queue: queue.clone(), weights: Arc::new(weights()) };
     let caller = bus.worker_caller("slow", Duration::from_millis(500)).await.unwrap();
-    let client = WorkerClient { name: "slow".to_owned(), hash: 0, caller, evaluations: watch::channel(None).1 };
+    let client = WorkerClient {
+        name: "slow".to_owned(),
+        settings: Default::default(),
+        caller,
+        evaluations: watch::channel(None).1,
+    };
     let holding = async {
         let mut held = Vec::new();
         for _ in 0..MAX_TOO_LATE {
@@ -124,13 +131,27 @@ async fn remote_workers_find_what_the_evaluator_would() {
     let small = small_setup(EpisodeConfig::default());
     let queue = Arc::new(WorkQueue::default());
     queue.post(&sequences(), ActionMode::Sampled);
-    let mut workers = Dispatcher::start(&bus, setup_hash(&setup("judge", 8)), UNIT_PATIENCE).await.unwrap();
+    let mut workers = Dispatcher::start(&bus, setup("judge", 8).settings(), UNIT_PATIENCE).await.unwrap();
     workers.open(queue.clone(), Arc::new(weights()));
     let taken = within(idle.recv()).await.unwrap();
     assert!(taken.unit.is_sampled && taken.unit.weights.is_none());
     drop(token);
     drop(taken);
     let shared = brought(&queue).await;
+
+    let alive = bus.alive(Role::Worker).await.unwrap();
+    within(alive.watch().wait_for(|names| names.contains("other"))).await.unwrap();
+    let caller = bus.worker_caller("other", UNIT_PATIENCE).await.unwrap();
+    let unit = EvalUnit {
+        settings: setup("judge", 8).settings(),
+        pass: PassId { epoch: 1, number: 0 },
+        weights: None,
+        is_sampled: true,
+        sequences: vec![vec![sequences()[0][0].task().clone()]],
+    };
+    let refusal = "environment.episode_steps is 8 at the evaluator and 9 at the worker: start the worker with the \
+                   evaluator's settings";
+    assert_eq!(within(caller.run(&unit)).await.unwrap(), EvalAnswer::Refused(refusal.to_owned()));
 
     let (alone, observer) = (WorkQueue::default(), None::<&EpisodeSelector>);
     let pool = EvaluationPool { setup: &small, agent: &agent, queue: &alone, observer, keep_going: &|| true };

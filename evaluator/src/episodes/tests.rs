@@ -38,6 +38,7 @@ pub(crate) fn weights() -> Weights {
         version: WeightsVersion(2),
         n_env_steps: 77,
         network_hash: config.hash(),
+        settings: Default::default(),
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: [(blueprints(1)[0].id().clone(), 1.0)].into(),

@@ -54,8 +54,8 @@ fn a_failure_has_a_cause_and_a_replay_that_can_be_sent() {
     assert_eq!(failure.trouble.n_missing as usize, goal.links().len());
     let replay = failure.replay.as_ref().unwrap();
     assert_eq!(replay.transitions.len(), 5);
-    let bytes = proto::codec::encode_trajectory(replay);
-    assert_eq!(&proto::codec::decode_trajectory(&bytes).unwrap(), replay);
+    let bytes = proto::codec::encode_recording(replay);
+    assert_eq!(&proto::codec::decode_recording(&bytes).unwrap(), replay);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 
 use anyhow::Context;
 use blueprints::Catalog;
-use proto::codec::encode_trajectory;
+use proto::codec::encode_recording;
 use proto::metrics::FilmCounts;
 use proto::{Role, Weights};
 use runlog::tensorboard::{EventWriter, Picture};
@@ -121,7 +121,7 @@ impl Files {
     fn keep(&mut self, clip: &Clip, config: &FilmsConfig, is_late: bool) -> anyhow::Result<Made> {
         let (segment, id) = (&clip.trajectory, &clip.trajectory.task.blueprint);
         let label = ClipName { version: segment.weights_version, ending: clip.ending, number: clip.number };
-        self.replays.put(id, label, &encode_trajectory(segment)).context("keeping the recording")?;
+        self.replays.put(id, label, &encode_recording(segment)).context("keeping the recording")?;
         if is_late {
             return Ok(Made::RecordingOnly);
         }

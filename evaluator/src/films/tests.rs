@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use blueprints::{Blueprint, Catalog, Split};
 use environment::{Step, StepResult};
-use proto::codec::decode_trajectory;
+use proto::codec::decode_recording;
 use proto::metrics::FilmCounts;
 use proto::unit::End;
 use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Scene, Start, Status};
@@ -60,7 +60,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let goal = goals.iter().find(|goal| goal.id().as_str() == folder).unwrap();
     assert_eq!(names(&dir.path().join("videos").join(&folder)), ["00000002-failure.mp4"]);
     let replay = dir.path().join("replays").join(&folder).join("00000002-failure.trajectory");
-    let segment = decode_trajectory(&fs::read(replay).unwrap()).unwrap();
+    let segment = decode_recording(&fs::read(replay).unwrap()).unwrap();
     assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights.version));
     render::video::Episode::new(&[segment], goal).unwrap();
     assert_eq!(names(&dir.path().join("tb/evaluator/films")).len(), 1);

@@ -6,7 +6,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 use serde::{Deserialize, Serialize};
 
-use super::CheckpointError;
+use super::{CheckpointError, OLDEST_VERSION};
 
 /// Name and shape of one parameter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,6 +23,29 @@ impl ParameterInfo {
     pub fn n_entries(&self) -> usize {
         self.shape.iter().product()
     }
+}
+
+/// Returns the [digest](policy::parameters::digest) of flat parameters in the order of `table`.
+pub(crate) fn digest(table: &[ParameterInfo], parameters: &[f32]) -> String {
+    let tensors = table.iter().map(|info| (info.name.as_str(), info.shape.as_slice()));
+    policy::parameters::digest(tensors, parameters)
+}
+
+/// Checks flat parameters against their digest. Only files of the oldest format version have none.
+pub(crate) fn check_digest(
+    path: &Path,
+    format_version: u32,
+    table: &[ParameterInfo],
+    parameters: &[f32],
+    expected: Option<&str>,
+) -> Result<(), CheckpointError> {
+    let reason = match (expected, digest(table, parameters)) {
+        (None, _) if format_version == OLDEST_VERSION => return Ok(()),
+        (None, _) => "it has no digest of its tensors".to_owned(),
+        (Some(expected), found) if found == expected => return Ok(()),
+        (Some(expected), found) => format!("the digest of its tensors is {found} instead of {expected}"),
+    };
+    Err(CheckpointError::Damaged { path: path.into(), reason })
 }
 
 /// Writes flat vectors in the order of `table`, each with its name prefix, and optionally a metadata entry.

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use safetensors::SafeTensors;
+use serde_json::{Value, json};
 
 use proto::Driver;
 
@@ -274,4 +276,59 @@ fn model_round_trips_and_a_damaged_file_is_refused() {
     let alone = fs::read(folder.join("parameters.safetensors")).unwrap();
     let error = Model::from_bytes(&alone, path).unwrap_err().to_string();
     assert!(error.contains("no entry `lodestone`"), "{error}");
+}
+
+/// Swaps the names of two tensors of one shape in a table.
+fn swap_two(table: &mut [Value]) {
+    let pairs = (0..table.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
+    let (a, b) = pairs.into_iter().find(|&(a, b)| table[a]["shape"] == table[b]["shape"]).unwrap();
+    table.swap(a, b);
+}
+
+/// Changes the metadata of a model file.
+fn with_header(bytes: &[u8], change: impl FnOnce(&mut Value)) -> Vec<u8> {
+    let (_, metadata) = SafeTensors::read_metadata(bytes).unwrap();
+    let mut header: Value = serde_json::from_str(&metadata.metadata().as_ref().unwrap()["lodestone"]).unwrap();
+    change(&mut header);
+    let tensors = SafeTensors::deserialize(bytes).unwrap();
+    safetensors::serialize(tensors.iter(), Some([("lodestone".to_owned(), header.to_string())].into())).unwrap()
+}
+
+#[test]
+fn swapped_tensors_are_refused_by_the_digest() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_, learner, folder) = saved(dir.path(), 1);
+    let model = Model::from(&learner.checkpoint());
+    let (bytes, path) = (model.to_bytes().unwrap(), Path::new("model.safetensors"));
+    assert_eq!(Model::from_bytes(&with_header(&bytes, |_| {}), path).unwrap(), model);
+    let swapped = with_header(&bytes, |header| swap_two(header["table"].as_array_mut().unwrap()));
+    let error = Model::from_bytes(&swapped, path).unwrap_err().to_string();
+    assert!(error.contains("model.safetensors is damaged: the digest of its tensors is "), "{error}");
+    let without = with_header(&bytes, |header| drop(header.as_object_mut().unwrap().remove("digest")));
+    let error = Model::from_bytes(&without, path).unwrap_err().to_string();
+    assert!(error.contains("model.safetensors is damaged: it has no digest of its tensors"), "{error}");
+
+    let file = folder.join("state.json");
+    let mut state: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    swap_two(state["table"].as_array_mut().unwrap());
+    fs::write(&file, state.to_string()).unwrap();
+    let error = Checkpoint::read(&folder).unwrap_err().to_string();
+    assert!(error.contains("state.json is damaged: the digest of its tensors is "), "{error}");
+}
+
+#[test]
+fn a_policy_of_a_kind_that_is_not_known_is_refused_by_the_setting() {
+    let path = Path::new("model.safetensors");
+    let bytes = Model::from(&Learner::new(small_setup(4)).unwrap().checkpoint()).to_bytes().unwrap();
+    for (change, setting) in [
+        ((|header| header["policy"]["moves"] = json!({ "kind": "spline" })) as fn(&mut Value), "moves"),
+        (|header| header["policy"]["mask"] = json!("guess"), "guess"),
+    ] {
+        let error = Model::from_bytes(&with_header(&bytes, change), path).unwrap_err();
+        assert!(matches!(error, CheckpointError::UnknownPolicy { .. }), "{error}");
+        assert!(error.to_string().contains(setting), "{error}");
+    }
+    let newer = with_header(&bytes, |header| header["format_version"] = 4.into());
+    let error = Model::from_bytes(&newer, path).unwrap_err().to_string();
+    assert!(error.contains("has format version 4, and this program reads versions 2 to 3"), "{error}");
 }

@@ -16,7 +16,7 @@ use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::{Learner, LearnerSetup, Model};
 
 /// Returns a setup with a network like the paper's, but small enough for tests that take seconds.
-pub(super) fn small_setup(seed: u64) -> LearnerSetup {
+pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 2, head_dim: 16, mlp_hidden: 32, ..Default::default() });
     let network = NetworkConfig { encoder, width: 16, value_hidden: vec![32], ..NetworkConfig::default() };
@@ -28,6 +28,8 @@ pub(super) fn small_setup(seed: u64) -> LearnerSetup {
         catalog: Arc::new(Catalog::builtin().clone()),
         tasks: vec![blueprint_id()],
         generated: None,
+        settings: Default::default(),
+        acting: Default::default(),
         seed,
         device: DeviceKind::Cpu,
         init: None,
@@ -52,7 +54,7 @@ pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
         let success = decision.action.choices[0].is_some_and(|block| blueprint.contains(block));
         let reward = RewardTerms { connected: f32::from(u8::from(success)), ..RewardTerms::default() };
         let step = &mut trajectory.transitions[0];
-        (step.action, step.behavior_log_prob, step.value) = (decision.action, decision.log_prob, decision.value);
+        (step.action, step.behavior_log_prob) = (decision.action, decision.log_prob);
         step.reward = reward;
         trajectory.status = if success { Status::Success } else { Status::TimeLimit };
         trajectory.outcome = Some(Outcome { success, n_steps: 1, episode_return: reward });

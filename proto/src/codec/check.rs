@@ -4,6 +4,7 @@
 use blueprints::{BlockIdx, BlueprintId};
 
 use super::DecodeError;
+use crate::CanonicalSettings;
 
 /// Upper limit of coordinates, velocities, and parameters, far above plausible values: sums of products of a few
 /// thousand numbers below it stay far below the largest f32, and trained networks have parameters below 100.
@@ -76,6 +77,11 @@ pub(super) fn block(field: &'static str, index: u32) -> Result<BlockIdx, DecodeE
 pub(super) fn blueprint_id(field: &'static str, id: String) -> Result<BlueprintId, DecodeError> {
     // The id is cloned so that the error can show it.
     BlueprintId::try_from(id.clone()).map_err(|_| invalid(field, id, "the id of a blueprint"))
+}
+
+pub(super) fn settings(text: &str) -> Result<CanonicalSettings, DecodeError> {
+    let expected = "lines `key = value`, sorted by key";
+    CanonicalSettings::parse(text).map_err(|_| invalid("settings", format!("{} bytes", text.len()), expected))
 }
 
 /// Converts an integer to a narrower type.

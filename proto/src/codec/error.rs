@@ -22,12 +22,23 @@ pub enum DecodeError {
         source: prost::DecodeError,
     },
     /// The sender has a different protocol version.
-    #[error("protocol version {found} is not {expected}")]
+    #[error(
+        "it has protocol version {found}, and this process speaks version {expected}: run one version of Lodestone in \
+         all processes"
+    )]
     Version {
         /// Version in the message.
         found: u32,
         /// Version of this process.
         expected: u32,
+    },
+    /// The bytes of a recording are not those that were written.
+    #[error("its checksum is {found:016x}, and its bytes have {expected:016x}")]
+    Checksum {
+        /// Checksum in the recording.
+        found: u64,
+        /// Checksum of its bytes.
+        expected: u64,
     },
     /// A required part is missing.
     #[error("{field} is missing")]

@@ -18,15 +18,19 @@ use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_f
 pub use error::DecodeError;
 pub use prost::bytes::Bytes;
 pub use reply::{Ack, Refusal, Refused, decode_ack, decode_refused, encode_ack, encode_refused};
-pub use trajectory::{MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, decode_trajectory, encode_trajectory};
+pub use trajectory::{
+    MAX_RECORDING_BYTES, MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, decode_recording, decode_trajectory,
+    encode_recording, encode_trajectory,
+};
 pub use unit::{MAX_UNIT_BYTES, decode_answer, decode_unit, encode_answer, encode_unit};
 pub use weights::{
     MAX_PARAMETERS, MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice,
     encode_weights,
 };
 
-/// The only protocol version that this process writes and reads.
-pub const PROTOCOL_VERSION: u32 = 1;
+/// The protocol version that this process writes, and the only one that it reads from the bus. Recordings of version 1
+/// are read as well.
+pub const PROTOCOL_VERSION: u32 = 2;
 
 /// Size limit of messages that hold a few numbers.
 const MAX_SMALL_BYTES: usize = 4096;

@@ -1,5 +1,6 @@
 //! Trajectories.
 
+use blueprints::hash::fnv1a;
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use prost::Message;
 
@@ -9,7 +10,9 @@ use super::scene::{
 };
 use super::scene::{label_from_wire, label_to_wire};
 use super::{DecodeError, PROTOCOL_VERSION, check_size, check_version, elements, parse};
-use crate::{ActorId, Driver, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire};
+use crate::{
+    ActorId, Driver, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire,
+};
 
 /// Maximum length of a segment, in steps.
 pub const MAX_SEGMENT_STEPS: usize = 1000;
@@ -17,8 +20,17 @@ pub const MAX_SEGMENT_STEPS: usize = 1000;
 /// Maximum size of an encoded trajectory, in bytes: 1001 scenes with all possible joints.
 pub const MAX_TRAJECTORY_BYTES: usize = 8 << 20;
 
+/// Maximum size of a recorded trajectory, in bytes: the same and its checksum.
+pub const MAX_RECORDING_BYTES: usize = MAX_TRAJECTORY_BYTES + 9;
+
 /// Number of the field `transitions` of `Trajectory`.
 const TRANSITIONS: u32 = 8;
+
+/// The byte before a checksum: number 15 and wire type 1 (64 bits) of the field `checksum` of `Trajectory`.
+const CHECKSUM_KEY: u8 = 15 << 3 | 1;
+
+/// The first bytes of a recording of protocol version 1.
+const FIRST_VERSION: [u8; 2] = [0x08, 0x01];
 
 /// Encodes a trajectory.
 pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
@@ -28,12 +40,12 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
         epoch: trajectory.epoch,
         seq: trajectory.seq,
         weights_version: trajectory.weights_version.0,
+        settings_hash: trajectory.settings_hash,
         task: Some(task_to_wire(&trajectory.task)),
         first_step: trajectory.first_step.into(),
         transitions: trajectory.transitions.iter().map(transition_to_wire).collect(),
         last_scene: Some(scene_to_wire(&trajectory.last_scene)),
         status: status_to_wire(trajectory.status).into(),
-        bootstrap_value: trajectory.bootstrap_value,
         outcome: trajectory.outcome.as_ref().map(|outcome| wire::Outcome {
             success: outcome.success,
             n_steps: outcome.n_steps.into(),
@@ -46,8 +58,18 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
         }
         .into(),
         n_burn_in_steps: trajectory.n_burn_in_steps.into(),
+        checksum: None,
     }
     .encode_to_vec()
+}
+
+/// Encodes a trajectory for a file: as for the bus, and the field `checksum` last.
+pub fn encode_recording(trajectory: &Trajectory) -> Vec<u8> {
+    let mut bytes = encode_trajectory(trajectory);
+    let checksum = fnv1a(bytes.iter().copied());
+    bytes.push(CHECKSUM_KEY);
+    bytes.extend(checksum.to_le_bytes());
+    bytes
 }
 
 /// Decodes a trajectory and checks every rule that [`Trajectory`] documents.
@@ -55,10 +77,51 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
 /// # Errors
 /// The error names the first field that breaks a rule, and its value.
 pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
-    check_size("Trajectory", bytes.len(), MAX_TRAJECTORY_BYTES)?;
-    elements("Trajectory", ("transitions", TRANSITIONS), bytes, (MAX_SEGMENT_STEPS, "1 to 1000 steps"))?;
-    let message: wire::Trajectory = parse("Trajectory", bytes, MAX_TRAJECTORY_BYTES)?;
+    let message = message(bytes, MAX_TRAJECTORY_BYTES)?;
     check_version(message.protocol_version)?;
+    from_wire(message)
+}
+
+/// Decodes a trajectory from a file and checks that its bytes are those that [`encode_recording`] wrote. Recordings of
+/// protocol version 1, which have no checksum, are read as well.
+///
+/// # Errors
+/// As for [`decode_trajectory`], and if the checksum is missing or wrong.
+pub fn decode_recording(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
+    let is_first_version = bytes.starts_with(&FIRST_VERSION);
+    let verify = |found: u64, expected: u64| match found == expected {
+        true => Ok(()),
+        false => Err(DecodeError::Checksum { found, expected }),
+    };
+    let sums = checksums(bytes);
+    // The end of a recording of version 1 may look like a checksum by chance.
+    if let Some((found, expected)) = sums.filter(|_| !is_first_version) {
+        verify(found, expected)?;
+    }
+    let message = message(bytes, MAX_RECORDING_BYTES)?;
+    if is_first_version && message.protocol_version == 1 && message.checksum.is_none() {
+        return from_wire(message);
+    }
+    let (found, expected) = sums.ok_or(DecodeError::Missing { field: "checksum" })?;
+    verify(found, expected)?;
+    check_version(message.protocol_version)?;
+    from_wire(message)
+}
+
+/// Returns the checksum at the end of a recording and that of the bytes before; `None` if it does not end with one.
+fn checksums(bytes: &[u8]) -> Option<(u64, u64)> {
+    let (rest, found) = bytes.split_last_chunk::<8>()?;
+    let (&key, rest) = rest.split_last()?;
+    (key == CHECKSUM_KEY).then(|| (u64::from_le_bytes(*found), fnv1a(rest.iter().copied())))
+}
+
+fn message(bytes: &[u8], limit: usize) -> Result<wire::Trajectory, DecodeError> {
+    check_size("Trajectory", bytes.len(), limit)?;
+    elements("Trajectory", ("transitions", TRANSITIONS), bytes, (MAX_SEGMENT_STEPS, "1 to 1000 steps"))?;
+    parse("Trajectory", bytes, limit)
+}
+
+fn from_wire(message: wire::Trajectory) -> Result<Trajectory, DecodeError> {
     let n_transitions = message.transitions.len();
     if !(1..=MAX_SEGMENT_STEPS).contains(&n_transitions) {
         return Err(invalid("transitions", format!("{n_transitions} steps"), "1 to 1000 steps"));
@@ -68,13 +131,13 @@ pub fn decode_trajectory(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
         epoch: message.epoch,
         seq: message.seq,
         weights_version: WeightsVersion(message.weights_version),
+        settings_hash: message.settings_hash,
         task: task_from_wire(present("task", message.task)?)?,
         first_step: narrow("first_step", message.first_step, "a number in 0..=65535")?,
         n_burn_in_steps: narrow("n_burn_in_steps", message.n_burn_in_steps, "a number in 0..=65535")?,
         transitions: message.transitions.into_iter().map(transition_from_wire).collect::<Result<_, _>>()?,
         last_scene: scene_from_wire(present("last_scene", message.last_scene)?)?,
         status: status_from_wire(message.status)?,
-        bootstrap_value: number("bootstrap_value", message.bootstrap_value)?,
         outcome: message.outcome.map(outcome_from_wire).transpose()?,
         driver: match wire::Driver::try_from(message.driver) {
             Ok(wire::Driver::Sample) => Driver::Sampled,
@@ -95,23 +158,28 @@ fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
     for transition in &trajectory.transitions {
         let found = grippers(&transition.scene);
         if found != expected {
-            return Err(invalid("scene.gripper_1", format!("{found:?}"), "the same grippers in every scene"));
+            return Err(invalid("scene.grippers", named(found), "the same grippers in every scene"));
         }
         let chosen = transition.action.choices.map(|c| c.is_some());
         if chosen != expected {
-            return Err(invalid(
-                "action.choice",
-                format!("{chosen:?}"),
-                "a choice for exactly the grippers of the world",
-            ));
+            return Err(invalid("action.choice", named(chosen), "a choice for exactly the grippers of the world"));
         }
         let labeled = transition.label.map(|label| label.choices.map(|c| c.is_some()));
-        if labeled.is_some_and(|labeled| labeled != expected) {
-            let labeled = format!("{labeled:?}");
-            return Err(invalid("label.choice", labeled, "a choice for exactly the grippers of the world"));
+        if let Some(labeled) = labeled.filter(|labeled| *labeled != expected) {
+            return Err(invalid("label.choice", named(labeled), "a choice for exactly the grippers of the world"));
         }
     }
     Ok(())
+}
+
+/// Names the grippers that are there.
+fn named(grippers: [bool; N_GRIPPERS]) -> &'static str {
+    match grippers {
+        [true, true] => "both grippers",
+        [true, false] => "gripper 0 alone",
+        [false, true] => "gripper 1 alone",
+        [false, false] => "no gripper",
+    }
 }
 
 fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
@@ -131,9 +199,6 @@ fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
     }
     if trajectory.status == Status::Success && !outcome.success {
         return Err(invalid("outcome.success", false, "true when the status is success"));
-    }
-    if trajectory.status == Status::Success && trajectory.bootstrap_value != 0.0 {
-        return Err(invalid("bootstrap_value", trajectory.bootstrap_value, "0 after success"));
     }
     Ok(())
 }
@@ -197,7 +262,6 @@ fn transition_to_wire(transition: &Transition) -> wire::Transition {
         scene: Some(scene_to_wire(&transition.scene)),
         action: Some(action_to_wire(&transition.action)),
         behavior_log_prob: transition.behavior_log_prob,
-        value: transition.value,
         reward: Some(reward_to_wire(&transition.reward)),
         label: transition.label.as_ref().map(label_to_wire),
     }
@@ -208,7 +272,6 @@ fn transition_from_wire(transition: wire::Transition) -> Result<Transition, Deco
         scene: scene_from_wire(present("transition.scene", transition.scene)?)?,
         action: action_from_wire(present("transition.action", transition.action)?)?,
         behavior_log_prob: number("transition.behavior_log_prob", transition.behavior_log_prob)?,
-        value: number("transition.value", transition.value)?,
         reward: reward_from_wire(present("transition.reward", transition.reward)?)?,
         label: transition.label.map(label_from_wire).transpose()?,
     })

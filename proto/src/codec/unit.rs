@@ -2,7 +2,7 @@
 
 use prost::Message;
 
-use super::check::{invalid, narrow, present};
+use super::check::{invalid, narrow, present, settings};
 use super::error::DecodeError;
 use super::scene::{reward_from_wire, reward_to_wire};
 use super::trajectory::{task_from_wire, task_to_wire};
@@ -31,7 +31,7 @@ pub fn encode_unit(unit: &EvalUnit) -> Vec<u8> {
     let sequence = |tasks: &Vec<_>| wire::EvalLane { tasks: tasks.iter().map(task_to_wire).collect() };
     wire::EvalUnit {
         protocol_version: PROTOCOL_VERSION,
-        setup_hash: unit.setup_hash,
+        settings: unit.settings.to_string(),
         epoch: unit.pass.epoch,
         pass: unit.pass.number,
         weights: unit.weights.as_ref().map(|weights| weights_to_wire(weights, unit.pass.epoch)),
@@ -59,7 +59,7 @@ pub fn decode_unit(bytes: &[u8]) -> Result<EvalUnit, DecodeError> {
         sequence.tasks.into_iter().map(task_from_wire).collect()
     };
     Ok(EvalUnit {
-        setup_hash: message.setup_hash,
+        settings: settings(&message.settings)?,
         pass: PassId { epoch: message.epoch, number: message.pass },
         weights: message.weights.map(weights_from_wire).transpose()?.map(|published| published.weights),
         is_sampled: message.sampled,

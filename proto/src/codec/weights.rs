@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::N_BLOCKS;
 use prost::Message;
 
-use super::check::{LARGEST_MAGNITUDE, blueprint_id, invalid, number, positive, present, probability};
+use super::check::{LARGEST_MAGNITUDE, blueprint_id, invalid, number, positive, present, probability, settings};
 use super::{Bytes, DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
 use crate::{Normalization, Weights, WeightsVersion, wire};
 
@@ -60,6 +60,7 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
         version: weights.version.0,
         n_env_steps: weights.n_env_steps,
         network_hash: weights.network_hash,
+        settings: weights.settings.to_string(),
         parameters: parameters_to_wire(&weights.parameters),
         normalization: Some(wire::Normalization {
             nodes: statistics(0),
@@ -97,6 +98,7 @@ pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeigh
         version: WeightsVersion(message.version),
         n_env_steps: message.n_env_steps,
         network_hash: message.network_hash,
+        settings: settings(&message.settings)?,
         parameters,
         normalization: normalization_from_wire(present("normalization", message.normalization)?)?,
         task_probabilities: probabilities_from_wire(message.task_probabilities)?,

@@ -34,7 +34,6 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         scene: scene(0.4 * f32::from(step)),
         action: action.clone(),
         behavior_log_prob: 0.0,
-        value: 0.0,
         reward,
         label: None,
     };
@@ -46,6 +45,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         epoch: 0,
         seq: first.into(),
         weights_version: WeightsVersion(0),
+        settings_hash: 0,
         task: Task {
             blueprint: goal().id().clone(),
             assignment: std::array::from_fn(|_| blocks.next().unwrap()),
@@ -58,7 +58,6 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         transitions: (first..last).map(transition).collect(),
         last_scene: scene(0.4 * f32::from(last)),
         status,
-        bootstrap_value: 0.0,
         outcome: (status == Status::Success).then_some(outcome),
     }
 }

@@ -11,7 +11,7 @@ use bus::{Bus, BusConfig};
 use learner::Learner;
 use learner::sink::{Sink, SinkPlan, SinkReport};
 use proto::Trajectory;
-use proto::codec::decode_trajectory;
+use proto::codec::decode_recording;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
@@ -111,7 +111,7 @@ pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
 fn read_segment(path: &PathBuf) -> anyhow::Result<Trajectory> {
     let context = || format!("reading {}", path.display());
     let bytes = std::fs::read(path).with_context(context)?;
-    decode_trajectory(&bytes).with_context(context)
+    decode_recording(&bytes).with_context(context)
 }
 
 /// Writes a note to stdout, where the parent process reads it.

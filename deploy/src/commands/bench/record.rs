@@ -7,7 +7,7 @@ use actor::Lockstep;
 use anyhow::Context;
 use blueprints::Catalog;
 use learner::Learner;
-use proto::codec::encode_trajectory;
+use proto::codec::encode_recording;
 use proto::{ActorId, Trajectory};
 
 use crate::commands::services::{actor_setup, learner_setup};
@@ -53,7 +53,7 @@ pub(super) fn record(config: &Config, folder: &Path) -> Result<Recording, Failur
     let n_steps = segments.iter().map(|segment| segment.transitions.len()).sum();
     let mut recording = Recording { files: Vec::new(), n_steps, n_bytes: 0, n_parameters: weights.parameters.len() };
     for (i, segment) in segments.into_iter().enumerate() {
-        let bytes = encode_trajectory(&Trajectory { epoch: EPOCH, ..segment });
+        let bytes = encode_recording(&Trajectory { epoch: EPOCH, ..segment });
         let path = folder.join(format!("segment-{i}.bin"));
         recording.n_bytes += bytes.len();
         std::fs::write(&path, bytes).with_context(|| format!("writing {}", path.display()))?;

@@ -5,16 +5,13 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use blueprints::BlueprintId;
-use proto::codec::{MAX_TRAJECTORY_BYTES, decode_trajectory};
+use proto::codec::{MAX_RECORDING_BYTES, PROTOCOL_VERSION, decode_recording};
 use proto::{DecodeError, Trajectory};
 use render::video::{Episode, is_same_episode};
 use runlog::RunPaths;
 
 use super::{Goals, Named};
 use crate::exit::Failure;
-
-/// The first bytes of every trajectory: field 1 (the protocol version) is 1, and field 2 (the actor's name) follows.
-const BEGINNING: [u8; 3] = [0x08, 0x01, 0x12];
 
 /// File extension of recordings.
 const KIND: &str = "trajectory";
@@ -124,16 +121,17 @@ impl Recording {
 fn read(path: &Path) -> Result<Trajectory, Failure> {
     let mut bytes = Vec::new();
     // One byte more than the limit is enough for the decoder to reject the file.
-    let read = File::open(path).and_then(|file| file.take(MAX_TRAJECTORY_BYTES as u64 + 1).read_to_end(&mut bytes));
+    let read = File::open(path).and_then(|file| file.take(MAX_RECORDING_BYTES as u64 + 1).read_to_end(&mut bytes));
     let refused = |reason: String| Failure::Recording { files: path.display().to_string(), reason };
     read.map_err(|error| refused(format!("cannot be read: {error}")))?;
-    decode_trajectory(&bytes).map_err(|error| refused(explained(&bytes, &error)))
+    decode_recording(&bytes).map_err(|error| refused(explained(&bytes, &error)))
 }
 
 /// Describes what is wrong with a file that is not a valid trajectory.
 fn explained(bytes: &[u8], error: &DecodeError) -> String {
-    let is_broken = matches!(error, DecodeError::Malformed { .. } | DecodeError::Missing { .. });
-    match (bytes.is_empty(), bytes.starts_with(&BEGINNING)) {
+    let is_broken =
+        matches!(error, DecodeError::Malformed { .. } | DecodeError::Missing { .. } | DecodeError::Checksum { .. });
+    match (bytes.is_empty(), begins_like_one(bytes)) {
         (true, _) => "is empty".to_owned(),
         // The decoder's message would not help a user.
         (_, true) if is_broken => {
@@ -142,6 +140,11 @@ fn explained(bytes: &[u8], error: &DecodeError) -> String {
         (_, true) => format!("is no valid trajectory: {error}"),
         (_, false) => format!("is not a recorded trajectory: {error}"),
     }
+}
+
+/// Whether field 1 (the protocol version) is a known one, and field 2 (the actor's name) follows.
+fn begins_like_one(bytes: &[u8]) -> bool {
+    matches!(bytes, [0x08, version, 0x12, ..] if (1..=PROTOCOL_VERSION).contains(&u32::from(*version)))
 }
 
 #[cfg(test)]
@@ -165,7 +168,6 @@ mod tests {
             scene: scene.clone(),
             action: Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] },
             behavior_log_prob: 0.0,
-            value: 0.0,
             reward: RewardTerms::default(),
             label: None,
         };
@@ -175,6 +177,7 @@ mod tests {
             epoch: 0,
             seq: first.into(),
             weights_version: WeightsVersion(0),
+            settings_hash: 0,
             task: Task {
                 blueprint: "2_000".parse().unwrap(),
                 assignment: std::array::from_fn(|_| blocks.next().unwrap()),
@@ -187,7 +190,6 @@ mod tests {
             transitions: vec![transition; usize::from(last - first)],
             last_scene: scene,
             status: Status::Running,
-            bootstrap_value: 0.0,
             outcome: None,
         }
     }

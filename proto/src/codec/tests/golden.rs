@@ -1,11 +1,11 @@
-//! The golden bytes of version 1. A change here breaks communication between old and new processes.
+//! The golden bytes of version 2. A change here breaks communication between old and new processes.
 
 use super::samples;
 use crate::codec::*;
 use crate::unit::EvalAnswer;
 use crate::{Start, WeightsVersion};
 
-const GOLDEN: &str = include_str!("../../../tests/golden/v1.txt");
+const GOLDEN: &str = include_str!("../../../tests/golden/v2.txt");
 
 /// Returns the golden line of one message, and checks that its bytes decode to the same value.
 #[track_caller]
@@ -36,6 +36,7 @@ fn encoded_bytes_match_the_golden_file() {
         line("trajectory-success", samples::successful("actor-1", 8), encode_trajectory, decode_trajectory),
         line("trajectory-one-gripper", near_goal, encode_trajectory, decode_trajectory),
         line("trajectory-labelled", samples::labeled("actor-1", 9), encode_trajectory, decode_trajectory),
+        line("recording", samples::one_gripper("actor-1", 10), encode_recording, decode_recording),
         line(
             "weights",
             published,
@@ -54,5 +55,5 @@ fn encoded_bytes_match_the_golden_file() {
         line("refusal-name-taken", refused(Refusal::NameTaken), encode_refused, decode_refused),
     ];
     let now = lines.concat();
-    assert!(now == GOLDEN, "the bytes differ from tests/golden/v1.txt, they are now\n{now}");
+    assert!(now == GOLDEN, "the bytes differ from tests/golden/v2.txt, they are now\n{now}");
 }

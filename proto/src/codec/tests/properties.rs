@@ -70,22 +70,19 @@ fn reward() -> impl Strategy<Value = RewardTerms> {
 fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
     let moves = prop::collection::vec(array::<6>(-4.0..4.0), N_BLOCKS).prop_map(|m| m.try_into().unwrap());
     let label = (any::<bool>(), array::<6>(-1.0..1.0));
-    (scene(two_grippers), 0..16u8, 0..16u8, moves, array::<2>(-90.0..90.0), reward(), label).prop_map(
-        move |(scene, first, second, moves, [behavior_log_prob, value], reward, (labeled, moves_of_label))| {
-            Transition {
-                scene,
-                action: Action {
-                    choices: [Some(samples::block(first)), two_grippers.then(|| samples::block(second))],
-                    moves,
-                },
-                behavior_log_prob,
-                value,
-                reward,
-                label: labeled.then(|| Label {
-                    choices: [Some(samples::block(second)), two_grippers.then(|| samples::block(first))],
-                    moves: [moves_of_label, if two_grippers { moves_of_label } else { [0.0; 6] }],
-                }),
-            }
+    (scene(two_grippers), 0..16u8, 0..16u8, moves, -90.0..90.0f32, reward(), label).prop_map(
+        move |(scene, first, second, moves, behavior_log_prob, reward, (labeled, moves_of_label))| Transition {
+            scene,
+            action: Action {
+                choices: [Some(samples::block(first)), two_grippers.then(|| samples::block(second))],
+                moves,
+            },
+            behavior_log_prob,
+            reward,
+            label: labeled.then(|| Label {
+                choices: [Some(samples::block(second)), two_grippers.then(|| samples::block(first))],
+                moves: [moves_of_label, if two_grippers { moves_of_label } else { [0.0; 6] }],
+            }),
         },
     )
 }
@@ -118,7 +115,6 @@ prop_compose! {
         transitions in prop::collection::vec(transition(two_grippers), 1..4),
         last_scene in scene(two_grippers),
         status in prop::sample::select(vec![Status::Running, Status::Success, Status::TimeLimit]),
-        bootstrap in -9.0..9.0f32,
         lucky in any::<bool>(),
         driver in prop::sample::select(vec![Driver::Sampled, Driver::Greedy, Driver::Expert]),
         episode_return in reward(),
@@ -126,10 +122,9 @@ prop_compose! {
         let n_steps = first_step + transitions.len() as u16;
         let success = status == Status::Success || lucky;
         Trajectory {
-            actor: actor.parse().unwrap(), epoch, seq, weights_version: WeightsVersion(version), task,
+            actor: actor.parse().unwrap(), epoch, seq, weights_version: WeightsVersion(version), settings_hash: seq, task,
             driver, first_step, n_burn_in_steps: if is_after_burn_in { first_step } else { 0 },
             transitions, last_scene, status,
-            bootstrap_value: if status == Status::Success { 0.0 } else { bootstrap },
             outcome: (status != Status::Running).then_some(Outcome { success, n_steps, episode_return }),
         }
     }
@@ -138,6 +133,7 @@ prop_compose! {
 /// Runs all decoders; they must return without panicking.
 fn decode_all(bytes: &[u8]) {
     let _ = decode_trajectory(bytes);
+    let _ = decode_recording(bytes);
     let _ = decode_weights(Bytes::copy_from_slice(bytes));
     let _ = decode_notice(bytes);
     let _ = decode_ack(bytes);

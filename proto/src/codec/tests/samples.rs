@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use blueprints::{BlockIdx, CubeRotation, N_BLOCKS, RelativePlacement};
 use proto::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, PassId};
 use proto::{
-    Action, Driver, Gripper, Joint, Label, Normalization, Outcome, Pose, RewardTerms, Scene, Start, Status, Task,
-    Trajectory, Transition, Weights, WeightsVersion,
+    Action, CanonicalSettings, Driver, Gripper, Joint, Label, Normalization, Outcome, Pose, RewardTerms, Scene, Start,
+    Status, Task, Trajectory, Transition, Weights, WeightsVersion,
 };
 
 pub(crate) fn block(index: u8) -> BlockIdx {
@@ -46,7 +46,6 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
             moves: std::array::from_fn(|i| [i as f32, -1.5, 0.25, 0.0, 0.5, -0.75]),
         },
         behavior_log_prob: -7.5,
-        value: 1.25,
         reward: RewardTerms { connected: 1.0, wrong: -1.0, magnets: 0.5, blocks: -0.25, force: -0.125 },
         label: None,
     };
@@ -55,6 +54,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         epoch: 1_700_000_000_000,
         seq,
         weights_version: WeightsVersion(12),
+        settings_hash: settings().hash(),
         task: Task {
             blueprint: "3_001".parse().unwrap(),
             // Swaps blocks 0 and 1, which have the same type.
@@ -68,7 +68,6 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         transitions: vec![transition(0.5), transition(0.75)],
         last_scene: scene(1.0),
         status: Status::Running,
-        bootstrap_value: 2.5,
         outcome: None,
     }
 }
@@ -77,7 +76,6 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
 pub(crate) fn successful(actor: &str, seq: u64) -> Trajectory {
     Trajectory {
         status: Status::Success,
-        bootstrap_value: 0.0,
         outcome: Some(Outcome {
             success: true,
             n_steps: 42,
@@ -107,12 +105,17 @@ pub(crate) fn labeled(actor: &str, seq: u64) -> Trajectory {
     trajectory
 }
 
+pub(crate) fn settings() -> CanonicalSettings {
+    CanonicalSettings::parse("environment.episode_steps = 100\npolicy.mask = \"none\"\n").unwrap()
+}
+
 pub(crate) fn weights(version: u64) -> Weights {
     let probabilities = [("2_001", 0.25), ("2_002", 0.5), ("16_001", 0.25)];
     Weights {
         version: WeightsVersion(version),
         n_env_steps: 4096,
         network_hash: 0xfeed_beef,
+        settings: settings(),
         parameters: (0..N_BLOCKS).map(|i| i as f32 - 7.5).collect(),
         normalization: Normalization {
             feature_mean: [vec![1.0, 2.0], vec![-1.0], vec![]],
@@ -132,7 +135,7 @@ pub(crate) fn weights(version: u64) -> Weights {
 pub(crate) fn unit() -> EvalUnit {
     let task = |start| Task { start, ..running("x", 0).task };
     EvalUnit {
-        setup_hash: 0xbeef_cafe,
+        settings: settings(),
         pass: PassId { epoch: 77, number: 3 },
         weights: None,
         is_sampled: true,
