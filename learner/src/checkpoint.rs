@@ -266,6 +266,7 @@ impl Checkpoint {
         let replay = if has(REPLAY) { unpack(path, REPLAY, &verified(REPLAY)?)? } else { Vec::new() };
         let replay = replay.into_iter().map(Arc::new).collect();
         let model = parse_policy(&path.join(MODEL), parse(path, MODEL, &verified(MODEL)?)?)?;
+        state.state.check(&model).map_err(|error| damaged(path, STATE, error.to_string()))?;
         let adam = Adam { first, second, n_steps: state.adam_steps };
         let StateFile { table, settings, state, .. } = state;
         Ok(Self { state, model, settings, table, parameters, adam, critic_adam, imitator, mailbox, replay })
@@ -347,7 +348,12 @@ fn json(value: &impl Serialize) -> Result<Vec<u8>, CheckpointError> {
 }
 
 fn parse<T: for<'de> Deserialize<'de>>(folder: &Path, name: &str, bytes: &[u8]) -> Result<T, CheckpointError> {
-    serde_json::from_slice(bytes).map_err(|error| damaged(folder, name, error.to_string()))
+    serde_json::from_slice(bytes).map_err(|error| {
+        // The files have one key in a line.
+        let line = bytes.split(|byte| *byte == b'\n').nth(error.line().saturating_sub(1)).unwrap_or_default();
+        let line: String = String::from_utf8_lossy(line).trim().chars().take(80).collect();
+        damaged(folder, name, format!("{error}: `{}`", line.escape_debug()))
+    })
 }
 
 /// Parses and checks the configuration of a policy.

@@ -3,9 +3,12 @@
 use std::collections::BTreeMap;
 
 use blueprints::BlueprintId;
+use proto::InvalidSetting;
+use proto::setting::Section;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{CurriculumConfig, WideningConfig};
+use crate::state::share;
 
 /// Success rates and probabilities of the training blueprints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,6 +53,26 @@ impl Curriculum {
             (id, TaskState { n_blocks, ..task })
         });
         Self { config: self.config.clone(), tasks: tasks.collect(), waiting: saved.waiting }
+    }
+
+    /// Checks the numbers of a saved run; `path` is the key of this curriculum.
+    ///
+    /// # Errors
+    /// Returns the first rate or probability outside 0..=1, or the sum of the probabilities if it is not 1.
+    pub(crate) fn check(&self, path: &str) -> Result<(), InvalidSetting> {
+        self.config.validate_at(&format!("{path}.config"))?;
+        for (id, task) in &self.tasks {
+            share(&format!("{path}.tasks.{id}.success_rate"), task.success_rate)?;
+            share(&format!("{path}.tasks.{id}.probability"), task.probability)?;
+        }
+        let sum: f64 = self.tasks.values().map(|task| task.probability).sum();
+        let key = format_args!("{path}.tasks");
+        InvalidSetting::check(
+            key,
+            format_args!("a sum of {sum}"),
+            (sum - 1.0).abs() < 1e-3,
+            "probabilities that sum to 1",
+        )
     }
 
     /// Records one finished episode; every full batch updates the probabilities. Blueprints outside the training set

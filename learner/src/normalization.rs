@@ -5,7 +5,10 @@
 //! the gradient steps, and the value head is rescaled to keep its output in reward units unchanged (PopArt: van Hasselt
 //! et al., "Learning values across many orders of magnitude", proposition 1).
 
+use proto::InvalidSetting;
 use serde::{Deserialize, Serialize};
+
+use crate::state::{finite, not_negative, positive};
 
 /// Running mean and standard deviation of the value targets, in reward units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,6 +33,16 @@ impl ValueStatistics {
     pub fn new(mean: f32, std: f32) -> Self {
         let (mean, std) = (f64::from(mean), f64::from(std));
         Self { mean, std, mean_square: std * std + mean * mean, n_batches: 1_000 }
+    }
+
+    /// Checks the numbers of a saved run; `path` is the key of these statistics.
+    ///
+    /// # Errors
+    /// Returns the first number that no targets have.
+    pub(crate) fn check(&self, path: &str) -> Result<(), InvalidSetting> {
+        finite(&format!("{path}.mean"), self.mean)?;
+        positive(&format!("{path}.std"), self.std)?;
+        not_negative(&format!("{path}.mean_square"), self.mean_square)
     }
 
     /// Returns the statistics after a batch of targets, which has weight `rate`, or more while few batches have been

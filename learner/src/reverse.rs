@@ -3,10 +3,12 @@
 
 use std::collections::BTreeMap;
 
-use proto::Start;
+use blueprints::N_BLOCKS;
+use proto::{InvalidSetting, Start};
 use serde::{Deserialize, Serialize};
 
 use crate::config::ReverseConfig;
+use crate::state::share;
 
 /// How far from the goal episodes begin, by the goal's number of blocks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -27,6 +29,26 @@ impl ReverseCurriculum {
     /// Creates a curriculum that removes one block from goals of each of these `sizes`.
     pub fn new(sizes: impl IntoIterator<Item = usize>) -> Self {
         Self(sizes.into_iter().map(|size| (size as u8, Frontier { reach: 1, success_rate: 0.0 })).collect())
+    }
+
+    /// Checks the numbers of a saved run; `path` is the key of this curriculum.
+    ///
+    /// # Errors
+    /// Returns the first size, reach, or rate that no run has.
+    pub(crate) fn check(&self, path: &str) -> Result<(), InvalidSetting> {
+        for (&size, frontier) in &self.0 {
+            let (key, is_size) = (format!("{path}.{size}"), (2..=N_BLOCKS).contains(&usize::from(size)));
+            InvalidSetting::check(&key, "a number of blocks", is_size, format_args!("2..={N_BLOCKS}"))?;
+            let Frontier { reach, success_rate } = *frontier;
+            InvalidSetting::check(
+                format_args!("{key}.reach"),
+                reach,
+                (1..=size).contains(&reach),
+                format_args!("1..={size}"),
+            )?;
+            share(&format!("{key}.success_rate"), success_rate)?;
+        }
+        Ok(())
     }
 
     /// Records one finished episode with a goal of `n_blocks` blocks. Only episodes that begin at the frontier count.

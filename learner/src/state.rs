@@ -1,7 +1,9 @@
 //! The state of a learner except its network and optimizer, stored in `state.json`.
 
+use policy::PolicyConfig;
 use policy::normalization::FeatureMoments;
-use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
+use proto::setting::Number;
+use proto::{CanonicalSettings, InvalidSetting, Normalization, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
@@ -45,7 +47,34 @@ pub struct LearnerState {
     pub normalization: Normalization,
 }
 
+/// Largest count, far beyond any run and far from an overflow.
+const MAX_COUNT: u64 = 1 << 62;
+
 impl LearnerState {
+    /// Checks every number that an update or a policy would use; `model` is the policy's configuration.
+    ///
+    /// # Errors
+    /// Returns the first wrong number under its key in `state.json`.
+    pub(crate) fn check(&self, model: &PolicyConfig) -> Result<(), InvalidSetting> {
+        for (key, count) in [
+            ("version", self.version.0),
+            ("n_env_steps", self.n_env_steps),
+            ("n_updates", self.n_updates),
+            ("n_episodes", self.n_episodes),
+        ] {
+            let key = format_args!("state.{key}");
+            InvalidSetting::check(key, count, count <= MAX_COUNT, format_args!("at most {MAX_COUNT}"))?;
+        }
+        not_negative("state.learning_rate", self.learning_rate.0)?;
+        self.curriculum.check("state.curriculum")?;
+        self.reverse.check("state.reverse")?;
+        let sizes = model.sizes();
+        let widths = [sizes.node, sizes.edge, sizes.global];
+        self.features.check("state.features", widths)?;
+        self.values.check("state.values")?;
+        check_normalization("state.normalization", &self.normalization, widths)
+    }
+
     /// Returns the frozen policy with these `parameters`.
     pub(crate) fn weights(&self, network_hash: u64, settings: CanonicalSettings, parameters: Vec<f32>) -> Weights {
         Weights {
@@ -59,6 +88,40 @@ impl LearnerState {
             reverse_reach: self.reverse.reach(),
         }
     }
+}
+
+/// Checks that a number is finite and at least 0.
+pub(crate) fn not_negative<T: Number + From<u8>>(key: &str, value: T) -> Result<(), InvalidSetting> {
+    InvalidSetting::check(key, value, value.is_finite() && value >= T::from(0), "at least 0 and finite")
+}
+
+/// Checks that a number is finite and above 0.
+pub(crate) fn positive<T: Number + From<u8>>(key: &str, value: T) -> Result<(), InvalidSetting> {
+    InvalidSetting::check(key, value, value.is_finite() && value > T::from(0), "above 0 and finite")
+}
+
+/// Checks that a number is finite.
+pub(crate) fn finite<T: Number>(key: &str, value: T) -> Result<(), InvalidSetting> {
+    InvalidSetting::check(key, value, value.is_finite(), "a finite number")
+}
+
+/// Checks that a number is in 0..=1, but for the rounding of quotients of small numbers.
+pub(crate) fn share(key: &str, value: f64) -> Result<(), InvalidSetting> {
+    InvalidSetting::check(key, value, (0.0..=1.001).contains(&value), "0..=1")
+}
+
+fn check_normalization(path: &str, normalization: &Normalization, widths: [usize; 3]) -> Result<(), InvalidSetting> {
+    let Normalization { feature_mean, feature_std, value_mean, value_std } = normalization;
+    for (k, width) in widths.into_iter().enumerate() {
+        for (key, n) in [("feature_mean", feature_mean[k].len()), ("feature_std", feature_std[k].len())] {
+            let fits = n == width || (n == 0 && feature_mean[k].len() == feature_std[k].len());
+            InvalidSetting::check(format_args!("{path}.{key}[{k}]"), format_args!("{n} numbers"), fits, width)?;
+        }
+        feature_mean[k].iter().try_for_each(|mean| finite(&format!("{path}.feature_mean[{k}]"), *mean))?;
+        feature_std[k].iter().try_for_each(|std| positive(&format!("{path}.feature_std[{k}]"), *std))?;
+    }
+    finite(&format!("{path}.value_mean"), *value_mean)?;
+    positive(&format!("{path}.value_std"), *value_std)
 }
 
 /// The serde form of [`Normalization`], which itself only has a wire form.

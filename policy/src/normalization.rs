@@ -1,6 +1,6 @@
 //! Running statistics of features, and normalization, shared by actors, evaluator, and learner.
 
-use proto::Normalization;
+use proto::{InvalidSetting, Normalization};
 use serde::{Deserialize, Serialize};
 
 use crate::FeatureBatch;
@@ -37,6 +37,28 @@ impl FeatureMoments {
         for (group, (values, width)) in self.groups.iter_mut().zip(values) {
             values.chunks_exact(width).for_each(|row| group.push(row));
         }
+    }
+
+    /// Checks the numbers of saved moments of `widths` features; `path` is their key.
+    ///
+    /// # Errors
+    /// Returns the first number that no features have, or the first list of another length.
+    pub fn check(&self, path: &str, widths: [usize; 3]) -> Result<(), InvalidSetting> {
+        for (k, (group, width)) in self.groups.iter().zip(widths).enumerate() {
+            let path = format!("{path}.groups[{k}]");
+            let Moments { count, mean, squares, is_bit } = group;
+            let n = mean.len();
+            let fits = (n == width || n == 0) && squares.len() == n && is_bit.len() == n;
+            InvalidSetting::check(&path, format_args!("{n} means"), fits, format_args!("{width} of each or none"))?;
+            let is_count = count.is_finite() && *count >= 0.0;
+            InvalidSetting::check(format_args!("{path}.count"), count, is_count, "at least 0 and finite")?;
+            for (mean, square) in mean.iter().zip(squares) {
+                InvalidSetting::check(format_args!("{path}.mean"), mean, mean.is_finite(), "a finite number")?;
+                let is_square = square.is_finite() && *square >= 0.0;
+                InvalidSetting::check(format_args!("{path}.squares"), square, is_square, "at least 0 and finite")?;
+            }
+        }
+        Ok(())
     }
 
     /// Writes the current mean and standard deviation into `to`; its value statistics stay unchanged.

@@ -332,3 +332,49 @@ fn a_policy_of_a_kind_that_is_not_known_is_refused_by_the_setting() {
     let error = Model::from_bytes(&newer, path).unwrap_err().to_string();
     assert!(error.contains("has format version 4, and this program reads versions 2 to 3"), "{error}");
 }
+
+#[test]
+fn a_state_with_numbers_that_no_run_has_is_refused_by_file_and_key() {
+    let dir = tempfile::tempdir().unwrap();
+    let (_, _, folder) = saved(dir.path(), 1);
+    let file = folder.join("state.json");
+    let whole = fs::read_to_string(&file).unwrap();
+    let state: Value = serde_json::from_str(&whole).unwrap();
+    let cases = [
+        ("/state/version", json!(u64::MAX), "state.version = 18446744073709551615: expected at most"),
+        ("/state/learning_rate", json!(-1.0), "state.learning_rate = -1: expected at least 0 and finite"),
+        ("/state/learning_rate", json!(1e300), "state.learning_rate = inf: expected at least 0 and finite"),
+        ("/state/values/std", json!(-1.0), "state.values.std = -1: expected above 0 and finite"),
+        ("/state/values/mean_square", json!(-1.0), "state.values.mean_square = -1"),
+        (
+            "/state/normalization/value_std",
+            json!(0.0),
+            "state.normalization.value_std = 0: expected above 0 and finite",
+        ),
+        ("/state/normalization/value_mean", json!(1e300), "state.normalization.value_mean = inf"),
+        ("/state/normalization/feature_std/0/0", json!(-1.0), "state.normalization.feature_std[0] = -1"),
+        ("/state/normalization/feature_mean/1", json!([]), "state.normalization.feature_mean[1] = 0 numbers"),
+        ("/state/curriculum/tasks/2_000/probability", json!(-5.0), "state.curriculum.tasks.2_000.probability = -5"),
+        ("/state/curriculum/tasks/2_000/probability", json!(0.5), "state.curriculum.tasks = a sum of 0.5"),
+        ("/state/curriculum/tasks/2_000/success_rate", json!(1.5), "state.curriculum.tasks.2_000.success_rate = 1.5"),
+        ("/state/features/groups/0/count", json!(-1.0), "state.features.groups[0].count = -1"),
+        ("/state/features/groups/0/squares/0", json!(-1.0), "state.features.groups[0].squares = -1"),
+        ("/state/features/groups/1/mean", json!([0.0]), "state.features.groups[1] = 1 means"),
+        ("/state/reverse", json!({ "3": { "reach": 4, "success_rate": 0.0 } }), "state.reverse.3.reach = 4"),
+        ("/state/reverse", json!({ "3": { "reach": 3, "success_rate": -1.0 } }), "state.reverse.3.success_rate = -1"),
+        ("/state/reverse", json!({ "99": { "reach": 3, "success_rate": 0.0 } }), "state.reverse.99"),
+    ];
+    for (pointer, value, message) in cases {
+        let mut state = state.clone();
+        *state.pointer_mut(pointer).unwrap() = value;
+        fs::write(&file, state.to_string()).unwrap();
+        let error = Checkpoint::read(&folder).unwrap_err().to_string();
+        assert!(error.contains("state.json is damaged: ") && error.contains(message), "{pointer}: {error}");
+    }
+    for odd in ["NaN", "null", "\"x\""] {
+        let rate = whole.lines().find(|line| line.contains("\"learning_rate\"")).unwrap();
+        fs::write(&file, whole.replace(rate, &format!("    \"learning_rate\": {odd},"))).unwrap();
+        let error = Checkpoint::read(&folder).unwrap_err().to_string();
+        assert!(error.contains("state.json is damaged") && error.contains("learning_rate"), "{error}");
+    }
+}
