@@ -14,6 +14,7 @@ mod effort;
 const MEASURED_MS: f32 = 50.0;
 
 /// A live connection.
+#[derive(Clone)]
 struct Connection {
     joint: Joint,
     /// Target pose of its second block relative to the first.
@@ -30,6 +31,7 @@ struct Connection {
 }
 
 /// All connections of a world.
+#[derive(Clone)]
 pub(crate) struct Connections {
     table: MagnetTable,
     config: MagnetConfig,

@@ -44,11 +44,21 @@ struct Bodies {
     soft_bodies: SoftBodySet,
 }
 
+/// The engine's buffers, which every step fills anew. A clone gets empty ones.
+struct Workspace(PhysicsPipeline);
+
+impl Clone for Workspace {
+    fn clone(&self) -> Self {
+        Self(PhysicsPipeline::new())
+    }
+}
+
 /// 16 blocks, the ground, and joints.
+#[derive(Clone)]
 pub(crate) struct Engine {
     parameters: IntegrationParameters,
     gravity: Vector3<f32>,
-    pipeline: PhysicsPipeline,
+    workspace: Workspace,
     ccd: CCDSolver,
     now: Bodies,
     template: Bodies,
@@ -125,7 +135,7 @@ impl Engine {
         Self {
             parameters,
             gravity: Vector3::new(0.0, 0.0, -physics.gravity_mps2),
-            pipeline: PhysicsPipeline::new(),
+            workspace: Workspace(PhysicsPipeline::new()),
             ccd: CCDSolver::new(),
             now: template.clone(),
             template,
@@ -144,7 +154,7 @@ impl Engine {
     /// of later results.
     pub(crate) fn reset(&mut self, poses: &[Isometry3<f32>; N_BLOCKS]) {
         self.now.clone_from(&self.template);
-        self.pipeline = PhysicsPipeline::new();
+        self.workspace = Workspace(PhysicsPipeline::new());
         self.ccd = CCDSolver::new();
         (self.n_substeps, self.solved) = (0, [(0, 0.0); N_BLOCKS]);
         for (block, pose) in BlockIdx::all().zip(poses) {
@@ -171,7 +181,7 @@ impl Engine {
     /// Advances by one substep.
     pub(crate) fn substep(&mut self) {
         let were_asleep = self.asleep();
-        self.pipeline.step(
+        self.workspace.0.step(
             to_rapier(self.gravity),
             &self.parameters,
             &mut self.now.islands,

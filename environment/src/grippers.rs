@@ -22,6 +22,7 @@ struct State {
 }
 
 /// The grippers of a world.
+#[derive(Clone)]
 pub(crate) struct Grippers {
     states: Vec<State>,
     max_speed_mps: f32,

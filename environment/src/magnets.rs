@@ -29,6 +29,7 @@ pub(crate) struct MagnetPair {
 }
 
 /// The magnets of all blocks, laid out for the hot loop.
+#[derive(Clone)]
 pub(crate) struct MagnetTable {
     half_extents: [Vector3<f32>; N_BLOCKS],
     radii: [f32; N_BLOCKS],

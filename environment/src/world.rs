@@ -20,7 +20,7 @@ use proto::InvalidSetting;
 /// Maximum length of a merged substep, ms.
 const MERGED_MS: f32 = 20.0;
 
-/// One world. Steps are cheap, so that one thread can drive many worlds.
+/// One world. Steps are cheap, so that one thread can drive many worlds. A clone goes on bit for bit as the original.
 ///
 /// # Example
 /// ```
@@ -39,6 +39,7 @@ const MERGED_MS: f32 = 20.0;
 /// assert_eq!(result.status, Status::Running);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+#[derive(Clone)]
 pub struct World {
     config: EnvironmentConfig,
     engine: Engine,

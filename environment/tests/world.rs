@@ -6,7 +6,7 @@ use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use environment::config::{ForcePenalty, RandomizationConfig, RewardConfig, SuccessConfig};
 use environment::reward::potential;
 use environment::success::is_success;
-use environment::{Env, EnvironmentConfig, StableSuccess, World, contract};
+use environment::{Env, EnvironmentConfig, Expert, StableSuccess, World, contract};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use proto::{Action, Joint, Pose, RewardTerms, Scene, Start, Status, Task};
@@ -84,6 +84,35 @@ fn the_world_keeps_the_contract() {
             })
         };
         contract::check_all(make, Catalog::builtin(), &RewardConfig::default(), 30);
+    }
+}
+
+/// The clones are taken while blocks fall, snap, hang together, and sleep, and all go on to the end beside the original.
+#[test]
+fn a_clone_goes_on_bit_for_bit() {
+    let catalog = Catalog::builtin();
+    let goal = catalog.get(&"4_000".parse().unwrap()).unwrap();
+    for start in [Start::Scattered, Start::Prebuilt("6_000".parse().unwrap()), Start::NearGoal { undone: 2 }] {
+        let config = EnvironmentConfig::default();
+        let mut worlds = vec![World::new(&config).unwrap()];
+        worlds[0].reset(&task(goal, start, 1), catalog).unwrap();
+        let mut expert = Expert::new(&config, worlds[0].blueprint()).unwrap();
+        for step in 0..60 {
+            if step % 4 == 0 {
+                worlds.push(worlds[0].clone());
+            }
+            let action = if step < 45 { expert.act(worlds[0].scene()) } else { idle() };
+            let results: Vec<_> = worlds.iter_mut().map(|world| world.step(&action)).collect();
+            assert!(results.iter().all(|result| *result == results[0]), "step {step}");
+            assert!(worlds.iter().all(|world| world.scene() == worlds[0].scene()), "step {step}");
+        }
+        let as_it_is = task(goal, Start::AsItIs, 2);
+        for world in &mut worlds {
+            world.reset(&as_it_is, catalog).unwrap();
+            world.step(&idle());
+        }
+        assert_eq!(worlds.len(), 16);
+        assert!(worlds.iter().all(|world| world.scene() == worlds[0].scene()), "as it is");
     }
 }
 
