@@ -1,8 +1,9 @@
 """Batches of worlds and the policy, in Rust. `lodestone.batch` and `lodestone.agents` are what to use instead.
 
 Arrays are C-contiguous. `n` is the number of worlds, `g` the number of grippers. Whatever is wrong with an argument raises
-ValueError, or TypeError for an array of another type or layout, and leaves the worlds as they are. A world that cannot
-start an episode raises ValueError as well, after all the others have started or stepped.
+ValueError, or TypeError for a value or an array of another type or layout, and leaves the worlds as they are. A world that
+cannot start an episode raises ValueError as well, after all the others have started or stepped. MemoryError if there is no
+memory for all worlds.
 """
 
 from collections.abc import Sequence

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lodestone import _native
-from lodestone.batch import N_BLOCKS, N_EDGES, Action, Batch, Observation, flatten, row_of
+from lodestone import _native, checks
+from lodestone.batch import N_BLOCKS, N_EDGES, Action, Batch, Observation, flatten, parts_of, row_of
 
 # Nodes, edges, and globals.
 Parts: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
@@ -40,8 +41,9 @@ class Policy:
     """
 
     def __init__(self, native: _native.Policy, action: Literal["native", "flat"] = "native") -> None:
-        if action not in ("native", "flat"):
-            raise ValueError(f"action {action!r} is unknown: expected native or flat")
+        if not isinstance(native, _native.Policy):
+            raise checks.refusal("native", native, "a native policy: use Policy.pretrained() or Policy.load(path)")
+        checks.one_of("action", action, ("native", "flat"))
         self.native = native
         self.flat_action = action == "flat"
         self.features: dict[str, Any] = json.loads(native.features)
@@ -58,6 +60,9 @@ class Policy:
     @classmethod
     def load(cls, path: str | os.PathLike[str], action: Literal["native", "flat"] = "native") -> Policy:
         """Loads a policy from a file written by `lodestone export`."""
+        if not isinstance(path, (str, os.PathLike)):
+            raise checks.refusal("path", path, "the path of a file")
+        checks.one_of("action", action, ("native", "flat"))
         return cls(_native.Policy.load(path), action)
 
     @property
@@ -67,7 +72,7 @@ class Policy:
 
     def seed(self, seed: int) -> None:
         """Seeds the random number generator for sampled actions."""
-        self.native.seed(seed)
+        self.native.seed(checks.whole("seed", seed, 0, 2**64 - 1))
 
     def act(self, env: Any, deterministic: bool = True) -> Any:
         """Returns what `env.step` accepts: one action, a batch, or one action per PettingZoo agent.
@@ -75,10 +80,11 @@ class Policy:
         With `deterministic`, picks the most probable block and the mean move. Otherwise samples actions. With the
         pretrained policy, sampled actions succeed in 95.3% of the evaluation episodes, greedy ones in 96.7%.
         """
+        deterministic = checks.flag("deterministic", deterministic)
         target = _Target(env)
         batch = target.batch
         if self.native.n_grippers != batch.n_grippers:
-            raise ValueError(f"a policy for {self.native.n_grippers} grippers cannot act with {batch.n_grippers}")
+            raise ValueError(f"env: a policy for {self.native.n_grippers} grippers cannot act with {batch.n_grippers}")
         nd, ed, gd = self.native.sizes
         shapes = ((batch.n, N_BLOCKS, nd), (batch.n, N_EDGES, ed), (batch.n, gd))
         seen = _three([np.empty(shape, np.float32) for shape in shapes])
@@ -95,11 +101,10 @@ class Policy:
     ) -> tuple[Action, None]:
         """Returns actions for one observation or a batch, either a dictionary or flat, and None as the state."""
         del state, episode_start
-        nodes = observation["nodes"] if isinstance(observation, dict) else np.asarray(observation)
-        single = nodes.ndim == (2 if isinstance(observation, dict) else 1)
-        n = 1 if single else len(nodes)
-        (choices, moves), _, _ = self.native.act(*self._parts(observation, n), not deterministic)
-        moves = moves.clip(-1.0, 1.0)
+        deterministic = checks.flag("deterministic", deterministic)
+        parts, single = self._parts(observation)
+        (choices, moves), _, _ = self.native.act(*parts, not deterministic)
+        n, moves = len(choices), moves.clip(-1.0, 1.0)
         actions: Action = {"choices": choices, "moves": moves}
         if self.flat_action:
             actions = flatten(choices, moves).reshape(n, -1)
@@ -107,27 +112,34 @@ class Policy:
 
     def evaluate(self, observation: Observation) -> NDArray[np.float32]:
         """Returns the values [n] of a batch of observations: expected returns in units of reward."""
-        n = len(observation["nodes"]) if isinstance(observation, dict) else len(observation)
-        return self.native.act(*self._parts(observation, n), False)[2]
+        return self.native.act(*self._parts(observation)[0], False)[2]
 
-    def _parts(self, observation: Observation, n: int) -> Parts:
+    def _parts(self, observation: Observation) -> tuple[Parts, bool]:
+        """Returns a batch of observations in parts, and whether it was a single one."""
         nd, ed, gd = self.native.sizes
-        shapes = ((n, N_BLOCKS, nd), (n, N_EDGES, ed), (n, gd))
-        if isinstance(observation, dict):
-            parts = [observation["nodes"], observation["edges"], observation["globals"]]
+        shapes = ((N_BLOCKS, nd), (N_EDGES, ed), (gd,))
+        names = ("nodes", "edges", "globals")
+        if isinstance(observation, Mapping):
+            whole = parts_of("observation", observation, names)
+            parts = [checks.array(f"observation: {name}", part) for name, part in zip(names, whole, strict=True)]
+            single = parts[0].ndim == 2
+            n = 1 if single or parts[0].ndim == 0 else len(parts[0])
         else:
-            flat = np.asarray(observation, np.float32).reshape(n, -1)
-            ends = np.cumsum([int(np.prod(shape[1:])) for shape in shapes])
-            if flat.shape[1] != ends[-1]:
-                raise ValueError(f"an observation has {flat.shape[1]} entries: this policy expects {ends[-1]}")
-            parts = np.split(flat, ends[:-1], axis=1)
-        for name, part, shape in zip(("nodes", "edges", "globals"), parts, shapes, strict=True):
-            if np.size(part) != np.prod(shape):
-                raise ValueError(f"{name} has shape {np.shape(part)}: this policy expects {shape}")
+            flat = checks.array("observation", observation, "an array of numbers, or of nodes, edges, and globals")
+            ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+            if flat.ndim not in (1, 2) or flat.shape[-1] != ends[-1]:
+                expected = f"({ends[-1]},), or a batch of these"
+                raise ValueError(f"observation has shape {flat.shape}: this policy expects {expected}")
+            single = flat.ndim == 1
+            flat = flat.reshape(-1, ends[-1])
+            n, parts = len(flat), np.split(flat, ends[:-1], axis=1)
+        for name, part, shape in zip(names, parts, shapes, strict=True):
+            if part.size != n * np.prod(shape):
+                raise ValueError(f"observation: {name} has shape {part.shape}: this policy expects {(n, *shape)}")
             if not np.isfinite(part).all():
-                raise ValueError(f"{name} has entries that are not finite")
+                raise ValueError(f"observation: {name} has entries that are not finite")
         pairs = zip(parts, shapes, strict=True)
-        return _three([np.ascontiguousarray(part, np.float32).reshape(shape) for part, shape in pairs])
+        return _three([np.ascontiguousarray(part, np.float32).reshape(n, *shape) for part, shape in pairs]), single
 
 
 class _Target:
@@ -137,7 +149,7 @@ class _Target:
         self.env = getattr(env, "unwrapped", env)
         batch = getattr(self.env, "batch", None)
         if not isinstance(batch, Batch):
-            raise ValueError(f"{env!r} is no environment of lodestone")
+            raise checks.refusal("env", env, "an environment of lodestone")
         self.batch = batch
 
     def put(self, actions: tuple[NDArray[np.int64], NDArray[np.float32]]) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
@@ -13,7 +13,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from lodestone import _native
+from lodestone import _native, checks
+from lodestone.checks import refusal
 
 Names: TypeAlias = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 Starts: TypeAlias = str | Mapping[str, float]
@@ -25,6 +26,8 @@ Action: TypeAlias = dict[str, NDArray[Any]] | NDArray[np.float32]
 N_BLOCKS, N_EDGES, N_MOVES = 16, 240, 6
 # Flat action entries per gripper: a score for each block, then the move of the block with the highest score.
 N_FLAT = N_BLOCKS + N_MOVES
+# Limits of a batch. A world takes up to 0.4 MB, and its part of a vector environment's spaces and observations 0.15 MB.
+MAX_WORLDS, MAX_THREADS = 16_384, 1024
 REWARD_TERMS = ("connected", "wrong", "magnets", "blocks", "force")
 # Bound of every feature. Only a diverged world exceeds it, and its features are clipped.
 MAX_FEATURE = 256.0
@@ -45,9 +48,23 @@ class Options(TypedDict, total=False):
 
 def names_of(blueprint: Names) -> list[str]:
     """Converts a blueprint argument to a list of strings."""
-    names = [blueprint] if isinstance(blueprint, (str, os.PathLike)) else blueprint
-    # The string `train` is the split, but a path object is always a path. The prefix `./` makes that explicit.
-    return [name if isinstance(name, str) else os.path.join(os.curdir, name) for name in names]
+    expected = "an id, a split, a path, the text of a TOML file, or a list of these"
+    if isinstance(blueprint, (str, os.PathLike)):
+        return [_name_of("blueprint", blueprint, expected)]
+    blueprint = blueprint.tolist() if isinstance(blueprint, np.ndarray) else blueprint
+    if not isinstance(blueprint, Iterable) or isinstance(blueprint, (bytes, bytearray, Mapping)):
+        raise refusal("blueprint", blueprint, expected)
+    names = [_name_of(f"blueprint[{at}]", name, expected) for at, name in enumerate(blueprint)]
+    if not names:
+        raise refusal("blueprint", blueprint, "at least one blueprint")
+    return names
+
+
+def _name_of(name: str, blueprint: Any, expected: str) -> str:
+    if isinstance(blueprint, os.PathLike):
+        # The string `train` is the split, but a path object is always a path. The prefix `./` makes that explicit.
+        return os.path.join(os.curdir, checks.text(name, os.fspath(blueprint), expected))
+    return checks.text(name, blueprint, expected)
 
 
 def blueprints(blueprint: Names = "train") -> dict[str, int]:
@@ -71,7 +88,8 @@ def read_settings(settings: Settings) -> str:
         return "{}"
     if isinstance(settings, Mapping):
         return _json("settings", settings)
-    path = os.fspath(settings)
+    expected = "a dictionary of settings of [environment], the path of a configuration file, or None"
+    path = checks.text("settings", os.fspath(settings) if isinstance(settings, os.PathLike) else settings, expected)
     try:
         keys = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
@@ -85,23 +103,37 @@ def read_settings(settings: Settings) -> str:
             f"settings: {path} has base = {base!r}, a preset that this package does not read: "
             "give the config.toml of a run, which has all settings"
         )
-    return _json(f"settings: {path}", keys.get("environment", {}))
+    return _json(f"settings: {path}: environment", keys.get("environment", {}))
 
 
 def read_features(features: Features) -> str:
     """Returns the section `[policy.features]` as JSON."""
     if isinstance(features, Mapping):
         return _json("features", features)
-    if features not in FEATURES:
-        raise ValueError(f"features {features!r} are unknown: expected {', '.join(FEATURES)}, or flags by name")
+    checks.one_of("features", features, FEATURES, ", or a dictionary of flags")
     return json.dumps(FEATURES[features])
+
+
+def read_starts(starts: Starts) -> list[tuple[str, float]]:
+    """Returns the starts with their weights."""
+    expected = "the name of a start, or a dictionary of weights by name"
+    if isinstance(starts, str):
+        return [(checks.text("starts", starts, expected), 1.0)]
+    if not isinstance(starts, Mapping):
+        raise refusal("starts", starts, expected)
+    for start, weight in checks.mapping("starts", starts).items():
+        if isinstance(weight, (bool, np.bool_)) or not isinstance(weight, (int, float, np.number)):
+            raise refusal(f"starts[{start!r}]", weight, "a finite number that is not negative")
+    return [(start, float(weight)) for start, weight in starts.items()]
 
 
 class Batch:
     """A batch of worlds with observation and action spaces, and conversions to and from the native module's arrays.
 
+    The environments are built on it and check what goes to its methods.
+
     Args:
-        n: Number of worlds.
+        n: Number of worlds, up to 16,384. MemoryError if there is no memory for them.
         blueprint: The goals, as for `lodestone.blueprints`. Each entry is equally likely.
         starts: How episodes start: `scattered`, `prebuilt` (another training blueprint is built), `prebuilt:ID` (from
             the catalog, the generator, or a file in `blueprint`), `near-goal` (the goal is built except for one or two
@@ -121,7 +153,7 @@ class Batch:
         mask: With `blueprint`, the scores of flat actions choose only among the blueprint's blocks and connected
             blocks, like `mask` in `[policy]`. Where `Expert` or a policy chooses another block, nothing moves. With
             `none`, they choose among all blocks.
-        num_threads: Number of threads that step worlds, by default the number of processors but at most `n`.
+        num_threads: Threads that step worlds, up to 1024; by default the number of processors, but at most `n`.
     """
 
     def __init__(
@@ -138,23 +170,26 @@ class Batch:
         mask: Literal["none", "blueprint"] = "none",
         num_threads: int | None = None,
     ) -> None:
-        if observation not in ("features", "flat"):
-            raise ValueError(f"observation {observation!r} is unknown: expected features or flat")
-        if action not in ("native", "flat"):
-            raise ValueError(f"action {action!r} is unknown: expected native or flat")
-        if mask not in ("none", "blueprint"):
-            raise ValueError(f"mask {mask!r} is unknown: expected none or blueprint")
+        checks.one_of("observation", observation, ("features", "flat"))
+        checks.one_of("action", action, ("native", "flat"))
+        checks.one_of("mask", mask, ("none", "blueprint"))
         if mask == "blueprint" and action == "native":
             raise ValueError("mask 'blueprint' is for flat actions: a native one names its blocks")
-        weights = {starts: 1.0} if isinstance(starts, str) else dict(starts)
-        self.n = n
+        self.n = n = checks.whole("n", n, 1, MAX_WORLDS)
         self.flat_observation, self.flat_action = observation == "flat", action == "flat"
         self.masked = mask == "blueprint"
         self.features = read_features(features)
-        threads = num_threads if num_threads is not None else min(n, os.cpu_count() or 1)
-        pairs = [(start, float(weight)) for start, weight in weights.items()]
+        threads = min(n, os.cpu_count() or 1)
+        if num_threads is not None:
+            threads = checks.whole("num_threads", num_threads, 1, MAX_THREADS, ", or None")
         self.worlds = _native.Worlds(
-            n, names_of(blueprint), pairs, shuffle_blocks, read_settings(settings), self.features, threads
+            n,
+            names_of(blueprint),
+            read_starts(starts),
+            checks.flag("shuffle_blocks", shuffle_blocks),
+            read_settings(settings),
+            self.features,
+            threads,
         )
         self.n_grippers = self.worlds.n_grippers
 
@@ -183,30 +218,38 @@ class Batch:
         self, mask: NDArray[np.bool_], seeds: Sequence[int | None], options: Mapping[str, Any], out: Observation
     ) -> None:
         """Starts episodes in the worlds selected by `mask` and writes their observations to `out`."""
-        seeds = [None if seed is None else int(seed) % 2**64 for seed in seeds]
+        seeds = [None if seed is None else seed % 2**64 for seed in seeds]
         blueprint, start = options.get("blueprint"), options.get("start")
         self.worlds.reset(mask, seeds, blueprint, start, arrays(out))
 
     def step(
-        self, action: Action, resets: NDArray[np.bool_], out: Observation
+        self, action: Action, resets: NDArray[np.bool_], out: Observation, name: str = "actions"
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.float32]]:
-        """Steps each world, or starts an episode where `resets` is set. See `Worlds.step` of the native module."""
-        choices, moves = self.to_native(action)
+        """Steps each world, or starts an episode where `resets` is set. See `Worlds.step` of the native module.
+
+        `action` is a batch, or with the name `action` that of a single world.
+        """
+        choices, moves = self.to_native(action, name)
         return self.worlds.step(choices, moves, resets, arrays(out))
 
-    def to_native(self, action: Action) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Converts a batch of actions to choices [n, grippers] and moves [n, 16, 6]."""
-        if isinstance(action, dict):
+    def to_native(self, action: Action, name: str = "actions") -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Converts a batch of actions, or one named `action`, to choices [n, grippers] and moves [n, 16, 6]."""
+        lead = () if name == "action" else (self.n,)
+        if isinstance(action, Mapping):
             if self.flat_action:
-                raise ValueError("an action is a dictionary: expected flat ones")
-            choices, moves = parts_of(action, ("choices", "moves"))
-            return whole_numbers("choices", choices), np.ascontiguousarray(moves, np.float32)
+                raise refusal(name, action, "flat numbers")
+            choices, moves = parts_of(name, action, ("choices", "moves"))
+            choices = checks.blocks(f"{name}: choices", choices, (*lead, self.n_grippers))
+            moves = checks.numbers(f"{name}: moves", moves, (*lead, N_BLOCKS, N_MOVES))
+            return choices.reshape(self.n, -1), moves.reshape(self.n, N_BLOCKS, N_MOVES)
         if not self.flat_action:
-            raise ValueError(f"an action is {type(action).__name__}: expected a dictionary of choices and moves")
-        flat = np.asarray(action, np.float32)
+            raise refusal(name, action, "a dictionary of choices and moves")
+        shape = (*lead, self.n_grippers * N_FLAT)
+        flat = checks.array(name, action, f"numbers of shape {shape}")
         if flat.size != self.n * self.n_grippers * N_FLAT:
-            raise ValueError(f"actions have shape {flat.shape}: expected {(self.n, self.n_grippers * N_FLAT)}")
-        return unflatten(flat.reshape(self.n, self.n_grippers, N_FLAT), self.allowed())
+            raise ValueError(f"{name} has shape {flat.shape}: expected {shape}")
+        flat = flat.astype(np.float32).reshape(self.n, self.n_grippers, N_FLAT)
+        return unflatten(flat, self.allowed())
 
     def allowed(self) -> NDArray[np.bool_] | None:
         """Returns which block scores of flat actions count [n, 16], or None if all do."""
@@ -238,20 +281,12 @@ def arrays(observation: Observation) -> list[NDArray[np.float32]]:
     return [observation]
 
 
-def parts_of(action: Mapping[str, Any], names: Sequence[str]) -> list[Any]:
-    """Returns the named parts of an action; raises ValueError if one is missing."""
-    for name in names:
-        if name not in action:
-            raise ValueError(f"an action has no {name}: expected a dictionary of {' and '.join(names)}")
-    return [action[name] for name in names]
-
-
-def whole_numbers(name: str, values: Any) -> NDArray[np.int64]:
-    """Converts an array of integers, or raises ValueError."""
-    values = np.asarray(values)
-    if not np.issubdtype(values.dtype, np.integer):
-        raise ValueError(f"{name} has the type {values.dtype}: expected whole numbers")
-    return np.ascontiguousarray(values, np.int64)
+def parts_of(name: str, whole: Mapping[str, Any], names: Sequence[str]) -> list[Any]:
+    """Returns the named parts of an action or observation; raises ValueError if one is missing."""
+    for part in names:
+        if part not in whole:
+            raise ValueError(f"{name} has no {part}: expected a dictionary of {' and '.join(names)}")
+    return [whole[part] for part in names]
 
 
 def row_of(batch: Any, row: int) -> Any:
@@ -293,10 +328,7 @@ def flatten(choices: NDArray[np.int64], moves: NDArray[np.float32]) -> NDArray[n
 
 
 def _json(name: str, section: Any) -> str:
-    try:
-        return json.dumps(dict(section) if isinstance(section, Mapping) else section)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: {error}") from error
+    return json.dumps(checks.plain(name, checks.mapping(name, section)))
 
 
 def _box(limit: float, shape: tuple[int, ...]) -> spaces.Box:

@@ -9,9 +9,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from lodestone import checks
 from lodestone.batch import DIVERGED, SUCCESS, TIME_LIMIT, Action, Batch, Observation, Options, row_of
 from lodestone.window import Window
 
+_MODES = (None, "human", "rgb_array")
 _ONE = np.ones(1, np.bool_)
 _NONE = np.zeros(1, np.bool_)
 
@@ -41,11 +43,10 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
 
     def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode {render_mode!r} is unknown: expected human or rgb_array")
+        checks.one_of("render_mode", render_mode, _MODES)
+        self.render_mode, self.render_size = render_mode, checks.size_of("render_size", render_size)
         self.batch = Batch(1, **{"num_threads": 1} | world)
         self.observation_space, self.action_space = self.batch.observation_space, self.batch.action_space
-        self.render_mode, self.render_size = render_mode, render_size
         self._window: Window | None = None
         self._seeded = False
 
@@ -53,10 +54,10 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         self, *, seed: int | None = None, options: Options | Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode."""
+        options, seed = checked(options), checks.seed_of("seed", seed)
         super().reset(seed=seed)
         if seed is None and not self._seeded:
             seed = int(self.np_random.integers(2**63))
-        options = checked(options)
         out = self.batch.empty()
         self.batch.reset(_ONE, [seed], options, out)
         self._seeded = True
@@ -66,8 +67,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advances the world by one step."""
         out = self.batch.empty()
-        batched = {name: np.asarray(x)[None] for name, x in action.items()} if isinstance(action, dict) else action
-        rewards, statuses, terms = self.batch.step(batched, _NONE, out)
+        rewards, statuses, terms = self.batch.step(action, _NONE, out, "action")
         status = int(statuses[0])
         info = {"is_success": status == SUCCESS, "diverged": status == DIVERGED, "reward_terms": terms[0]}
         self._show()
@@ -105,20 +105,12 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
             self._window.show(self.batch.worlds.picture(0, *self.render_size))
 
 
-def checked(options: Options | Mapping[str, Any] | None) -> Mapping[str, Any]:
+def checked(options: Options | Mapping[str, Any] | None, argument: str = "options") -> Mapping[str, Any]:
     """Validates the options of `reset` and returns them, or an empty mapping for None."""
-    options = mapping(options)
+    options = checks.mapping(argument, options)
     for name, value in options.items():
         if name not in ("blueprint", "start"):
             raise ValueError(f"option {name!r} is unknown: expected blueprint or start")
-        if not (value is None or isinstance(value, str)):
-            raise ValueError(f"option {name!r} is {value!r}: expected a text")
-    return options
-
-
-def mapping(options: Any) -> Mapping[str, Any]:
-    """Returns the options, or an empty mapping for None; raises ValueError if they are something else."""
-    options = {} if options is None else options
-    if not isinstance(options, Mapping):
-        raise ValueError(f"options are {options!r}: expected a dictionary")
+        if value is not None:
+            checks.text(f"option {name!r}", value, "a text")
     return options

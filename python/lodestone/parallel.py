@@ -1,8 +1,8 @@
 """PettingZoo parallel environment of one world, with one agent per gripper.
 
-    from lodestone.parallel import parallel_env
+from lodestone.parallel import parallel_env
 
-    env = parallel_env(blueprint="4_000")
+env = parallel_env(blueprint="4_000")
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from lodestone import checks
 from lodestone.batch import (
     DIVERGED,
     N_BLOCKS,
@@ -28,11 +29,11 @@ from lodestone.batch import (
     arrays,
     parts_of,
     unflatten,
-    whole_numbers,
 )
-from lodestone.env import checked, mapping
+from lodestone.env import checked
 from lodestone.window import Window
 
+_MODES = (None, "human", "rgb_array")
 _ONE = np.ones(1, np.bool_)
 _NONE = np.zeros(1, np.bool_)
 
@@ -65,11 +66,10 @@ class AssemblyParallelEnv(ParallelEnv):
     }
 
     def __init__(self, render_mode: str | None = None, render_size: tuple[int, int] = (640, 480), **world: Any) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode {render_mode!r} is unknown: expected human or rgb_array")
+        checks.one_of("render_mode", render_mode, _MODES)
+        self.render_mode, self.render_size = render_mode, checks.size_of("render_size", render_size)
         observation = world.pop("observation", "features")
-        if observation not in ("features", "flat"):
-            raise ValueError(f"observation {observation!r} is unknown: expected features or flat")
+        checks.one_of("observation", observation, ("features", "flat"))
         self.flat_observation = observation == "flat"
         # The batch keeps dictionary observations because `_views` rearranges the parts for each agent before
         # flattening.
@@ -77,7 +77,6 @@ class AssemblyParallelEnv(ParallelEnv):
         self.flat_action = self.batch.flat_action
         self.possible_agents = [f"gripper_{gripper}" for gripper in range(self.batch.n_grippers)]
         self.agents: list[str] = []
-        self.render_mode, self.render_size = render_mode, render_size
         self._window: Window | None = None
         self._random: np.random.Generator | None = None
         single = self.batch.observation_space
@@ -89,10 +88,12 @@ class AssemblyParallelEnv(ParallelEnv):
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space: a dictionary of features, or flat."""
+        checks.one_of("agent", agent, self.possible_agents)
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's action space."""
+        checks.one_of("agent", agent, self.possible_agents)
         return self._action_spaces[agent]
 
     def reset(
@@ -100,7 +101,9 @@ class AssemblyParallelEnv(ParallelEnv):
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Starts an episode; `options` may name a `blueprint` and a `start`."""
         # PettingZoo's API test passes {"options": 1} and expects no error.
-        options = checked({name: value for name, value in mapping(options).items() if name != "options"})
+        given = checks.mapping("options", options)
+        options = checked({name: value for name, value in given.items() if name != "options"})
+        seed = checks.seed_of("seed", seed)
         if seed is not None or self._random is None:
             self._random, _ = seeding.np_random(seed)
             seed = seed if seed is not None else int(self._random.integers(2**63))
@@ -152,10 +155,12 @@ class AssemblyParallelEnv(ParallelEnv):
 
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> dict[str, Any]:
         """Converts choices [1, grippers] and moves [1, 16, 6] to one action per agent."""
+        choices = checks.blocks("choices", choices, (1, len(self.possible_agents)))
+        moves = checks.numbers("moves", moves, (1, N_BLOCKS, N_MOVES))
         moves = self.batch.within_mask(moves.clip(-1.0, 1.0))
         made: dict[str, Any] = {}
         for gripper, agent in enumerate(self.possible_agents):
-            choice = int(choices[0, gripper])
+            choice = checks.whole(f"choices[0, {gripper}]", int(choices[0, gripper]), 0, N_BLOCKS - 1)
             move = moves[0, choice].copy()
             if self.flat_action:
                 scores = np.full(N_BLOCKS, -1.0, np.float32)
@@ -173,22 +178,22 @@ class AssemblyParallelEnv(ParallelEnv):
 
     def _joint(self, actions: Mapping[str, Any]) -> Any:
         """Combines the agents' actions into an action of the batch."""
+        if not isinstance(actions, Mapping):
+            raise checks.refusal("actions", actions, "a dictionary with an action for each agent")
         flat = np.full((1, len(self.possible_agents), N_FLAT), -1.0, np.float32)
         for gripper, agent in enumerate(self.possible_agents):
             if agent not in actions:
-                raise ValueError(f"no action for agent {agent}")
+                raise ValueError(f"actions: no action for agent {agent}")
             action = actions[agent]
             if self.flat_action:
-                flat[0, gripper] = _numbers(f"the action of {agent}", action, N_FLAT)
+                flat[0, gripper] = checks.numbers(f"actions: the action of {agent}", action, (N_FLAT,))
                 continue
             if not isinstance(action, Mapping):
-                raise ValueError(f"the action of {agent} is {action!r}: expected a dictionary of choice and move")
-            choice, move = parts_of(action, ("choice", "move"))
-            choice = int(whole_numbers(f"the choice of {agent}", choice).reshape(()))
-            if not 0 <= choice < N_BLOCKS:
-                raise ValueError(f"the choice of {agent} is {choice}: expected a block from 0 to {N_BLOCKS - 1}")
+                raise checks.refusal(f"actions: the action of {agent}", action, "a dictionary of choice and move")
+            choice, move = parts_of(f"actions: the action of {agent}", action, ("choice", "move"))
+            choice = checks.whole(f"actions: the choice of {agent}", choice, 0, N_BLOCKS - 1)
             flat[0, gripper, choice] = 1.0
-            flat[0, gripper, N_BLOCKS:] = _numbers(f"the move of {agent}", move, N_MOVES)
+            flat[0, gripper, N_BLOCKS:] = checks.numbers(f"actions: the move of {agent}", move, (N_MOVES,))
         if self.flat_action:
             return flat
         choices, moves = unflatten(flat)
@@ -211,13 +216,6 @@ class AssemblyParallelEnv(ParallelEnv):
             if self._window is None:
                 self._window = Window("Lodestone", self.render_size, self.metadata["render_fps"])
             self._window.show(self.batch.worlds.picture(0, *self.render_size))
-
-
-def _numbers(name: str, values: Any, n: int) -> NDArray[np.float32]:
-    values = np.asarray(values, np.float32)
-    if values.shape != (n,):
-        raise ValueError(f"{name} has shape {values.shape}: expected ({n},)")
-    return values
 
 
 def parallel_env(**kwargs: Any) -> AssemblyParallelEnv:

@@ -1,13 +1,13 @@
 """Vectorized environment for Stable-Baselines3.
 
-    from lodestone.sb3 import AssemblyVecEnv
+from lodestone.sb3 import AssemblyVecEnv
 
-    model = PPO("MlpPolicy", AssemblyVecEnv(32, blueprint="2_000", starts="near-goal"), n_steps=128)
+model = PPO("MlpPolicy", AssemblyVecEnv(32, blueprint="2_000", starts="near-goal"), n_steps=128)
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from lodestone import checks
+from lodestone.env import checked
 from lodestone.vector import AssemblyVectorEnv
 
 
@@ -33,8 +35,22 @@ class AssemblyVecEnv(VecEnv):
         self.envs = AssemblyVectorEnv(num_envs, autoreset_mode="SameStep", render_mode=render_mode, **world)
         self.batch = self.envs.batch
         self._actions: Any = None
+        num_envs = self.envs.num_envs
         self.render_mode = render_mode
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seeds the worlds of the next reset: the first one with `seed`, the second one with `seed` + 1, and so on."""
+        return super().seed(checks.seed_of("seed", seed))
+
+    def set_options(self, options: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None) -> None:
+        """Chooses the `blueprint` and the `start` of the next reset, for all worlds or with a list for each."""
+        if isinstance(options, (list, tuple)):
+            if len(options) != self.num_envs:
+                raise ValueError(f"options has {len(options)} entries: expected {self.num_envs}, one for each world")
+            super().set_options([dict(checked(one, f"options[{row}]")) for row, one in enumerate(options)])
+        else:
+            super().set_options(dict(checked(options)))
 
     def reset(self) -> Any:
         """Starts episodes in all worlds, with seeds from `seed` and `blueprint` and `start` from `set_options`."""
@@ -83,22 +99,33 @@ class AssemblyVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Returns an attribute of the batch, once per index. All worlds share it."""
-        return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
+        checks.text("attr_name", attr_name, "the name of an attribute")
+        return [getattr(self.envs, attr_name) for _ in self._rows(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Sets an attribute of all worlds."""
-        del indices
+        checks.text("attr_name", attr_name, "the name of an attribute")
+        self._rows(indices)
         setattr(self.envs, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """Calls a method of the batch once and returns its result once per index."""
+        checks.text("method_name", method_name, "the name of a method")
+        rows = self._rows(indices)
         result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
-        return [result for _ in self._get_indices(indices)]
+        return [result for _ in rows]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Returns False per index: worlds are never wrapped."""
         del wrapper_class
-        return [False for _ in self._get_indices(indices)]
+        return [False for _ in self._rows(indices)]
+
+    def _rows(self, indices: Any) -> list[int]:
+        """Returns the worlds that are meant: all, one, or several."""
+        several = self._get_indices(indices)
+        if not isinstance(several, Iterable) or isinstance(several, (str, bytes)):
+            several = [several]
+        return [checks.whole("indices", row, 0, self.num_envs - 1) for row in several]
 
 
 def _row(infos: dict[str, Any], row: int) -> dict[str, Any]:

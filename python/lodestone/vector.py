@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -12,8 +12,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from lodestone.batch import DIVERGED, SUCCESS, TIME_LIMIT, Action, Batch, Observation, row_of
-from lodestone.env import checked, mapping
+from lodestone import checks
+from lodestone.batch import DIVERGED, MAX_WORLDS, SUCCESS, TIME_LIMIT, Action, Batch, Observation, row_of
+from lodestone.env import checked
 
 
 class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
@@ -23,7 +24,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
     episodes as an environment reset with seed + i.
 
     Args:
-        num_envs: Number of worlds.
+        num_envs: Number of worlds, up to 16,384. MemoryError if there is no memory for them.
         autoreset_mode: When a world starts a new episode after one ends: `NextStep`, `SameStep`, or `Disabled`, as
             defined by Gymnasium. Also in `metadata["autoreset_mode"]`.
         copy: If False, each step overwrites the arrays returned by the previous step, so copy what you need to keep.
@@ -48,11 +49,14 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         render_size: tuple[int, int] = (640, 480),
         **world: Any,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode {render_mode!r} is not for a batch: expected rgb_array")
-        self.batch = Batch(num_envs, **world)
-        self.num_envs, self.copy = num_envs, copy
+        num_envs = checks.whole("num_envs", num_envs, 1, MAX_WORLDS)
+        checks.one_of("render_mode", render_mode, (None, "rgb_array"), " (human is for single worlds)")
+        render_size = checks.size_of("render_size", render_size)
+        if not isinstance(autoreset_mode, AutoresetMode):
+            checks.one_of("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.num_envs, self.copy = num_envs, checks.flag("copy", copy)
+        self.batch = Batch(num_envs, **world)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode, self.render_size = render_mode, render_size
         self.single_observation_space = self.batch.observation_space
@@ -73,15 +77,10 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
 
         A single seed expands to seed, seed + 1, and so on. `options` may also set a `blueprint` and a `start`.
         """
-        options = dict(mapping(options))
+        options = dict(checks.mapping("options", options))
         mask = self._mask(options.pop("reset_mask", None))
         options = checked(options)
-        if isinstance(seed, (int, np.integer)):
-            self._np_random, self._np_random_seed = seeding.np_random(int(seed))
-            seed = [int(seed) + row for row in range(self.num_envs)]
-        seeds: list[int | None] = list(seed) if seed is not None else [None] * self.num_envs
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        seeds = self._seeds(seed)
         for row in np.flatnonzero(mask & ~self._seeded).tolist():
             if seeds[row] is None:
                 seeds[row] = int(self.np_random.integers(2**63))
@@ -130,7 +129,21 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
 
     def scene(self, row: int) -> dict[str, Any]:
         """Returns the state of a world in the format of `AssemblyEnv.scene`."""
-        return self.batch.worlds.scene(row)
+        return self.batch.worlds.scene(checks.whole("row", row, 0, self.num_envs - 1))
+
+    def _seeds(self, seed: Any) -> list[int | None]:
+        """Returns a seed for each world. A single one also seeds the generator of this environment."""
+        if seed is None:
+            return [None] * self.num_envs
+        seed = seed.tolist() if isinstance(seed, np.ndarray) else seed
+        if not isinstance(seed, Iterable) or isinstance(seed, (str, bytes)):
+            first = checks.whole("seed", seed, 0, note=", a list with one for each environment, or None")
+            self._np_random, self._np_random_seed = seeding.np_random(first)
+            return [first + row for row in range(self.num_envs)]
+        seeds = [checks.seed_of(f"seed[{row}]", one) for row, one in enumerate(seed)]
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries: expected {self.num_envs}, one for each environment")
+        return seeds
 
     def _observed(self) -> Observation:
         return deepcopy(self._observation) if self.copy else self._observation
@@ -138,7 +151,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
     def _mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
-        mask = np.asarray(mask)
+        mask = checks.array("options['reset_mask']", mask, f"booleans of shape ({self.num_envs},)")
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
             expected = f"booleans of shape ({self.num_envs},), at least one of them true"
             raise ValueError(f"options['reset_mask'] is {mask.dtype} of shape {mask.shape}: expected {expected}")

@@ -62,7 +62,7 @@ impl Policy {
         let bytes =
             std::fs::read(&path).map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
         let refused =
-            |error: PolicyError| PyValueError::new_err(format!("{shown} is not a policy: {}", message(&error)));
+            |error: PolicyError| PyValueError::new_err(format!("path: {shown} is not a policy: {}", message(&error)));
         Self::from_bytes(&bytes).map_err(refused)
     }
 

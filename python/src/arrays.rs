@@ -140,7 +140,10 @@ pub(crate) fn share<T: Send>(n_threads: usize, jobs: Vec<T>, work: impl Fn(T) + 
     };
     thread::scope(|scope| {
         for _ in 1..n_threads {
-            scope.spawn(drain);
+            // This thread works too, so that the others are not needed where the system gives none.
+            if thread::Builder::new().spawn_scoped(scope, drain).is_err() {
+                break;
+            }
         }
         drain();
     });

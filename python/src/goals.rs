@@ -27,7 +27,7 @@ pub(crate) struct Goals {
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum GoalError {
     /// The list is empty.
-    #[error("the list of blueprints is empty")]
+    #[error("blueprint is an empty list: expected at least one")]
     Empty,
     /// Neither a file nor anything in the catalog or the generator.
     #[error(
@@ -48,7 +48,7 @@ pub(crate) enum GoalError {
     #[error("two different blueprints are called {0}: give one of the two another `id`")]
     Repeated(BlueprintId),
     /// A file is not a valid blueprint.
-    #[error(transparent)]
+    #[error("blueprint")]
     File(#[from] CatalogError),
 }
 

@@ -1,10 +1,10 @@
 //! Python bindings of Lodestone's worlds and policy: batches behind arrays that Python owns.
 //!
 //! Worlds step and the policy acts without the global interpreter lock. Features are written directly to the arrays
-//! that Python receives. Invalid arguments raise a `ValueError`. The Gymnasium and PettingZoo classes are Python files
-//! in `lodestone`, and `lodestone/_native.pyi` documents the arguments and results of each method.
+//! that Python receives. Invalid arguments raise a `ValueError`, too many worlds a `MemoryError`. The Gymnasium and
+//! PettingZoo classes are Python files in `lodestone`, and `lodestone/_native.pyi` documents the arguments and results of each method.
 //!
-//! Reading order: `goals` and `tasks` (what to build) → `row` (one world) → `worlds` (a batch) → `picture` → `model`
+//! Reading order: `settings` → `goals` and `tasks` (what to build) → `row` (one world) → `worlds` (a batch) → `picture` → `model`
 //! and `agent` (the policy).
 
 mod agent;
@@ -14,6 +14,7 @@ mod goals;
 mod model;
 mod picture;
 mod row;
+mod settings;
 mod tasks;
 mod worlds;
 

@@ -49,9 +49,12 @@ pub(crate) enum StartsError {
          (1 to 15 blocks), or as-it-is"
     )]
     Unknown(String),
-    /// The blueprint is unknown.
+    /// The blueprint of an episode is unknown.
     #[error(transparent)]
     Blueprint(#[from] GoalError),
+    /// The blueprint of a start is unknown.
+    #[error("start {0:?}")]
+    Prebuilt(String, #[source] GoalError),
     /// The weight is invalid.
     #[error("the weight of start {start:?} is {weight}: expected a finite number that is not negative")]
     Weight {
@@ -61,7 +64,7 @@ pub(crate) enum StartsError {
         weight: f64,
     },
     /// No rule can be drawn.
-    #[error("no start has a positive weight")]
+    #[error("starts has no positive weight: expected at least one")]
     Empty,
 }
 
@@ -77,7 +80,10 @@ impl StartRule {
             ("scattered", None) => Ok(Self::Scattered),
             ("as-it-is", None) => Ok(Self::AsItIs),
             ("prebuilt", None) => Ok(Self::Prebuilt(None)),
-            ("prebuilt", Some(id)) => Ok(Self::Prebuilt(Some(known_id(catalog, id)?))),
+            ("prebuilt", Some(id)) => {
+                let id = known_id(catalog, id).map_err(|error| StartsError::Prebuilt(text.to_owned(), error))?;
+                Ok(Self::Prebuilt(Some(id)))
+            }
             // The default in training.
             ("near-goal", None) => Ok(Self::NearGoal(1..=2)),
             ("near-goal", Some(range)) => {

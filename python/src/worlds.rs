@@ -1,5 +1,6 @@
 //! A batch of worlds.
 
+use std::hint::black_box;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
@@ -8,23 +9,26 @@ use environment::{Env, EnvironmentConfig, World};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use policy::{FeatureConfig, FeatureSizes};
-use proto::setting::Section;
 use proto::{Action, Scene, Status};
-use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyDictMethods};
 use pyo3::{Bound, PyResult, Python, pyclass, pymethods};
-use serde::de::DeserializeOwned;
 
 use crate::arrays::{ActionArrays, action_arrays, actions, hold, rows, share};
 use crate::error::refused;
 use crate::goals::Goals;
 use crate::picture::{Easel, Stage};
 use crate::row::{Features, Outcome, Row};
+use crate::settings::parsed;
 use crate::tasks::{Tasks, Wish};
 
 /// Rewards `[n]`, statuses `[n]`, and reward terms `[n, 5]`.
 type StepArrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u8>>, Bound<'py, PyArray2<f32>>);
+
+/// Upper bound of what a world takes in memory, bytes. New ones take a third of it, and the rest grows while structures
+/// stand.
+const WORLD_BYTES: usize = 400_000;
 
 /// Worlds that step in parallel.
 #[pyclass(module = "lodestone._native")]
@@ -72,15 +76,16 @@ impl Worlds {
         let config: EnvironmentConfig = parsed("settings", settings)?;
         let features: FeatureConfig = parsed("features", features)?;
         let features = FeatureConfig { n_grippers: config.n_grippers, ..features };
-        features.validate_at("features").map_err(|error| refused(&error))?;
         let goals = Goals::new(&blueprints).map_err(|error| refused(&error))?;
         let tasks = Tasks::new(goals, &starts, shuffle_blocks).map_err(|error| refused(&error))?;
-        let row = |row: usize| Ok(Row::new(World::new(&config)?, generator(0, row as u64)));
-        let rows = (0..n).map(row).collect::<Result<Vec<_>, _>>();
-        let rows = Mutex::new(rows.map_err(|error: proto::InvalidSetting| refused(&error))?);
+        let mut rows = room_for(n)?;
+        for row in 0..n {
+            let world = World::new(&config).map_err(|error| refused(&error))?;
+            rows.push(Row::new(world, generator(0, row as u64)));
+        }
         // Skips the constructors of `Batch` and of the environment, and attributes the warning to their caller.
         tasks.goals.warn(py, 3)?;
-        let (sizes, easel) = (FeatureSizes::new(&features), Mutex::new(Easel::default()));
+        let (sizes, rows, easel) = (FeatureSizes::new(&features), Mutex::new(rows), Mutex::default());
         Ok(Self { config, features, sizes, tasks, rows, n_threads, easel })
     }
 
@@ -196,7 +201,6 @@ impl Worlds {
     fn observe(&self, py: Python<'_>, settings: &str, features: Vec<Bound<'_, PyArrayDyn<f32>>>) -> PyResult<()> {
         let mut all = self.lock(py);
         let config: FeatureConfig = parsed("features", settings)?;
-        config.validate_at("features").map_err(|error| refused(&error))?;
         let sizes = FeatureSizes::new(&config);
         let mut held = hold(&features, &sizes, all.len())?;
         let jobs: Vec<(&mut Row, Features<'_>)> = all.iter_mut().zip(rows(&mut held, &sizes)?).collect();
@@ -297,9 +301,18 @@ impl Worlds {
     }
 }
 
-/// Parses settings from JSON.
-fn parsed<T: DeserializeOwned>(name: &str, text: &str) -> PyResult<T> {
-    serde_json::from_str(text).map_err(|error| PyValueError::new_err(format!("{name}: {error}")))
+/// Makes room for `n` worlds. The engine cannot report that memory has run out while it grows, so this tries first.
+fn room_for(n: usize) -> PyResult<Vec<Row>> {
+    let (mut rows, mut trial) = (Vec::new(), Vec::<u8>::new());
+    let n_bytes = n.saturating_mul(WORLD_BYTES);
+    let fits = trial.try_reserve_exact(n_bytes).and_then(|()| rows.try_reserve_exact(n));
+    // An allocation that nobody looks at could be optimized away.
+    black_box(&trial);
+    fits.map_err(|_| {
+        let text = format!("no memory for {n} worlds, which take up to {} MB", n_bytes.div_ceil(1_000_000));
+        PyMemoryError::new_err(text)
+    })?;
+    Ok(rows)
 }
 
 fn masked<'a>(mask: &'a PyReadonlyArray1<'_, bool>, n: usize) -> PyResult<&'a [bool]> {

@@ -147,27 +147,27 @@ class SingleEnvironment(unittest.TestCase):
     def test_what_is_wrong_is_named(self) -> None:
         for wrong, words in [
             ({"blueprint": "nowhere"}, '"nowhere" is unknown'),
-            ({"blueprint": []}, "list of blueprints is empty"),
-            ({"blueprint": "/nowhere.toml"}, "cannot read /nowhere.toml"),
+            ({"blueprint": []}, "blueprint is []: expected at least one"),
+            ({"blueprint": "/nowhere.toml"}, "blueprint: cannot read /nowhere.toml"),
             ({"starts": "upside-down"}, '"upside-down" is unknown'),
             ({"starts": "near-goal:16"}, '"near-goal:16" is unknown'),
             ({"starts": {"scattered": -1}}, 'start "scattered" is -1'),
             ({"starts": {"scattered": 0}}, "positive weight"),
-            ({"settings": {"physics": {"friction": 9}}}, "environment.physics.friction = 9"),
+            ({"settings": {"physics": {"friction": 9}}}, "settings.physics.friction = 9: expected 0..=2"),
             ({"settings": {"fysics": {}}}, "unknown field `fysics`"),
-            ({"settings": {"episode_steps": {5}}}, "settings: Object of type set"),
+            ({"settings": {"episode_steps": {5}}}, "settings.episode_steps is {5}"),
             ({"settings": "/nowhere.toml"}, "settings: cannot read /nowhere.toml: No such file"),
             ({"settings": CATALOG}, f"settings: cannot read {CATALOG}: Is a directory"),
             ({"settings": __file__}, f"settings: {__file__} is not TOML"),
             ({"starts": "prebuilt:train"}, '"train" is unknown: expected one id, such as 4_000'),
             ({"blueprint": ["4_000", COPY]}, "blueprint 4_000 is the same structure as another one"),
             ({"blueprint": TWINS}, "two different blueprints are called mine:"),
-            ({"num_threads": -1}, "1 worlds on -1 threads"),
-            ({"features": "none"}, "'none' are unknown"),
+            ({"num_threads": -1}, "num_threads is -1: expected a whole number from 1 to 1024"),
+            ({"features": "none"}, "features is 'none': expected all or paper"),
             ({"features": {"up": True}}, "unknown field `up`"),
-            ({"observation": "pixels"}, "'pixels' is unknown"),
-            ({"action": "joints"}, "'joints' is unknown"),
-            ({"render_mode": "ansi"}, "'ansi' is unknown"),
+            ({"observation": "pixels"}, "observation is 'pixels': expected features or flat"),
+            ({"action": "joints"}, "action is 'joints': expected native or flat"),
+            ({"render_mode": "ansi"}, "render_mode is 'ansi': expected None, human or rgb_array"),
         ]:
             with self.subTest(wrong), self.assertRaises(ValueError) as raised:
                 lodestone.AssemblyEnv(**wrong)
@@ -182,13 +182,13 @@ class SingleEnvironment(unittest.TestCase):
         before = env.scene()["positions"]
         with self.assertRaisesRegex(ValueError, r"choices\[0, 1\] is 16: expected a block from 0 to 15"):
             env.step({**idle, "choices": np.array([0, 16])})
-        with self.assertRaisesRegex(ValueError, r"moves has shape \[1, 16, 5\]"):
+        with self.assertRaisesRegex(ValueError, r"action: moves has shape \(16, 5\): expected \(16, 6\)"):
             env.step({**idle, "moves": np.zeros((16, 5), np.float32)})
         with self.assertRaisesRegex(ValueError, "choices has the type float64: expected whole numbers"):
             env.step({**idle, "choices": np.array([0.0, 1.9])})
         with self.assertRaisesRegex(ValueError, "no choices: expected a dictionary of choices and moves"):
             env.step({"choice": 1, "moves": idle["moves"]})
-        with self.assertRaisesRegex(ValueError, "options are 3: expected a dictionary"):
+        with self.assertRaisesRegex(ValueError, "options is 3: expected a dictionary"):
             env.reset(options=3)
         with self.assertRaisesRegex(ValueError, "option 'blueprnt' is unknown"):
             env.reset(options={"blueprnt": "2_000"})
@@ -331,7 +331,7 @@ class VectorEnvironment(unittest.TestCase):
         envs = gymnasium.make_vec(ID, num_envs=2, render_mode="rgb_array", render_size=(64, 48))
         envs.reset(seed=1)
         self.assertEqual([picture.shape for picture in envs.render()], [(48, 64, 3)] * 2)
-        with self.assertRaisesRegex(ValueError, "'human' is not for a batch: expected rgb_array"):
+        with self.assertRaisesRegex(ValueError, "render_mode is 'human': expected None or rgb_array"):
             gymnasium.make_vec(ID, num_envs=2, render_mode="human")
 
 
