@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeAlias, TypedDict
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ClosedEnvironmentError
 from numpy.typing import NDArray
 
 from lodestone import _native, checks
@@ -130,7 +131,8 @@ def read_starts(starts: Starts) -> list[tuple[str, float]]:
 class Batch:
     """A batch of worlds with observation and action spaces, and conversions to and from the native module's arrays.
 
-    The environments are built on it and check what goes to its methods.
+    The environments are built on it and check what goes to its methods. After `close`, using its worlds raises
+    Gymnasium's `ClosedEnvironmentError`.
 
     Args:
         n: Number of worlds, up to 16,384. MemoryError if there is no memory for them.
@@ -182,7 +184,7 @@ class Batch:
         threads = min(n, os.cpu_count() or 1)
         if num_threads is not None:
             threads = checks.whole("num_threads", num_threads, 1, MAX_THREADS, ", or None")
-        self.worlds = _native.Worlds(
+        self._worlds: _native.Worlds | None = _native.Worlds(
             n,
             names_of(blueprint),
             read_starts(starts),
@@ -208,6 +210,21 @@ class Batch:
             choices = spaces.MultiDiscrete([N_BLOCKS] * self.n_grippers)
             self.action_space = spaces.Dict({"choices": choices, "moves": _box(1.0, (N_BLOCKS, N_MOVES))})
 
+    @property
+    def worlds(self) -> _native.Worlds:
+        """The worlds. Raises ClosedEnvironmentError after `close`."""
+        if self._worlds is None:
+            raise ClosedEnvironmentError("the environment is closed: make a new one")
+        return self._worlds
+
+    def check_open(self) -> None:
+        """Raises ClosedEnvironmentError after `close`."""
+        _ = self.worlds
+
+    def close(self) -> None:
+        """Gives the worlds up."""
+        self._worlds = None
+
     def empty(self) -> Observation:
         """Returns uninitialized arrays for the observations of all worlds."""
         if isinstance(self.observation_space, spaces.Box):
@@ -229,6 +246,7 @@ class Batch:
 
         `action` is a batch, or with the name `action` that of a single world.
         """
+        self.check_open()
         choices, moves = self.to_native(action, name)
         return self.worlds.step(choices, moves, resets, arrays(out))
 

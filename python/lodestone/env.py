@@ -54,6 +54,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         self, *, seed: int | None = None, options: Options | Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode."""
+        self.batch.check_open()
         options, seed = checked(options), checks.seed_of("seed", seed)
         super().reset(seed=seed)
         if seed is None and not self._seeded:
@@ -75,6 +76,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Returns an image of the world with its goal in the corner. `human` mode draws every step and returns None."""
+        self.batch.check_open()
         if self.render_mode is None:
             gymnasium.logger.warn("render() does nothing without a render_mode: human or rgb_array")
             return None
@@ -84,10 +86,11 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         return self.batch.worlds.picture(0, *self.render_size)
 
     def close(self) -> None:
-        """Closes the window."""
+        """Closes the window and gives the world up. Afterward, all methods that need the world raise an error."""
         if self._window is not None:
             self._window.close()
             self._window = None
+        self.batch.close()
 
     def scene(self) -> dict[str, Any]:
         """Returns the state of the world, with z up and lengths in meters.

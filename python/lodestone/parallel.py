@@ -100,6 +100,7 @@ class AssemblyParallelEnv(ParallelEnv):
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Starts an episode; `options` may name a `blueprint` and a `start`."""
+        self.batch.check_open()
         # PettingZoo's API test passes {"options": 1} and expects no error.
         given = checks.mapping("options", options)
         options = checked({name: value for name, value in given.items() if name != "options"})
@@ -117,6 +118,7 @@ class AssemblyParallelEnv(ParallelEnv):
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Advances the world by one step."""
+        self.batch.check_open()
         out = self.batch.empty()
         rewards, statuses, terms = self.batch.step(self._joint(actions), _NONE, out)
         status, agents = int(statuses[0]), self.agents
@@ -138,16 +140,18 @@ class AssemblyParallelEnv(ParallelEnv):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Returns an image of the world with its goal in the corner. `human` mode draws every step and returns None."""
+        self.batch.check_open()
         if self.render_mode == "rgb_array":
             return self.batch.worlds.picture(0, *self.render_size)
         self._show()
         return None
 
     def close(self) -> None:
-        """Closes the window."""
+        """Closes the window and gives the world up. Afterward, all methods that need the world raise an error."""
         if self._window is not None:
             self._window.close()
             self._window = None
+        self.batch.close()
 
     def scene(self) -> dict[str, Any]:
         """Returns the state of the world in the format of `lodestone.AssemblyEnv.scene`."""
@@ -155,6 +159,7 @@ class AssemblyParallelEnv(ParallelEnv):
 
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> dict[str, Any]:
         """Converts choices [1, grippers] and moves [1, 16, 6] to one action per agent."""
+        self.batch.check_open()
         choices = checks.blocks("choices", choices, (1, len(self.possible_agents)))
         moves = checks.numbers("moves", moves, (1, N_BLOCKS, N_MOVES))
         moves = self.batch.within_mask(moves.clip(-1.0, 1.0))

@@ -41,10 +41,12 @@ class AssemblyVecEnv(VecEnv):
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seeds the worlds of the next reset: the first one with `seed`, the second one with `seed` + 1, and so on."""
+        self.batch.check_open()
         return super().seed(checks.seed_of("seed", seed))
 
     def set_options(self, options: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None = None) -> None:
         """Chooses the `blueprint` and the `start` of the next reset, for all worlds or with a list for each."""
+        self.batch.check_open()
         if isinstance(options, (list, tuple)):
             if len(options) != self.num_envs:
                 raise ValueError(f"options has {len(options)} entries: expected {self.num_envs}, one for each world")
@@ -54,6 +56,7 @@ class AssemblyVecEnv(VecEnv):
 
     def reset(self) -> Any:
         """Starts episodes in all worlds, with seeds from `seed` and `blueprint` and `start` from `set_options`."""
+        self.batch.check_open()
         seeds = list(self._seeds) if any(seed is not None for seed in self._seeds) else None
         if all(options == self._options[0] for options in self._options):
             observation, infos = self.envs.reset(seed=seeds, options=self._options[0])
@@ -71,6 +74,7 @@ class AssemblyVecEnv(VecEnv):
 
     def step_async(self, actions: np.ndarray) -> None:
         """Stores the actions for `step_wait`."""
+        self.batch.check_open()
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -122,6 +126,7 @@ class AssemblyVecEnv(VecEnv):
 
     def _rows(self, indices: Any) -> list[int]:
         """Returns the worlds that are meant: all, one, or several."""
+        self.batch.check_open()
         several = self._get_indices(indices)
         if not isinstance(several, Iterable) or isinstance(several, (str, bytes)):
             several = [several]

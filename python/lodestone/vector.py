@@ -77,6 +77,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
 
         A single seed expands to seed, seed + 1, and so on. `options` may also set a `blueprint` and a `start`.
         """
+        self.batch.check_open()
         options = dict(checks.mapping("options", options))
         mask = self._mask(options.pop("reset_mask", None))
         options = checked(options)
@@ -94,6 +95,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         self, actions: Action
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Steps every world. In `NextStep` mode, worlds whose episode ended in the previous step start a new one."""
+        self.batch.check_open()
         resets = self._ended
         if self.autoreset_mode == AutoresetMode.DISABLED and resets.any():
             row = int(np.flatnonzero(resets)[0])
@@ -123,13 +125,20 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Returns an image of each world with its goal in the corner, [height, width, 3] of unsigned bytes."""
+        self.batch.check_open()
         if self.render_mode is None:
             return None
         return tuple(self.batch.worlds.picture(row, *self.render_size) for row in range(self.num_envs))
 
     def scene(self, row: int) -> dict[str, Any]:
         """Returns the state of a world in the format of `AssemblyEnv.scene`."""
+        self.batch.check_open()
         return self.batch.worlds.scene(checks.whole("row", row, 0, self.num_envs - 1))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Gives the worlds up. Afterward, all methods that need them raise an error."""
+        del kwargs
+        self.batch.close()
 
     def _seeds(self, seed: Any) -> list[int | None]:
         """Returns a seed for each world. A single one also seeds the generator of this environment."""
