@@ -2,8 +2,7 @@
 
 Arrays are C-contiguous. `n` is the number of worlds, `g` the number of grippers. Whatever is wrong with an argument raises
 ValueError, or TypeError for a value or an array of another type or layout, and leaves the worlds as they are. A world that
-cannot start an episode raises ValueError as well, after all the others have started or stepped. MemoryError if there is no
-memory for all worlds.
+cannot start an episode raises ValueError as well, after all the others have started or stepped.
 """
 
 from collections.abc import Sequence
@@ -23,7 +22,13 @@ def blueprints(names: Sequence[str]) -> list[tuple[str, int]]:
 
 @final
 class Worlds:
-    """`n` worlds that step side by side on up to `n_threads` threads, without the global interpreter lock."""
+    """`n` worlds that step side by side on up to `n_threads` threads, without the global interpreter lock.
+
+    A deep copy goes on bit for bit. A pickle holds the arguments, with the texts of blueprints in place of paths, and for
+    each world its generator and its tasks and actions since the last start other than as-it-is. Unpickling replays them. It
+    raises ValueError if they do not lead to the same state, as on a machine that computes differently. MemoryError if
+    there is no memory for all worlds.
+    """
 
     def __new__(
         cls,
@@ -111,7 +116,10 @@ class Worlds:
 
 @final
 class Policy:
-    """A frozen policy on the CPU."""
+    """A frozen policy on the CPU. A copy or a pickle holds the file and goes on with the same sampled actions."""
+
+    def __new__(cls, file: bytes, seed: int = 0, positions: Sequence[int] = ()) -> Policy:
+        """The policy in a file, with the positions of its generators, one for each row."""
 
     @staticmethod
     def pretrained() -> Policy:

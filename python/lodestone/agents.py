@@ -33,7 +33,7 @@ class Policy:
     """A trained policy with frozen weights.
 
     `act` takes an environment of this package, in any observation format. `predict` takes observations only, as
-    Stable-Baselines3 policies do.
+    Stable-Baselines3 policies do. Copies and pickles continue with the same sampled actions.
 
     Args:
         native: The native policy. Use `Policy.pretrained` or `Policy.load` to create it.

@@ -92,6 +92,10 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
             self._window = None
         self.batch.close()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what a copy or a pickle holds: everything but the window, of which a copy opens its own."""
+        return {**self.__dict__, "_window": None}
+
     def scene(self) -> dict[str, Any]:
         """Returns the state of the world, with z up and lengths in meters.
 

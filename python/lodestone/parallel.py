@@ -153,6 +153,10 @@ class AssemblyParallelEnv(ParallelEnv):
             self._window = None
         self.batch.close()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what a copy or a pickle holds: everything but the window, of which a copy opens its own."""
+        return {**self.__dict__, "_window": None}
+
     def scene(self) -> dict[str, Any]:
         """Returns the state of the world in the format of `lodestone.AssemblyEnv.scene`."""
         return self.batch.worlds.scene(0)

@@ -1,7 +1,8 @@
 //! Runs the policy on arrays of features.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use blueprints::N_BLOCKS;
 use environment::vec_env::generator;
@@ -11,6 +12,7 @@ use policy::{FeatureBatch, FeatureSizes};
 use proto::{ActionMode, Decision, N_GRIPPERS};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::sync::MutexExt;
+use pyo3::types::{PyAnyMethods, PyBytes, PyType};
 use pyo3::{Bound, PyResult, Python, pyclass, pymethods};
 use rand_chacha::ChaCha8Rng;
 
@@ -28,15 +30,21 @@ const BOTH_BELONG: usize = 23;
 /// Actions, log-probabilities `[n]`, and values `[n]`.
 type DecisionArrays<'py> = (ActionArrays<'py>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
 
+/// The file, the seed, and how far each row's generator has come.
+type Arguments<'py> = (Bound<'py, PyBytes>, u64, Vec<u128>);
+
 /// A frozen policy.
-#[pyclass(module = "lodestone._native")]
+#[pyclass(module = "lodestone._native", frozen)]
 pub(crate) struct Policy {
     sizes: FeatureSizes,
     n_grippers: usize,
     features: String,
     version: u64,
-    /// Behind a lock, because Python may call from several threads.
-    actor: Mutex<Actor>,
+    /// The file that it came from.
+    file: Cow<'static, [u8]>,
+    /// Behind a lock, because Python may call from several threads, and in a box, because Python does not align objects
+    /// as the network's buffers need.
+    actor: Mutex<Box<Actor>>,
 }
 
 struct Actor {
@@ -49,10 +57,33 @@ struct Actor {
 
 #[pymethods]
 impl Policy {
+    /// Creates a policy from the contents of a file, and draws sampled actions from where the generators were.
+    #[new]
+    #[pyo3(signature = (file, seed=0, positions=Vec::new()))]
+    fn new(py: Python<'_>, file: &[u8], seed: u64, positions: Vec<u128>) -> PyResult<Self> {
+        let policy = Self::from_bytes(Cow::Owned(file.to_vec())).map_err(|error| refused(&error))?;
+        let mut actor = policy.lock(py);
+        actor.seed = seed;
+        actor.grow(positions.len());
+        for (rng, position) in actor.rngs.iter_mut().zip(positions) {
+            rng.set_word_pos(position);
+        }
+        drop(actor);
+        Ok(policy)
+    }
+
+    /// Returns what a pickle holds.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyType>, Arguments<'py>) {
+        let (this, py) = (slf.get(), slf.py());
+        let actor = this.lock(py);
+        let positions = actor.rngs.iter().map(ChaCha8Rng::get_word_pos).collect();
+        (slf.get_type(), (PyBytes::new(py, &this.file), actor.seed, positions))
+    }
+
     /// Returns the pretrained policy.
     #[staticmethod]
     fn pretrained() -> PyResult<Self> {
-        Self::from_bytes(PRETRAINED).map_err(|error| refused(&error))
+        Self::from_bytes(Cow::Borrowed(PRETRAINED)).map_err(|error| refused(&error))
     }
 
     /// Loads a policy from a file written by `lodestone export`.
@@ -63,7 +94,7 @@ impl Policy {
             std::fs::read(&path).map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
         let refused =
             |error: PolicyError| PyValueError::new_err(format!("path: {shown} is not a policy: {}", message(&error)));
-        Self::from_bytes(&bytes).map_err(refused)
+        Self::from_bytes(Cow::Owned(bytes)).map_err(refused)
     }
 
     /// Numbers of features per node, per edge, and of the whole scene.
@@ -92,7 +123,7 @@ impl Policy {
 
     /// Seeds the generators for sampled actions.
     fn seed(&self, py: Python<'_>, seed: u64) {
-        let mut actor = self.actor.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
+        let mut actor = self.lock(py);
         actor.seed = seed;
         actor.rngs.clear();
     }
@@ -119,8 +150,8 @@ impl Policy {
         }
         let parts = [nodes.as_slice()?, edges.as_slice()?, globals.as_slice()?];
         let mode = if sampled { ActionMode::Sampled } else { ActionMode::Greedy };
-        let mut held = self.actor.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
-        let actor = &mut *held;
+        let mut held = self.lock(py);
+        let actor = &mut **held;
         let decided = py.detach(|| actor.act(parts, n, self.sizes.edge, mode));
         let decisions = decided.map_err(|error| refused(&error))?;
         let log_probs: Vec<f32> = decisions.iter().map(|decision| decision.log_prob).collect();
@@ -145,8 +176,13 @@ enum PolicyError {
 }
 
 impl Policy {
-    fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
-        let Model { config, weights } = Model::read(bytes)?;
+    /// Locks the actor. Releases the interpreter lock while waiting.
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, Box<Actor>> {
+        self.actor.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn from_bytes(file: Cow<'static, [u8]>) -> Result<Self, PolicyError> {
+        let Model { config, weights } = Model::read(&file)?;
         if config.grip_steps != 1 {
             return Err(PolicyError::Grip(config.grip_steps));
         }
@@ -157,12 +193,20 @@ impl Policy {
             n_grippers: usize::from(config.network.n_grippers),
             features: serde_json::to_string(&config.features)?,
             version: weights.version.0,
-            actor: Mutex::new(Actor { policy, batch, seed: 0, rngs: Vec::new() }),
+            file,
+            actor: Mutex::new(Box::new(Actor { policy, batch, seed: 0, rngs: Vec::new() })),
         })
     }
 }
 
 impl Actor {
+    /// Creates the generators that `n` rows lack.
+    fn grow(&mut self, n: usize) {
+        for row in self.rngs.len()..n {
+            self.rngs.push(generator(self.seed, row as u64));
+        }
+    }
+
     fn act(
         &mut self,
         [nodes, edges, globals]: [&[f32]; 3],
@@ -179,9 +223,7 @@ impl Actor {
         // These only matter to a policy with `grip_steps` above 1, which `from_bytes` rejects.
         self.batch.held.resize(n, [None; N_GRIPPERS]);
         self.batch.n_steps.resize(n, 0);
-        for row in self.rngs.len()..n {
-            self.rngs.push(generator(self.seed, row as u64));
-        }
+        self.grow(n);
         self.policy.act_on(&mut self.batch, &vec![mode; n], &mut self.rngs[..n])
     }
 }

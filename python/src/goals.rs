@@ -19,6 +19,8 @@ pub(crate) struct Goals {
     pub(crate) catalog: Arc<Catalog>,
     /// The goals in the given order, at least one.
     pub(crate) ids: Vec<BlueprintId>,
+    /// Names that give the same goals without any file: in place of a file or its text, a text for each blueprint.
+    pub(crate) sources: Vec<String>,
     /// One line per block in the user's files whose orientation is ambiguous, with the one that was chosen.
     choices: Vec<String>,
 }
@@ -60,12 +62,13 @@ impl Goals {
     pub(crate) fn new(names: &[String]) -> Result<Self, GoalError> {
         let mut catalog = Catalog::builtin().clone();
         let mut ids = Vec::new();
-        let mut choices = Vec::new();
+        let (mut sources, mut choices) = (Vec::new(), Vec::new());
         for name in names {
             if name.contains('\n') {
                 let file = "the text of a blueprint";
                 choices.extend(chosen(file, name));
                 let own = Catalog::of_one(check_text(file, name).blueprint.map_err(CatalogError::from)?);
+                sources.extend(texts(&own));
                 add(&own, &mut ids, &mut catalog)?;
             } else if is_path(&catalog, name) {
                 let path = Path::new(name);
@@ -73,11 +76,14 @@ impl Goals {
                 for (file, text) in read_files(path)? {
                     choices.extend(chosen(&file, &text));
                 }
+                sources.extend(texts(&own));
                 add(&own, &mut ids, &mut catalog)?;
             } else if let Ok(split) = name.parse::<Split>() {
+                sources.push(name.clone());
                 ids.extend(catalog.of_split(split).into_iter().map(Blueprint::id).cloned());
             } else {
                 ids.push(known(&catalog, name).ok_or_else(|| GoalError::Unknown(name.clone()))?);
+                sources.push(name.clone());
             }
         }
         if ids.is_empty() {
@@ -86,7 +92,7 @@ impl Goals {
         if let Some(gone) = ids.iter().find(|id| catalog.find(id).is_none()) {
             return Err(GoalError::Replaced(gone.clone()));
         }
-        Ok(Self { catalog: Arc::new(catalog), ids, choices })
+        Ok(Self { catalog: Arc::new(catalog), ids, sources, choices })
     }
 
     /// Warns about each block with an ambiguous orientation; `stack_level` counts the Python frames up to the caller.
@@ -103,6 +109,11 @@ impl Goals {
     pub(crate) fn n_blocks(&self, goal: &BlueprintId) -> usize {
         self.catalog.find(goal).map_or(0, |blueprint| blueprint.n_blocks())
     }
+}
+
+/// Returns a text for each blueprint, in which nothing is left open.
+fn texts(own: &Catalog) -> impl Iterator<Item = String> {
+    own.iter().map(|blueprint| blueprint.to_toml("a goal that was given"))
 }
 
 /// Adds the user's own blueprints to the goals and the catalog.

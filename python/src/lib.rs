@@ -1,16 +1,18 @@
 //! Python bindings of Lodestone's worlds and policy: batches behind arrays that Python owns.
 //!
 //! Worlds step and the policy acts without the global interpreter lock. Features are written directly to the arrays
-//! that Python receives. Invalid arguments raise a `ValueError`, too many worlds a `MemoryError`. The Gymnasium and
-//! PettingZoo classes are Python files in `lodestone`, and `lodestone/_native.pyi` documents the arguments and results of each method.
+//! that Python receives. Invalid arguments raise a `ValueError`, too many worlds a `MemoryError`. The
+//! Gymnasium and PettingZoo classes are Python files in `lodestone`, and `lodestone/_native.pyi` documents the
+//! arguments and results of each method.
 //!
-//! Reading order: `settings` → `goals` and `tasks` (what to build) → `row` (one world) → `worlds` (a batch) → `picture` → `model`
-//! and `agent` (the policy).
+//! Reading order: `settings` → `goals` and `tasks` (what to build) → `history` → `row` (one world) →
+//! `worlds` (a batch) → `picture` → `model` and `agent` (the policy).
 
 mod agent;
 mod arrays;
 mod error;
 mod goals;
+mod history;
 mod model;
 mod picture;
 mod row;

@@ -25,7 +25,7 @@ pub(crate) struct Easel {
 }
 
 /// A fixed camera for an episode, so that only blocks move, and the picture of the goal.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Stage {
     camera: Camera,
     ground: Ground,

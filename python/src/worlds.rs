@@ -12,14 +12,14 @@ use policy::{FeatureConfig, FeatureSizes};
 use proto::{Action, Scene, Status};
 use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::sync::MutexExt;
-use pyo3::types::{PyDict, PyDictMethods};
-use pyo3::{Bound, PyResult, Python, pyclass, pymethods};
+use pyo3::types::{PyAnyMethods, PyDict, PyDictMethods, PyType};
+use pyo3::{Bound, PyAny, PyResult, Python, pyclass, pymethods};
 
 use crate::arrays::{ActionArrays, action_arrays, actions, hold, rows, share};
-use crate::error::refused;
+use crate::error::{message, refused};
 use crate::goals::Goals;
 use crate::picture::{Easel, Stage};
-use crate::row::{Features, Outcome, Row};
+use crate::row::{Features, Outcome, Row, RowState};
 use crate::settings::parsed;
 use crate::tasks::{Tasks, Wish};
 
@@ -30,13 +30,18 @@ type StepArrays<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<u8>>, Bou
 /// stand.
 const WORLD_BYTES: usize = 400_000;
 
+/// The arguments of [`Worlds::new`], without paths.
+type Arguments = (usize, Vec<String>, Vec<(String, f64)>, bool, String, String, usize);
+
 /// Worlds that step in parallel.
-#[pyclass(module = "lodestone._native")]
+#[pyclass(module = "lodestone._native", frozen)]
 pub(crate) struct Worlds {
     config: EnvironmentConfig,
     features: FeatureConfig,
     sizes: FeatureSizes,
     tasks: Tasks,
+    starts: Vec<(String, f64)>,
+    shuffle_blocks: bool,
     /// Behind a lock, because Python may call from several threads.
     rows: Mutex<Vec<Row>>,
     n_threads: usize,
@@ -86,7 +91,59 @@ impl Worlds {
         // Skips the constructors of `Batch` and of the environment, and attributes the warning to their caller.
         tasks.goals.warn(py, 3)?;
         let (sizes, rows, easel) = (FeatureSizes::new(&features), Mutex::new(rows), Mutex::default());
-        Ok(Self { config, features, sizes, tasks, rows, n_threads, easel })
+        Ok(Self { config, features, sizes, tasks, starts, shuffle_blocks, rows, n_threads, easel })
+    }
+
+    /// Returns worlds that go on bit for bit as these.
+    fn __deepcopy__(&self, py: Python<'_>, _memo: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let all = self.lock(py);
+        let mut rows = room_for(all.len())?;
+        rows.extend(all.iter().cloned());
+        Ok(Self {
+            config: self.config.clone(),
+            features: self.features.clone(),
+            sizes: self.sizes,
+            tasks: self.tasks.clone(),
+            starts: self.starts.clone(),
+            shuffle_blocks: self.shuffle_blocks,
+            rows: Mutex::new(rows),
+            n_threads: self.n_threads,
+            easel: Mutex::default(),
+        })
+    }
+
+    /// Returns what a pickle holds: the arguments, and what happened in each world.
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyType>, Arguments, Vec<RowState>)> {
+        let this = slf.get();
+        let all = this.lock(slf.py());
+        let json = |value: serde_json::Result<String>| value.map_err(|error| refused(&error));
+        let (settings, features) = (serde_json::to_string(&this.config), serde_json::to_string(&this.features));
+        let (names, starts) = (this.tasks.goals.sources.clone(), this.starts.clone());
+        let (settings, features) = (json(settings)?, json(features)?);
+        let arguments = (all.len(), names, starts, this.shuffle_blocks, settings, features, this.n_threads);
+        let state = |(row, one): (usize, &Row)| {
+            one.state().map_err(|error| PyValueError::new_err(format!("world {row} cannot be pickled: {error}")))
+        };
+        let states = all.iter().enumerate().map(state).collect::<PyResult<_>>()?;
+        Ok((slf.get_type(), arguments, states))
+    }
+
+    /// Replays what happened in each world.
+    fn __setstate__(&self, py: Python<'_>, states: Vec<RowState>) -> PyResult<()> {
+        let mut all = self.lock(py);
+        if states.len() != all.len() {
+            return Err(PyValueError::new_err(format!("{} states for {} worlds", states.len(), all.len())));
+        }
+        let mut results: Vec<_> = states.iter().map(|_| Ok(())).collect();
+        let jobs: Vec<_> = all.iter_mut().zip(states).zip(&mut results).collect();
+        py.detach(|| share(self.n_threads, jobs, |((row, state), result)| *result = row.restore(&self.tasks, state)));
+        for (row, result) in results.iter().enumerate() {
+            if let Err(error) = result {
+                let text = format!("world {row} cannot be restored: {}", message(error));
+                return Err(PyValueError::new_err(text));
+            }
+        }
+        Ok(())
     }
 
     /// Numbers of features per node, per edge, and of the whole scene.
@@ -273,9 +330,9 @@ impl Worlds {
             let mut easel = self.easel.lock().unwrap_or_else(PoisonError::into_inner);
             let size = [width, height];
             row.stage.take_if(|stage| stage.size_px() != size);
-            let (scene, goal) = (row.world.scene(), row.world.blueprint());
-            let stage = row.stage.get_or_insert_with(|| Stage::new(&mut easel, scene, goal, size));
-            stage.picture(&mut easel, scene)
+            let goal = row.world.blueprint();
+            let stage = row.stage.get_or_insert_with(|| Stage::new(&mut easel, &row.opening, goal, size));
+            stage.picture(&mut easel, row.world.scene())
         });
         pixels.into_pyarray(py).reshape([height, width, 3])
     }

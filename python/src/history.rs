@@ -1,0 +1,137 @@
+//! What a world did since its last start that owed nothing to the episode before: enough to replay it.
+
+use blueprints::{BlockIdx, N_BLOCKS};
+use environment::ResetError;
+use proto::{Action, Move, N_GRIPPERS, Scene, Start, Task};
+
+/// Maximum number of steps and starts that are remembered: 1 MB per world. Only worlds whose episodes begin as the last
+/// one ended, or that step on and on after an end, get there.
+const MAX_EVENTS: usize = 20_000;
+
+/// Bytes of an action: for each gripper, its block and that block's move. Other moves have no effect.
+const ACTION_BYTES: usize = N_GRIPPERS * (1 + size_of::<Move>());
+
+/// The byte for a gripper that chooses no block.
+const NO_BLOCK: u8 = u8::MAX;
+
+/// The goal, the blocks that play it, the start as JSON, the seed, and the actions.
+pub(crate) type EpisodeState = (String, Vec<u8>, String, u64, Vec<u8>);
+
+/// Episodes, the first of which started afresh.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct History {
+    episodes: Vec<Episode>,
+    n_events: usize,
+    /// Whether there were too many events to remember.
+    is_lost: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Episode {
+    task: Task,
+    actions: Vec<u8>,
+}
+
+/// Why a history cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum HistoryError {
+    /// It is not one that [`History::state`] returned.
+    #[error("the pickle is damaged")]
+    Damaged,
+    /// An episode cannot start.
+    #[error("an episode cannot start")]
+    Reset(#[from] ResetError),
+    /// The replay ends elsewhere.
+    #[error(
+        "it comes out differently here; pickles are for the same version of the package on the same kind of machine"
+    )]
+    Different,
+    /// Too much has happened.
+    #[error("it has gone on for more than {MAX_EVENTS} steps since it last began with a start other than as-it-is")]
+    Lost,
+}
+
+impl History {
+    /// Adds the start of an episode.
+    pub(crate) fn begin(&mut self, task: &Task) {
+        if task.start != Start::AsItIs {
+            *self = Self::default();
+        }
+        if self.has_room() {
+            self.episodes.push(Episode { task: task.clone(), actions: Vec::new() });
+        }
+    }
+
+    /// Adds a step.
+    pub(crate) fn step(&mut self, action: &Action) {
+        if !self.has_room() {
+            return;
+        }
+        let Some(Episode { actions, .. }) = self.episodes.last_mut() else { return };
+        for choice in action.choices {
+            actions.push(choice.map_or(NO_BLOCK, u8::from));
+            let numbers = choice.map_or([0.0; 6], |block| action.moves[block.get()]);
+            actions.extend(numbers.into_iter().flat_map(f32::to_le_bytes));
+        }
+    }
+
+    /// Counts an event and returns whether it can be remembered.
+    fn has_room(&mut self) -> bool {
+        self.n_events += 1;
+        if self.n_events > MAX_EVENTS {
+            *self = Self { is_lost: true, ..Self::default() };
+        }
+        !self.is_lost
+    }
+
+    /// Returns the episodes as plain values.
+    ///
+    /// # Errors
+    /// Returns an error if there were too many events.
+    pub(crate) fn state(&self) -> Result<Vec<EpisodeState>, HistoryError> {
+        if self.is_lost {
+            return Err(HistoryError::Lost);
+        }
+        let state = |Episode { task, actions }: &Episode| {
+            let start = serde_json::to_string(&task.start).map_err(|_| HistoryError::Damaged)?;
+            let assignment = task.assignment.map(u8::from).to_vec();
+            Ok((task.blueprint.to_string(), assignment, start, task.seed, actions.clone()))
+        };
+        self.episodes.iter().map(state).collect()
+    }
+}
+
+/// Returns the bytes of what a replay must lead to.
+pub(crate) fn fingerprint(scene: &Scene) -> Vec<u8> {
+    let poses = scene.blocks.iter().flat_map(|pose| pose.position.into_iter().chain(pose.orientation));
+    poses.chain(scene.speeds_mps).flat_map(f32::to_le_bytes).collect()
+}
+
+/// Returns the task and the actions of an episode; `None` if they are damaged.
+pub(crate) fn read((blueprint, assignment, start, seed, actions): &EpisodeState) -> Option<(Task, Vec<Action>)> {
+    let (actions, rest) = actions.as_chunks::<ACTION_BYTES>();
+    let actions: Option<Vec<Action>> = actions.iter().map(action).collect();
+    rest.is_empty().then_some((task(blueprint, assignment, start, *seed)?, actions?))
+}
+
+fn task(blueprint: &str, assignment: &[u8], start: &str, seed: u64) -> Option<Task> {
+    let blocks: Option<Vec<BlockIdx>> = assignment.iter().map(|block| BlockIdx::try_from(*block).ok()).collect();
+    let assignment: [BlockIdx; N_BLOCKS] = blocks?.try_into().ok()?;
+    Some(Task { blueprint: blueprint.parse().ok()?, assignment, start: serde_json::from_str(start).ok()?, seed })
+}
+
+fn action(bytes: &[u8; ACTION_BYTES]) -> Option<Action> {
+    let mut action = Action::IDLE;
+    let grippers = bytes.as_chunks::<{ ACTION_BYTES / N_GRIPPERS }>().0;
+    for (choice, [block, numbers @ ..]) in action.choices.iter_mut().zip(grippers) {
+        if *block == NO_BLOCK {
+            continue;
+        }
+        let block = BlockIdx::try_from(*block).ok()?;
+        *choice = Some(block);
+        for (x, bytes) in action.moves[block.get()].iter_mut().zip(numbers.as_chunks::<4>().0) {
+            *x = f32::from_le_bytes(*bytes);
+        }
+    }
+    Some(action)
+}
