@@ -1,4 +1,4 @@
-"""Builds the image under test: the runtime stage of deploy/Dockerfile with a binary built on this machine."""
+"""Builds deploy/Dockerfile: the image under test, with a binary built on this machine, and the stage of the sources."""
 
 import os
 import platform
@@ -14,6 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # A base image with its own name, so that it never replaces the real one.
 BASE = "lodestone-test-base"
+
+# The classic builder is part of the daemon. BuildKit would need a plugin.
+CLASSIC = {**os.environ, "DOCKER_BUILDKIT": "0"}
 
 
 def base_image() -> str:
@@ -39,18 +42,35 @@ def base_image() -> str:
 
 def runtime_image(binary: Path, tag: str) -> int:
     """Builds the image `tag` with `binary` and returns its size in bytes."""
-    base = base_image()
     with tempfile.TemporaryDirectory(prefix="lodestone-context-") as folder:
         run(["strip", "-o", Path(folder) / "lodestone", binary])
         Path(folder, "lodestone").chmod(0o755)
-        dockerfile = str(ROOT / "deploy/Dockerfile")
-        command = ["docker", "build", "--quiet", "--file", dockerfile, "--target", "prebuilt", "--tag", tag]
-        run(
-            [*command, "--build-arg", f"BASE_IMAGE={base}", "--build-arg", "BINARY=lodestone", folder],
-            # The classic builder is part of the daemon. BuildKit would need a plugin.
-            env={**os.environ, "DOCKER_BUILDKIT": "0"},
-        )
+        _build("prebuilt", folder, tag, BINARY="lodestone")
     return int(run(["docker", "image", "inspect", "--format", "{{.Size}}", tag]))
+
+
+def read_sources(tag: str) -> None:
+    """Builds the stage in which cargo reads the context of the repository, and removes it again.
+
+    This machine's cargo stands in for the image with Rust, because no registry is needed to read manifests.
+    """
+    cargo, rust = f"{tag}-cargo", f"{tag}-sources"
+    with tempfile.TemporaryDirectory(prefix="lodestone-cargo-") as folder:
+        shutil.copy2(Path(run(["rustc", "--print", "sysroot"]).strip()) / "bin/cargo", folder)
+        Path(folder, "Dockerfile").write_text(f"FROM {base_image()}\nCOPY cargo /usr/local/bin/cargo\n")
+        run(["docker", "build", "--quiet", "--tag", cargo, folder], env=CLASSIC)
+    try:
+        _build("sources", ROOT, rust, RUST_IMAGE=cargo)
+        remove_image(rust)
+    finally:
+        remove_image(cargo)
+
+
+def _build(stage: str, context: str | Path, tag: str, **arguments: str) -> None:
+    """Builds a stage of deploy/Dockerfile."""
+    given = [f"--build-arg={name}={value}" for name, value in {"BASE_IMAGE": base_image(), **arguments}.items()]
+    file = ["--file", ROOT / "deploy/Dockerfile", "--target", stage, "--tag", tag]
+    run(["docker", "build", "--quiet", "--force-rm", *file, *given, context], env=CLASSIC)
 
 
 def remove_image(tag: str) -> None:

@@ -11,7 +11,7 @@ import bus
 import monitoring
 import records
 from checks import Failed, Tally, require, until
-from image import remove_image, runtime_image
+from image import read_sources, remove_image, runtime_image
 from ring import PRESET, Ring, crash, exit_code, inspect, stays_ended
 from shell import run as shell
 
@@ -27,6 +27,7 @@ def run(tally: Tally, binary: Path, composes: Sequence[Sequence[str]], keep: boo
     if not tally.check("the image is built", lambda: f"{runtime_image(binary, image) / 1e6:.0f} MB"):
         return
     try:
+        tally.check("cargo finds every crate in the context", lambda: read_sources(image))
         tally.check("the image needs no shell and no root", lambda: _image_is_plain(image))
         for number, compose in enumerate(composes):
             print(f"\nwith {' '.join(compose)}", flush=True)

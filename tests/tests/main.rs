@@ -5,6 +5,7 @@ mod architecture;
 mod circles;
 mod compatibility;
 mod configs;
+mod context;
 mod learning;
 mod pretrained;
 mod repository;
