@@ -33,6 +33,7 @@ pub use self::settings::{ConfigArgs, Settings};
 pub use self::watch::WatchArgs;
 
 use crate::config::Override;
+use crate::exit::Failure;
 use crate::telemetry::LogFormat;
 
 /// Trains an agent to assemble magnet blocks into blueprints.
@@ -55,8 +56,14 @@ impl Cli {
     /// argument.
     pub fn of_process() -> Result<Self, ExitCode> {
         Self::try_parse().map_err(|error| {
-            // If stderr is closed, only the exit code is left.
-            drop(error.print());
+            let printed = error.print();
+            // The help and the version are results. If stderr is closed, only the exit code is left.
+            if let (Err(failed), false) = (printed, error.use_stderr())
+                && failed.kind() != io::ErrorKind::BrokenPipe
+            {
+                drop(writeln!(io::stderr(), "error: {}", Failure::Output(failed)));
+                return ExitCode::FAILURE;
+            }
             if let Some(variable) = variable(&error) {
                 drop(writeln!(io::stderr(), "\nThe value comes from the environment variable {variable}."));
             }
@@ -130,6 +137,21 @@ pub enum Command {
     Completions(CompletionsArgs),
     /// Write man pages, one per command.
     Man(ManArgs),
+}
+
+impl Command {
+    /// Whether what the command prints is its result, rather than the progress of a service.
+    pub fn has_result(&self) -> bool {
+        match self {
+            Self::Train(args) => args.json || args.config.print_config,
+            Self::Actor(args) => args.config.print_config,
+            Self::Learner(args) => args.member.config.print_config,
+            Self::Evaluator(args) => args.member.config.print_config,
+            Self::Serve(args) => args.export.is_some(),
+            Self::Router(_) | Self::Play(_) => false,
+            _ => true,
+        }
+    }
 }
 
 /// Arguments of `completions`.

@@ -111,6 +111,9 @@ pub enum Failure {
     /// A signal ended a command before it had saved anything in its folder; code 130.
     #[error("interrupted; nothing was saved in {}", .0.display())]
     NothingWritten(PathBuf),
+    /// The result of a command cannot be written to stdout; code 1.
+    #[error("cannot write to stdout: {0}")]
+    Output(io::Error),
     /// A service failed while running; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
@@ -190,7 +193,7 @@ impl Failure {
             | Self::Dataset(_)
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
-            Self::Service(_) | Self::Unhealthy(_) => 1,
+            Self::Service(_) | Self::Unhealthy(_) | Self::Output(_) => 1,
             Self::Interrupted { .. } | Self::NothingWritten(_) => INTERRUPTED,
         })
     }

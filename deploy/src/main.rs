@@ -13,7 +13,10 @@ fn main() -> ExitCode {
     };
     let terminal = Terminal::default();
     telemetry::init(cli.log_format, &terminal);
-    match commands::execute(cli.command, &terminal) {
+    let has_result = cli.command.has_result();
+    let ended = commands::execute(cli.command, &terminal);
+    // Services go on without a reader: what they print is progress.
+    match ended.and_then(|()| if has_result { terminal.check_written() } else { Ok(()) }) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             terminal.on_stderr().print(&format!("error: {failure}"));

@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::support::program::{lodestone, n_saved_steps};
 
 /// Copies the run `name` that an earlier version left behind into `folder`.
-fn old_run(name: &str, folder: &Path) -> PathBuf {
+pub(crate) fn old_run(name: &str, folder: &Path) -> PathBuf {
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden").join(name);
     let run = folder.join("run");
     copy(&golden, &run);

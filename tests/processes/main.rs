@@ -14,6 +14,7 @@ mod cluster;
 mod compatibility;
 mod films;
 mod finished;
+mod output;
 mod record;
 mod report;
 mod resume;

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use bus::{BusConfig, BusMode, SecurityConfig};
-use dashboard::terminal::{self as view, Format};
+use dashboard::terminal::{self as view, Format, WatchError};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::WatchArgs;
@@ -37,7 +37,12 @@ pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: Cancell
         };
         terminal.print(&known);
     } else if args.json {
-        view::stream(config, shutdown, |known| writeln!(io::stdout(), "{known}")).await?;
+        view::stream(config, shutdown, |known| writeln!(io::stdout(), "{known}")).await.map_err(
+            |error| match error {
+                WatchError::Terminal(error) => Failure::Output(error),
+                error => error.into(),
+            },
+        )?;
     } else {
         let _held = terminal.hold_log();
         view::live(config, shutdown).await?;

@@ -7,6 +7,8 @@ use std::sync::Arc;
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tracing_subscriber::fmt::MakeWriter;
 
+use crate::exit::Failure;
+
 /// Maximum number of bytes of log lines held back.
 const MAX_HELD: usize = 1 << 16;
 
@@ -16,6 +18,8 @@ pub struct Terminal {
     bars: Bars,
     held: Arc<Mutex<Option<Held>>>,
     prints_to_stderr: bool,
+    /// The first reason why something is missing from stdout.
+    unwritten: Arc<Mutex<Option<io::Error>>>,
 }
 
 /// Progress bars below the lines; clones share them.
@@ -76,7 +80,7 @@ impl Bars {
 impl Terminal {
     fn with_bars_on(target: ProgressDrawTarget) -> Self {
         let bars = Bars { drawn: MultiProgress::with_draw_target(target), all: Arc::default() };
-        Self { bars, held: Arc::default(), prints_to_stderr: false }
+        Self { bars, held: Arc::default(), prints_to_stderr: false, unwritten: Arc::default() }
     }
 
     /// The same terminal, for messages to people while stdout carries data for a program.
@@ -84,7 +88,8 @@ impl Terminal {
         Self { prints_to_stderr: true, ..self.clone() }
     }
 
-    /// Prints lines to stdout, or to stderr after [`Self::on_stderr`]. A closed pipe does not end a run.
+    /// Prints lines to stdout, or to stderr after [`Self::on_stderr`]. A failure does not end a run;
+    /// [`Self::check_written`] returns it.
     pub fn print(&self, text: &str) {
         let text = text.trim_end();
         let written = self.bars.write_above(|| match self.prints_to_stderr {
@@ -93,6 +98,21 @@ impl Terminal {
         });
         if let Err(error) = written {
             tracing::debug!(%error, "nobody reads what is printed");
+            if !self.prints_to_stderr {
+                self.unwritten.lock().get_or_insert(error);
+            }
+        }
+    }
+
+    /// Checks that all lines so far have been written to stdout, as a command whose result they are must do before it
+    /// ends.
+    ///
+    /// # Errors
+    /// The first failure since the last call, unless the reader of a pipe went away: it has read what it wanted.
+    pub fn check_written(&self) -> Result<(), Failure> {
+        match self.unwritten.lock().take() {
+            Some(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(Failure::Output(error)),
+            _ => Ok(()),
         }
     }
 
