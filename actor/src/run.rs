@@ -3,6 +3,7 @@
 mod stepping;
 
 use parking_lot::{Mutex, MutexGuard};
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
@@ -344,7 +345,7 @@ struct Reporter {
 
 impl Reporter {
     async fn run(self, period: Duration) {
-        let mut last = (self.start, 0);
+        let mut speed = Speed::default();
         loop {
             let more = tokio::select! {
                 () = tokio::time::sleep(period) => true,
@@ -352,8 +353,7 @@ impl Reporter {
             };
             let (now, report) = (Instant::now(), self.shared.report());
             let n_env_steps = report.counters.n_env_steps;
-            let env_steps_per_s = (n_env_steps - last.1) as f64 / (now - last.0).as_secs_f64().max(1e-9);
-            last = (now, n_env_steps);
+            let env_steps_per_s = speed.at(now - self.start, n_env_steps);
             // The oldest version, so that a thread that falls behind is visible.
             let weights_version = self.shared.progress().iter().map(|p| p.version).min().unwrap_or_default();
             let learner_version = self.shared.learner_version.load(Ordering::Relaxed);
@@ -380,6 +380,34 @@ impl Reporter {
                 return;
             }
         }
+    }
+}
+
+/// Steps per second over the last half minute: an actor that the learner keeps waiting steps in bursts, between which a
+/// shorter time would say 0.
+#[derive(Debug)]
+struct Speed {
+    /// Time since the start and steps until then, of the reports in that time and the last one before.
+    reports: VecDeque<(Duration, u64)>,
+}
+
+impl Default for Speed {
+    fn default() -> Self {
+        Self { reports: [(Duration::ZERO, 0)].into() }
+    }
+}
+
+impl Speed {
+    const WINDOW: Duration = Duration::from_secs(30);
+
+    /// Adds a report, and returns the speed up to it.
+    fn at(&mut self, now: Duration, n_env_steps: u64) -> f64 {
+        while self.reports.get(1).is_some_and(|(at, _)| *at + Self::WINDOW <= now) {
+            self.reports.pop_front();
+        }
+        let (since, before) = self.reports.front().copied().unwrap_or_default();
+        self.reports.push_back((now, n_env_steps));
+        (n_env_steps - before) as f64 / (now - since).as_secs_f64().max(1e-9)
     }
 }
 

@@ -163,7 +163,7 @@ pub struct ActorMetrics {
     pub n_worlds: u64,
     /// Environment steps so far.
     pub n_env_steps: u64,
-    /// Environment steps per second since the last report.
+    /// Environment steps per second over the last half minute.
     pub env_steps_per_s: f64,
     /// Episodes finished so far.
     pub n_episodes: u64,

@@ -63,6 +63,17 @@ impl Actor {
     }
 }
 
+#[test]
+fn an_actor_that_waits_is_not_said_to_stand_still() {
+    let mut speed = Speed::default();
+    let mut at = |seconds, n_env_steps| speed.at(Duration::from_secs(seconds), n_env_steps);
+    assert_eq!((at(2, 400), at(4, 400), at(8, 400)), (200.0, 100.0, 50.0));
+    assert_eq!(at(20, 1000), 50.0);
+    // Since 8 s: the report before the last half minute.
+    assert_eq!(at(40, 1000), 600.0 / 32.0);
+    assert_eq!((at(50, 1000), at(70, 1000)), (0.0, 0.0));
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_segment_is_acknowledged_or_counted() {
     let actor = Actor::start(config()).await;

@@ -48,8 +48,10 @@ pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
 /// How episodes end, what labels and rewards teach, and the throughput with the time left: one line each under the bar.
 pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> {
     let episodes = &learner.episodes;
+    // Actors count the expert's episodes, too.
     let mut outcome = if episodes.success.n_episodes == 0 {
-        "no episode ended yet".to_owned()
+        let when = if learner.n_episodes == 0 { "yet" } else { "in this update" };
+        format!("no episode of the policy ended {when}")
     } else {
         let (rate, n_episodes) = (100.0 * episodes.success.rate, episodes.success.n_episodes);
         format!("success {rate:5.1} % of {n_episodes} episodes  return {:6.2}", episodes.mean_return.total())
@@ -180,8 +182,8 @@ mod tests {
         let imitated = line(Some(labels), Some(Schedule::Constant(0.0)));
         assert_eq!(
             imitated,
-            "   1.5 min       1500 steps ( 50 %)  no episode ended yet  labels: block accuracy 87.5 %  block loss 0.250  \
-             move loss 0.0000  lr 1.0e-3  12 steps/s  1 actor"
+            "   1.5 min       1500 steps ( 50 %)  no episode of the policy ended yet  labels: block accuracy 87.5 %  \
+             block loss 0.250  move loss 0.0000  lr 1.0e-3  12 steps/s  1 actor"
         );
         let rewarded = line(None, None);
         assert!(rewarded.contains("rewards: lag 0.5") && rewarded.contains("explained variance 0.25"), "{rewarded}");
@@ -189,6 +191,13 @@ mod tests {
         // From 1000 to 2000 steps, the weight of rewards rises from 0 to 1.
         let both = line(Some(labels), Some(Schedule::Line(vec![(1000, 0.0), (2000, 1.0)])));
         assert!(both.contains("labels") && both.contains("rewards"), "{both}");
+    }
+
+    #[test]
+    fn a_lull_in_episodes_does_not_deny_those_before() {
+        let mut learner = metrics(None);
+        learner.n_episodes = 97;
+        assert_eq!(parts(&learner, &Context::default())[0], "no episode of the policy ended in this update");
     }
 
     #[test]

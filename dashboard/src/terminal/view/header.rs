@@ -31,7 +31,7 @@ fn state(run: &RunView, now: Duration) -> Line<'static> {
             let newest = learner
                 .max(evaluation)
                 .map_or("nothing came before".to_owned(), |at| format!("the newest came {}", age(now, at)));
-            alarm(format!("The router is gone since {since}; {newest}"))
+            alarm(format!("The router has been gone for {since}; {newest}"))
         }
         Link::Connected if run.is_empty() => {
             alarm(format!("Nothing has arrived in {since}: no learner, evaluator or actor has joined this run"))

@@ -150,12 +150,12 @@ fn a_router_that_is_gone_is_told_with_the_age_of_the_rest() {
     let mut run = busy();
     run.set_session(&samples::cut_off(), seconds(40));
     let lines = screen(&run, seconds(52), 80, 24);
-    assert_eq!(lines[1], "The router is gone since 12 s; the newest came 22 s ago");
+    assert_eq!(lines[1], "The router has been gone for 12 s; the newest came 22 s ago");
     assert!(lines.iter().any(|line| line == "Actors: unknown while the router is gone"), "{lines:#?}");
     let mut run = RunView::default();
     run.set_session(&samples::session(&[]), seconds(1));
     run.set_session(&samples::cut_off(), seconds(2));
-    assert_eq!(screen(&run, seconds(3), 80, 24)[1], "The router is gone since 1 s; nothing came before");
+    assert_eq!(screen(&run, seconds(3), 80, 24)[1], "The router has been gone for 1 s; nothing came before");
 }
 
 #[test]
