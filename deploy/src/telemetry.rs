@@ -4,12 +4,12 @@ use std::io::IsTerminal;
 
 use tracing_subscriber::EnvFilter;
 
-use crate::live::Terminal;
+use crate::live::{Terminal, has_colors};
 
 /// Format of log lines.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum LogFormat {
-    /// Like `pretty` on a terminal, plain lines elsewhere.
+    /// Like `pretty` on a terminal, unless NO_COLOR is set or TERM is dumb; plain lines elsewhere.
     #[default]
     Auto,
     /// Colored lines.
@@ -29,7 +29,10 @@ pub fn init(format: LogFormat, terminal: &Terminal) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
     let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(terminal.clone()).with_target(false);
     let installed = match format {
-        LogFormat::Auto => lines.with_ansi(std::io::stderr().is_terminal()).compact().try_init(),
+        LogFormat::Auto => {
+            let has_colors = std::io::stderr().is_terminal() && has_colors(|name| std::env::var_os(name));
+            lines.with_ansi(has_colors).compact().try_init()
+        }
         LogFormat::Pretty => lines.with_ansi(true).compact().try_init(),
         LogFormat::Json => lines.with_ansi(false).json().try_init(),
     };

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
 
-use crate::expert::{Cause, ExpertReport};
+use crate::expert::{Cause, ExpertBlueprint, ExpertReport};
 
 /// Level of detail of the text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,10 +31,12 @@ enum Row {
     Columns(String, String),
 }
 
-/// Formats the report as lines of at most 90 characters (unless a name is long), each ending with a line break.
+/// Formats the report as lines of at most 80 characters (unless a name is long), each ending with a line break. What
+/// would be the same row again is left out: a group of one blueprint, and all of one group.
 ///
-/// Rates are in percent, with Wilson's 95 % interval for success. `stable` is the rate of stable success, `steps` the
-/// mean number of steps of successful episodes, and `return` the mean undiscounted return of all episodes.
+/// `of` is the number of episodes. Rates are in percent, with Wilson's 95 % interval for success. `stable` is the rate
+/// of stable success, `steps` the mean number of steps of successful episodes, and `return` the mean undiscounted return
+/// of all episodes.
 pub fn render(report: &EvalReport, detail: Detail) -> String {
     let summary = &report.summary;
     let mut text = Table::default();
@@ -42,10 +44,19 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
     if !summary.is_complete {
         text.words("interrupted: only the episodes that had ended count".to_owned());
     }
-    text.header("group (blueprints)");
-    for group in summary.groups.iter().chain([&summary.all]) {
-        let name = format!("{} ({})", group.name, group.n_blueprints);
-        text.lines(&name, &group.mode, &group.sampled);
+    let of_blueprint = |text: &mut Table, score: &EvalBlueprint| {
+        text.lines(&format!("{} {}", score.split, score.blueprint), &score.mode, &score.sampled);
+    };
+    if let [one] = &report.blueprints[..] {
+        text.header("blueprint");
+        of_blueprint(&mut text, one);
+    } else {
+        text.header("group (blueprints)");
+        let all = (summary.groups.len() != 1).then_some(&summary.all);
+        for group in summary.groups.iter().chain(all) {
+            let name = format!("{} ({})", group.name, group.n_blueprints);
+            text.lines(&name, &group.mode, &group.sampled);
+        }
     }
     if let Some(runs) = &summary.reset_free {
         let name = format!("reset-free ({} x {})", runs.n_runs, runs.n_goals);
@@ -55,9 +66,9 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
         let evaluated = [score.mode.success, score.sampled.success].into_iter().find(|success| success.n_episodes > 0);
         evaluated.map_or(0.0, |success| success.rate)
     };
-    blueprints(&mut text, &report.blueprints, detail, rate, |text, score| {
-        text.lines(&format!("{} {}", score.split, score.blueprint), &score.mode, &score.sampled);
-    });
+    if report.blueprints.len() != 1 {
+        blueprints(&mut text, &report.blueprints, detail, rate, of_blueprint);
+    }
     text.render()
 }
 
@@ -93,24 +104,26 @@ pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
     if !report.is_complete {
         text.words("interrupted: only the episodes that had ended count".to_owned());
     }
-    text.header("group (blueprints, built)");
-    for group in &report.groups {
-        let name = format!("{} ({}, {})", group.name, group.n_blueprints, group.n_built);
-        text.line(&name, "expert", &group.outcome);
+    let of_blueprint = |text: &mut Table, score: &ExpertBlueprint| {
+        text.line(&format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
+    };
+    if let [one] = &report.blueprints[..] {
+        text.header("blueprint");
+        of_blueprint(&mut text, one);
+    } else {
+        text.header("group (blueprints, built)");
+        for group in &report.groups {
+            let name = format!("{} ({}, {})", group.name, group.n_blueprints, group.n_built);
+            text.line(&name, "expert", &group.outcome);
+        }
     }
     if let Some(found) = &report.reset_free {
         let name = format!("reset-free ({} x {})", found.n_runs, found.n_goals);
         text.line(&name, "expert", &found.runs.outcome);
     }
-    blueprints(
-        &mut text,
-        &report.blueprints,
-        detail,
-        |score| score.outcome.success.rate,
-        |text, score| {
-            text.line(&format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
-        },
-    );
+    if report.blueprints.len() != 1 {
+        blueprints(&mut text, &report.blueprints, detail, |score| score.outcome.success.rate, of_blueprint);
+    }
     let mut causes: BTreeMap<Cause, usize> = BTreeMap::new();
     report.failures.iter().for_each(|failure| *causes.entry(failure.trouble.cause).or_default() += 1);
     for (cause, n) in causes {
@@ -125,10 +138,10 @@ impl Table {
     }
 
     fn header(&mut self, what: &str) {
-        let columns = ("actions", "episodes", "%", "interval", "stable", "steps", "return");
+        let columns = ("actions", "of", "%", "interval", "stable", "steps", "return");
         let (actions, episodes, rate, interval, stable, steps, episode_return) = columns;
         let columns =
-            format!("{actions:<8} {episodes:>8} {rate:>6} {interval:^15} {stable:>6} {steps:>6} {episode_return:>7}");
+            format!("{actions:<7} {episodes:>6} {rate:>5} {interval:>11} {stable:>6} {steps:>5} {episode_return:>6}");
         self.0.push(Row::Columns(what.to_owned(), columns));
     }
 
@@ -148,8 +161,9 @@ impl Table {
         let stable = 100.0 * outcome.stable_success.rate;
         let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
         let mean_return = outcome.mean_return.total();
+        let interval = format!("{low:.1}-{high:.1}");
         let columns = format!(
-            "{actions:<8} {n_episodes:>8} {rate:>6.1} {low:>6.1} - {high:<6.1} {stable:>6.1} {steps:>6} {mean_return:>7.2}"
+            "{actions:<7} {n_episodes:>6} {rate:>5.1} {interval:>11} {stable:>6.1} {steps:>5} {mean_return:>6.2}"
         );
         self.0.push(Row::Columns(name.to_owned(), columns));
     }
@@ -171,6 +185,7 @@ impl Table {
 #[cfg(test)]
 mod tests {
     use blueprints::{BlueprintId, Split};
+    use proto::wilson::SuccessRate;
     use proto::{RewardTerms, WeightsVersion};
 
     use super::*;
@@ -225,25 +240,50 @@ mod tests {
     fn the_table_shows_what_was_evaluated() {
         // 1 of 2: the interval is 1/2 ± z/2 / √(2 + z²) = 1/2 ± 0.979982 / √5.841459 = 0.0945 to 0.9055.
         let ends = [(End::Success { stable: true }, 8), (End::TimeLimit, 100)];
-        let episodes = ends.map(|(end, n_steps)| EpisodeResult {
-            blueprint: BlueprintId::try_from("2_003".to_owned()).unwrap(),
-            split: Split::Train,
-            n_blocks: 2,
-            acting: ActionMode::Greedy,
-            end,
-            n_steps,
-            episode_return: RewardTerms { connected: 1.0, wrong: -0.25, ..RewardTerms::default() },
-            forced_reset: false,
-        });
-        let text = render(&summarize(WeightsVersion(4), 8192, &episodes), Detail::Blueprints);
+        let of = |id: &str| {
+            let blueprint = BlueprintId::try_from(id.to_owned()).unwrap();
+            ends.map(|(end, n_steps)| EpisodeResult {
+                blueprint: blueprint.clone(),
+                split: Split::Train,
+                n_blocks: 2,
+                acting: ActionMode::Greedy,
+                end,
+                n_steps,
+                episode_return: RewardTerms { connected: 1.0, wrong: -0.25, ..RewardTerms::default() },
+                forced_reset: false,
+            })
+        };
+        // The same row is not printed three times.
+        let one = render(&summarize(WeightsVersion(4), 8192, &of("2_003")), Detail::Worst(5));
         let expected = "\
 weights 4 after 8192 environment steps
-group (blueprints)       actions  episodes      %    interval     stable  steps  return
-train 2-6 (1)            greedy          2   50.0    9.5 - 90.5     50.0    8.0    0.75
-all (1)                  greedy          2   50.0    9.5 - 90.5     50.0    8.0    0.75
-blueprint                actions  episodes      %    interval     stable  steps  return
-train 2_003              greedy          2   50.0    9.5 - 90.5     50.0    8.0    0.75
+blueprint                actions     of     %    interval stable steps return
+train 2_003              greedy       2  50.0    9.5-90.5   50.0   8.0   0.75
 ";
-        assert_eq!(text, expected);
+        assert_eq!(one, expected);
+        let two = [of("2_003"), of("2_004")].concat();
+        let expected = "\
+weights 4 after 8192 environment steps
+group (blueprints)       actions     of     %    interval stable steps return
+train 2-6 (2)            greedy       4  50.0   15.0-85.0   50.0   8.0   0.75
+blueprint                actions     of     %    interval stable steps return
+train 2_003              greedy       2  50.0    9.5-90.5   50.0   8.0   0.75
+train 2_004              greedy       2  50.0    9.5-90.5   50.0   8.0   0.75
+";
+        assert_eq!(render(&summarize(WeightsVersion(4), 8192, &two), Detail::Blueprints), expected);
+    }
+
+    #[test]
+    fn the_longest_row_fits_into_80_columns() {
+        let mut table = Table::default();
+        let all = EvalOutcome {
+            success: SuccessRate::new(380_000, 380_000),
+            stable_success: SuccessRate::new(380_000, 380_000),
+            mean_steps_to_success: Some(100.0),
+            mean_return: RewardTerms { wrong: -12.34, ..RewardTerms::default() },
+            ..EvalOutcome::default()
+        };
+        table.line("test-longest longest_16_000", "sampled", &all);
+        assert_eq!(table.render().trim_end().chars().count(), 80);
     }
 }

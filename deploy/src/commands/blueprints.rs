@@ -60,11 +60,12 @@ fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
         terminal.print(&json(&rows));
         return Ok(());
     }
-    terminal.print(&format!("{:<18}{:<14}{:>7}{:>13}  title", "id", "split", "blocks", "connections"));
-    for row in &rows {
-        let (id, split) = (row.id.to_string(), row.split.to_string());
-        terminal.print(&format!("{id:<18}{split:<14}{:>7}{:>13}  {}", row.n_blocks, row.n_connections, row.title));
-    }
+    let line = |row: &Row<'_>| {
+        let Row { id, split, n_blocks, n_connections, title } = row;
+        format!("{id:<18}{split:<13}{n_blocks:>6}{n_connections:>13}  {title}")
+    };
+    let header = format!("{:<18}{:<13}{:>6}{:>13}  title", "id", "split", "blocks", "connections");
+    terminal.print_rows(&std::iter::once(header).chain(rows.iter().map(line)).collect::<Vec<_>>());
     Ok(())
 }
 

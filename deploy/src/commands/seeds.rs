@@ -129,7 +129,7 @@ pub(super) fn spreads(folder: &Path) -> Result<Vec<Spread>, Failure> {
 pub(super) fn table(spreads: &[Spread]) -> String {
     let n_runs = spreads.first().map_or(0, |spread| spread.rates.len());
     let mut text = format!(
-        "| group | actions | mean of {n_runs} seeds, % | deviation | each | steps to success |\n|---|---|---|---|---|---|\n"
+        "| group | actions | mean of {n_runs} seeds, % | deviation | each | steps |\n|---|---|---|---|---|---|\n"
     );
     for Spread { group, acting, rates, mean, std, mean_steps_to_success } in spreads {
         let each: Vec<String> = rates.iter().map(|rate| format!("{:.1}", 100.0 * rate)).collect();

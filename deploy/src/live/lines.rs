@@ -45,7 +45,8 @@ pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
     format!("{minutes:6.1} min  {:>9} steps ({percent:3.0} %)  {parts}", learner.n_env_steps)
 }
 
-/// How episodes end, what labels and rewards teach, and the throughput with the time left: one line each under the bar.
+/// How episodes end, what labels and rewards teach, and the throughput with the time left: one line each under the bar,
+/// of at most 80 characters.
 pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> {
     let episodes = &learner.episodes;
     // Actors count the expert's episodes, too.
@@ -63,7 +64,8 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     parts.extend(labels(learner));
     parts.extend(rewards(learner, context));
     let actors = if context.n_actors == 1 { "actor" } else { "actors" };
-    let mut pace = format!("{:.0} steps/s  {} {actors}", learner.env_steps_per_s, context.n_actors);
+    let (rate, steps_per_s) = (learner.ppo.learning_rate, learner.env_steps_per_s);
+    let mut pace = format!("lr {rate:.1e}  {steps_per_s:.0} steps/s  {} {actors}", context.n_actors);
     if let Some(left) = context.left_s {
         pace += &format!("  {} left", duration(left));
     }
@@ -89,11 +91,10 @@ pub(super) fn actor(actor: &ActorMetrics) -> String {
 fn labels(learner: &LearnerMetrics) -> Option<String> {
     let imitation = learner.imitation.as_ref().filter(|imitation| imitation.weight > 0.0)?;
     Some(format!(
-        "labels: block accuracy {:.1} %  block loss {:.3}  move loss {:.4}  lr {:.1e}",
+        "labels: block accuracy {:.1} %  block loss {:.3}  move loss {:.4}",
         100.0 * imitation.block_accuracy,
         imitation.block_loss,
         imitation.move_loss,
-        learner.ppo.learning_rate,
     ))
 }
 
@@ -103,13 +104,8 @@ fn rewards(learner: &LearnerMetrics, context: &Context) -> Option<String> {
     let ppo = &learner.ppo;
     (weight > 0.0).then(|| {
         format!(
-            "rewards: lag {:.1}  kl {:.4}  clipped {:.2}  entropy {:.2}  explained variance {:.2}  lr {:.1e}",
-            learner.policy_lag_mean,
-            ppo.approx_kl,
-            ppo.clip_fraction,
-            ppo.entropy,
-            ppo.explained_variance,
-            ppo.learning_rate,
+            "rewards: lag {:.1}  kl {:.4}  clip {:.2}  entropy {:.2}  explained variance {:.2}",
+            learner.policy_lag_mean, ppo.approx_kl, ppo.clip_fraction, ppo.entropy, ppo.explained_variance,
         )
     })
 }
@@ -198,6 +194,19 @@ mod tests {
         let mut learner = metrics(None);
         learner.n_episodes = 97;
         assert_eq!(parts(&learner, &Context::default())[0], "no episode of the policy ended in this update");
+    }
+
+    #[test]
+    fn lines_under_the_bar_fit_into_80_columns() {
+        let labels = ImitationMetrics { weight: 1.0, block_accuracy: 1.0, ..Default::default() };
+        let mut learner = metrics(Some(labels));
+        learner.episodes.success = proto::wilson::SuccessRate::new(9999, 9999);
+        learner.ppo.entropy = 12.34;
+        learner.ppo.explained_variance = -0.25;
+        let context = Context { n_actors: 999, left_s: Some(5000.0), evaluated: Some(1.0), ..Context::default() };
+        for part in parts(&learner, &context) {
+            assert!(part.chars().count() <= 80, "{part}");
+        }
     }
 
     #[test]

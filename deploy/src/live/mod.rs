@@ -17,6 +17,7 @@ use crate::config::Config;
 pub use episodes::EpisodeCounter;
 use lines::{Context, Pace};
 use terminal::Progress;
+pub(crate) use terminal::has_colors;
 pub use terminal::{HeldLog, Terminal};
 
 /// Minimum time between two lines without a terminal, so that logs stay readable.

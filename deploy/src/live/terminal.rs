@@ -1,6 +1,7 @@
 //! Single owner of the terminal, so that log lines, results, and a progress bar do not overwrite each other.
 
 use parking_lot::Mutex;
+use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
 use std::sync::Arc;
 
@@ -55,11 +56,29 @@ pub struct LogWriter(Terminal);
 
 impl Default for Terminal {
     fn default() -> Self {
-        // A bar makes sense only if both results and bar are visible.
-        let is_terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
+        // A bar makes sense only if both results and bar are visible, and the terminal can move its cursor.
+        let is_terminal =
+            io::stdout().is_terminal() && io::stderr().is_terminal() && !is_dumb(&std::env::var_os("TERM"));
         let target = if is_terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         Self::with_bars_on(target)
     }
+}
+
+/// A row of at most `width` characters; a longer one ends in an ellipsis.
+fn cut(row: &str, width: usize) -> String {
+    let end = row.char_indices().nth(width).and_then(|_| row.char_indices().nth(width.saturating_sub(1)));
+    end.map_or_else(|| row.to_owned(), |(end, _)| format!("{}…", &row[..end]))
+}
+
+/// Whether a terminal of this type, the value of `TERM`, knows no control sequences.
+fn is_dumb(term: &Option<OsString>) -> bool {
+    term.as_ref().is_some_and(|term| term == "dumb")
+}
+
+/// Whether log lines on a terminal have colors: not if `NO_COLOR` is set to anything, or on a terminal without control
+/// sequences.
+pub(crate) fn has_colors(variable: impl Fn(&str) -> Option<OsString>) -> bool {
+    variable("NO_COLOR").is_none_or(|value| value.is_empty()) && !is_dumb(&variable("TERM"))
 }
 
 impl Bars {
@@ -102,6 +121,15 @@ impl Terminal {
                 self.unwritten.lock().get_or_insert(error);
             }
         }
+    }
+
+    /// Prints the rows of a table, each cut at the width of the terminal, if stdout is one: a row that goes on in the
+    /// next line hides the columns.
+    pub fn print_rows(&self, rows: &[String]) {
+        let size = rustix::termios::tcgetwinsize(io::stdout()).ok();
+        let width = size.map(|size| usize::from(size.ws_col)).filter(|width| *width > 0);
+        let rows: Vec<String> = rows.iter().map(|row| cut(row, width.unwrap_or(usize::MAX))).collect();
+        self.print(&rows.join("\n"));
     }
 
     /// Checks that all lines so far have been written to stdout, as a command whose result they are must do before it
@@ -250,6 +278,29 @@ mod tests {
         fn flush(&self) -> io::Result<()> {
             Err(io::ErrorKind::BrokenPipe.into())
         }
+    }
+
+    #[test]
+    fn a_row_is_cut_only_if_it_is_too_long() {
+        for (width, expected) in [(1, "…"), (4, "6 ×…"), (5, "6 × 3"), (9, "6 × 3")] {
+            assert_eq!(cut("6 × 3", width), expected);
+        }
+    }
+
+    #[test]
+    fn colors_are_left_out_on_request_and_where_no_terminal_shows_them() {
+        let has_colors = |no_color: Option<&str>, term: &str| {
+            super::has_colors(|name| match name {
+                "NO_COLOR" => no_color.map(Into::into),
+                "TERM" => Some(term.into()),
+                _ => None,
+            })
+        };
+        assert!(has_colors(None, "xterm-256color"));
+        assert!(has_colors(Some(""), "xterm"), "an empty value asks for nothing");
+        assert!(!has_colors(Some("1"), "xterm"));
+        assert!(!has_colors(Some("0"), "xterm"), "any value counts");
+        assert!(!has_colors(None, "dumb"));
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub(crate) use controls::{Controls, ends};
 use controls::Part;
 
 /// Width of plain text in characters.
-const TEXT_WIDTH: usize = 100;
+const TEXT_WIDTH: usize = 80;
 
 /// Maximum height of the drops section on a screen where the actors need room.
 const DROPS_HEIGHT: usize = 3;

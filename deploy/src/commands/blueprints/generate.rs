@@ -28,7 +28,7 @@ pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failur
     fs::create_dir_all(&args.out).map_err(failed(&args.out))?;
     for (blueprint, path) in made.iter().zip(&paths) {
         write(blueprint, path)?;
-        terminal.print(&line(blueprint));
+        terminal.print_rows(&[line(blueprint)]);
     }
     Ok(())
 }

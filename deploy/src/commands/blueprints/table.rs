@@ -1,16 +1,17 @@
-//! Output of `blueprints check`: a table of files and checks, followed by the problems found.
+//! Output of `blueprints check`: a table of files, followed by the problems found.
 
 use blueprints::checks::{Check, Outcome, Report};
 
-/// Renders one line per file with its id and the outcome of each check, `-` for a check that could not run; then one
-/// line for each thing that was inferred because the file leaves it open, one for each failure, and a summary.
+/// Renders one line per file with its id and how many checks it passed, and the names of those that it failed or that
+/// could not run; then one line for each thing that was inferred because the file leaves it open, one for each failure,
+/// and a summary.
 pub(super) fn render(reports: &[Report]) -> String {
-    let header = ["file".to_owned(), "id".to_owned()].into_iter().chain(checks().map(|check| check.to_string()));
-    let rows: Vec<Vec<String>> = std::iter::once(header.collect()).chain(reports.iter().map(cells)).collect();
-    let n_columns = rows[0].len();
+    let header = ["file", "id", "checks"].map(str::to_owned);
+    let rows: Vec<[String; 3]> = std::iter::once(header).chain(reports.iter().map(cells)).collect();
     let widest = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..n_columns).map(widest).collect();
-    let mut lines: Vec<String> = rows.iter().map(|row| line(row, &widths)).collect();
+    let (file_width, id_width) = (widest(0), widest(1));
+    let line = |[file, id, checks]: &[String; 3]| format!("{file:<file_width$}  {id:<id_width$}  {checks}");
+    let mut lines: Vec<String> = rows.iter().map(line).collect();
     lines.extend(reports.iter().flat_map(findings));
     lines.extend(reports.iter().flat_map(failures));
     let n_passed = reports.iter().filter(|report| report.passed()).count();
@@ -18,26 +19,27 @@ pub(super) fn render(reports: &[Report]) -> String {
     lines.join("\n")
 }
 
-fn checks() -> impl Iterator<Item = Check> {
-    Check::ALL.into_iter().chain(Check::PHYSICAL)
-}
-
-fn cells(report: &Report) -> Vec<String> {
+/// The file, the id, and the outcomes: `-` for an id that cannot be read.
+fn cells(report: &Report) -> [String; 3] {
     let id = report.id.as_ref().map_or_else(|| "-".to_owned(), ToString::to_string);
-    let outcome = |check: Check| {
+    let (mut n_passed, mut n_skipped, mut failed) = (0, 0, Vec::new());
+    for check in Check::ALL.into_iter().chain(Check::PHYSICAL) {
         let result = report.results.iter().find(|result| result.check == check);
         match result.map(|result| &result.outcome) {
-            Some(Outcome::Passed) => "ok",
-            Some(Outcome::Failed { .. }) => "FAILED",
-            Some(Outcome::Skipped) | None => "-",
+            Some(Outcome::Passed) => n_passed += 1,
+            Some(Outcome::Failed { .. }) => failed.push(check.to_string()),
+            Some(Outcome::Skipped) | None => n_skipped += 1,
         }
-    };
-    [report.file.clone(), id].into_iter().chain(checks().map(|check| outcome(check).to_owned())).collect()
-}
-
-fn line(row: &[String], widths: &[usize]) -> String {
-    let padded: Vec<String> = row.iter().zip(widths).map(|(cell, width)| format!("{cell:<width$}")).collect();
-    padded.join("  ").trim_end().to_owned()
+    }
+    let mut checks = Vec::new();
+    if !failed.is_empty() {
+        checks.push(format!("FAILED {}", failed.join(", ")));
+    }
+    checks.push(format!("{n_passed} passed"));
+    if n_skipped > 0 {
+        checks.push(format!("{n_skipped} not run"));
+    }
+    [report.file.clone(), id, checks.join("; ")]
 }
 
 fn findings(report: &Report) -> Vec<String> {
@@ -61,20 +63,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_table_shows_every_check_and_the_errors_below() {
+    fn the_table_counts_every_check_and_the_errors_are_below() {
         let (_, good) = BUILTIN_FILES.iter().find(|(file, _)| *file == "2_000.toml").unwrap();
         let reports = check_all([("good.toml", *good), ("same.toml", *good), ("bad.toml", "id = 3")]);
         let text = render(&reports);
         let lines: Vec<&str> = text.lines().collect();
         let expected = [
-            "file       id     format  inventory  turns  overlap  polarity  connections  connected  stands  strength  assembly  \
-             unique  settles  expert",
-            "good.toml  2_000  ok      ok         ok     ok       ok        ok           ok         ok      ok        ok        \
-             ok      -        -",
-            "same.toml  2_000  ok      ok         ok     ok       ok        ok           ok         ok      ok        ok        \
-             FAILED  -        -",
-            "bad.toml   -      FAILED  -          -      -        -         -            -          -       -         -         \
-             -       -        -",
+            "file       id     checks",
+            "good.toml  2_000  11 passed; 2 not run",
+            "same.toml  2_000  FAILED unique; 10 passed; 2 not run",
+            "bad.toml   -      FAILED format; 0 passed; 12 not run",
             "same.toml, unique: good.toml has the same id",
         ];
         assert_eq!(lines[..5], expected, "{text}");
