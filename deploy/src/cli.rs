@@ -231,7 +231,8 @@ pub struct PageArgs {
 /// Where a learner starts, what it writes, and when it stops.
 #[derive(Clone, Debug, Default, Args)]
 pub struct RunArgs {
-    /// Stop after this many environment steps, for example 1e6 or 1_000_000; steps before a resume count.
+    /// Stop after this many environment steps, for example 1e6 or 1_000_000, up to the end of the last segment; steps
+    /// before a resume count.
     #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = values::steps, allow_negative_numbers = true)]
     pub steps: Option<i64>,
     /// Folder for checkpoints and metrics [default: runs/DATE-NAME].

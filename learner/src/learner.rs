@@ -247,7 +247,12 @@ impl Learner {
     /// Runs one update on the oldest trajectories and, with imitation, on labeled scenes. Returns `None` if there are
     /// not enough trajectories, or if none has a usable goal. PPO uses only trajectories with sampled actions.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
-        let mut trajectories = self.mailbox.take(self.setup.config.steps_per_update);
+        self.update_on(self.setup.config.steps_per_update)
+    }
+
+    /// As [`Self::update`], on at least `n_steps` environment steps: those of whole trajectories.
+    pub fn update_on(&mut self, n_steps: usize) -> Option<UpdateMetrics> {
+        let mut trajectories = self.mailbox.take(n_steps);
         self.drop_unusable_goals(&mut trajectories);
         if trajectories.is_empty() {
             return None;

@@ -229,9 +229,11 @@ impl Worker {
         // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
         while !self.publications.is_closed() && !self.is_over() {
             self.pulse.beat();
+            let n_left = self.options.max_env_steps.map(|max| max.saturating_sub(self.learner.n_env_steps()));
+            let n_steps = next_steps(settings.steps_per_update, n_left);
             let enough = match &mut self.options.feed {
-                None => mailbox.wait(settings.steps_per_update, POLL_INTERVAL),
-                Some(_) if self.learner.ready() => true,
+                None => mailbox.wait(n_steps, POLL_INTERVAL),
+                Some(_) if mailbox.n_steps() >= n_steps => true,
                 Some(feed) => match feed(&self.newest, std::mem::take(&mut restart)) {
                     Ok(trajectories) => {
                         for trajectory in trajectories {
@@ -250,7 +252,7 @@ impl Worker {
                 continue;
             }
             let began = Instant::now();
-            let Some(update) = self.learner.update() else { continue };
+            let Some(update) = self.learner.update_on(n_steps) else { continue };
             let pace = Pace { update: began.elapsed(), since_last: last_report.elapsed() };
             last_report = Instant::now();
             self.newest = Arc::new(self.learner.weights());
@@ -358,8 +360,34 @@ impl Worker {
     }
 }
 
+/// Returns how many steps the next update takes if `n_left` are left of the run: `per_update`, but the last two updates
+/// share what is left. So a run ends with the step that was asked for, give or take the rest of a segment, and not with
+/// an update of a handful of steps.
+fn next_steps(per_update: usize, n_left: Option<u64>) -> usize {
+    match n_left.and_then(|n| usize::try_from(n).ok()) {
+        Some(n) if n <= per_update => n.max(1),
+        Some(n) if n < 2 * per_update => n.div_ceil(2),
+        _ => per_update,
+    }
+}
+
 /// Durations of an update.
 struct Pace {
     update: Duration,
     since_last: Duration,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::next_steps;
+
+    #[test]
+    fn the_last_two_updates_share_what_is_left() {
+        assert_eq!(next_steps(2048, None), 2048);
+        for (n_left, expected) in [(10_000, 2048), (4096, 2048), (4095, 2048), (2500, 1250), (2048, 2048), (1250, 1250)]
+        {
+            assert_eq!(next_steps(2048, Some(n_left)), expected, "{n_left}");
+        }
+        assert_eq!((next_steps(2048, Some(1)), next_steps(1, Some(1))), (1, 1));
+    }
 }

@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 use super::goals::TrainingGoals;
 use super::services;
 use crate::cli::{Settings, TrainArgs};
-use crate::config::Config;
+use crate::config::{Config, Preset};
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
@@ -172,7 +172,7 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
             endpoints[0],
         ),
     };
-    let takes = settings.preset.map_or_else(String::new, |preset| format!("\nthe whole preset takes {}", preset.takes));
+    let takes = settings.preset.map_or_else(String::new, |preset| format!("\n{}", takes(preset, config.n_env_steps)));
     format!(
         "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}\n\
          settings: {}{takes}\n\
@@ -180,6 +180,17 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
          curves: tensorboard --logdir {path}/tb",
         config.bus.run, config.n_env_steps, actor.n_threads, actor.n_worlds, config.seed, settings.source,
     )
+}
+
+/// What a training of `n_env_steps` with this preset takes.
+fn takes(preset: &Preset, n_env_steps: u64) -> String {
+    let whole = Config::parse(preset.text, preset.name).map_or(n_env_steps, |config| config.n_env_steps);
+    if n_env_steps == whole {
+        return format!("the whole preset takes {}", preset.takes);
+    }
+    let percent = 100.0 * n_env_steps as f64 / whole as f64;
+    let digits = if percent < 10.0 { 1 } else { 0 };
+    format!("the preset's {whole} steps take {}; {n_env_steps} are {percent:.digits$} % of them", preset.takes)
 }
 
 fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
@@ -198,4 +209,19 @@ fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
 fn program() -> String {
     let name = std::env::args_os().next();
     name.map_or_else(|| "lodestone".to_owned(), |name| name.to_string_lossy().into_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_estimate_is_that_of_the_steps_that_are_asked_for() {
+        let preset = Preset::find("quickstart").unwrap();
+        let whole = Config::parse(preset.text, preset.name).unwrap().n_env_steps;
+        assert_eq!(takes(preset, whole), format!("the whole preset takes {}", preset.takes));
+        let part = takes(preset, whole / 40);
+        assert!(part.starts_with(&format!("the preset's {whole} steps take about")), "{part}");
+        assert!(part.ends_with(&format!("; {} are 2.5 % of them", whole / 40)), "{part}");
+    }
 }

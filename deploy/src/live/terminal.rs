@@ -173,6 +173,10 @@ impl Progress {
 
     pub(super) fn set(&self, n: u64, message: &str) {
         let _all = self.bars.all.lock();
+        // What goes on beyond its end has no longer that end: an update takes whole segments.
+        if self.bar.length().is_some_and(|planned| n > planned) {
+            self.bar.set_length(n);
+        }
         self.bar.set_position(n);
         self.bar.set_message(message.to_owned());
     }
@@ -301,6 +305,15 @@ mod tests {
         assert!(!has_colors(Some("1"), "xterm"));
         assert!(!has_colors(Some("0"), "xterm"), "any value counts");
         assert!(!has_colors(None, "dumb"));
+    }
+
+    #[test]
+    fn a_bar_never_says_more_than_all() {
+        let progress = Terminal::with_bars_on(ProgressDrawTarget::hidden()).progress(2500, "steps");
+        progress.set(1300, "");
+        assert_eq!((progress.bar.position(), progress.bar.length()), (1300, Some(2500)));
+        progress.set(2512, "");
+        assert_eq!((progress.bar.position(), progress.bar.length()), (2512, Some(2512)));
     }
 
     #[test]

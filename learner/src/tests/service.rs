@@ -122,6 +122,26 @@ async fn run_ends_at_its_number_of_steps() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn run_takes_as_many_steps_as_were_asked_for_and_no_whole_update_more() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let setup = small_setup(6);
+    assert_eq!(setup.config.steps_per_update, 256);
+    let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(6));
+    let options = RunOptions {
+        setup,
+        run_dir: RunPaths::new(dir.path().join("run")),
+        resume: None,
+        max_env_steps: Some(300),
+        // Segments of one step.
+        feed: Some(Box::new(move |weights, _| Ok(bandit(&its_setup, weights, 10, &mut rng)))),
+    };
+    let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
+    assert_eq!((report.n_updates, report.n_env_steps), (2, 300));
+    bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_learner_that_waits_for_another_one_ends_when_told() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
