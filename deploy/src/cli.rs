@@ -55,7 +55,8 @@ impl Cli {
     /// Returns the exit code of the process after printing the help text, the version, or an error that names the
     /// argument.
     pub fn of_process() -> Result<Self, ExitCode> {
-        Self::try_parse().map_err(|error| {
+        Self::try_parse().map_err(|mut error| {
+            suggest_gpu(&mut error);
             let printed = error.print();
             // The help and the version are results. If stderr is closed, only the exit code is left.
             if let (Err(failed), false) = (printed, error.use_stderr())
@@ -69,6 +70,20 @@ impl Cli {
             }
             u8::try_from(error.exit_code()).map_or(ExitCode::FAILURE, ExitCode::from)
         })
+    }
+}
+
+/// Suggests the GPU for names of its programming interfaces, although `cuda` has more letters of `cpu` in it.
+fn suggest_gpu(error: &mut clap::Error) {
+    const GPUS: [&str; 9] = ["cuda", "gpu", "hip", "metal", "mps", "nvidia", "rocm", "vulkan", "wgpu"];
+    let text = |kind| match error.get(kind) {
+        Some(ContextValue::String(text)) => text.to_ascii_lowercase(),
+        _ => String::new(),
+    };
+    let is_device = text(ContextKind::InvalidArg).starts_with("--device");
+    let given = text(ContextKind::InvalidValue);
+    if is_device && GPUS.iter().any(|name| given.starts_with(name)) {
+        error.insert(ContextKind::SuggestedValue, ContextValue::String("gpu".to_owned()));
     }
 }
 

@@ -94,6 +94,14 @@ pub enum Failure {
     /// A checkpoint, a run directory, or a key file cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
+    /// A run, a checkpoint, or a recording does not exist; code 66.
+    #[error("{} does not exist{}", path.display(), suggestion_or(nearest, ""))]
+    Missing {
+        /// The path given.
+        path: PathBuf,
+        /// The most similar path that exists.
+        nearest: Option<String>,
+    },
     /// The evaluation history of a run cannot be read; code 66.
     #[error(transparent)]
     History(#[from] HistoryError),
@@ -176,9 +184,11 @@ impl Failure {
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Usage(_) | Self::Keys(MakeKeysError::Exists(_)) => 2,
-            Self::Checkpoint(_) | Self::History(_) | Self::NothingToShow(_) | Self::Keys(MakeKeysError::Io { .. }) => {
-                66
-            }
+            Self::Checkpoint(_)
+            | Self::Missing { .. }
+            | Self::History(_)
+            | Self::NothingToShow(_)
+            | Self::Keys(MakeKeysError::Io { .. }) => 66,
             Self::Config(_)
             | Self::OtherSettings(_)
             | Self::Keys(_)

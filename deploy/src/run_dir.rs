@@ -11,7 +11,7 @@ use serde_json::Value;
 use time::OffsetDateTime;
 
 use crate::cli::RunArgs;
-use crate::config::{Config, Preset};
+use crate::config::{Config, Preset, nearest};
 use crate::exit::Failure;
 use crate::replace::{PLAIN, SECRET, replace};
 
@@ -81,6 +81,40 @@ struct Meta<'a> {
 pub fn preset_of(paths: &RunPaths) -> Option<String> {
     let meta: Value = serde_json::from_slice(&fs::read(paths.meta()).ok()?).ok()?;
     Some(meta["preset"].as_str()?.to_owned())
+}
+
+/// Checks that a run, a checkpoint, or a recording exists.
+///
+/// # Errors
+/// [`Failure::Missing`] with the path that is most like the given one where the two part.
+pub fn check_exists(path: &Path) -> Result<(), Failure> {
+    if path.exists() {
+        return Ok(());
+    }
+    let here = |folder: &Path| if folder == Path::new("") { PathBuf::from(".") } else { folder.to_owned() };
+    // The first name that a folder lacks.
+    let lacks = |missing: &&Path| missing.parent().is_some_and(|folder| here(folder).is_dir());
+    let alike = path.ancestors().find(lacks).and_then(|missing| {
+        let (folder, name) = (missing.parent()?, missing.file_name()?.to_string_lossy());
+        let entries = fs::read_dir(here(folder)).into_iter().flatten().flatten();
+        let names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+        let listed = names.iter().map(String::as_str).filter(|name| !name.starts_with('.'));
+        Some(folder.join(nearest(&name, listed)?).display().to_string())
+    });
+    Err(Failure::Missing { path: path.to_owned(), nearest: alike })
+}
+
+/// Checks that a folder is that of a run.
+///
+/// # Errors
+/// That it does not exist, or has no configuration; then with the runs in it.
+pub fn check_run(folder: &Path) -> Result<(), Failure> {
+    check_exists(folder)?;
+    if RunPaths::new(folder).config().exists() {
+        return Ok(());
+    }
+    let (shown, runs) = (folder.display(), runs_in(folder));
+    Err(Failure::NothingToShow(format!("{shown} is no folder of a run: it has no config.toml{runs}")))
 }
 
 /// What to add to a message about a folder that is not a run's: the newest runs in it, or nothing.
@@ -355,6 +389,31 @@ mod tests {
         assert_eq!(modes(WebConfig::default()), [mode(paths.lock()); 2], "as for any file");
         let token = Some("0123456789abcdef".to_owned().into());
         assert_eq!(modes(WebConfig { token, ..WebConfig::default() }), [0o600; 2]);
+    }
+
+    #[test]
+    fn a_path_that_is_missing_is_named_with_the_one_that_was_meant() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        for run in ["2026-11-26T0800-quickstart", "2026-11-26T0900-laptop", ".2026-11-26T0800-quickstrat.swp"] {
+            fs::create_dir_all(path(run).join("checkpoints/step-2048")).unwrap();
+        }
+        let nearest = |name: &str| match check_exists(&path(name)).unwrap_err() {
+            Failure::Missing { nearest, .. } => nearest,
+            other => panic!("{other}"),
+        };
+        let meant = |name: &str| Some(path(name).display().to_string());
+        let run = "2026-11-26T0800-quickstart";
+        assert_eq!(nearest("2026-11-26T0800-quickstrat"), meant(run));
+        assert_eq!(nearest("2026-11-26T0800-quickstrat/checkpoints/step-2048"), meant(run));
+        let checkpoints = format!("{run}/checkpoints/");
+        assert_eq!(nearest(&format!("{checkpoints}step-2047")), meant(&format!("{checkpoints}step-2048")));
+        assert_eq!(nearest("zzz"), None);
+        assert!(check_exists(&path(run)).is_ok());
+        let message = check_run(&path("gone")).unwrap_err().to_string();
+        assert_eq!(message, format!("{} does not exist", path("gone").display()));
+        let message = check_run(&path(run)).unwrap_err().to_string();
+        assert!(message.contains("no folder of a run") && message.contains("config.toml"), "{message}");
     }
 
     #[test]

@@ -38,6 +38,8 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["train", "--actors", "65"], &["--actors", "65 is not in 1..=64"]),
         (&["train", "--preset", "papr"], &["papr", "paper", "quickstart"]),
         (&["train", "--device", "tpu"], &["--device", "tpu", "cpu", "gpu"]),
+        (&["train", "--device", "cuda"], &["--device", "cuda", "a similar value exists: 'gpu'"]),
+        (&["learner", "--device", "CUDA:0"], &["--device", "CUDA:0", "a similar value exists: 'gpu'"]),
         (&["train", "--web", "page"], &["--web", "page", "ADDRESS:PORT"]),
         (&["completions", "cmd"], &["cmd", "bash", "zsh", "fish"]),
         (&["eval"], &["--checkpoint", "--pretrained"]),
@@ -91,8 +93,6 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["train", "--set", "actor"], None, &["--set actor", "KEY=VALUE"]),
         (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
         (&["actor"], None, &["bus.connect = []", "router"]),
-        (&["train", "--resume", "gone"], None, &["gone", "no folder of a run"]),
-        (&["render", "gone", "--out", "films"], None, &["gone", "cannot be read"]),
         (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
         (&["render", "my.toml", "--out", "films"], Some(""), &["my.toml", "is empty"]),
         (&["render", "my.toml", "--out", "films"], Some("\u{8}\u{1}\u{12}\u{6}exp"), &["my.toml", "cut off"]),
@@ -118,8 +118,27 @@ fn a_wrong_variable_is_named() {
 }
 
 #[test]
-fn a_missing_checkpoint_is_named() {
-    check_refused(&["eval", "--checkpoint", "gone"], &[], None, 66, &["gone"]);
+fn whatever_is_missing_is_named_with_one_code() {
+    for args in [
+        &["eval", "--checkpoint", "gone"][..],
+        &["play", "--checkpoint", "gone"],
+        &["record", "--checkpoint", "gone", "--split", "test", "--out", "played"],
+        &["export", "--checkpoint", "gone", "--out", "policy.safetensors"],
+        &["train", "--resume", "gone"],
+        &["learner", "--resume", "gone", "--connect", "tcp/127.0.0.1:1"],
+        &["train", "--init-from", "gone"],
+        &["serve", "gone"],
+        &["report", "gone"],
+        &["render", "gone", "--out", "films"],
+    ] {
+        check_refused(args, &[], None, 66, &["error: gone does not exist"]);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir_all(folder.path().join("runs/2026-11-26T0800-quickstart")).unwrap();
+    let output = lodestone(folder.path(), &["eval", "--checkpoint", "runs/2026-11-26T0800-quickstrat"], &[]);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(66), "{stderr}");
+    assert!(stderr.contains("quickstrat does not exist; did you mean `runs/2026-11-26T0800-quickstart`?"), "{stderr}");
 }
 
 #[test]

@@ -119,6 +119,10 @@ impl<'q> Wishes<'q> {
                 Some(("seed", value)) => {
                     wishes.seed = value.parse().map_err(|_| format!("seed={value} is no number"))?;
                 }
+                Some((key @ ("agent" | "mode"), value)) => {
+                    let known = if key == "agent" { "policy or expert" } else { "greedy or sampled" };
+                    return Err(format!("{key}={value} is not known: use {known}"));
+                }
                 _ => return Err(format!("`{pair}` is not known: use blueprint, after, agent, mode and seed")),
             }
         }
@@ -273,8 +277,9 @@ mod tests {
             ("blueprint=2_000&seed=-1", "seed=-1"),
             ("blueprint=2_000&after=2_001,", "no blueprint ``"),
             (&many, "more than 9 goals"),
-            ("blueprint=2_000&agent=me", "`agent=me`"),
-            ("blueprint=2_000&speed=2", "`speed=2`"),
+            ("blueprint=2_000&agent=me", "agent=me is not known: use policy or expert"),
+            ("blueprint=2_000&mode=", "mode= is not known: use greedy or sampled"),
+            ("blueprint=2_000&speed=2", "`speed=2` is not known: use blueprint, after, agent, mode and seed"),
         ] {
             let reason = Order::named(query, catalog).unwrap_err();
             assert!(reason.contains(words), "{query}: {reason}");
@@ -289,7 +294,7 @@ mod tests {
         for (query, file, words) in [
             ("blueprint=2_000", file.as_bytes(), "must not name one"),
             ("after=2_000", file.as_bytes(), "must not name goals before"),
-            ("agent=me", file.as_bytes(), "`agent=me`"),
+            ("agent=me", file.as_bytes(), "agent=me is not known: use policy or expert"),
             ("", b"\xff", "not text"),
             ("", b"{}", "line 1"),
             ("", file.replace("1x1x1", "9x9x9").as_bytes(), "unknown type"),

@@ -74,12 +74,7 @@ impl ConfigArgs {
         };
         if let Some(folder) = resume {
             // Runs of earlier versions name no base; like all others, they are merged over the defaults.
-            let path = RunPaths::new(folder).config();
-            if !path.exists() {
-                let message = "no folder of a run: it has no config.toml".to_owned();
-                return Err(ConfigError::Value { origin: folder.display().to_string(), message });
-            }
-            let (text, origin) = read(&path)?;
+            let (text, origin) = read(&RunPaths::new(folder).config())?;
             return settings(&text, &origin, Base::Defaults, origin.clone(), None);
         }
         if let Some(file) = &self.config {

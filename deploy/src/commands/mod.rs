@@ -32,7 +32,7 @@ use crate::config::Override;
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::Terminal;
-use crate::run_dir::Origin;
+use crate::run_dir::{Origin, check_run};
 use crate::{health, signals};
 
 /// Threads for the bus and for services that wait; stepping and training use their own threads.
@@ -81,7 +81,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
             let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
-            let origin = origin(&args.run, &args.config, &said);
+            let origin = origin(&args.run, &args.config, &said)?;
             if let (Some(run), false) = (&origin.checkpoint, args.blueprint.is_empty()) {
                 let run = run.display();
                 return Err(Failure::Usage(format!(
@@ -113,7 +113,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         }
         Command::Learner(args) => {
             let flags = [args.member.endpoints.overrides("learner"), args.run.overrides()].concat();
-            let origin = origin(&args.run, &args.member.config, terminal);
+            let origin = origin(&args.run, &args.member.config, terminal)?;
             let Some(settings) = configure(&args.member.config, origin.config.as_ref(), flags, terminal)? else {
                 return Ok(());
             };
@@ -128,7 +128,11 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
 }
 
 /// Where the run starts; prints a note if the given preset or file is ignored, or if there is no checkpoint to resume.
-fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Origin {
+///
+/// # Errors
+/// When the folder to continue is not that of a run.
+fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Result<Origin, Failure> {
+    run.resume.as_deref().map_or(Ok(()), check_run)?;
     let origin = Origin::find(run);
     if let (Some(folder), None) = (&origin.config, &origin.checkpoint) {
         terminal.print(&format!("{} has no checkpoint yet: the run begins again", folder.display()));
@@ -138,7 +142,7 @@ fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Origin {
         let ignored = ignored.map_or_else(String::new, |name| format!("; `{name}` is not read"));
         terminal.print(&format!("the run in {} goes on with its own configuration{ignored}", folder.display()));
     }
-    origin
+    Ok(origin)
 }
 
 /// Prints a value as JSON.

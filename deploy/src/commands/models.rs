@@ -9,7 +9,7 @@ use crate::cli::{ExportArgs, ModelArgs};
 use crate::config::{Base, Config, ConfigError, Override, Preset, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::run_dir::runs_in;
+use crate::run_dir::{check_exists, runs_in};
 use runlog::RunPaths;
 
 /// The shipped policy; `pretrained/README.md` describes how it was trained and what it can do.
@@ -58,6 +58,7 @@ impl Source {
 
     /// Reads an exported file, or the newest checkpoint of a folder.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+        check_exists(path)?;
         let unusable = |error: CheckpointError| Failure::Checkpoint(error.into());
         if path.is_file() {
             let read = |error| anyhow::Error::new(error).context(format!("reading {}", path.display()));

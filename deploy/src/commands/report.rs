@@ -15,6 +15,7 @@ use super::seeds;
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
+use crate::run_dir::check_exists;
 
 /// Default output folder, inside the run's folder.
 const REPORT: &str = "report";
@@ -30,6 +31,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if args.beside.len() >= MAX_RUNS {
         return Err(Failure::Usage(format!("--beside: a picture has room for {} runs besides RUN", MAX_RUNS - 1)));
     }
+    check_exists(&args.run)?;
     let seeds = seeds::runs_in(&args.run);
     if !seeds.is_empty() && !RunPaths::new(args.run.clone()).history().exists() {
         if args.minus.is_some() || !args.beside.is_empty() {
@@ -41,7 +43,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
         return of_seeds(args, &seeds, terminal, stdout);
     }
     let (acting, name) = (args.acting, name(&args.run));
-    let all = History::read(&RunPaths::new(args.run.clone()).history())?;
+    let all = history(&args.run)?;
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
     let what = format!("{name}, {acting} actions, {}", episodes(&passes, acting));
@@ -83,7 +85,7 @@ fn of_seeds(args: &ReportArgs, seeds: &[PathBuf], terminal: &Terminal, stdout: &
     let mut files = vec![("seeds.md".to_owned(), table.clone().into_bytes())];
     if let [first, others @ ..] = &seeds[..seeds.len().min(MAX_RUNS)] {
         let args = ReportArgs { run: first.clone(), beside: others.to_vec(), ..args.clone() };
-        let all = History::read(&RunPaths::new(first.clone()).history())?;
+        let all = history(first)?;
         files.extend(comparison(&shown(&all, first, terminal), &args, terminal)?);
     }
     let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
@@ -121,7 +123,7 @@ fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, out: &Path, files: 
 }
 
 fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Terminal) -> Result<Vec<File>, Failure> {
-    let all = History::read(&RunPaths::new(minus).history())?;
+    let all = history(minus)?;
     let others = shown(&all, minus, terminal);
     if Grid::success(&others, args.acting).is_none() {
         return Err(nothing(minus, &others, args.acting));
@@ -145,8 +147,7 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
 }
 
 fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<Vec<File>, Failure> {
-    let histories = args.beside.iter().map(|run| History::read(&RunPaths::new(run.clone()).history()));
-    let histories = histories.collect::<Result<Vec<_>, _>>()?;
+    let histories = args.beside.iter().map(|run| history(run)).collect::<Result<Vec<_>, _>>()?;
     let mut evaluations = vec![passes.to_vec()];
     for (run, all) in args.beside.iter().zip(&histories) {
         let passes = shown(all, run, terminal);
@@ -168,6 +169,12 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
         ))
     })?;
     picture("comparison", &drawing)
+}
+
+/// All evaluations of a run.
+fn history(run: &Path) -> Result<Vec<Pass>, Failure> {
+    check_exists(run)?;
+    Ok(History::read(&RunPaths::new(run).history())?)
 }
 
 /// The evaluations to show; prints how many are left out.

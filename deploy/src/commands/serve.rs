@@ -22,7 +22,7 @@ use crate::cli::ServeArgs;
 use crate::config::{Base, Config, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::run_dir::{preset_of, runs_in};
+use crate::run_dir::{check_run, preset_of};
 
 /// Serves the page until `shutdown`, or writes the copy.
 ///
@@ -94,13 +94,8 @@ fn finished(folder: &Path, run: String) -> Result<FinishedRun, Failure> {
 
 /// The configuration that the run saved.
 fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
-    let (path, folder) = (paths.config(), paths.folder().display());
-    if !path.exists() {
-        return Err(Failure::NothingToShow(format!(
-            "{folder} is no folder of a run: it has no config.toml{}",
-            runs_in(paths.folder())
-        )));
-    }
+    check_run(paths.folder())?;
+    let path = paths.config();
     let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
     let config = merge(&text, &path.display().to_string(), Base::Defaults, &[])?;
     config.validate()?;
@@ -134,13 +129,6 @@ mod tests {
     use blueprints::Catalog;
 
     use super::*;
-
-    #[test]
-    fn a_folder_that_is_no_run_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let error = finished(folder.path(), String::new()).unwrap_err().to_string();
-        assert!(error.contains("no folder of a run") && error.contains("config.toml"), "{error}");
-    }
 
     #[test]
     fn a_copy_has_one_blueprint_of_every_group_unless_some_are_named_or_were_given() {

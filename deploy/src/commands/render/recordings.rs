@@ -12,6 +12,7 @@ use runlog::RunPaths;
 
 use super::{Goals, Named};
 use crate::exit::Failure;
+use crate::run_dir::check_exists;
 
 /// File extension of recordings.
 const KIND: &str = "trajectory";
@@ -27,6 +28,7 @@ struct Recording {
 pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, Failure> {
     let mut recordings: Vec<Recording> = Vec::new();
     for path in paths {
+        check_exists(path)?;
         if path.is_dir() {
             for (name, path) in of_run(path)? {
                 // Each file is a complete episode. Episodes of one blueprint from several evaluations differ only in
