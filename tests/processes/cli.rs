@@ -113,6 +113,11 @@ fn wrong_configurations_are_named_with_what_is_valid() {
 fn a_wrong_variable_is_named() {
     let variables = [("LODESTONE_LEARNER__GAMA", "0.9")];
     check_refused(&["train"], &variables, None, 64, &["LODESTONE_LEARNER__GAMA", "did you mean `gamma`"]);
+    // One underscore instead of two.
+    let variables = [("LODESTONE_LEARNER_GAMMA", "0.5"), ("LODESTONE_PYTHON", "python"), ("LODESTONE_PORT", "tcp://")];
+    let words = ["LODESTONE_LEARNER_GAMMA", "did you mean `LODESTONE_LEARNER__GAMMA`"];
+    check_refused(&["train", "--steps", "1"], &variables, None, 64, &words);
+    check_refused(&["blueprints", "list"], &variables, None, 64, &words);
     let steps = [("LODESTONE_STEPS", "abc")];
     check_refused(&["train"], &steps, None, 2, &["'abc' for '--steps <N>'", "variable LODESTONE_STEPS"]);
 }

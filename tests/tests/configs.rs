@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use deploy::config::{Config, PRESETS};
+use deploy::config::{Config, PRESETS, check_variables};
 
-use crate::repository::{files, read, root};
+use crate::repository::{files, read, root, shown};
 
 #[test]
 fn every_preset_parses_and_round_trips() {
@@ -34,4 +34,25 @@ fn the_binary_embeds_every_preset() {
     for preset in PRESETS {
         assert_eq!(preset.text, read(&root().join(format!("deploy/config/{}.toml", preset.name))), "{}", preset.name);
     }
+}
+
+#[test]
+fn every_variable_of_scripts_and_manifests_exists() {
+    let mut paths = files(root(), &["sh", "sbatch", "yaml", "yml", "py", "example"]);
+    paths.extend([".ci/run", "deploy/slurm/lodestone-slurm", "deploy/Dockerfile"].map(|path| root().join(path)));
+    let mut n_names = 0;
+    for path in paths {
+        let text = read(&path);
+        for rest in text.split("LODESTONE_").skip(1) {
+            let end = rest.find(|c: char| !(c.is_ascii_uppercase() || c.is_ascii_digit() || c == '_'));
+            let name = format!("LODESTONE_{}", &rest[..end.unwrap_or(rest.len())]);
+            if name.ends_with('_') {
+                continue;
+            }
+            n_names += 1;
+            let known = check_variables([name.as_str()]);
+            assert!(known.is_ok(), "{}: {}", shown(&path), known.unwrap_err());
+        }
+    }
+    assert!(n_names > 100, "{n_names} names were found");
 }

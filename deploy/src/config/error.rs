@@ -36,6 +36,17 @@ pub enum ConfigError {
         /// The most similar existing key.
         nearest: Option<String>,
     },
+    /// An environment variable that begins like ours and means nothing.
+    #[error(
+        "{name}: there is no such variable{}",
+        suggestion_or(nearest, "; settings have two underscores between section and key: LODESTONE_LEARNER__GAMMA")
+    )]
+    UnknownVariable {
+        /// The name given.
+        name: String,
+        /// The most similar existing name.
+        nearest: Option<String>,
+    },
     /// Text that is not TOML, or a value of the wrong type.
     #[error("{origin}: {message}")]
     Value {

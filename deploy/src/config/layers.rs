@@ -2,13 +2,14 @@
 
 use std::ffi::OsString;
 
+use super::variables::SETTINGS;
 use super::{Config, ConfigError, Preset};
 
 /// Name of the base of a file that overrides the plain defaults.
 pub const NO_BASE: &str = "none";
 
-/// Prefix of every variable that sets a key.
-const PREFIX: &str = "LODESTONE_";
+/// Prefix of every variable of this program.
+pub(super) const PREFIX: &str = "LODESTONE_";
 
 /// A key that is set from outside the file.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,8 +45,8 @@ impl Override {
     /// The overrides among these variables, ordered by variable name.
     ///
     /// `LODESTONE_LEARNER__GAMMA` sets `learner.gamma`. Only names with two underscores between section and key count,
-    /// plus `LODESTONE_SEED`, `LODESTONE_RUN`, and `LODESTONE_DEVICE`: Kubernetes sets variables such as
-    /// `LODESTONE_PORT_7447_TCP` in every container for a service named `lodestone`, and these are not settings.
+    /// plus `LODESTONE_SEED`, `LODESTONE_RUN`, and `LODESTONE_DEVICE`. [`check_variables`](super::check_variables)
+    /// refuses what is no variable of ours.
     ///
     /// # Errors
     /// Names a setting whose value is not Unicode. Other variables may hold anything.
@@ -53,7 +54,7 @@ impl Override {
         let of_variable = |(name, value): (OsString, OsString)| {
             let name = name.to_string_lossy().into_owned();
             let key = name.strip_prefix(PREFIX)?.to_ascii_lowercase();
-            let counts = key.contains("__") || ["seed", "run", "device"].contains(&key.as_str());
+            let counts = key.contains("__") || SETTINGS.iter().any(|name| name.eq_ignore_ascii_case(&key));
             // The run's name is a setting of the bus, but every process may set it.
             let key = if key == "run" { "bus__run".to_owned() } else { key };
             // A name is text, whatever TOML would make of it: 7 and 2026-11-23 are names, too.

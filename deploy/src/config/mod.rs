@@ -6,6 +6,7 @@
 mod error;
 mod layers;
 mod presets;
+mod variables;
 
 use actor::{ActorConfig, EnvironmentConfig, PolicyConfig};
 use bus::BusConfig;
@@ -19,6 +20,7 @@ pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
 pub use layers::{Base, NO_BASE, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
+pub use variables::check_variables;
 
 /// Largest seed, because TOML's integers are signed.
 pub(crate) const MAX_SEED: u64 = i64::MAX as u64;
