@@ -10,7 +10,8 @@ fn main() -> io::Result<()> {
     let mut names = Vec::new();
     for entry in fs::read_dir(&folder)? {
         let name = entry?.file_name().into_string().map_err(|name| io::Error::other(format!("bad name {name:?}")))?;
-        if name.ends_with(".toml") {
+        // Editors keep hidden files beside those that they have open.
+        if name.ends_with(".toml") && !name.starts_with('.') {
             names.push(name);
         }
     }

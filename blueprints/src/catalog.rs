@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsStr;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -126,7 +127,7 @@ impl Catalog {
         &BUILTIN
     }
 
-    /// Reads every `*.toml` file of a folder, or one file. The files may have any name.
+    /// Reads every `*.toml` file of a folder, or one file. The files may have any name; see [`read_files`].
     ///
     /// # Errors
     /// The first error, in file name order; see [`CatalogError`].
@@ -244,7 +245,8 @@ fn checked<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Ve
     files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?))).collect()
 }
 
-/// Reads the `(path, text)` of every `*.toml` file of a folder, sorted by name, or of one file with any name.
+/// Reads the `(path, text)` of every `*.toml` file of a folder, sorted by name, or of one file with any name. In a
+/// folder, names that begin with a dot are passed over: they are the locks and copies of editors and file systems.
 ///
 /// # Errors
 /// [`CatalogError::Empty`] for a folder without such files, [`CatalogError::Missing`] or [`CatalogError::Io`] with the
@@ -260,9 +262,10 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
     let mut paths = Vec::new();
     if path.is_dir() {
         for entry in fs::read_dir(path).map_err(failed(path))? {
-            let entry = entry.map_err(failed(path))?.path();
-            if entry.extension().is_some_and(|extension| extension == "toml") {
-                paths.push(entry);
+            let entry = entry.map_err(failed(path))?;
+            let (name, path) = (entry.file_name(), entry.path());
+            if path.extension().is_some_and(|extension| extension == "toml") && !is_hidden(&name) {
+                paths.push(path);
             }
         }
         // Do not return an empty list, because it would pass every check.
@@ -284,6 +287,11 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
         Ok((path.display().to_string(), text))
     };
     paths.into_iter().map(read).collect()
+}
+
+/// Returns whether a folder's listing usually leaves out this name.
+pub fn is_hidden(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(b".")
 }
 
 /// Decodes a file's bytes as UTF-8.

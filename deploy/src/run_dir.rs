@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use blueprints::catalog::is_hidden;
 use runlog::RunPaths;
 use serde::Serialize;
 use serde_json::Value;
@@ -123,6 +124,7 @@ pub fn runs_in(folder: &Path) -> String {
     const N_NAMED: usize = 3;
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut runs: Vec<(SystemTime, PathBuf)> = entries
+        .filter(|entry| !is_hidden(&entry.file_name()))
         .filter_map(|entry| {
             let path = entry.path();
             let begun = fs::metadata(RunPaths::new(&path).config()).and_then(|config| config.modified());

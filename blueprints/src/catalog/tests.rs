@@ -27,6 +27,24 @@ fn a_folder_without_blueprints_is_not_an_empty_list() {
 }
 
 #[test]
+fn hidden_names_in_a_folder_are_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let (name, text) = BUILTIN_FILES[0];
+    fs::write(folder.path().join(name), text).unwrap();
+    // What editors and file systems leave beside a file: a lock that points nowhere, and bytes of their own.
+    std::os::unix::fs::symlink("nobody@nowhere.1", folder.path().join(format!(".#{name}"))).unwrap();
+    let copy = folder.path().join(format!("._{name}"));
+    fs::write(&copy, b"\0\x05\x16\x07\xff").unwrap();
+    let names: Vec<String> = read_files(folder.path()).unwrap().into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, [folder.path().join(name).display().to_string()]);
+    assert_eq!(Catalog::load(folder.path()).unwrap().len(), 1);
+    // A file that is named is read, whatever it is called.
+    assert!(matches!(read_files(&copy), Err(CatalogError::NotText { .. })));
+    fs::remove_file(folder.path().join(name)).unwrap();
+    assert!(matches!(read_files(folder.path()), Err(CatalogError::Empty(_))));
+}
+
+#[test]
 fn a_path_with_nothing_is_told_so() {
     let nowhere = Path::new(env!("CARGO_MANIFEST_DIR")).join("nowhere");
     let message = read_files(&nowhere).unwrap_err().to_string();

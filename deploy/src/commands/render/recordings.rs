@@ -5,6 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use blueprints::BlueprintId;
+use blueprints::catalog::is_hidden;
 use proto::codec::{MAX_RECORDING_BYTES, PROTOCOL_VERSION, decode_recording};
 use proto::{DecodeError, Trajectory};
 use render::video::{Episode, is_same_episode};
@@ -102,8 +103,11 @@ fn of_run(run: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     if found.is_empty() { Err(nothing("no recordings yet")) } else { Ok(found) }
 }
 
+/// What a folder holds, without hidden names, sorted.
 fn sorted(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let mut paths: Vec<PathBuf> = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
+    let entries: Vec<fs::DirEntry> = fs::read_dir(folder)?.collect::<io::Result<_>>()?;
+    let listed = entries.iter().filter(|entry| !is_hidden(&entry.file_name()));
+    let mut paths: Vec<PathBuf> = listed.map(fs::DirEntry::path).collect();
     paths.sort();
     Ok(paths)
 }
