@@ -208,6 +208,12 @@ impl Catalog {
         self.get(id).map(Cow::Borrowed).or_else(generated)
     }
 
+    /// Returns the catalog's or the generator's blueprint with the id of this one, if it is another structure. Two names
+    /// for one structure do no harm, but one name for two structures would hide one of them.
+    pub fn namesake(&self, blueprint: &Blueprint) -> Option<Cow<'_, Blueprint>> {
+        self.find(blueprint.id()).filter(|other| other.canonical_hash() != blueprint.canonical_hash())
+    }
+
     /// Returns whether training may use a structure, which must not share its outline with a held-out structure.
     /// Mirroring a structure, swapping its poles, or tiling its cells with other blocks does not change the outline.
     pub fn is_for_training(&self, blueprint: &Blueprint) -> bool {

@@ -16,7 +16,7 @@ pub use crate::infer::{FoundTurn, WayReason};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
 use crate::{
-    Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, Link, NoAssembly, Placement,
+    Assembly, BlockIdx, Blueprint, BlueprintId, Catalog, CubeRotation, Inventory, Link, NoAssembly, Placement,
     RelativePlacement, Split,
 };
 
@@ -274,7 +274,7 @@ pub(crate) fn check_placements(
     Ok(structure.blueprint())
 }
 
-/// Runs every check on `(file name, text)` pairs that will form one catalog.
+/// Runs every check on `(file name, text)` pairs that will form one catalog, beside the built-in one.
 pub fn check_all<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Vec<Report> {
     let mut reports: Vec<_> = files.into_iter().map(|(file, text)| check_text(file, text)).collect();
     let mut by_id: BTreeMap<BlueprintId, String> = BTreeMap::new();
@@ -283,7 +283,10 @@ pub fn check_all<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Vec
         let outcome = match &report.blueprint {
             Err(_) => Outcome::Skipped,
             Ok(blueprint) => {
-                let id_taken = by_id.get(blueprint.id()).map(|other| format!("{other} has the same id"));
+                let other = Catalog::builtin().namesake(blueprint);
+                let in_catalog = other.map(|_| "the catalog has another structure with this id".to_owned());
+                let by_file = by_id.get(blueprint.id()).map(|other| format!("{other} has the same id"));
+                let id_taken = in_catalog.or(by_file);
                 let hash = blueprint.canonical_hash();
                 let shape_taken = by_hash.get(&hash).map(|other| format!("{other} is the same structure"));
                 by_id.entry(blueprint.id().clone()).or_insert_with(|| report.file.clone());

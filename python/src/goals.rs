@@ -119,11 +119,11 @@ fn texts(own: &Catalog) -> impl Iterator<Item = String> {
 /// Adds the user's own blueprints to the goals and the catalog.
 ///
 /// # Errors
-/// Returns an error if another structure among the goals has the same id.
+/// Returns an error if another structure, of the catalog or among the goals, has the same id.
 fn add(own: &Catalog, ids: &mut Vec<BlueprintId>, catalog: &mut Catalog) -> Result<(), GoalError> {
     for blueprint in own.iter() {
         let other = catalog.find(blueprint.id()).map(|other| other.canonical_hash());
-        if ids.contains(blueprint.id()) && other != Some(blueprint.canonical_hash()) {
+        if other.is_some_and(|other| other != blueprint.canonical_hash()) {
             return Err(GoalError::Repeated(blueprint.id().clone()));
         }
     }

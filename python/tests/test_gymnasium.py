@@ -38,6 +38,7 @@ COPY = (CATALOG / "4_000.toml").read_text().replace('"4_000"', '"mine_4_000"')
 
 # Two structures under one name.
 TWINS = [(CATALOG / f"{name}.toml").read_text().replace(f'"{name}"', '"mine"') for name in ("3_000", "4_000")]
+HIDING = (CATALOG / "3_001.toml").read_text().replace('"3_001"', '"3_000"')
 
 
 class SingleEnvironment(unittest.TestCase):
@@ -162,6 +163,8 @@ class SingleEnvironment(unittest.TestCase):
             ({"starts": "prebuilt:train"}, '"train" is unknown: expected one id, such as 4_000'),
             ({"blueprint": ["4_000", COPY]}, "blueprint 4_000 is the same structure as another one"),
             ({"blueprint": TWINS}, "two different blueprints are called mine:"),
+            ({"blueprint": HIDING}, "two different blueprints are called 3_000:"),
+            ({"blueprint": ["3_000", HIDING]}, "two different blueprints are called 3_000:"),
             ({"num_threads": -1}, "num_threads is -1: expected a whole number from 1 to 1024"),
             ({"features": "none"}, "features is 'none': expected all or paper"),
             ({"features": {"up": True}}, "unknown field `up`"),

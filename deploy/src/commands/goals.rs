@@ -1,8 +1,10 @@
 //! Resolves the blueprints that a command is about: from the catalog, generated, or from the user's files.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use anyhow::{Context, anyhow};
 use blueprints::catalog::read_files;
 use blueprints::checks::check_text;
 use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
@@ -43,16 +45,26 @@ impl Goals {
     /// path in it.
     ///
     /// # Errors
-    /// As for [`Self::open`]; also when a blueprint of the run cannot be read.
+    /// As for [`Self::open`]; also when a blueprint of the run cannot be read, or is not the one that the run began
+    /// with.
     pub(super) fn open_beside(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
         let mut goals = Self { catalog: Cow::Borrowed(Catalog::builtin()), own: Vec::new(), ids: Vec::new() };
         if let Some(folder) = run.and_then(blueprints_of_run) {
-            goals.add(&Catalog::load(&folder)?);
+            let kept = Catalog::load(&folder)?;
+            check_unchanged(&folder, &kept)?;
+            goals.add(&kept);
         }
         let mut before: Vec<Named> = Vec::new();
         for name in named {
             let found = if is_path(name) {
-                Catalog::load(Path::new(name))?
+                let own = Catalog::load(Path::new(name))?;
+                if let Some(hidden) = own.iter().find_map(|own| Catalog::builtin().namesake(own)) {
+                    let id = hidden.id();
+                    return Err(Failure::Usage(format!(
+                        "{name}: the id {id} is taken by another structure of the catalog; give the file another `id`"
+                    )));
+                }
+                own
             } else {
                 // A file with the same structure may already have replaced the built-in blueprint.
                 let found =
@@ -174,7 +186,7 @@ impl TrainingGoals {
     }
 
     /// Writes blueprints that the built-in catalog lacks to the run's folder, so that the run can resume without the
-    /// original files.
+    /// original files, and what tells whether they are still the same.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -185,7 +197,11 @@ impl TrainingGoals {
         let text = |goal: &&Blueprint| {
             (format!("{}.toml", goal.id()), goal.to_toml("a goal that this run was given").into_bytes())
         };
-        write_files(&run.blueprints(), &self.own.iter().map(text).collect::<Vec<_>>())?;
+        let structures: BTreeMap<&str, String> =
+            self.own.iter().map(|goal| (goal.id().as_str(), fingerprint(goal))).collect();
+        let structures = serde_json::to_vec_pretty(&structures).map_err(anyhow::Error::from)?;
+        let files = self.own.iter().map(text).chain([(STRUCTURES.to_owned(), structures)]);
+        write_files(&run.blueprints(), &files.collect::<Vec<_>>())?;
         Ok(())
     }
 }
@@ -206,6 +222,38 @@ fn is_repeated(before: &[Named], id: &BlueprintId, structure: u64, name: &str) -
         Some(other) => Err(Failure::Usage(format!(
             "{name}: {id} is the same structure as {} of {}; name only one of them",
             other.id, other.name
+        ))),
+    }
+}
+
+/// Name of the file, beside a run's blueprints, with the fingerprint of each one's structure. Runs of earlier versions
+/// have none.
+const STRUCTURES: &str = "structures.json";
+
+fn fingerprint(blueprint: &Blueprint) -> String {
+    format!("{:016x}", blueprint.canonical_hash())
+}
+
+/// Checks that the blueprints kept with a run have the structures that the run began with.
+///
+/// # Errors
+/// Names the blueprint that was replaced.
+fn check_unchanged(folder: &Path, kept: &Catalog) -> Result<(), Failure> {
+    let path = folder.join(STRUCTURES);
+    if !path.exists() {
+        return Ok(());
+    }
+    let reading = || format!("reading {}", path.display());
+    let text = std::fs::read(&path).with_context(reading).map_err(Failure::Checkpoint)?;
+    let known: BTreeMap<String, String> =
+        serde_json::from_slice(&text).with_context(reading).map_err(Failure::Checkpoint)?;
+    let is_other = |goal: &&Blueprint| known.get(goal.id().as_str()).is_some_and(|known| *known != fingerprint(goal));
+    match kept.iter().find(is_other) {
+        None => Ok(()),
+        Some(goal) => Err(Failure::Checkpoint(anyhow!(
+            "{}: {} is not the structure that the run began with: put it back, or start a run with the new one",
+            folder.display(),
+            goal.id()
         ))),
     }
 }
@@ -318,6 +366,13 @@ mod tests {
         assert_eq!((resumed.catalog(), resumed.settings().len()), (goals.catalog(), 0));
         let evaluated = Goals::open_beside(&["my-tower".to_owned()], Some(&run.checkpoints().join("step-1"))).unwrap();
         assert_eq!(evaluated.blueprints().unwrap().len(), 1);
+
+        let kept = run.blueprints().join("my-tower.toml");
+        let other = Catalog::builtin().get(&"3_001".parse().unwrap()).unwrap().to_toml("another structure");
+        std::fs::write(&kept, other.replace("\"3_001\"", "\"my-tower\"")).unwrap();
+        let error = TrainingGoals::open(&[], Some(run.folder())).err().unwrap();
+        assert!(matches!(error, Failure::Checkpoint(_)), "{error}");
+        assert!(error.to_string().contains("my-tower is not the structure that the run began with"), "{error}");
     }
 
     #[test]
@@ -333,11 +388,17 @@ mod tests {
         let copy = write("copy.toml", text("6_005").replace("\"6_005\"", "\"copy\""));
         let a = write("a/x.toml", text("2_003").replace("\"2_003\"", "\"x\""));
         let b = write("b/x.toml", text("3_001").replace("\"3_001\"", "\"x\""));
+        let hiding = write("hiding.toml", text("3_001").replace("\"3_001\"", "\"3_000\""));
+        let generated = write("generated.toml", text("6_005").replace("\"6_005\"", "\"gen1-any-0_6_000\""));
         assert_eq!(ids(&[&copy, &copy]), ["copy"]);
         for (named, words) in [
             ([copy.as_str(), "6_005"], "6_005: 6_005 is the same structure as copy of"),
             (["6_005", copy.as_str()], "copy is the same structure as 6_005 of 6_005; name only one"),
             ([a.as_str(), b.as_str()], "the id x is taken by"),
+            ([hiding.as_str(), "3_000"], "the id 3_000 is taken by another structure of the catalog"),
+            (["3_000", hiding.as_str()], "the id 3_000 is taken by another structure of the catalog"),
+            ([hiding.as_str(), "6_005"], "the id 3_000 is taken by another structure of the catalog"),
+            ([generated.as_str(), "6_005"], "the id gen1-any-0_6_000 is taken by another structure"),
         ] {
             let named = named.map(str::to_owned);
             let message = Goals::open(&named).err().unwrap().to_string();
