@@ -54,7 +54,7 @@ pub(crate) enum StartsError {
     Blueprint(#[from] GoalError),
     /// The blueprint of a start is unknown.
     #[error("start {0:?}")]
-    Prebuilt(String, #[source] GoalError),
+    Prebuilt(String, #[source] Box<GoalError>),
     /// The weight is invalid.
     #[error("the weight of start {start:?} is {weight}: expected a finite number that is not negative")]
     Weight {
@@ -81,7 +81,7 @@ impl StartRule {
             ("as-it-is", None) => Ok(Self::AsItIs),
             ("prebuilt", None) => Ok(Self::Prebuilt(None)),
             ("prebuilt", Some(id)) => {
-                let id = known_id(catalog, id).map_err(|error| StartsError::Prebuilt(text.to_owned(), error))?;
+                let id = known_id(catalog, id).map_err(|error| StartsError::Prebuilt(text.to_owned(), error.into()))?;
                 Ok(Self::Prebuilt(Some(id)))
             }
             // The default in training.

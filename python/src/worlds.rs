@@ -101,7 +101,7 @@ impl Worlds {
         rows.extend(all.iter().cloned());
         Ok(Self {
             config: self.config.clone(),
-            features: self.features.clone(),
+            features: self.features,
             sizes: self.sizes,
             tasks: self.tasks.clone(),
             starts: self.starts.clone(),
