@@ -13,7 +13,7 @@ pub mod terminal;
 pub mod web;
 
 pub use config::DashboardConfig;
-pub use web::{About, Builder, FinishedRun, Kind, Order, Page, Source, Stage, StageError, WebError, export};
+pub use web::{About, Builder, Farewell, FinishedRun, Kind, Order, Page, Source, Stage, StageError, WebError, export};
 
 #[cfg(test)]
 mod samples;

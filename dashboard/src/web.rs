@@ -40,9 +40,10 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::WebConfig;
 use crate::follow::follow;
-pub use about::{About, Kind};
+pub use about::{About, Farewell, Kind};
 use attention::Onlooker;
 use board::Board;
+use events::Places;
 use films::Films;
 use replay::Replays;
 use routes::Shown;
@@ -128,7 +129,7 @@ impl Page {
         self.address
     }
 
-    /// Serves until the evaluation channel closes, then closes all connections.
+    /// Serves until the evaluation channel closes, then tells browsers so and closes all connections.
     ///
     /// # Errors
     /// Returns an error if the session fails or a task of the page panics.
@@ -152,7 +153,8 @@ impl Page {
                 }
             });
         }
-        let routes = routes::routes(shown, Vec::new(), self.config);
+        let (farewell, places) = (shown.about.farewell.clone(), Places::default());
+        let routes = routes::routes(shown, Vec::new(), places.clone(), self.config);
         tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
         tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
         let (its_board, its_bus, its_shutdown) = (board.clone(), bus.clone(), shutdown.clone());
@@ -169,6 +171,8 @@ impl Page {
                 _ = beat.tick() => board.beat(),
             }
         }
+        board.ended(&farewell);
+        places.left().await;
         shutdown.cancel();
         while let Some(task) = tasks.join_next().await {
             task.context("a task of the page panicked")?;
@@ -190,9 +194,11 @@ impl Page {
         let first = first.into_shown();
         let others: Vec<Shown> = others.into_iter().map(FinishedRun::into_shown).collect();
         let boards: Vec<_> = std::iter::once(&first).chain(&others).map(|run| run.board.clone()).collect();
-        let counting = first.board.clone();
-        let routes = routes::routes(first, others, self.config);
-        let server = tokio::spawn(server::serve(self.listener, routes, counting, shutdown.clone()));
+        let (counting, farewell, places) = (first.board.clone(), first.about.farewell.clone(), Places::default());
+        let routes = routes::routes(first, others, places.clone(), self.config);
+        let closing = CancellationToken::new();
+        let _closed_with_this = closing.clone().drop_guard();
+        let server = tokio::spawn(server::serve(self.listener, routes, counting, closing.clone()));
         let mut beat = tokio::time::interval(BEAT);
         loop {
             tokio::select! {
@@ -200,6 +206,9 @@ impl Page {
                 _ = beat.tick() => boards.iter().for_each(|board| board.beat()),
             }
         }
+        boards.iter().for_each(|board| board.ended(&farewell));
+        places.left().await;
+        closing.cancel();
         server.await.context("a task of the page panicked")
     }
 }

@@ -15,5 +15,6 @@ pub mod live;
 pub mod names;
 mod replace;
 pub mod run_dir;
+mod shell;
 pub mod signals;
 pub mod telemetry;

@@ -3,11 +3,11 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
 use crate::support::line::Line;
 use crate::support::program::lodestone;
-use crate::support::served::Process;
+use crate::support::served::{Process, interrupt};
 use crate::support::webdriver::Browser;
 use blueprints::Catalog;
 use runlog::Pass;
@@ -23,12 +23,24 @@ const RIGHT: &str = "\u{e014}";
 /// The Enter key, likewise.
 const ENTER: &str = "\u{e007}";
 
+/// Whether the page says when the run will be done.
+const IS_ESTIMATED: &str = "document.querySelector('#tiles').textContent.includes(' to go')";
+
+/// The ids of controls that a user can press and that need the program.
+fn enabled(browser: &Browser) -> Vec<String> {
+    let all =
+        "[...document.querySelectorAll(`#stage-bar button, #stage-bar input, #replay-ask, #draw-open, #draw-policy,
+        #draw-expert, #draw-match, #draw-file, #draw-copy, #films button`)]";
+    let ids = browser.run(&format!("return {all}.filter((one) => !one.matches(':disabled')).map((one) => one.id)"));
+    serde_json::from_value(ids).unwrap()
+}
+
 /// A run, a browser that shows its page, and the connection between them.
 struct Watched {
     // Fields are dropped in this order.
     browser: Browser,
     line: Line,
-    _run: crate::support::served::Process,
+    run: Process,
     folder: tempfile::TempDir,
 }
 
@@ -45,7 +57,7 @@ impl Watched {
         let line = Line::to(&address);
         let browser = Browser::start(&driver, folder.path());
         browser.open(&format!("http://{}/", line.address()));
-        Some(Self { browser, line, _run: run, folder })
+        Some(Self { browser, line, run, folder })
     }
 
     fn passes(&self) -> Vec<Pass> {
@@ -292,10 +304,11 @@ fn what_is_drawn_is_checked_and_built() {
     browser.until("document.querySelector('#replay-note').textContent.includes('(2_900), start 1')");
     browser.element("#draw-open").click();
     // The center of the canvas is the center of the grid.
-    browser.until("document.querySelector('#draw-palette [data-type=\"2x1x1\"]')");
+    // Each answer to a check draws the palette anew.
+    browser.until("editor.found.blocks && document.querySelector('#draw-palette [data-type=\"2x1x1\"]')");
     browser.element("#draw-palette [data-type='2x1x1']").click();
     browser.element("#draw-canvas").click();
-    browser.until("editor.blocks.length === 1 && editor.found.blocks");
+    browser.until("editor.blocks.length === 1 && editor.found.blocks.length === 1");
     // With the keyboard, a block goes on top of the previous one.
     browser.element("#draw-palette [data-type='1x1x1']").click();
     browser.element("#draw-canvas").press(ENTER);
@@ -358,19 +371,64 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     let state = |text: &str| browser.until(&format!("document.querySelector('#state').textContent === {text:?}"));
     state("live");
     let before = watched.judged_after(0);
+    browser.until(IS_ESTIMATED);
     assert_eq!(watched.complaints(), Vec::<Value>::new());
     browser.run("window.mark = true");
     watched.line.cut();
     state("reconnecting");
-    // What was already shown stays visible.
+    // What was already shown stays visible, but nothing is about to come.
     assert!(browser.text("#groups caption").contains("weights"));
+    browser.until(&format!("!({IS_ESTIMATED})"));
+    // A run that was killed looks the same from here.
+    browser.until("!document.querySelector('#farewell').hidden");
+    let said = browser.text("#farewell");
+    assert!(said.starts_with("The run may have ended: nothing answers.") && said.ends_with(" serve run"), "{said}");
+    assert_eq!(enabled(browser), Vec::<String>::new());
     watched.line.mend();
     state("live");
+    assert_eq!(browser.run("return document.querySelector('#farewell').hidden"), true);
+    assert!(enabled(browser).contains(&"replay-ask".to_owned()));
+    browser.until(IS_ESTIMATED);
     watched.judged_after(before);
     assert_eq!(browser.run("return window.mark"), true);
     // The browser itself logs what it could not load; the page must not log anything else.
     let complaints = watched.complaints();
     assert!(complaints.iter().all(|entry| entry["source"] == "network"), "{complaints:?}");
+}
+
+#[test]
+fn a_page_says_that_its_run_has_ended_and_how_to_see_it_again() {
+    let Some(mut watched) = Watched::start() else { return };
+    let browser = &watched.browser;
+    watched.judged_after(0);
+    browser.until(IS_ESTIMATED);
+    interrupt(&watched.run);
+    browser.until("document.querySelector('#state').textContent === 'ended'");
+    assert!(watched.run.0.wait().unwrap().success());
+    let said = browser.text("#farewell");
+    assert!(said.starts_with("The run has ended. The page keeps what it has until you reload it."), "{said}");
+    assert!(browser.text("#groups caption").contains("weights"));
+    browser.until(&format!("!({IS_ESTIMATED})"));
+    assert_eq!(enabled(browser), Vec::<String>::new());
+    let reason = "document.querySelector('#replay-ask').closest('[title]').title";
+    assert_eq!(browser.run(&format!("return {reason}")), "The run has ended.");
+    // Not every control is a button.
+    browser.run("heat.move({ row: 0, column: 0 }); heat.open()");
+    browser.until("document.querySelector('#replay-note').textContent === 'The run has ended.'");
+    // A shell reads the command as it stands there.
+    let mut shell = Command::new("bash");
+    shell.args(["-c", &format!("exec {}", browser.text("#farewell code"))]).current_dir(watched.folder.path());
+    let mut again = Process(shell.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut lines = BufReader::new(again.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    browser.open(&lines.find_map(|line| Some(line.strip_prefix("page at ")?.to_owned())).unwrap());
+    browser.until("document.querySelector('#state').textContent === 'finished'");
+    // The run was interrupted, and nothing continues it.
+    browser.until("document.querySelector('#tiles').textContent.includes('environment steps')");
+    assert_eq!(browser.run(&format!("return {IS_ESTIMATED}")), false);
+    interrupt(&again);
+    browser.until("document.querySelector('#state').textContent === 'ended'");
+    let said = browser.text("#farewell");
+    assert!(said.starts_with("The program has ended. ") && said.ends_with(" serve run"), "{said}");
 }
 
 #[test]

@@ -3,17 +3,13 @@
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
 use std::net::{TcpListener, TcpStream};
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 use crate::support::judges::{python, told_by};
 use crate::support::program::{lodestone, n_saved_steps};
-use crate::support::served::{Process, client, endless, events, get, train};
+use crate::support::served::{Process, client, endless, events, get, interrupt, train};
 use runlog::{History, RunPaths};
 use serde_json::Value;
-
-fn interrupt(run: &Process) {
-    assert!(Command::new("kill").args(["-INT", &run.0.id().to_string()]).status().unwrap().success());
-}
 
 fn error(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()

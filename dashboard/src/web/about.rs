@@ -32,6 +32,18 @@ pub struct About {
     pub blueprints: Vec<BlueprintId>,
     /// All goals available for selection.
     pub catalog: Catalog,
+    /// What the page says when nothing serves it any longer.
+    pub farewell: Farewell,
+}
+
+/// The last words of a page.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Farewell {
+    /// What has ended: `the run`, `the evaluator`, or `the program`.
+    pub ended: &'static str,
+    /// The command that shows the same again, for a shell in the folder where the program was started; `None` if there
+    /// is none.
+    pub command: Option<String>,
 }
 
 /// The first goal of a playing policy if none is configured: sixteen blocks.
@@ -61,5 +73,6 @@ pub(super) fn about(about: &About, can_play: bool, runs: &[String]) -> Value {
         "can_play": can_play,
         "gripper_colors": GRIPPER_COLORS,
         "runs": runs,
+        "farewell": about.farewell,
     })
 }

@@ -13,6 +13,7 @@ use serde_json::json;
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 
+use super::about::Farewell;
 use super::events::{Events, Viewers, event};
 use crate::follow::News;
 use crate::run_view::{Link, Roster, RunView, SessionState};
@@ -56,9 +57,9 @@ pub(super) struct PageCounts {
     pub(super) viewers_dropped_total: u64,
     /// Connections that could not be accepted.
     pub(super) connections_refused_total: u64,
-    /// Connections that exceeded their time limit.
     /// Connections closed to make room for newer ones.
     pub(super) connections_evicted_total: u64,
+    /// Connections that exceeded their time limit.
     pub(super) connections_expired_total: u64,
     /// Requests without the token, with a foreign host name or two, or from another site.
     pub(super) requests_refused_total: u64,
@@ -172,6 +173,11 @@ impl Board {
             state.latest.remove(&format!("actor/{gone}"));
         }
         state.publish(&event("roster", &json!(roster)));
+    }
+
+    /// Tells browsers that nothing more will come, and what to do then.
+    pub(super) fn ended(&self, farewell: &Farewell) {
+        self.state().publish(&event("ended", &json!(farewell)));
     }
 
     /// Sends a heartbeat, which keeps proxies from closing quiet connections and detects closed ones.

@@ -2,11 +2,13 @@
 
 use std::convert::Infallible;
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll};
+use std::time::Duration;
 
 use axum::body::Bytes;
 use futures_core::Stream;
-use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
 /// Capacity of a browser's event queue. A pass over the whole catalog is a burst of 167.
@@ -14,6 +16,32 @@ const QUEUE: usize = 1024;
 
 /// Maximum number of browsers listening at a time, to all runs of the page together.
 pub(super) const MAX_VIEWERS: usize = 32;
+
+/// How long a page that ends waits for browsers to fetch what came last.
+const LAST_WAIT: Duration = Duration::from_secs(3);
+
+/// The places for listening browsers, which all runs of a page share.
+#[derive(Clone, Debug)]
+pub(super) struct Places(Arc<Semaphore>);
+
+impl Default for Places {
+    fn default() -> Self {
+        Self(Arc::new(Semaphore::new(MAX_VIEWERS)))
+    }
+}
+
+impl Places {
+    /// Takes a place, if one is free.
+    pub(super) fn take(&self) -> Option<OwnedSemaphorePermit> {
+        self.0.clone().try_acquire_owned().ok()
+    }
+
+    /// Waits until no browser listens, but not for longer than [`LAST_WAIT`].
+    pub(super) async fn left(&self) {
+        // Late browsers are only a reason to stop waiting.
+        let _ = tokio::time::timeout(LAST_WAIT, self.0.acquire_many(MAX_VIEWERS as u32)).await;
+    }
+}
 
 /// All listening browsers.
 #[derive(Debug, Default)]
@@ -82,17 +110,13 @@ impl Stream for Events {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use tokio::sync::Semaphore;
-
     use super::*;
 
     #[test]
     fn who_does_not_listen_is_dropped_and_the_others_are_not() {
         let mut viewers = Viewers::default();
-        let places = Arc::new(Semaphore::new(2));
-        let place = || places.clone().try_acquire_owned().unwrap();
+        let places = Places::default();
+        let place = || places.take().unwrap();
         let (closed, other_closed) = (CancellationToken::new(), CancellationToken::new());
         let _slow = viewers.add(Bytes::new(), closed.clone(), place());
         let text = event("metrics", &serde_json::json!({ "key": "a\nb" }));
@@ -108,11 +132,15 @@ mod tests {
     #[test]
     fn a_listener_that_is_gone_leaves_its_place() {
         let mut viewers = Viewers::default();
-        let places = Arc::new(Semaphore::new(1));
-        let place = places.clone().try_acquire_owned().unwrap();
-        let listener = viewers.add(Bytes::new(), CancellationToken::new(), place);
-        assert_eq!(places.available_permits(), 0);
-        drop(listener);
-        assert_eq!(places.available_permits(), 1);
+        let places = Places::default();
+        let all: Vec<_> = std::iter::from_fn(|| places.take()).collect();
+        assert_eq!(all.len(), MAX_VIEWERS);
+        let listen = |place| viewers.add(Bytes::new(), CancellationToken::new(), place);
+        let mut listeners: Vec<Events> = all.into_iter().map(listen).collect();
+        listeners.pop();
+        let last = places.take();
+        assert!(last.is_some() && places.take().is_none());
+        drop((listeners, last));
+        assert_eq!(places.0.available_permits(), MAX_VIEWERS);
     }
 }

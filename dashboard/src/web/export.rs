@@ -13,6 +13,7 @@ use hyper::service::Service;
 use hyper_util::service::TowerToHyperService;
 use serde_json::{Value, json};
 
+use super::events::Places;
 use super::routes::{self, ASSETS, Shown};
 use crate::config::WebConfig;
 
@@ -41,7 +42,7 @@ pub(super) async fn export(
     ensure!(!folder.exists(), unmade());
     let unfinished = Unfinished::create(folder).with_context(unmade)?;
     let bases: Vec<String> = (0..=others.len()).map(routes::base).collect();
-    let routes = TowerToHyperService::new(routes::routes(first, others, WebConfig::default()));
+    let routes = TowerToHyperService::new(routes::routes(first, others, Places::default(), WebConfig::default()));
     let mut copy = Copy { routes, folder: &unfinished.0, n_files: 0 };
     for (path, _, text) in ASSETS {
         let text = text.replacen("<html ", "<html data-copy ", usize::from(path == "/"));
@@ -103,6 +104,8 @@ impl Copy<'_> {
             recorded.extend(has_all.then(|| goal.to_string()));
         }
         about["recorded"] = json!(recorded);
+        // Nothing serves the copy, and others need not know the paths of this machine.
+        about["farewell"] = Value::Null;
         self.write(&format!("{base}/api/about.json"), about.to_string().as_bytes())?;
         self.take(&format!("{base}/api/history"), &format!("{base}/api/history.json")).await?;
         let (_, films) = self.ask(&format!("{base}/api/films")).await?;

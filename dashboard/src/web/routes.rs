@@ -15,13 +15,12 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use blueprints::Catalog;
 use serde::Serialize;
-use tokio::sync::Semaphore;
 use tokio::task::JoinError;
 
 use super::about::{About, Kind, about};
 use super::board::Board;
 use super::drawing::{self, OneCheck};
-use super::events::MAX_VIEWERS;
+use super::events::Places;
 use super::films::{FilmView, Films};
 use super::gallery::{self, Gallery};
 use super::prometheus;
@@ -91,8 +90,9 @@ pub(super) struct Shown {
 }
 
 /// Builds the routes. All but the two for probes require the token of `config` or, without a token, a host name that is
-/// this machine's or in `hosts`. Of several runs, the first is at the root and run `i` is below `/runs/<i>`.
-pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Router {
+/// this machine's or in `hosts`. Of several runs, the first is at the root and run `i` is below `/runs/<i>`. Listening
+/// browsers take `places`.
+pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: WebConfig) -> Router {
     let board = first.board.clone();
     let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
     let opens = first.about.kind == Kind::Play;
@@ -121,7 +121,7 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, config: WebConfig) -> Rou
         .fallback(StatusCode::NOT_FOUND)
         .layer(Extension(Arc::new(Gallery::default())))
         .layer(Extension(catalog))
-        .layer(Extension(Places(Arc::new(Semaphore::new(MAX_VIEWERS)))))
+        .layer(Extension(places))
         .layer(Extension(OneCheck::default()))
         .layer(DefaultBodyLimit::max(drawing::MAX_BYTES))
         .layer(from_fn_with_state(guard.clone(), authorize))
@@ -244,16 +244,12 @@ async fn metrics(State(board): State<Arc<Board>>, Extension(run): Extension<Name
     }
 }
 
-/// The places for listening browsers, which all runs share.
-#[derive(Clone)]
-struct Places(Arc<Semaphore>);
-
 async fn events(
     State(board): State<Arc<Board>>,
     Extension(connection): Extension<Connection>,
     Extension(places): Extension<Places>,
 ) -> Response {
-    let Ok(place) = places.0.try_acquire_owned() else {
+    let Some(place) = places.take() else {
         return (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "10")], "too many browsers listen\n").into_response();
     };
     connection.lasts();

@@ -47,8 +47,9 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let (_, weights) = watch::channel(Some(Arc::new(newest)));
     let run = "r".to_owned();
     let catalog = Catalog::builtin().clone();
+    let (n_env_steps, farewell) = (Some(5000), Farewell { ended: "the run", command: Some("a command".to_owned()) });
     let about =
-        About { kind: Kind::Training, run, preset: None, n_env_steps: Some(5000), blueprints: Vec::new(), catalog };
+        About { kind: Kind::Training, run, preset: None, n_env_steps, blueprints: Vec::new(), catalog, farewell };
     let stage = Stage::new(|order, _| match order.builder {
         Builder::Expert => Ok(segment(order.seed, 0, 3, true)),
         Builder::Policy => Err(StageError::NoWeights),
@@ -401,7 +402,7 @@ async fn a_connection_serves_one_request() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_put_on_the_bus_reaches_the_browser() {
     let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), None).await;
+    let mut served = serve(dir.path(), None).await;
     let before = served.bus.metrics_publisher("custom/first").await.unwrap();
     before.put(&json!({ "x": 1 })).await.unwrap();
     let mut stream = TcpStream::connect(served.address).await.unwrap();
@@ -420,11 +421,17 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     assert_eq!(served.status("/readyz", "").await, 200);
     let metrics = served.get("/metrics").await;
     assert!(metrics.contains("lodestone_page_viewers{run=\"r\"} 1.0\n"), "{metrics}");
-    // The stream ends with the evaluator.
-    drop(served.passes);
-    within(served.task).await.unwrap().unwrap();
-    let mut rest = String::new();
-    let _ = within(lines.read_to_string(&mut rest)).await;
+    let about = served.get("/api/about").await;
+    // The last event says what to do next. The page then answers until those who listen have gone.
+    let (silenced, _passes) = mpsc::unbounded_channel();
+    drop(std::mem::replace(&mut served.passes, silenced));
+    let ended = within(event_with(&mut lines, "ended", |_| true)).await;
+    assert_eq!(ended, json!({ "ended": "the run", "command": "a command" }));
+    assert!(about.contains(&format!("\"farewell\":{ended}")), "{about}");
+    assert_eq!(served.status("/api/history", "").await, 200);
+    drop(lines);
+    within(&mut served.task).await.unwrap().unwrap();
+    assert!(TcpStream::connect(served.address).await.is_err());
     served.bus.close().await;
 }
 
@@ -541,6 +548,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
             n_env_steps: Some(n_env_steps),
             blueprints: Vec::new(),
             catalog,
+            farewell: Farewell { ended: "the program", command: None },
         };
         let (policy, weights) = untrained();
         let run = RunPaths::new(dir.path());

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
 use bus::Bus;
-use dashboard::{About, Kind};
+use dashboard::{About, Farewell, Kind};
 use evaluator::{EvaluatorSetup, Policy, Stop};
 use proto::Weights;
 use tokio::sync::watch;
@@ -19,6 +19,7 @@ use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::live::{self, Terminal};
 use crate::run_dir::{Origin, RunDir};
+use crate::shell;
 
 /// Name of the run and of its only service.
 const NAME: &str = "play";
@@ -122,7 +123,22 @@ fn about(args: &PlayArgs, program: Program) -> About {
     };
     let Program { named: blueprints, catalog } = program;
     let catalog = catalog.clone();
-    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog }
+    let farewell = Farewell { ended: "the program", command: Some(command(args)) };
+    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog, farewell }
+}
+
+/// The command that plays the same policy and goals.
+fn command(args: &PlayArgs) -> String {
+    let checkpoint = args.checkpoint.iter().flat_map(|path| ["--checkpoint".to_owned(), shell::path(path)]);
+    let ids = args.ids.iter().map(|id| shell::path(id.as_ref()));
+    let files = args.blueprint.iter().flat_map(|file| ["--blueprint".to_owned(), shell::path(file.as_ref())]);
+    [shell::program(), "play".to_owned()]
+        .into_iter()
+        .chain(checkpoint)
+        .chain(ids)
+        .chain(files)
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 /// The weights as a learner would publish them, with task probabilities: here uniform over all evaluated goals.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Group};
 use dashboard::config::WebConfig;
-use dashboard::{About, FinishedRun, Kind, Page};
+use dashboard::{About, Farewell, FinishedRun, Kind, Page};
 use proto::keys::METRICS_LEARNER;
 use proto::metrics::LearnerMetrics;
 use runlog::{History, RunPaths};
@@ -23,6 +23,7 @@ use crate::config::{Base, Config, merge};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_run, preset_of};
+use crate::shell;
 
 /// Serves the page until `shutdown`, or writes the copy.
 ///
@@ -30,7 +31,8 @@ use crate::run_dir::{check_run, preset_of};
 /// When a run cannot be read, the page's address is taken, or the copy cannot be written.
 pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let names = names(args.runs.iter().map(PathBuf::as_path));
-    let mut runs = args.runs.iter().zip(names).map(|(folder, name)| finished(folder, name));
+    let farewell = Farewell { ended: "the program", command: Some(command(&args.runs)) };
+    let mut runs = args.runs.iter().zip(names).map(|(folder, name)| finished(folder, name, farewell.clone()));
     let mut first = runs.next().context("no run was named")??;
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
@@ -53,6 +55,12 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     Ok(())
 }
 
+/// The command that serves the page of these runs.
+pub(super) fn command(folders: &[PathBuf]) -> String {
+    let words = folders.iter().map(|folder| shell::path(folder));
+    [shell::program(), "serve".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}
+
 /// The blueprints to record episodes of for a static copy: the named ones, those that the run was given, or the first
 /// of each group.
 fn recorded(named: &[BlueprintId], about: &About) -> Vec<BlueprintId> {
@@ -73,7 +81,7 @@ fn recorded(named: &[BlueprintId], about: &About) -> Vec<BlueprintId> {
 }
 
 /// Loads a finished run, shown as `run`, from its files.
-fn finished(folder: &Path, run: String) -> Result<FinishedRun, Failure> {
+fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRun, Failure> {
     let paths = RunPaths::new(folder);
     let config = configuration(&paths)?;
     let history = paths.history();
@@ -88,7 +96,8 @@ fn finished(folder: &Path, run: String) -> Result<FinishedRun, Failure> {
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.into_catalog();
     let blueprints = config.evaluator.selection.blueprints.clone();
-    let about = About { kind: Kind::Finished, run, preset: preset_of(&paths), n_env_steps, blueprints, catalog };
+    let preset = preset_of(&paths);
+    let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell };
     Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
 }
 
@@ -143,6 +152,7 @@ mod tests {
             n_env_steps: None,
             blueprints,
             catalog: Catalog::builtin().clone(),
+            farewell: Farewell { ended: "the program", command: None },
         };
         let found = groups(recorded(&[], &about(Vec::new())));
         assert!(found.len() >= 6 && found.iter().all(Option::is_some), "{found:?}");

@@ -8,7 +8,7 @@ use actor::{ActorSetup, Lockstep};
 use blueprints::Catalog;
 use bus::Bus;
 use dashboard::config::WebConfig;
-use dashboard::{About, Kind, Page, Source};
+use dashboard::{About, Farewell, Kind, Page, Source};
 use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
 use learner::{Feed, LearnerSetup, RunOptions};
 use proto::keys::{self, METRICS_LEARNER};
@@ -19,8 +19,8 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::models;
 use super::stage::stage;
+use super::{models, serve};
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
@@ -135,7 +135,9 @@ pub(super) async fn run_evaluator(
         .await;
     }
     let opened = page(config.dashboard.web.as_ref(), terminal).await?;
-    let page = opened.map(|page| Opened { page, about: about(settings, setup.catalog), first: None });
+    let command = args.run_dir.clone().map(|run_dir| serve::command(&[run_dir]));
+    let farewell = Farewell { ended: "the evaluator", command };
+    let page = opened.map(|page| Opened { page, about: about(settings, setup.catalog, farewell), first: None });
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
     let (progress, counted) = watch::channel(None);
@@ -200,7 +202,7 @@ pub(super) struct Opened {
 }
 
 /// Describes a training for its page; `catalog` has all of its goals.
-pub(super) fn about(settings: &Settings, catalog: &Catalog) -> About {
+pub(super) fn about(settings: &Settings, catalog: &Catalog, farewell: Farewell) -> About {
     let config = &settings.config;
     About {
         kind: Kind::Training,
@@ -209,6 +211,7 @@ pub(super) fn about(settings: &Settings, catalog: &Catalog) -> About {
         n_env_steps: Some(config.n_env_steps),
         blueprints: config.evaluator.selection.blueprints.clone(),
         catalog: catalog.clone(),
+        farewell,
     }
 }
 
@@ -230,7 +233,11 @@ pub(super) async fn evaluator(
         (mpsc::unbounded_channel(), watch::channel(opened.first.take()));
     (listeners.evaluations, listeners.weights) = (Some(passes), Some(weights));
     let (page, source) = opened.onto(&setup, its_passes, its_weights);
-    tokio::try_join!(evaluator::run(setup, &bus, listeners, stop), page.serve(&bus, source))?;
+    let now = stop.now.clone();
+    let serving = async { page.serve(&bus, source).await.inspect_err(|_| now.cancel()) };
+    // The page ends after the evaluator, however that ends, to tell browsers so.
+    let (evaluated, served) = tokio::join!(evaluator::run(setup, &bus, listeners, stop), serving);
+    evaluated.map(drop).and(served)?;
     Ok(())
 }
 

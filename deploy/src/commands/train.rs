@@ -6,7 +6,7 @@ use std::time::Instant;
 use actor::ActorSetup;
 use bus::Bus;
 use dashboard::config::WebConfig;
-use dashboard::{About, Page};
+use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluatorSetup, Stop};
 use proto::ActorId;
 use proto::keys::{METRICS_LEARNER, Role};
@@ -17,13 +17,14 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::TrainingGoals;
-use super::services;
+use super::{serve, services};
 use crate::cli::{Settings, TrainArgs};
 use crate::config::{Config, Preset};
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
 use crate::run_dir::{Origin, RunDir};
+use crate::shell::{self, program};
 
 /// Name of this process's actor and evaluator, unlike those of processes that join.
 const LOCAL: &str = "local";
@@ -64,7 +65,8 @@ pub(super) async fn run(
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = services::run_dir(run_dir, settings, &setup, &origin)?;
     let preset = run_dir.preset().map(str::to_owned);
-    let about = About { preset, ..services::about(settings, catalog) };
+    let last_words = Farewell { ended: "the run", command: Some(serve::command(&[run_dir.path().to_owned()])) };
+    let about = About { preset, ..services::about(settings, catalog, last_words) };
     let page = page.map(|page| services::Opened { page, about, first: None });
     terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
@@ -196,19 +198,12 @@ fn takes(preset: &Preset, n_env_steps: u64) -> String {
 fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
     // Without a higher step limit, a complete run would stop at once.
     let steps = if is_complete { " --steps N" } else { "" };
-    let path = run_dir.path().display();
-    let program = program();
+    let (shown, path, program) = (run_dir.path().display(), shell::path(run_dir.path()), program());
     format!(
-        "\nsaved in {path}\n  evaluate it: {program} eval --checkpoint {path}\n  \
+        "\nsaved in {shown}\n  evaluate it: {program} eval --checkpoint {path}\n  \
          continue it: {program} train --resume {path}{steps}\n  \
          look at it: {program} serve {path}"
     )
-}
-
-/// The program as it was invoked, so that printed commands can be pasted.
-fn program() -> String {
-    let name = std::env::args_os().next();
-    name.map_or_else(|| "lodestone".to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
 #[cfg(test)]

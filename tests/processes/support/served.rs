@@ -19,6 +19,11 @@ impl Drop for Process {
     }
 }
 
+/// Sends the process what Ctrl-C sends.
+pub(crate) fn interrupt(process: &Process) {
+    assert!(Command::new("kill").args(["-INT", &process.0.id().to_string()]).status().unwrap().success());
+}
+
 /// Adds the arguments of the smallest training with evaluations.
 pub(crate) fn train(command: &mut Command) -> &mut Command {
     command.args(["train", "--preset", "near-goal", "--run-dir", "run"]);

@@ -9,6 +9,10 @@ const model = {
   roster: { actors: [], learners: [], evaluators: [] },
   acting: "mode",
   about: null,
+  // The event stream: "waiting", "live", "away" or "ended".
+  link: "waiting",
+  // Why nothing answers any longer; `null` while something does.
+  gone: null,
   // URL prefix of the shown run's endpoints. On a page of several runs, all but the first have one.
   base: "",
 };
@@ -73,18 +77,19 @@ function draw() {
     $("learner").hidden = model.points.length === 0 && model.about !== null && model.about.kind === "finished";
     drawHealth($("health"), $("health-note"), model.points);
   }
-  if ($("roster")) drawRoster($("roster"), model.roster, model.actors, model.learner);
+  if ($("roster")) drawRoster($("roster"), model.roster, model.actors, model.learner, model.link === "live");
   if ($("drops")) drawDrops($("drops"), model.actors, model.learner, model.summary);
   drawTiles();
 }
 
-/** Returns the success so far and a progress text of the evaluation in progress; `null` if there is none. */
+/** Returns the success so far and a progress text of the evaluation that has not ended; `null` if there is none. */
 function underWay() {
   const summary = model.summary;
   if (!summary || summary.is_complete) return null;
   const { success } = summary.all[model.acting];
   if (success.n_episodes === 0) return null;
-  return { success, text: `evaluating version ${summary.weights_version}: ${success.n_episodes} of ${summary.n_planned} episodes` };
+  const doing = model.link === "live" ? "evaluating" : "unfinished evaluation of";
+  return { success, text: `${doing} version ${summary.weights_version}: ${success.n_episodes} of ${summary.n_planned} episodes` };
 }
 
 function drawTiles() {
@@ -96,18 +101,24 @@ function drawTiles() {
   const { kind, n_env_steps: target } = model.about || {};
   const soFar = success ? `${interval(success)}, ${success.n_episodes} episodes` : "nothing evaluated yet";
   const episodes = now ? `${success ? `${interval(success)}; ` : ""}${now.text}` : soFar;
+  const isLive = model.link === "live";
+  // What does not run has no speed and will not arrive.
+  const isLearning = kind === "training" && isLive && model.roster.learners.length > 0;
   const left = learner && target ? (target - learner.n_env_steps) / learner.env_steps_per_s : NaN;
-  const soon = kind !== "finished" && left > 0 ? `, ${minutes(left)} to go` : "";
+  const soon = isLearning && left > 0 ? `, ${minutes(left)} to go` : "";
   const tiles = [["success", success ? percent(success.rate) : "–", episodes]];
   // Without a learner, as when only playing a policy, these tiles have no data.
   if (kind !== "play" && (kind !== "finished" || learner)) {
     tiles.push(
       ["environment steps", learner ? count(learner.n_env_steps) : "–", learner ? `${target ? `of ${count(target)}, ` : ""}in ${minutes(Math.max(learner.elapsed_s, learner.run_elapsed_s || 0))}${soon}` : ""],
       ["weights", learner ? `version ${learner.weights_version}` : "–", last ? `evaluated: version ${last.weights_version}` : ""],
-      ["steps per second", learner ? count(learner.env_steps_per_s) : "–", learner ? `lag ${decimal(learner.policy_lag_mean)} versions` : ""],
+      kind !== "training" || isLearning || !learner
+        ? ["steps per second", learner ? count(learner.env_steps_per_s) : "–", learner ? `lag ${decimal(learner.policy_lag_mean)} versions` : ""]
+        : ["steps per second", "–", `${count(learner.env_steps_per_s)} in the last update`],
     );
   }
-  if (kind === "training") tiles.push(["actors", String(model.roster.actors.length), model.roster.learners.length ? "learner is there" : "no learner"]);
+  if (kind === "training" && isLive) tiles.push(["actors", String(model.roster.actors.length), model.roster.learners.length ? "learner is there" : "no learner"]);
+  else if (kind === "training") tiles.push(["actors", "–", "not connected"]);
   $("tiles").replaceChildren(...tiles.map(([name, value, more]) =>
     element("div", {}, element("dt", {}, name), element("dd", {}, value, element("small", {}, more)))));
 }
@@ -141,7 +152,7 @@ function introduce(about) {
 
 /** Adds a run selector and a chart with the curves of all runs. */
 function chooseRun(runs) {
-  const choice = element("select", { "aria-label": "Run" }, ...runs.map(({ name }, i) => element("option", { value: String(i) }, name)));
+  const choice = element("select", { "aria-label": "Run", "data-served": "" }, ...runs.map(({ name }, i) => element("option", { value: String(i) }, name)));
   choice.value = String(Math.max(runs.findIndex(({ base }) => base === model.base), 0));
   choice.addEventListener("change", () => { location.search = `?run=${choice.value}`; });
   $("run-name").replaceChildren(choice);
@@ -157,33 +168,59 @@ function chooseRun(runs) {
 }
 
 function say(state, text) {
+  model.link = state;
+  redraw("roster");
   if ($("state").textContent === text) return;
   $("state").dataset.state = state;
   $("state").textContent = text;
 }
 
-let asking = false;
+/** Says why nothing answers any longer and disables what needs an answer; `null` reverts that. */
+function part(reason, command) {
+  if (model.gone === reason) return;
+  model.gone = reason;
+  for (const served of document.querySelectorAll("[data-served]")) {
+    served.disabled = reason !== null;
+    served.title = reason || "";
+  }
+  // Films that have not been loaded cannot be.
+  for (const film of document.querySelectorAll("#films video")) film.controls = reason === null || film.readyState > 0;
+  document.querySelector("footer").hidden = reason !== null;
+  $("farewell").hidden = reason === null;
+  if (reason === null) return;
+  if ($("gallery").open) $("gallery").close();
+  if ($("replay-player").hidden) $("replay-note").textContent = reason;
+  const again = command ? [" To see it again, run ", element("code", {}, command)] : [];
+  $("farewell").replaceChildren(`${reason} The page keeps what it has until you reload it.`, ...again);
+}
+
+let asking = null;
 let askAgain = false;
 
 /** Fetches the history. If a request is already in flight, repeats it once that completes. */
-async function askHistory() {
-  askAgain = asking;
-  if (asking) return;
-  asking = true;
-  try {
-    const answer = await fetch(answerAt(model.base, "history"));
-    if (answer.ok) {
-      model.history = await answer.json();
-      const newest = model.points.slice(-1)[0];
-      model.points = model.history.learner;
-      if (newest && (model.points.length === 0 || newest.n_env_steps > model.points[model.points.length - 1].n_env_steps)) model.points.push(newest);
-      redraw("history", "learner");
+function askHistory() {
+  askAgain = true;
+  asking ||= loadHistory();
+  return asking;
+}
+
+async function loadHistory() {
+  while (askAgain) {
+    askAgain = false;
+    try {
+      const answer = await fetch(answerAt(model.base, "history"));
+      if (answer.ok) {
+        model.history = await answer.json();
+        const newest = model.points.slice(-1)[0];
+        model.points = model.history.learner;
+        if (newest && (model.points.length === 0 || newest.n_env_steps > model.points[model.points.length - 1].n_env_steps)) model.points.push(newest);
+        redraw("history", "learner");
+      }
+    } catch {
+      // The event stream fails too, and fetches again after reconnecting.
     }
-  } catch {
-    // The event stream fails too, and fetches again after reconnecting.
   }
-  asking = false;
-  if (askAgain) askHistory();
+  asking = null;
 }
 
 function measured({ key, payload }) {
@@ -214,6 +251,9 @@ function gathered(roster) {
   redraw("roster");
 }
 
+/** How often in a row the event stream could not be opened, or broke. */
+let nMisses = 0;
+
 function listen() {
   const source = new EventSource(`${model.base}/api/events`);
   const on = (name, handle) => source.addEventListener(name, (event) => handle(JSON.parse(event.data)));
@@ -224,13 +264,29 @@ function listen() {
     // Clips are rendered one by one after the evaluation.
     [5, 20, 60].forEach((seconds) => setTimeout(() => askFilms($("films"), $("films-note"), openFilm), 1000 * seconds));
   });
+  on("ended", async ({ ended, command }) => {
+    // The page closes once it has what came last, for which the server waits a moment.
+    source.onerror = null;
+    await Promise.all([askHistory(), askFilms($("films"), $("films-note"), openFilm)]);
+    source.close();
+    say("ended", "ended");
+    part(`${sentence(ended)} has ended.`, command);
+  });
   source.onopen = () => {
+    nMisses = 0;
+    part(null);
     say("live", model.about && model.about.kind === "finished" ? "finished" : "live");
     askHistory();
     askFilms($("films"), $("films-note"), openFilm);
   };
   source.onerror = () => {
     say("away", "reconnecting");
+    nMisses += 1;
+    // The first miss may be a short break. After it, nothing listens there.
+    if (nMisses > 1) {
+      const { ended, command } = (model.about && model.about.farewell) || { ended: "the program" };
+      part(`${sentence(ended)} may have ended: nothing answers.`, command);
+    }
     if (model.history.passes.length === 0) askHistory();
     // A response such as 503 closes the source for good; after other failures the browser reconnects by itself.
     if (source.readyState === EventSource.CLOSED) setTimeout(listen, 3000);

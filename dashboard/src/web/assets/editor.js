@@ -78,6 +78,8 @@ class Editor {
       this.kinds = new Map(types.map((one) => [one.type, one]));
       this.unit = unit;
       this.desk ||= new Desk(this.canvas, unit);
+      // From here on, opening and closing needs no answer.
+      delete this.open.parentElement.dataset.served;
     } catch {
       this.say.textContent = "This browser cannot draw in 3D, or the program does not answer.";
       return;
@@ -210,7 +212,7 @@ class Editor {
     // Update only on changes, so that screen readers do not repeat the list.
     const told = JSON.stringify(problems);
     if (this.told !== told) this.problems.replaceChildren(...problems.map(({ blocks, text }) => {
-      const button = element("button", { type: "button" }, `${text[0].toUpperCase()}${text.slice(1)}.`);
+      const button = element("button", { type: "button" }, `${sentence(text)}.`);
       // Successive clicks step through the blocks of the problem.
       button.addEventListener("click", () => { if (blocks.length > 0) this.pick(blocks[(blocks.indexOf(this.selected) + 1) % blocks.length]); });
       return element("li", {}, button);
@@ -384,7 +386,7 @@ class Editor {
     try {
       answer = await fetch("/api/check", { method: "POST", body: text });
     } catch {
-      this.say.textContent = "The program does not answer. Is it still running?";
+      this.say.textContent = NO_ANSWER;
       return;
     }
     if (!answer.ok) {

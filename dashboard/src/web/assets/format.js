@@ -34,6 +34,12 @@ function minutes(seconds) {
   return whole >= 60 ? `${Math.floor(whole / 60)} h ${whole % 60} min` : whole ? `${whole} min` : `${Math.round(seconds)} s`;
 }
 
+/** Said when a request fails. */
+const NO_ANSWER = "The program does not answer. Is it still running?";
+
+/** Returns the text with its first letter in upper case. */
+const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}`;
+
 /** Returns the 95 % confidence interval of a success rate. */
 const interval = (rate) => `${percent(rate.wilson_low)} to ${percent(rate.wilson_high)}`;
 

@@ -47,7 +47,7 @@ function spark(points, name, title) {
     value.textContent = `${decimal(near[name])} at ${count(near.n_env_steps)} steps`;
   });
   picture.addEventListener("pointerleave", () => { value.textContent = now; });
-  const range = high > low ? `${decimal(low)} to ${decimal(high)}` : "constant";
+  const range = known.length === 1 ? "one value so far" : high > low ? `${decimal(low)} to ${decimal(high)}` : "constant";
   return element("div", {}, element("h3", {}, title, value), picture, element("small", { class: "quiet" }, range));
 }
 
@@ -61,12 +61,12 @@ function drawHealth(place, note, points) {
   const charts = HEALTH.filter(([name]) => points.some((point) => tells(name, point[name])));
   place.replaceChildren(...charts.map(([name, title]) => spark(points, name, title)));
   const [first, last] = [points[0], points[points.length - 1]];
-  note.textContent = `From ${count(first.n_env_steps)} to ${count(last.n_env_steps)} environment steps. Point at a curve for its values.`;
+  note.textContent = points.length === 1 ? `After ${count(last.n_env_steps)} environment steps.` : `From ${count(first.n_env_steps)} to ${count(last.n_env_steps)} environment steps. Point at a curve for its values.`;
 }
 
 const sum = (counts) => Object.values(counts || {}).reduce((total, n) => total + (isNumber(n) ? n : 0), 0);
 
-function drawRoster(table, roster, actors, learner) {
+function drawRoster(table, roster, actors, learner, isLive) {
   const rows = [];
   for (const name of roster.learners) {
     rows.push([name === "learner" ? name : `learner ${name}`, learner ? count(learner.env_steps_per_s) : "–", learner ? String(learner.weights_version) : "–", "–", "–"]);
@@ -78,7 +78,7 @@ function drawRoster(table, roster, actors, learner) {
       : [`actor ${name}`, "–", "–", "–", "–"]);
   }
   for (const name of roster.evaluators) rows.push([`evaluator ${name}`, "–", "–", "–", "–"]);
-  const caption = rows.length ? "Alive now" : "No members.";
+  const caption = !rows.length ? "No members." : isLive ? "Alive now" : "Alive when this page last heard of them";
   fill(table, caption, ["member", "steps/s", "weights", "lag", "dropped"], rows);
 }
 

@@ -23,18 +23,24 @@ class Stage {
     this.dialog.addEventListener("click", (event) => { if (event.target === this.dialog) this.dialog.close(); });
   }
 
-  /** Loads the list of blueprints. */
+  /** Loads the list of blueprints. If that fails, says so and returns false. */
   async learn() {
-    if (this.blueprints.length > 0) return;
-    const answer = await fetch(answerAt("", "blueprints"));
-    if (answer.ok) this.blueprints = (await answer.json()).blueprints;
+    if (this.blueprints.length > 0) return true;
+    try {
+      const answer = await fetch(answerAt("", "blueprints"));
+      if (answer.ok) this.blueprints = (await answer.json()).blueprints;
+    } catch {
+      // Reported below.
+    }
     // A static copy contains only recorded episodes.
     if (isCopy) this.blueprints = this.blueprints.filter(({ id }) => this.only.includes(id));
+    if (this.blueprints.length === 0) this.note.textContent = NO_ANSWER;
+    return this.blueprints.length > 0;
   }
 
   /** Starts the blueprint `by` places after the current one, in gallery order. */
   async go(by) {
-    await this.learn();
+    if (!(await this.learn())) return;
     const all = this.only.length > 0 ? this.blueprints.filter(({ id }) => this.only.includes(id)) : this.blueprints;
     const at = all.findIndex(({ id }) => id === this.chosen);
     this.start(all[(at + by + all.length) % all.length].id);
@@ -68,6 +74,10 @@ class Stage {
   /** Requests the episode and plays it, unless another one has been requested in the meantime. */
   async build() {
     if (!this.chosen && !this.drawn) return;
+    if (model.gone) {
+      this.note.textContent = model.gone;
+      return;
+    }
     this.asked += 1;
     const mine = this.asked;
     const isWanted = () => mine === this.asked;
@@ -81,7 +91,7 @@ class Stage {
       try {
         answer = await this.request();
       } catch {
-        if (isWanted()) this.note.textContent = "The program does not answer. Is it still running?";
+        if (isWanted()) this.note.textContent = NO_ANSWER;
         return;
       }
       if (!isWanted()) return;
@@ -111,7 +121,7 @@ class Stage {
 
   /** Opens the gallery. Pictures load when they come into view. */
   async open() {
-    await this.learn();
+    if (!(await this.learn())) return;
     const find = element("input", { type: "search", placeholder: "Name or number", "aria-label": "Search the gallery" });
     const close = element("button", { type: "button" }, "Close");
     close.addEventListener("click", () => this.dialog.close());
