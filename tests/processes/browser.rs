@@ -317,6 +317,12 @@ fn what_is_drawn_is_checked_and_built() {
     browser.element("#draw-canvas").press("tt");
     browser.until("document.querySelector('#draw-problems').textContent.includes('repel each other: like poles meet')");
     assert_eq!(browser.run("return document.querySelector('#draw-expert').disabled"), true);
+    // A file that cannot be opened is not blamed for that.
+    browser.run("editor.load('no blueprint')");
+    says("This file cannot be opened: ");
+    assert_eq!(browser.text("#draw-problems"), "");
+    // The browser itself logs that answer.
+    assert!(errors(&browser).iter().all(|entry| entry["source"] == "network"));
     browser.element("#draw-match").click();
     says("It can be built.");
     browser.element("#draw-name").press("my tower");

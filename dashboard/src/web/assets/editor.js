@@ -391,6 +391,9 @@ class Editor {
     }
     if (!answer.ok) {
       this.say.textContent = `This file cannot be opened: ${(await answer.text()).trim()}`;
+      // The problems of the drawing would look like those of the file. They come back with its next change.
+      this.problems.replaceChildren();
+      this.told = null;
       return;
     }
     const { title, blocks } = await answer.json();
@@ -412,8 +415,12 @@ class Editor {
 
   /** Opens the blueprint selected in the gallery for editing. */
   async take() {
-    const answer = await fetch(`/api/blueprint?id=${encodeURIComponent(this.stage.chosen)}`);
-    if (answer.ok) await this.load(await answer.text());
+    try {
+      const answer = await fetch(`/api/blueprint?id=${encodeURIComponent(this.stage.chosen)}`);
+      if (answer.ok) await this.load(await answer.text());
+    } catch {
+      this.say.textContent = NO_ANSWER;
+    }
   }
 
   download() {

@@ -3,7 +3,11 @@
 let spaceModule = null;
 
 /** Loads the 3D module once, with the first episode. */
-const loadSpace = () => (spaceModule ||= import("./space.js"));
+const loadSpace = () => (spaceModule ||= import("./space.js").catch((error) => {
+  // It may not have come through, and the next episode asks again.
+  spaceModule = null;
+  throw error;
+}));
 
 /** Loose blocks farther than this (meters) from the middle of the goal's blocks may be out of view, as in clips. */
 const REACH_M = 1.6;
@@ -53,7 +57,7 @@ class Replay {
       this.space ||= new Space(this.canvas, () => { this.follows = false; });
       return true;
     } catch {
-      this.note.textContent = "This browser cannot draw in 3D: WebGL is off or missing. The films below do not need it.";
+      this.note.textContent = "This browser cannot draw in 3D (WebGL is off or missing), or the program does not answer. The films below do not need WebGL.";
       return false;
     }
   }
@@ -248,7 +252,8 @@ async function openRecording(replay, note, film) {
     const answer = await fetch(answerAt(model.base, "recording", film.id));
     if (answer.ok) episode = await answer.json();
   } catch {
-    // Reported below.
+    note.textContent = NO_ANSWER;
+    return;
   }
   if (!episode) {
     note.textContent = "That recording no longer exists.";
