@@ -95,7 +95,7 @@ const GRANTS: [Grants; 4] = [
     },
 ];
 
-/// Zenoh's `access_control`: default-deny, by certificate and user name together.
+/// Zenoh's `access_control`: default-deny, by user name, which the gate has compared with the certificate.
 pub(super) fn rules() -> Value {
     let mut rules = Vec::new();
     let mut policies = Vec::new();
@@ -129,8 +129,7 @@ pub(super) fn rules() -> Value {
         "id": "router-all", "messages": everything, "flows": ["ingress", "egress"], "permission": "allow", "key_exprs": ["lodestone/**"],
     }));
     policies.push(json!({ "rules": ["router-all"], "subjects": ["router"] }));
-    let subjects: Vec<Value> =
-        ROLES.iter().map(|role| json!({ "id": role, "usernames": [role], "cert_common_names": [role] })).collect();
+    let subjects: Vec<Value> = ROLES.iter().map(|role| json!({ "id": role, "usernames": [role] })).collect();
     json!({ "enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies })
 }
 

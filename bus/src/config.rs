@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::access;
-use super::security::{Keys, KeysError, SecurityConfig, has_any_port, is_endpoint, is_quic, is_reachable};
+use super::gate::Gate;
+use super::security::{Keys, KeysError, SecurityConfig, has_any_port, is_encrypted, is_endpoint, is_reachable};
 use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
 use proto::setting::Section;
 use proto::{InvalidSetting, keys, settings};
@@ -21,12 +22,15 @@ settings! {
         /// Role in the network. A router needs no other process.
         pub mode: BusMode = BusMode::Router;
         /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with
-        /// keys, `quic/0.0.0.0:7447`. Without any, no other process can join.
+        /// keys, `quic/0.0.0.0:7447` (UDP) or `tls/0.0.0.0:7447` (TCP). Without any, no other process can join.
         pub listen: Vec<String> = Vec::new(),
             where |c| c.mode == BusMode::Router || c.listen.is_empty() => "none for a client";
         /// Endpoints to connect to: the router for a client, other routers for a router.
         pub connect: Vec<String> = Vec::new(),
             where |c| c.mode == BusMode::Router || !c.connect.is_empty() => "a router's endpoint for a client, such as tcp/HOST:7447 with --connect";
+        /// Time that a connection gets to become a member of the bus, in milliseconds; a router drops and counts the
+        /// others.
+        pub join_timeout_ms: u64 = 4_000, in 100..=600_000;
         /// Timeout for the learner's answer to a trajectory, in milliseconds.
         pub ack_timeout_ms: u64 = 10_000, in 100..=600_000;
         /// Timeout for a pull of the weights, in milliseconds.
@@ -63,8 +67,8 @@ pub enum BusConfigError {
     Invalid(#[from] InvalidSetting),
     /// A text is not an endpoint.
     #[error(
-        "bus.{field}: `{endpoint}` is no endpoint, expected `tcp/HOST:PORT`, `quic/HOST:PORT` with keys, or \
-         `unixsock-stream/PATH`"
+        "bus.{field}: `{endpoint}` is no endpoint, expected `tcp/HOST:PORT`, `quic/HOST:PORT` or `tls/HOST:PORT` with keys, \
+         or `unixsock-stream/PATH`"
     )]
     Endpoint {
         /// `listen` or `connect`.
@@ -78,11 +82,13 @@ pub enum BusConfigError {
     /// Other machines could reach a listener that has no access control.
     #[error(
         "bus.listen: anybody who reaches {0} could replace the weights; run `lodestone keys new DIR --host NAME` once, then \
-         listen on `quic/ADDRESS:PORT` with `--keys DIR`, or listen on 127.0.0.1"
+         listen on `quic/ADDRESS:PORT` (UDP) or `tls/ADDRESS:PORT` (TCP) with `--keys DIR`, or listen on 127.0.0.1"
     )]
     OpenListener(String),
     /// An endpoint is not encrypted although the process has keys.
-    #[error("bus.{field}: with keys every endpoint is `quic/ADDRESS:PORT`, and {endpoint} is not")]
+    #[error(
+        "bus.{field}: with keys every endpoint is `quic/ADDRESS:PORT` or `tls/ADDRESS:PORT`, and {endpoint} is not"
+    )]
     NotEncrypted {
         /// `listen` or `connect`.
         field: &'static str,
@@ -131,7 +137,7 @@ impl BusConfig {
         for (field, endpoints) in [("listen", &self.listen), ("connect", &self.connect)] {
             for endpoint in endpoints {
                 let endpoint = || endpoint.clone();
-                match (has_keys, is_quic(&endpoint())) {
+                match (has_keys, is_encrypted(&endpoint())) {
                     (true, false) => return Err(BusConfigError::NotEncrypted { field, endpoint: endpoint() }),
                     (false, true) => return Err(BusConfigError::NoKeys { field, endpoint: endpoint() }),
                     _ => {}
@@ -154,20 +160,27 @@ impl BusConfig {
         self.security.keys.as_deref().map(|folder| Keys::read(folder, self.is_listening())).transpose()
     }
 
-    /// Converts to zenoh's configuration, for a session in which all keys have the prefix `namespace`.
-    pub(super) fn to_zenoh(&self, namespace: &str, keys: Option<&Keys>) -> Result<zenoh::Config, zenoh::Error> {
+    /// Converts to zenoh's configuration, for a session in which all keys have the prefix `namespace` and whose public
+    /// endpoints are those of `gate`.
+    pub(super) fn to_zenoh(
+        &self,
+        namespace: &str,
+        keys: Option<&Keys>,
+        gate: Option<&Gate>,
+    ) -> Result<zenoh::Config, zenoh::Error> {
+        let (listen, connect) = gate.map_or((&self.listen, &self.connect), |gate| (&gate.listen, &gate.connect));
         let retry = json!({ "period_init_ms": 500, "period_max_ms": 8000, "period_increase_factor": 2 });
         let mut config = json!({
             "mode": match self.mode { BusMode::Router => "router", BusMode::Client => "client" },
             "namespace": namespace,
             // No time limit: a process may start before its router.
-            "connect": { "endpoints": self.connect, "timeout_ms": -1, "exit_on_failure": false, "retry": retry },
+            "connect": { "endpoints": connect, "timeout_ms": -1, "exit_on_failure": false, "retry": retry },
             // Report a port that is in use at once.
-            "listen": { "endpoints": self.listen, "timeout_ms": 0, "exit_on_failure": true },
+            "listen": { "endpoints": listen, "timeout_ms": 0, "exit_on_failure": true },
             // Peers are configured, never discovered, because any discovered process could overwrite any key.
             "scouting": { "delay": 0, "multicast": { "enabled": false }, "gossip": { "enabled": false } },
             "transport": {
-                "unicast": { "max_sessions": 8192, "accept_pending": 1024 },
+                "unicast": { "max_sessions": 8192, "accept_pending": 1024, "accept_timeout": self.join_timeout_ms },
                 "link": {
                     "tx": {
                         "lease": 6000,
@@ -205,7 +218,7 @@ mod tests {
     fn default_config_is_valid_and_accepted_by_zenoh() {
         let config = BusConfig::default();
         assert_eq!(config.validate(), Ok(()));
-        assert!(config.to_zenoh("lodestone/default", None).is_ok());
+        assert!(config.to_zenoh("lodestone/default", None, None).is_ok());
     }
 
     #[test]
@@ -218,12 +231,14 @@ mod tests {
             let message = router(wrong).validate().unwrap_err().to_string();
             assert!(message.starts_with(&format!("bus.listen: `{wrong}` is no endpoint")), "{message}");
         }
-        let message = router("tls/127.0.0.1:7447").validate().unwrap_err().to_string();
-        assert!(message.starts_with("bus.listen: `tls/127.0.0.1:7447` is no endpoint"), "{message}");
+        let message = router("udp/127.0.0.1:7447").validate().unwrap_err().to_string();
+        assert!(message.starts_with("bus.listen: `udp/127.0.0.1:7447` is no endpoint"), "{message}");
         let message = router("tcp/127.0.0.1:0").validate().unwrap_err().to_string();
         assert!(message.starts_with("bus.listen: nobody could know the port of tcp/127.0.0.1:0"), "{message}");
-        let message = router("quic/127.0.0.1:7447").validate().unwrap_err().to_string();
-        assert_eq!(message, "bus.listen: quic/127.0.0.1:7447 needs keys; name their folder with `--keys DIR`");
+        for endpoint in ["quic/127.0.0.1:7447", "tls/127.0.0.1:7447"] {
+            let message = router(endpoint).validate().unwrap_err().to_string();
+            assert_eq!(message, format!("bus.listen: {endpoint} needs keys; name their folder with `--keys DIR`"));
+        }
         let mut config = router("quic/0.0.0.0:7447");
         config.security.keys = Some("keys/router".into());
         assert_eq!(config.validate(), Ok(()));
@@ -231,7 +246,7 @@ mod tests {
         let message = config.validate().unwrap_err().to_string();
         assert_eq!(
             message,
-            "bus.connect: with keys every endpoint is `quic/ADDRESS:PORT`, and tcp/10.0.0.1:7447 is not"
+            "bus.connect: with keys every endpoint is `quic/ADDRESS:PORT` or `tls/ADDRESS:PORT`, and tcp/10.0.0.1:7447 is not"
         );
     }
 

@@ -1,5 +1,8 @@
 //! Errors of the bus.
 
+use std::io;
+use std::path::PathBuf;
+
 use super::{BusConfigError, KeysError};
 use proto::codec::{DecodeError, Refusal};
 
@@ -12,6 +15,22 @@ pub enum BusError {
     /// The keys cannot be used.
     #[error(transparent)]
     Keys(#[from] KeysError),
+    /// An encrypted endpoint cannot be listened on.
+    #[error("listening on {endpoint}: {error}")]
+    Listen {
+        /// The endpoint.
+        endpoint: String,
+        /// The system's error.
+        error: io::Error,
+    },
+    /// No folder can be made for the sockets that lead to encrypted connections.
+    #[error("no folder for sockets can be made in {}: {error}", folder.display())]
+    Room {
+        /// The system's folder for temporary files.
+        folder: PathBuf,
+        /// The system's error.
+        error: io::Error,
+    },
     /// Zenoh returned an error.
     #[error("{action}: {}", reason(error))]
     Zenoh {

@@ -1,7 +1,8 @@
 //! The bus: zenoh sessions that carry [`proto`]'s messages between actors, learner, evaluator, and viewers.
 //!
-//! Reading order: `config` and [`security`] (authentication) → `session` → `sender` and `ingest` (trajectories) →
-//! `weights` → `metrics`, `history`, and `viewer` → `units` (distributed evaluation) → `alive`, `pulse` and `runs`.
+//! Reading order: `config`, [`security`], and `gate` (authentication) → `session` → `sender` and `ingest`
+//! (trajectories) → `weights` → `metrics`, `history`, and `viewer` → `units` (distributed evaluation) → `alive`, `pulse`
+//! and `runs`.
 //!
 //! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
 //! liveliness tokens show which processes are alive. The services use only the types of this crate, never zenoh's.
@@ -16,6 +17,7 @@ mod alive;
 mod config;
 mod counters;
 mod error;
+mod gate;
 mod history;
 mod ingest;
 mod latest;
@@ -33,6 +35,7 @@ mod weights;
 pub use alive::{AliveToken, AliveWatch};
 pub use config::{BusConfig, BusConfigError, BusMode};
 pub use error::{BusError, SendError};
+pub use gate::JoinCounts;
 pub use history::HistoryAnswer;
 pub use ingest::TrajectoryServer;
 pub use metrics::{MetricsPublisher, MetricsSample, MetricsSubscriber};

@@ -1,8 +1,8 @@
 //! Authentication and roles on a bus that other machines can reach.
 //!
-//! A router with keys accepts only QUIC connections, which are encrypted by TLS 1.3. A client presents a certificate of
-//! the run's own authority and a password, both of the same role, and gets the rights that `access` grants that role.
-//! Everything else is denied.
+//! A router with keys accepts only connections that are encrypted by TLS 1.3, over UDP as QUIC or over TCP. A client
+//! presents a certificate of the run's own authority and a password, both of the same role, and gets the rights that
+//! `access` grants that role. Everything else is denied.
 
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -100,22 +100,22 @@ impl Keys {
         Ok(Self { folder: folder.to_owned(), user: user.to_owned(), password: password.to_owned() })
     }
 
-    fn path(&self, name: &str) -> String {
-        self.folder.join(name).display().to_string()
+    /// The path of one of the files.
+    pub(super) fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
     }
 
-    /// Returns zenoh's settings for `transport.link.tls`, which also apply to QUIC.
+    /// Returns zenoh's settings for connecting with QUIC, which it keeps under `transport.link.tls`.
     pub(super) fn tls(&self) -> Value {
-        let (certificate, key) = (self.path(CERTIFICATE_FILE), self.path(KEY_FILE));
+        let text = |name: &str| self.path(name).display().to_string();
+        let (certificate, key) = (text(CERTIFICATE_FILE), text(KEY_FILE));
         json!({
-            "root_ca_certificate": self.path(AUTHORITY_FILE),
+            "root_ca_certificate": text(AUTHORITY_FILE),
             "enable_mtls": true,
             // Zenoh also trusts public authorities, so only the name distinguishes the run's router from any other
             // server.
             "verify_name_on_connect": true,
             "close_link_on_expiration": true,
-            "listen_certificate": certificate,
-            "listen_private_key": key,
             "connect_certificate": certificate,
             "connect_private_key": key,
         })
@@ -123,7 +123,7 @@ impl Keys {
 
     /// Returns zenoh's settings for `transport.auth.usrpwd`; a router has the passwords of all roles.
     pub(super) fn passwords(&self, listens: bool) -> Value {
-        let users = listens.then(|| self.path(USERS_FILE));
+        let users = listens.then(|| self.path(USERS_FILE).display().to_string());
         json!({ "user": self.user, "password": self.password, "dictionary_file": users })
     }
 }
@@ -144,7 +144,7 @@ pub(super) fn is_reachable(endpoint: &str) -> bool {
 /// Returns whether the text is an endpoint with a supported protocol.
 pub(super) fn is_endpoint(text: &str) -> bool {
     match text.split_once('/') {
-        Some(("tcp" | "quic", address)) => {
+        Some(("tcp" | "quic" | "tls", address)) => {
             let address = address.split(['?', '#']).next().unwrap_or_default();
             address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
         }
@@ -162,11 +162,20 @@ pub(super) fn has_any_port(endpoint: &str) -> bool {
 }
 
 /// Returns whether the endpoint is encrypted.
-///
-/// Zenoh's TLS over TCP is excluded: it reads and writes one stream from two tasks at once (zenoh issue 2557), and
-/// under load connections broke every few seconds.
-pub(super) fn is_quic(endpoint: &str) -> bool {
-    endpoint.starts_with("quic/")
+pub(super) fn is_encrypted(endpoint: &str) -> bool {
+    endpoint.starts_with("quic/") || is_tls(endpoint)
+}
+
+/// Returns whether the endpoint is encrypted and uses TCP.
+pub(super) fn is_tls(endpoint: &str) -> bool {
+    endpoint.starts_with("tls/")
+}
+
+/// Splits an endpoint into host and port.
+pub(super) fn address(endpoint: &str) -> Option<(&str, u16)> {
+    let (_, address) = endpoint.split_once('/')?;
+    let (host, port) = address.split(['?', '#']).next()?.rsplit_once(':')?;
+    Some((host.trim_start_matches('[').trim_end_matches(']'), port.parse().ok()?))
 }
 
 fn read(path: &Path) -> Result<String, KeysError> {

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::counters::BusCounters;
-use super::{BusConfig, BusError, BusMode, Pulse};
+use super::gate::Gate;
+use super::{BusConfig, BusError, BusMode, JoinCounts, Pulse};
 use proto::keys;
 use proto::metrics::BusCounts;
 
@@ -23,6 +24,7 @@ pub struct Bus {
     pub(super) config: Arc<BusConfig>,
     pub(super) counters: Arc<BusCounters>,
     pub(super) pulse: Pulse,
+    pub(super) gate: Option<Arc<Gate>>,
 }
 
 impl Bus {
@@ -39,8 +41,13 @@ impl Bus {
     pub(super) async fn open_within(namespace: &str, config: &BusConfig) -> Result<Self, BusError> {
         config.validate()?;
         let credentials = config.read_keys()?;
-        let zenoh_config =
-            config.to_zenoh(namespace, credentials.as_ref()).map_err(BusError::during("configuring the bus"))?;
+        let gate = match &credentials {
+            Some(keys) => Gate::prepare(config, keys).await?.map(Arc::new),
+            None => None,
+        };
+        let zenoh_config = config
+            .to_zenoh(namespace, credentials.as_ref(), gate.as_deref())
+            .map_err(BusError::during("configuring the bus"))?;
         let joining = || match &config.listen[..] {
             [] => format!("joining the bus at {}", config.connect.join(" and ")),
             listen => format!("listening on {}", listen.join(" and ")),
@@ -49,7 +56,11 @@ impl Bus {
         let opening = tokio::spawn(async move { zenoh::open(zenoh_config).await });
         let opened = opening.await.map_err(|panic| BusError::during(joining())(panic.into()))?;
         let session = opened.map_err(BusError::during(joining()))?;
-        Ok(Self { session, config: Arc::new(config.clone()), counters: Arc::default(), pulse: Pulse::default() })
+        if let Some(gate) = &gate {
+            gate.open();
+        }
+        let (config, counters, pulse) = (Arc::new(config.clone()), Arc::default(), Pulse::default());
+        Ok(Self { session, config, counters, pulse, gate })
     }
 
     /// Opens a router that can only be reached through a Unix socket in `dir`, for tests.
@@ -63,6 +74,11 @@ impl Bus {
     /// Returns the number of messages that this session has dropped so far, by reason.
     pub fn counts(&self) -> BusCounts {
         self.counters.counts()
+    }
+
+    /// Returns what became of the connections to this process, if it is a router with keys.
+    pub fn joins(&self) -> Option<JoinCounts> {
+        self.gate.as_ref()?.counts()
     }
 
     /// Returns the role of this process in the network.
@@ -102,6 +118,9 @@ impl Bus {
             Ok(Ok(())) => {}
             Ok(Err(error)) => tracing::warn!(%error, "the session did not close cleanly"),
             Err(_) => tracing::warn!(reached, "the session did not close within {} s", limit.as_secs()),
+        }
+        if let Some(gate) = &self.gate {
+            gate.close().await;
         }
     }
 }

@@ -7,7 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use bus::Bus;
+use bus::{Bus, JoinCounts};
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -39,6 +39,9 @@ pub struct State {
     pub connected: bool,
     /// Seconds since the main loop last made progress; 0 while it waits for other processes.
     pub idle_s: f64,
+    /// Of a router with keys: what became of connections to it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joins: Option<JoinCounts>,
 }
 
 /// Writes the state of this process to a file, and removes the file when dropped.
@@ -65,11 +68,13 @@ impl Reporter {
         let task = tokio::spawn(async move {
             loop {
                 let session = bus.borrow().clone();
-                let (connected, idle) = match session {
-                    None => (false, Duration::ZERO),
-                    Some(bus) => (bus.is_connected().await, bus.pulse().age()),
+                let state = match session {
+                    None => state(&role, false, Duration::ZERO),
+                    Some(bus) => {
+                        State { joins: bus.joins(), ..state(&role, bus.is_connected().await, bus.pulse().age()) }
+                    }
                 };
-                if let Err(error) = write(&its_path, &state(&role, connected, idle)) {
+                if let Err(error) = write(&its_path, &state) {
                     tracing::warn!(path = %its_path.display(), %error, "the state of health was not written");
                 }
                 tokio::time::sleep(PERIOD).await;
@@ -126,7 +131,8 @@ pub fn check(file: &Path, alive: bool) -> Result<State, Failure> {
 }
 
 fn state(role: &str, connected: bool, idle: Duration) -> State {
-    State { role: role.to_owned(), pid: std::process::id(), unix_ms: unix_ms(), connected, idle_s: idle.as_secs_f64() }
+    let idle_s = idle.as_secs_f64();
+    State { role: role.to_owned(), pid: std::process::id(), unix_ms: unix_ms(), connected, idle_s, joins: None }
 }
 
 /// Replaces the file atomically, so that no reader sees a partial state.

@@ -148,7 +148,7 @@ fn whatever_is_missing_is_named_with_one_code() {
 
 #[test]
 fn an_endpoint_that_makes_no_sense_is_named() {
-    for (role, endpoint) in [("router", "nonsense"), ("router", "tls/127.0.0.1:7447"), ("router", "tcp/localhost")] {
+    for (role, endpoint) in [("router", "nonsense"), ("router", "udp/127.0.0.1:7447"), ("router", "tcp/localhost")] {
         check_refused(&[role, "--listen", endpoint], &[], None, 64, &[endpoint, "tcp/HOST:PORT"]);
     }
     check_refused(&["actor", "--connect", "localhost"], &[], None, 64, &["`localhost`", "tcp/HOST:PORT"]);

@@ -56,8 +56,13 @@ def config(endpoint: str, keys: Path | None, role: str) -> zenoh.Config:
 
 def opens(endpoint: str, keys: Path | None, role: str) -> bool:
     """Returns whether a session with these keys reaches a router."""
+    return opens_with(config(endpoint, keys, role))
+
+
+def opens_with(made: zenoh.Config) -> bool:
+    """Returns whether a session with this configuration reaches a router."""
     try:
-        with zenoh.open(config(endpoint, keys, role)) as session:
+        with zenoh.open(made) as session:
             return bool(session.info.routers_zid())
     except zenoh.ZError:
         return False
@@ -130,8 +135,8 @@ def main() -> None:
     user, password = (keys / "learner" / "password").read_text().strip().split(":", 1)
     mixed.insert_json5("transport/auth/usrpwd/user", json.dumps(user))
     mixed.insert_json5("transport/auth/usrpwd/password", json.dumps(password))
+    report["mixed"] = opens_with(mixed)
     roles: dict[str, zenoh.Config] = {role: config(endpoint, keys, role) for role in ("viewer", "actor", "evaluator")}
-    roles["mixed"] = mixed
     with zenoh.open(config(endpoint, keys, "viewer")) as viewer, zenoh.open(config(endpoint, keys, "evaluator")) as evaluator:
         attacks: dict[str, dict[str, list[str]]] = {}
         for role, its_config in roles.items():

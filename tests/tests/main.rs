@@ -6,6 +6,7 @@ mod circles;
 mod compatibility;
 mod configs;
 mod context;
+mod joins;
 mod learning;
 mod pretrained;
 mod repository;

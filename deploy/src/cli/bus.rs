@@ -10,8 +10,8 @@ use crate::config::Override;
 /// Endpoints of a process that joins a run.
 #[derive(Clone, Debug, Default, Args)]
 pub struct EndpointArgs {
-    /// Endpoint of the router, for example tcp/127.0.0.1:7447, quic/HOST:7447, or unixsock-stream//tmp/bus.sock; may
-    /// be repeated.
+    /// Endpoint of the router, for example tcp/127.0.0.1:7447, quic/HOST:7447, tls/HOST:7447, or
+    /// unixsock-stream//tmp/bus.sock; may be repeated.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
     pub connect: Vec<String>,
     /// Act as a router too, and listen here; may be repeated. An address that other machines can reach needs --keys.
@@ -34,7 +34,8 @@ pub struct KeysArgs {
 /// Arguments of `router`.
 #[derive(Debug, Args)]
 pub struct RouterArgs {
-    /// Endpoint to listen on, for example tcp/127.0.0.1:7447, or quic/0.0.0.0:7447 with --keys; may be repeated.
+    /// Endpoint to listen on, for example tcp/127.0.0.1:7447, or, with --keys, quic/0.0.0.0:7447 (UDP) or
+    /// tls/0.0.0.0:7447 (TCP); may be repeated.
     #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = endpoint)]
     pub listen: Vec<String>,
     /// Endpoint of another router to connect to; may be repeated.

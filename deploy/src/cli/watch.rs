@@ -8,8 +8,8 @@ use super::values::endpoint;
 /// Arguments of `watch`.
 #[derive(Debug, Args)]
 pub struct WatchArgs {
-    /// Endpoint of the run's router, for example tcp/127.0.0.1:7447, quic/HOST:7447, or unixsock-stream//tmp/bus.sock;
-    /// may be repeated.
+    /// Endpoint of the run's router, for example tcp/127.0.0.1:7447, quic/HOST:7447, tls/HOST:7447, or
+    /// unixsock-stream//tmp/bus.sock; may be repeated.
     #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
     pub connect: Vec<String>,
     /// Name of the run; unless set, a run is named after its preset.

@@ -21,7 +21,8 @@ pub(super) fn run(command: &KeysCommand, terminal: &Terminal) -> Result<(), Fail
                 "keys for {} days in {dir}, for a router at {}\n\
                  give each machine the folder of its role only; keep {dir}/{} away from all of them\n\
                  router:  lodestone router --listen quic/0.0.0.0:7447 --keys {dir}\n\
-                 others:  lodestone actor --connect quic/HOST:7447 --keys {dir} …",
+                 others:  lodestone actor --connect quic/HOST:7447 --keys {dir} …\n\
+                 over TCP: `tls/…` instead of `quic/…`, with any port",
                 args.certificate.days,
                 hosts.join(", "),
                 keys::AUTHORITY,

@@ -72,7 +72,13 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
         Command::Serve(args) => on_runtime(async |shutdown| serve::run(&args, terminal, shutdown).await),
         Command::Report(args) => report::run(&args, terminal),
         Command::Keys(command) => keys::run(&command, terminal),
-        Command::Healthcheck(args) => health::check(&args.file, args.alive).map(drop),
+        Command::Healthcheck(args) => {
+            let state = health::check(&args.file, args.alive)?;
+            if let Some(joins) = state.joins {
+                terminal.print(&joins.to_string());
+            }
+            Ok(())
+        }
         Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
         Command::Watch(args) => on_runtime(async |shutdown| watch::run(&args, terminal, shutdown).await),
         Command::Train(args) => {

@@ -1,0 +1,235 @@
+//! Joining a router while others keep connections open that lead nowhere. With `--nocapture`, the tests print seconds.
+
+use std::any::Any;
+use std::future::Future;
+use std::net::{SocketAddr, TcpListener as StdListener, UdpSocket as StdSocket};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bus::{Bus, BusConfig, BusMode, JoinCounts, SecurityConfig};
+use quinn::crypto::rustls::QuicClientConfig;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tempfile::TempDir;
+use tokio::io::AsyncReadExt;
+use tokio::net::{TcpStream, UdpSocket};
+
+/// Connections that lead nowhere.
+const N_OPEN: u64 = 100;
+
+/// The longest time that a connection may get.
+const FOREVER_MS: u64 = 600_000;
+
+/// Only ends a test that hangs.
+const LIMIT: Duration = Duration::from_secs(120);
+
+async fn within<T>(what: &str, future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(LIMIT, future).await.unwrap_or_else(|_| panic!("{what}: nothing within {LIMIT:?}"))
+}
+
+/// A router, with keys unless it speaks plain TCP.
+struct Site {
+    folder: TempDir,
+    endpoint: String,
+    at: SocketAddr,
+    router: Bus,
+}
+
+impl Site {
+    async fn open(protocol: &str, join_timeout_ms: u64) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let hosts = ["127.0.0.1".to_owned(), "localhost".to_owned()];
+        deploy::keys::create(&folder.path().join("keys"), &hosts, 1).unwrap();
+        // This port was free a moment ago.
+        let at = match protocol {
+            "quic" => StdSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap(),
+            _ => StdListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap(),
+        };
+        let endpoint = format!("{protocol}/{at}");
+        let security = security(&folder, protocol, "router");
+        let config = BusConfig { listen: vec![endpoint.clone()], security, join_timeout_ms, ..BusConfig::default() };
+        let router = within("router", Bus::open(&config)).await.unwrap();
+        Self { folder, endpoint, at, router }
+    }
+
+    fn client_config(&self, role: &str) -> BusConfig {
+        let security = security(&self.folder, self.endpoint.split('/').next().unwrap(), role);
+        BusConfig { mode: BusMode::Client, connect: vec![self.endpoint.clone()], security, ..BusConfig::default() }
+    }
+
+    async fn client(&self, role: &str) -> Bus {
+        within(role, Bus::open(&self.client_config(role))).await.unwrap()
+    }
+
+    fn counts(&self) -> JoinCounts {
+        self.router.joins().unwrap()
+    }
+
+    async fn counted(&self, what: &str, holds: impl Fn(JoinCounts) -> bool) -> JoinCounts {
+        within(what, async {
+            while !holds(self.counts()) {
+                tokio::task::yield_now().await;
+            }
+            self.counts()
+        })
+        .await
+    }
+}
+
+fn security(folder: &TempDir, protocol: &str, role: &str) -> SecurityConfig {
+    let keys = (protocol != "tcp").then(|| folder.path().join("keys").join(role));
+    SecurityConfig { keys }
+}
+
+/// TCP connections on which nothing is ever sent.
+async fn silent(at: SocketAddr) -> Vec<TcpStream> {
+    let mut open = Vec::new();
+    for _ in 0..N_OPEN {
+        open.push(TcpStream::connect(at).await.unwrap());
+    }
+    open
+}
+
+/// The QUIC client of a process with the keys of `role`.
+fn quic_client(site: &Site, role: &str) -> quinn::Endpoint {
+    let folder = site.folder.path().join("keys").join(role);
+    let certificates =
+        |name: &str| CertificateDer::pem_file_iter(folder.join(name)).unwrap().collect::<Result<Vec<_>, _>>().unwrap();
+    let mut roots = rustls::RootCertStore::empty();
+    roots.add(certificates("ca.pem").remove(0)).unwrap();
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let builder =
+        rustls::ClientConfig::builder_with_provider(provider).with_protocol_versions(&[&rustls::version::TLS13]);
+    let key = PrivateKeyDer::from_pem_file(folder.join("key.pem")).unwrap();
+    let builder = builder.unwrap().with_root_certificates(roots);
+    let mut config = builder.with_client_auth_cert(certificates("cert.pem"), key).unwrap();
+    config.alpn_protocols = vec![b"zenoh".to_vec()];
+    let mut endpoint = quinn::Endpoint::client("127.0.0.1:0".parse().unwrap()).unwrap();
+    endpoint.set_default_client_config(quinn::ClientConfig::new(Arc::new(QuicClientConfig::try_from(config).unwrap())));
+    endpoint
+}
+
+/// Sends the first packets of QUIC clients that never hear an answer, as behind a firewall that lets UDP out only.
+async fn unanswered(site: &Site) -> UdpSocket {
+    let out = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+    let client = quic_client(site, "actor");
+    let mut packet = [0; 2048];
+    for _ in 0..N_OPEN {
+        let wall = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let connecting = client.connect(wall.local_addr().unwrap(), "localhost").unwrap();
+        let (n_bytes, _) = wall.recv_from(&mut packet).await.unwrap();
+        out.send_to(&packet[..n_bytes], site.at).await.unwrap();
+        drop(connecting);
+    }
+    out
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_joins_while_100_handshakes_are_open() {
+    for protocol in ["tls", "quic"] {
+        let site = Site::open(protocol, FOREVER_MS).await;
+        let open: Box<dyn Any> = match protocol {
+            "tls" => Box::new(silent(site.at).await),
+            _ => Box::new(unanswered(&site).await),
+        };
+        site.counted("the open ones", |counts| counts.n_pending == N_OPEN).await;
+        let start = Instant::now();
+        let client = site.client("viewer").await;
+        println!("{protocol}: joined after {:.2} s, beside {N_OPEN} open handshakes", start.elapsed().as_secs_f64());
+        assert!(client.is_connected().await);
+        let expected = JoinCounts { n_pending: N_OPEN, n_joined: 1, ..JoinCounts::default() };
+        assert_eq!(site.counts(), expected, "{protocol}");
+        client.close().await;
+        site.router.close().await;
+        drop(open);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_joins_plain_tcp_while_100_connections_are_silent() {
+    let site = Site::open("tcp", FOREVER_MS).await;
+    let open = silent(site.at).await;
+    let start = Instant::now();
+    let client = site.client("viewer").await;
+    println!("tcp: joined after {:.2} s, beside {N_OPEN} open connections", start.elapsed().as_secs_f64());
+    assert!(client.is_connected().await);
+    assert_eq!(site.router.joins(), None);
+    client.close().await;
+    site.router.close().await;
+    drop(open);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_stands_still_is_dropped_and_counted() {
+    let join_timeout_ms = BusConfig::default().join_timeout_ms;
+    for protocol in ["tls", "tcp"] {
+        let site = Site::open(protocol, join_timeout_ms).await;
+        let start = Instant::now();
+        for mut connection in silent(site.at).await {
+            // zenoh may say goodbye.
+            let mut rest = Vec::new();
+            let _ = within("the end of the connection", connection.read_to_end(&mut rest)).await;
+        }
+        println!("{protocol}: dropped after {:.2} s", start.elapsed().as_secs_f64());
+        if protocol == "tls" {
+            let expected = JoinCounts { n_stalled: N_OPEN, ..JoinCounts::default() };
+            assert_eq!(site.counted("all", |counts| counts.n_stalled == N_OPEN).await, expected);
+        }
+        site.router.close().await;
+    }
+    // Good keys make no difference.
+    let site = Site::open("quic", join_timeout_ms).await;
+    let connection = within("QUIC", quic_client(&site, "actor").connect(site.at, "localhost").unwrap()).await.unwrap();
+    let start = Instant::now();
+    within("the end of the connection", connection.closed()).await;
+    println!("quic: dropped after {:.2} s", start.elapsed().as_secs_f64());
+    let expected = JoinCounts { n_stalled: 1, ..JoinCounts::default() };
+    assert_eq!(site.counted("it", |counts| counts.n_stalled == 1).await, expected);
+    site.router.close().await;
+}
+
+#[test]
+fn who_mixes_the_keys_of_two_roles_is_refused() {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    for protocol in ["tls", "quic"] {
+        runtime.block_on(async {
+            let site = Site::open(protocol, FOREVER_MS).await;
+            let keys = site.folder.path().join("keys");
+            std::fs::copy(keys.join("learner/password"), keys.join("actor/password")).unwrap();
+            let config = site.client_config("actor");
+            tokio::select! {
+                joined = Bus::open(&config) => panic!("{protocol}: {joined:?}"),
+                counts = site.counted("a refusal", |counts| counts.n_refused > 0) => assert_eq!(counts.n_joined, 0),
+            }
+            site.router.close().await;
+        });
+    }
+    // Waiting for the threads that keep trying would have no end.
+    runtime.shutdown_background();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn members_talk_over_either_protocol() {
+    for protocol in ["tls", "quic"] {
+        let site = Site::open(protocol, FOREVER_MS).await;
+        let (evaluator, viewer) = (site.client("evaluator").await, site.client("viewer").await);
+        let publisher = evaluator.metrics_publisher("eval/summary").await.unwrap();
+        // Longer than any buffer on the way.
+        let value = serde_json::Value::String("0123456789".repeat(500_000));
+        publisher.put(&value).await.unwrap();
+        let mut reader = viewer.metrics_subscriber("eval/summary").await.unwrap();
+        let sample = within("the value", reader.recv()).await.unwrap();
+        assert!(sample.value == value, "{protocol}");
+        // The router goes; both notice.
+        site.router.close().await;
+        for member in [&evaluator, &viewer] {
+            within("the loss", async {
+                while member.is_connected().await {
+                    tokio::task::yield_now().await;
+                }
+            })
+            .await;
+            member.close().await;
+        }
+    }
+}
