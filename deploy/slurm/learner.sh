@@ -49,15 +49,17 @@ is_healthy() {
 
 # Starts a router on a free port and publishes its endpoint.
 start_router() {
-    local host port code n
+    local host port code n first last
+    local protocol=${LODESTONE_SLURM_PROTOCOL:-quic} ports=${LODESTONE_SLURM_PORTS:-20000-31999}
+    first=${ports%-*} last=${ports#*-}
     # `set -e` has no effect in a function called with `||`, so each command handles its own failure.
     host=$(address) || return
     # The router's certificate must name the node that the job runs on.
     "$LODESTONE_SLURM_BINARY" keys router "$folder/keys" --host "$host" >/dev/null || return
     for ((n = 0; n < 20; n++)); do
-        port=$((20000 + RANDOM % 12000))
+        port=$((first + (RANDOM * 32768 + RANDOM) % (last - first + 1)))
         rm -f "$folder/health/router"
-        "$LODESTONE_SLURM_BINARY" router --listen "quic/0.0.0.0:$port" --keys "$folder/keys" \
+        "$LODESTONE_SLURM_BINARY" router --listen "$protocol/0.0.0.0:$port" --keys "$folder/keys" \
             --health-file "$folder/health/router" &
         router=$!
         while is_alive "$router" && ! is_healthy router; do
@@ -65,9 +67,9 @@ start_router() {
             nap 0.2
         done
         if is_alive "$router"; then
-            printf 'quic/%s:%s\n%s\n' "$host" "$port" "$owner" | write_whole "$folder/endpoint"
-            local_endpoint=quic/127.0.0.1:$port
-            say "router at quic/$host:$port"
+            printf '%s/%s:%s\n%s\n' "$protocol" "$host" "$port" "$owner" | write_whole "$folder/endpoint"
+            local_endpoint=$protocol/127.0.0.1:$port
+            say "router at $protocol/$host:$port"
             return 0
         fi
         code=0
@@ -75,8 +77,9 @@ start_router() {
         router=
         # Retry only if the port was taken.
         ((code == 65)) || return "$code"
+        ((first < last)) || break
     done
-    say "no free port found for the router" >&2
+    say "no free port among $ports for the router" >&2
     return 65
 }
 

@@ -38,6 +38,8 @@ def mistakes_are_explained(training: Training) -> None:
     for options, code, hint in [
         (["launch", *binary, "--actors", "none"], 2, "valid is a number"),
         (["launch", *binary, "--actor", "8"], 2, "is no option"),
+        (["launch", *binary, "--port", "0"], 2, "valid is a port from 1 to 65535"),
+        (["launch", *binary, "--port", "7-6"], 2, "or FIRST-LAST"),
         (["launch", *binary, "--run", "My Run"], 2, "valid are 1 to 64 characters"),
         (["launch", *binary, "--preset", "quick"], 64, "nothing was submitted"),
         (["launch", "--binary", "/nowhere"], 64, "no program at /nowhere"),
