@@ -30,7 +30,7 @@ def role(name: str, **ports: int) -> Peer:
     return Peer(name, {COMPONENT: name}, ports=ports)
 
 
-ROUTER, LEARNER, ACTOR = role("router", bus=7447), role("learner"), role("actor")
+ROUTER, LEARNER, ACTOR = role("router", **{"bus": 7447, "bus-tcp": 7447}), role("learner"), role("actor")
 EVALUATOR, VIEWER = role("evaluator", page=8080), role("viewer")
 STRANGER = Peer("a pod without labels in the namespace")
 ELSEWHERE = Peer("a pod of another namespace with a role's label", {COMPONENT: "actor"}, OTHER)
@@ -42,7 +42,11 @@ INTERNET = Peer("the Internet", address="192.0.2.1", is_pod=False)
 METADATA = Peer("the cloud's metadata", address="169.254.169.254", is_pod=False)
 
 ALLOWED: list[tuple[Peer, Peer, int, str]] = [
-    *((client, ROUTER, 7447, "UDP") for client in (LEARNER, ACTOR, EVALUATOR, VIEWER)),
+    *(
+        (client, ROUTER, 7447, protocol)
+        for client in (LEARNER, ACTOR, EVALUATOR, VIEWER)
+        for protocol in ("UDP", "TCP")
+    ),
     *(
         (client, names, 53, protocol)
         for client in (LEARNER, ACTOR, EVALUATOR, VIEWER)

@@ -151,7 +151,7 @@ def placer(folder: Path, port: int) -> Callable[[str], str]:
     """Returns a function that replaces the cluster's paths and addresses with the pod's folders and loopback."""
 
     def place(text: str) -> str:
-        text = re.sub(r"^quic/(0\.0\.0\.0|router):7447$", f"quic/127.0.0.1:{port}", text)
+        text = re.sub(r"\b(quic|tls)/(0\.0\.0\.0|router):7447\b", rf"\1/127.0.0.1:{port}", text)
         text = text.replace("--web=0.0.0.0:8080", "--web=127.0.0.1:0")
         return FOLDER.sub(lambda match: str(folder / match[1]), text)
 
