@@ -26,6 +26,7 @@ struct Router {
     connector: TlsConnector,
     /// Time limit for a connection.
     limit: Duration,
+    closing: CancellationToken,
     /// The last error, which is told once and not with every attempt.
     failing: Mutex<Option<String>>,
 }
@@ -42,14 +43,14 @@ pub(super) fn open(
     let failed = |error| BusError::Listen { endpoint: entrance.display().to_string(), error };
     let (host, port) = address(endpoint).ok_or_else(|| failed(io::ErrorKind::InvalidInput.into()))?;
     let connector = TlsConnector::from(Arc::new(tls::client(keys)?));
-    let (host, failing) = (host.to_owned(), Mutex::new(None));
-    let router = Arc::new(Router { endpoint: endpoint.to_owned(), host, port, connector, limit, failing });
+    let (endpoint, host, failing) = (endpoint.to_owned(), host.to_owned(), Mutex::new(None));
+    let router = Arc::new(Router { endpoint, host, port, connector, limit, closing: closing.clone(), failing });
     let listener = UnixListener::bind(entrance).map_err(failed)?;
-    let (its_tasks, closing) = (tasks.clone(), closing.clone());
+    let its_tasks = tasks.clone();
     tasks.spawn(async move {
         loop {
             tokio::select! {
-                () = closing.cancelled() => return,
+                () = router.closing.cancelled() => return,
                 accepted = listener.accept() => match accepted {
                     Ok((inner, _)) => drop(its_tasks.spawn(Arc::clone(&router).carry(inner))),
                     Err(error) => {
@@ -65,7 +66,10 @@ pub(super) fn open(
 
 impl Router {
     async fn carry(self: Arc<Self>, inner: UnixStream) {
-        let connected = tokio::time::timeout(self.limit, self.connect()).await;
+        let connected = tokio::select! {
+            () = self.closing.cancelled() => return,
+            connected = tokio::time::timeout(self.limit, self.connect()) => connected,
+        };
         let late = |_| Err(io::Error::new(io::ErrorKind::TimedOut, "no answer"));
         match connected.unwrap_or_else(late) {
             Ok(outer) => {
