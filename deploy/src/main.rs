@@ -14,9 +14,12 @@ fn main() -> ExitCode {
     let terminal = Terminal::default();
     telemetry::init(cli.log_format, &terminal);
     let has_result = cli.command.has_result();
-    let ended = commands::execute(cli.command, &terminal);
-    // Services go on without a reader: what they print is progress.
-    match ended.and_then(|()| if has_result { terminal.check_written() } else { Ok(()) }) {
+    let ended = match commands::execute(cli.command, &terminal) {
+        // Services go on without a reader: what they print is progress.
+        Ok(()) if has_result => terminal.check_written(),
+        ended => ended,
+    };
+    match ended {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             terminal.on_stderr().print(&format!("error: {failure}"));
