@@ -351,8 +351,9 @@ fn parse<T: for<'de> Deserialize<'de>>(folder: &Path, name: &str, bytes: &[u8]) 
     serde_json::from_slice(bytes).map_err(|error| {
         // The files have one key in a line.
         let line = bytes.split(|byte| *byte == b'\n').nth(error.line().saturating_sub(1)).unwrap_or_default();
-        let line: String = String::from_utf8_lossy(line).trim().chars().take(80).collect();
-        damaged(folder, name, format!("{error}: `{}`", line.escape_debug()))
+        let line = String::from_utf8_lossy(line);
+        let line: String = line.trim().chars().filter(|c| !c.is_control()).take(80).collect();
+        damaged(folder, name, format!("{error}: `{line}`"))
     })
 }
 

@@ -16,7 +16,7 @@ import golden
 import numpy as np
 import onnxruntime
 import torch
-from lodestone_torch import Config, GraphLayer, GraphNetwork, Output, Policy
+from lodestone_torch import Config, GraphLayer, GraphNetwork, Output, Policy, digest
 from safetensors.torch import save_file
 
 TOLERANCE = 1e-5
@@ -224,6 +224,7 @@ class Settings(Case):
         tensors = policy.network.state_dict()
         flat = json.loads(json.dumps(policy.header))
         swapped = json.loads(json.dumps(policy.header))
+        swapped.update(format_version=3, digest=digest(swapped["table"], tensors))
         places = [i for i, entry in enumerate(swapped["table"]) if entry["shape"] == swapped["table"][1]["shape"]]
         table = swapped["table"]
         table[places[0]], table[places[1]] = table[places[1]], table[places[0]]

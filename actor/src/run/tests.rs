@@ -158,7 +158,8 @@ async fn an_actor_with_other_settings_than_its_run_ends_and_names_the_first() {
         // With the first weights, and after the learner was replaced.
         for first in [theirs.clone(), setup(config()).settings()] {
             let is_late = first != theirs;
-            let actor = Actor::start(config()).await;
+            // No learner takes segments, and the actor must not pause for one.
+            let actor = Actor::start(ActorConfig { full_backlog: FullBacklog::DropOldest, ..config() }).await;
             let mut metrics = actor.bus.metrics_subscriber("actor/toy").await.unwrap();
             let publisher = actor.bus.weights_publisher().await.unwrap();
             publisher.publish(Arc::new(Weights { settings: first, ..toy::weights(0, 1.0) })).await.unwrap();
