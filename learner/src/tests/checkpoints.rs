@@ -352,7 +352,7 @@ fn a_state_with_numbers_that_no_run_has_is_refused_by_file_and_key() {
             json!(0.0),
             "state.normalization.value_std = 0: expected above 0 and finite",
         ),
-        ("/state/normalization/value_mean", json!(1e300), "`\"value_mean\": 1e300"),
+        ("/state/normalization/value_mean", json!(1e300), "`\"value_mean\": 1e+300"),
         ("/state/normalization/feature_std/0/0", json!(-1.0), "state.normalization.feature_std[0] = -1"),
         ("/state/normalization/feature_mean/1", json!([]), "state.normalization.feature_mean[1] = 0 numbers"),
         ("/state/curriculum/tasks/2_000/probability", json!(-5.0), "state.curriculum.tasks.2_000.probability = -5"),
