@@ -148,3 +148,26 @@ pub(super) fn size_limits() -> Value {
         limit("units", &["query", "reply"], &["worker/*"], MAX_UNIT_BYTES),
     ])
 }
+
+/// Most queries for weights, metrics, or the history that a router takes from one connection, per second. It ends others
+/// without a reply. An actor asks once for each version of the weights, and no other process asks often; the processes
+/// below another router share its connection and come back for what was dropped.
+const QUERIES_PER_S: u32 = 200;
+
+/// Most metrics of actors that a router takes from one connection, per second. It drops others. An actor publishes a few
+/// in a second, and newer ones replace those that were dropped.
+const ACTOR_METRICS_PER_S: u32 = 5000;
+
+/// Zenoh's `downsampling`: limits of each connection. Trajectories have none, because two of an actor may come at the
+/// same moment, and zenoh has no limit that lets both through.
+pub(super) fn rate_limits() -> Value {
+    let limit = |id: &str, message: &str, keys: &[&str], per_s: u32| {
+        let rule = |key: &&str| json!({ "key_expr": format!("lodestone/*/{key}"), "freq": per_s });
+        let rules: Vec<Value> = keys.iter().map(rule).collect();
+        json!({ "id": id, "messages": [message], "flows": ["ingress"], "rules": rules })
+    };
+    json!([
+        limit("queries", "query", &["weights/latest", "metrics/**", "history/eval"], QUERIES_PER_S),
+        limit("actor-metrics", "put", &["metrics/actor/*"], ACTOR_METRICS_PER_S),
+    ])
+}

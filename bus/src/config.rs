@@ -194,6 +194,9 @@ impl BusConfig {
                 },
             },
         });
+        if self.is_listening() {
+            config["downsampling"] = access::rate_limits();
+        }
         if let Some(keys) = keys {
             config["transport"]["link"]["tls"] = keys.tls();
             config["transport"]["auth"] = json!({ "usrpwd": keys.passwords(self.is_listening()) });

@@ -10,8 +10,13 @@ pub(super) struct Counter(AtomicU64);
 
 impl Counter {
     pub(super) fn add_one(&self) {
+        self.number_one();
+    }
+
+    /// Adds one and returns the count before.
+    pub(super) fn number_one(&self) -> u64 {
         // Relaxed: the count orders no other memory accesses.
-        self.0.fetch_add(1, Ordering::Relaxed);
+        self.0.fetch_add(1, Ordering::Relaxed)
     }
 
     pub(super) fn get(&self) -> u64 {
@@ -33,6 +38,8 @@ pub(super) struct BusCounters {
     pub(super) viewed_dropped: Counter,
     pub(super) views_failed: Counter,
     pub(super) tokens_invalid: Counter,
+    /// Names given to senders of queries; not reported.
+    pub(super) askers: Counter,
 }
 
 impl BusCounters {

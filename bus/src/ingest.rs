@@ -7,15 +7,16 @@ use std::sync::Arc;
 
 use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
-use zenoh::bytes::Encoding;
+use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::{Query, Queryable};
 
 use self::names::Names;
 use self::repeats::{Repeats, Seen};
 use super::counters::IngestCounters;
-use super::sender::{ACK_SCHEMA, REFUSAL_SCHEMA};
+use super::refusals::Refusals;
+use super::sender::ACK_SCHEMA;
 use super::{Bus, BusError};
-use proto::codec::{Ack, Refusal, Refused, decode_trajectory, encode_ack, encode_refused};
+use proto::codec::{Ack, Refusal, Refused, TRAJECTORY_HEADER_BYTES, decode_trajectory, encode_ack, trajectory_actor};
 use proto::metrics::IngestCounts;
 use proto::{Trajectory, WeightsVersion, keys};
 use tokio_util::task::AbortOnDropHandle;
@@ -48,28 +49,25 @@ impl Bus {
         let (queue, mut queries) = mpsc::channel::<Query>(self.config.ingest_queue);
         let counters = Arc::new(IngestCounters::default());
         let (names, repeats) = (Names::follow(self).await?, Repeats::default());
+        let refusals = Refusals::start();
+        let inlet =
+            Inlet { queue, counters: counters.clone(), refusals: refusals.clone(), version: current_version.clone() };
         let mut server = Server { handler, current_version, counters: counters.clone(), names, repeats };
-        let (version, queue_counters) = (server.current_version.clone(), counters.clone());
         let queryable = self
             .session
             .declare_queryable(keys::INGEST_ALL)
             .complete(true)
-            .callback(move |query| {
-                queue_counters.received.add_one();
-                if let Err(mpsc::error::TrySendError::Full(query) | mpsc::error::TrySendError::Closed(query)) =
-                    queue.try_send(query)
-                {
-                    queue_counters.full.add_one();
-                    answer(&query, Err(Refusal::Full), *version.borrow());
-                }
-            })
+            .callback(move |query| inlet.pass(query))
             .await
             .map_err(BusError::during("declaring the learner's ingest"))?;
         let worker = AbortOnDropHandle::new(tokio::spawn(async move {
             while let Some(query) = queries.recv().await {
                 let decision = server.decide(&query);
-                let version = *server.current_version.borrow();
-                answer(&query, decision, version);
+                let weights_version = *server.current_version.borrow();
+                match decision {
+                    Ok(()) => acknowledge(&query, weights_version),
+                    Err(refusal) => refusals.refuse_in_turn(query, Refused { refusal, weights_version }).await,
+                }
             }
         }));
         Ok(TrajectoryServer { counters, queryable, _worker: worker, _open: self.clone() })
@@ -91,6 +89,59 @@ impl TrajectoryServer {
     }
 }
 
+/// Turns away what is not worth decoding.
+struct Inlet {
+    queue: mpsc::Sender<Query>,
+    counters: Arc<IngestCounters>,
+    refusals: Refusals,
+    version: watch::Receiver<WeightsVersion>,
+}
+
+impl Inlet {
+    fn pass(&self, query: Query) {
+        self.counters.received.add_one();
+        let (query, refusal) = match check_header(&query) {
+            Err(reason) => {
+                count_invalid(&self.counters, &query, &reason);
+                (query, Refusal::Invalid(reason))
+            }
+            Ok(()) => match self.queue.try_send(query) {
+                Ok(()) => return,
+                Err(mpsc::error::TrySendError::Full(query) | mpsc::error::TrySendError::Closed(query)) => {
+                    self.counters.full.add_one();
+                    (query, Refusal::Full)
+                }
+            },
+        };
+        self.refusals.refuse(query, Refused { refusal, weights_version: *self.version.borrow() });
+    }
+}
+
+/// Checks the first bytes: the protocol's version, and the actor, who must be that of the key.
+fn check_header(query: &Query) -> Result<(), String> {
+    let slices = query.payload().into_iter().flat_map(ZBytes::slices);
+    let header: Vec<u8> = slices.flatten().copied().take(TRAJECTORY_HEADER_BYTES).collect();
+    let actor = trajectory_actor(&header).map_err(|error| error.to_string())?;
+    check_key(query, actor)
+}
+
+/// Checks that a message comes from the actor of its key: the router grants keys by actor.
+fn check_key(query: &Query, actor: &str) -> Result<(), String> {
+    let key = query.key_expr().as_str();
+    let is_own = key.strip_prefix(keys::INGEST_PREFIX) == Some(actor);
+    if is_own { Ok(()) } else { Err(format!("actor {actor} may not send to {key}")) }
+}
+
+/// Counts an invalid message, and logs the first.
+fn count_invalid(counters: &IngestCounters, query: &Query, reason: &str) {
+    let key = query.key_expr();
+    if counters.invalid.number_one() == 0 {
+        tracing::warn!(%key, reason, "an invalid trajectory was refused; more are only counted");
+    } else {
+        tracing::debug!(%key, reason, "invalid trajectory");
+    }
+}
+
 struct Server<F> {
     handler: F,
     current_version: watch::Receiver<WeightsVersion>,
@@ -109,10 +160,7 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
             Err(Refusal::Stale) => self.counters.stale.add_one(),
             Err(Refusal::Full) => self.counters.full.add_one(),
             Err(Refusal::NameTaken) => self.counters.name_taken.add_one(),
-            Err(Refusal::Invalid(reason)) => {
-                tracing::debug!(key = %query.key_expr(), reason, "invalid trajectory");
-                self.counters.invalid.add_one();
-            }
+            Err(Refusal::Invalid(reason)) => count_invalid(&self.counters, query, reason),
         }
         decision.map(drop)
     }
@@ -120,11 +168,8 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
     fn accept(&mut self, query: &Query) -> Result<Taken, Refusal> {
         let payload = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
         let trajectory = decode_trajectory(&payload).map_err(|error| Refusal::Invalid(error.to_string()))?;
-        let key = query.key_expr().as_str();
-        if key.strip_prefix(keys::INGEST_PREFIX) != Some(trajectory.actor.as_str()) {
-            // The router grants keys by actor, so a message must not come from a different actor than its key.
-            return Err(Refusal::Invalid(format!("actor {} may not send to {key}", trajectory.actor)));
-        }
+        // A message can name a second actor after its header.
+        check_key(query, trajectory.actor.as_str()).map_err(Refusal::Invalid)?;
         if self.names.is_taken(&trajectory.actor, trajectory.epoch) {
             return Err(Refusal::NameTaken);
         }
@@ -149,20 +194,11 @@ enum Taken {
     Before,
 }
 
-/// Sends the answer. Does nothing if the actor is gone.
-fn answer(query: &Query, decision: Result<(), Refusal>, weights_version: WeightsVersion) {
-    let protobuf = |schema: &str| Encoding::APPLICATION_PROTOBUF.with_schema(schema);
-    let sent = match decision {
-        Ok(()) => {
-            let ack = encode_ack(Ack { weights_version });
-            query.reply(query.key_expr().clone(), ack).encoding(protobuf(ACK_SCHEMA)).wait()
-        }
-        Err(refusal) => {
-            let refused = encode_refused(&Refused { refusal, weights_version });
-            query.reply_err(refused).encoding(protobuf(REFUSAL_SCHEMA)).wait()
-        }
-    };
-    if let Err(error) = sent {
+/// Acknowledges a trajectory. Does nothing if the actor is gone.
+fn acknowledge(query: &Query, weights_version: WeightsVersion) {
+    let encoding = Encoding::APPLICATION_PROTOBUF.with_schema(ACK_SCHEMA);
+    let ack = encode_ack(Ack { weights_version });
+    if let Err(error) = query.reply(query.key_expr().clone(), ack).encoding(encoding).wait() {
         tracing::debug!(key = %query.key_expr(), %error, "the answer to a trajectory was not sent");
     }
 }

@@ -1,8 +1,8 @@
 //! The bus: zenoh sessions that carry [`proto`]'s messages between actors, learner, evaluator, and viewers.
 //!
 //! Reading order: `config`, [`security`], and `gate` (authentication) → `session` → `sender` and `ingest`
-//! (trajectories) → `weights` → `metrics`, `history`, and `viewer` → `units` (distributed evaluation) → `alive`, `pulse`
-//! and `runs`.
+//! (trajectories) → `weights` → `metrics`, `history`, and `viewer` → `latest`, `turns`, and `refusals` (floods) →
+//! `units` (distributed evaluation) → `alive`, `pulse` and `runs`.
 //!
 //! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
 //! liveliness tokens show which processes are alive. The services use only the types of this crate, never zenoh's.
@@ -24,10 +24,12 @@ mod latest;
 mod matching;
 mod metrics;
 mod pulse;
+mod refusals;
 mod runs;
 pub mod security;
 mod sender;
 mod session;
+mod turns;
 mod units;
 mod viewer;
 mod weights;

@@ -11,7 +11,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::Sample;
 
 use super::counters::BusCounters;
-use super::latest::Latest;
+use super::latest::{Asker, Latest};
 use super::{Bus, BusError};
 use proto::keys;
 
@@ -30,6 +30,7 @@ pub struct MetricsPublisher {
 pub struct MetricsSubscriber {
     samples: mpsc::Receiver<MetricsSample>,
     key: String,
+    asker: Asker,
     /// Weak, so that the queue ends once the session has dropped its callbacks.
     inbox: Weak<Inbox>,
     _subscriber: Subscriber<()>,
@@ -81,7 +82,8 @@ impl Bus {
             .await
             .map_err(BusError::during(format!("subscribing to {key}")))?;
         let inbox = Arc::downgrade(&inbox);
-        let subscriber = MetricsSubscriber { samples, key, inbox, _subscriber: subscriber, bus: self.clone() };
+        let asker = self.asker();
+        let subscriber = MetricsSubscriber { samples, key, asker, inbox, _subscriber: subscriber, bus: self.clone() };
         // Query after subscribing, so that no value is missed; a value may arrive twice.
         subscriber.ask_latest().await?;
         Ok(subscriber)
@@ -109,10 +111,11 @@ impl MetricsSubscriber {
     /// # Errors
     /// If the session is closed.
     pub async fn ask_latest(&self) -> Result<(), BusError> {
+        let selector = format!("{}?{}", self.key, self.asker.turn().await);
         let Some(inbox) = self.inbox.upgrade() else { return Ok(()) };
         self.bus
             .session
-            .get(self.key.clone())
+            .get(selector)
             .target(QueryTarget::All)
             // Otherwise replies wait for the slowest publisher, and then overwrite what was published meanwhile.
             .consolidation(ConsolidationMode::None)
@@ -145,6 +148,11 @@ struct Inbox {
 
 impl Inbox {
     fn push(&self, sample: &Sample) {
+        // Reserve a slot first: what will be dropped need not be parsed.
+        let Ok(slot) = self.sender.try_reserve() else {
+            self.counters.metrics_dropped.add_one();
+            return;
+        };
         let Ok(value) = serde_json::from_slice(&sample.payload().to_bytes()) else {
             self.counters.metrics_invalid.add_one();
             tracing::debug!(key = %sample.key_expr(), "metrics that are not JSON");
@@ -152,8 +160,6 @@ impl Inbox {
         };
         let key = sample.key_expr().as_str();
         let suffix = key.strip_prefix(&keys::metrics("")).unwrap_or(key).to_owned();
-        if self.sender.try_send(MetricsSample { suffix, value }).is_err() {
-            self.counters.metrics_dropped.add_one();
-        }
+        slot.send(MetricsSample { suffix, value });
     }
 }

@@ -4,6 +4,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use parking_lot::Mutex;
+use tokio::time::Instant;
+
 use super::counters::BusCounters;
 use super::gate::Gate;
 use super::{BusConfig, BusError, BusMode, JoinCounts, Pulse};
@@ -25,6 +28,8 @@ pub struct Bus {
     pub(super) counters: Arc<BusCounters>,
     pub(super) pulse: Pulse,
     pub(super) gate: Option<Arc<Gate>>,
+    /// Time of the next query for a newest value.
+    pub(super) next_query: Arc<Mutex<Instant>>,
 }
 
 impl Bus {
@@ -60,7 +65,8 @@ impl Bus {
             gate.open();
         }
         let (config, counters, pulse) = (Arc::new(config.clone()), Arc::default(), Pulse::default());
-        Ok(Self { session, config, counters, pulse, gate })
+        let next_query = Arc::new(Mutex::new(Instant::now()));
+        Ok(Self { session, config, counters, pulse, gate, next_query })
     }
 
     /// Opens a router that can only be reached through a Unix socket in `dir`, for tests.

@@ -129,7 +129,8 @@ impl UnitServer {
                 Err(error) => {
                     self.open.counters.queries_invalid.add_one();
                     let refusal = EvalAnswer::Refused(error.to_string());
-                    tokio::task::spawn_blocking(move || answer(&query, &refusal));
+                    // One after the other, so that a flood has no more than one thread.
+                    UnitCall::send(query, refusal).await;
                 }
             }
         }
@@ -139,7 +140,10 @@ impl UnitServer {
 impl UnitCall {
     /// Sends the answer. Does nothing if the evaluator is gone.
     pub async fn answer(self, reply: EvalAnswer) {
-        let query = self.query;
+        Self::send(self.query, reply).await;
+    }
+
+    async fn send(query: Query, reply: EvalAnswer) {
         let sent = tokio::task::spawn_blocking(move || answer(&query, &reply)).await;
         if let Err(panic) = sent {
             tracing::warn!(%panic, "answering a unit failed");

@@ -1,7 +1,7 @@
 //! Weights: the learner publishes a notice of newer weights, and the other processes pull them.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use tokio::sync::watch;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -12,8 +12,9 @@ use zenoh::query::{ConsolidationMode, Querier};
 use zenoh::sample::Sample;
 
 use super::counters::BusCounters;
-use super::latest::Latest;
+use super::latest::{Asker, Latest};
 use super::matching::Matching;
+use super::sender::REFUSAL_SCHEMA;
 use super::{Bus, BusError, process_epoch_ms};
 use proto::codec::{
     MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice, encode_weights,
@@ -27,9 +28,10 @@ const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
 /// Pause before a failed pull is retried.
 const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
-/// Pause between pulls while there is no reply. A learner sends a notice when it gets its first weights, so this
-/// matters only for a lost pull; thousands of actors may be waiting like this.
-const NOTHING_PAUSE: Duration = Duration::from_secs(2);
+/// Pause between pulls while there is no reply or the learner refuses them, at least and at most. A learner sends a
+/// notice when it gets its first weights, so this matters only for a lost pull; thousands of actors may be waiting like
+/// this. Their pauses differ, so that they do not come back all at once.
+const NOTHING_PAUSE_MS: std::ops::Range<u64> = 1000..3000;
 
 /// The learner's side: holds the newest weights and answers pulls.
 #[derive(Debug)]
@@ -101,7 +103,8 @@ impl Bus {
         let learner_there = Matching::of_querier(learner.clone()).await?;
         let (sender, weights) = watch::channel(None);
         let counters = self.counters.clone();
-        let puller = Puller { learner, learner_there, notices, counters, held: None, keep, sender };
+        let asker = self.asker();
+        let puller = Puller { learner, learner_there, asker, notices, counters, held: None, keep, sender };
         Ok(WeightsSubscriber {
             weights,
             _worker: AbortOnDropHandle::new(tokio::spawn(puller.run())),
@@ -138,8 +141,11 @@ impl<T> WeightsSubscriber<T> {
 enum Pulled {
     /// The newest weights are here, or are invalid and would be the same after a retry.
     Done,
-    /// There was no reply: the learner has no weights yet, or a router on the way does not know the learner yet.
+    /// There was no reply: the learner has no weights yet, or a router on the way does not know the learner yet or drops
+    /// what exceeds its limit.
     Nothing,
+    /// The learner refuses the pull: too many are waiting, or it has just answered another of this process.
+    Refused,
     /// The session or the reply failed.
     Failed,
 }
@@ -148,6 +154,7 @@ enum Pulled {
 struct Puller<T> {
     learner: Arc<Querier<'static>>,
     learner_there: Matching,
+    asker: Asker,
     notices: Subscriber<RingChannelHandler<Sample>>,
     counters: Arc<BusCounters>,
     /// The notice that corresponds to the held weights.
@@ -165,7 +172,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
             if wanted {
                 match self.pull().await {
                     Pulled::Done => wanted = false,
-                    Pulled::Nothing => pause = NOTHING_PAUSE,
+                    Pulled::Nothing | Pulled::Refused => pause = nothing_pause(),
                     Pulled::Failed => self.counters.pulls_failed.add_one(),
                 }
             }
@@ -199,9 +206,16 @@ impl<T: Send + Sync + 'static> Puller<T> {
 
     /// Pulls the newest weights.
     async fn pull(&mut self) -> Pulled {
-        let Ok(replies) = self.learner.get().await else { return Pulled::Failed };
+        let name = self.asker.turn().await;
+        let Ok(replies) = self.learner.get().parameters(name).await else { return Pulled::Failed };
         let Ok(reply) = replies.recv_async().await else { return Pulled::Nothing };
-        let Ok(sample) = reply.result() else { return Pulled::Failed };
+        let sample = match reply.result() {
+            Ok(sample) => sample,
+            Err(error) if *error.encoding() == Encoding::APPLICATION_PROTOBUF.with_schema(REFUSAL_SCHEMA) => {
+                return Pulled::Refused;
+            }
+            Err(_) => return Pulled::Failed,
+        };
         match decode_weights(sample.payload().to_bytes().into_owned().into()) {
             Ok(PublishedWeights { epoch, weights }) => {
                 let pulled = Some(WeightsNotice { epoch, version: weights.version });
@@ -218,4 +232,11 @@ impl<T: Send + Sync + 'static> Puller<T> {
         }
         Pulled::Done
     }
+}
+
+/// Returns a pause of [`NOTHING_PAUSE_MS`] that differs between processes.
+fn nothing_pause() -> Duration {
+    let nanos = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().subsec_nanos();
+    let more_ms = u64::from(nanos) % (NOTHING_PAUSE_MS.end - NOTHING_PAUSE_MS.start);
+    Duration::from_millis(NOTHING_PAUSE_MS.start + more_ms)
 }

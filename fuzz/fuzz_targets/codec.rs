@@ -10,6 +10,11 @@ use proto::codec::*;
 fuzz_target!(|bytes: &[u8]| {
     round_trip(bytes, decode_trajectory, encode_trajectory);
     round_trip(bytes, decode_recording, encode_recording);
+    let _ = trajectory_actor(bytes);
+    if let Ok(trajectory) = decode_trajectory(bytes) {
+        let again = encode_trajectory(&trajectory);
+        assert_eq!(trajectory_actor(&again).expect("the codec reads what it wrote"), trajectory.actor.as_str());
+    }
     round_trip(
         bytes,
         |bytes| decode_weights(Bytes::copy_from_slice(bytes)),

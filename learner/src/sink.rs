@@ -49,7 +49,7 @@ pub struct SinkReport {
     pub accepted_fingerprints: u64,
     /// The published weights.
     pub published: Vec<Publication>,
-    /// Queries for weights dropped because too many were waiting.
+    /// Queries for weights refused because too many came.
     pub queries_dropped_total: u64,
 }
 

@@ -361,7 +361,7 @@ pub struct BusCounts {
     pub pulls_failed_total: u64,
     /// Queries for weights, metrics, or the history that carried a payload, and invalid evaluation units.
     pub queries_invalid_total: u64,
-    /// Queries for weights, metrics, or the history, and evaluation units, dropped because too many were waiting.
+    /// Queries for weights, metrics, or the history, and evaluation units, refused or dropped because too many came.
     pub queries_dropped_total: u64,
     /// Metrics that were not JSON.
     pub metrics_invalid_total: u64,

@@ -164,8 +164,8 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
         }
         assert_eq!([&attack["asked"], &attack["believed"]], [&asked, &json!([])], "{role}");
     }
-    // Every message of the flood was answered, counted by the learner, and discarded.
-    assert_eq!(report["flood_answered"], report["n_flood"]);
+    // Every message of the flood was counted by the learner and discarded, and some were told why.
+    assert!((1..=report["n_flood"].as_u64().unwrap()).contains(&report["flood_answered"].as_u64().unwrap()));
     let n_flood = report["n_flood"].as_u64().unwrap();
     let update = ring.update_after_which(|update| count(update, "/ingest/invalid_total") >= n_flood);
     let verdicts = update["ingest"].as_object().unwrap().iter().filter(|(name, _)| *name != "received_total");

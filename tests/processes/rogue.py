@@ -147,7 +147,7 @@ def main() -> None:
             with zenoh.open(its_config) as session:
                 attacks[role] = attack(session, prefix, evaluator)
                 if role == "actor":
-                    # The learner rejects garbage under any actor's name and still replies.
+                    # The learner refuses garbage under any actor's name, and replies to a part of it.
                     refusals = 0
                     for number in range(N_FLOOD):
                         refusals += len(answers(session, f"{prefix}/ingest/rogue-{number % 7}", MARKER + bytes(200)))

@@ -4,6 +4,7 @@
 
 mod alive;
 mod cluster;
+mod floods;
 mod invalid_messages;
 mod learner_away;
 mod metrics;

@@ -3,6 +3,7 @@
 
 mod check;
 mod error;
+mod header;
 mod reply;
 mod scene;
 #[cfg(test)]
@@ -16,6 +17,7 @@ use prost::bytes::Buf;
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 
 pub use error::DecodeError;
+pub use header::{TRAJECTORY_HEADER_BYTES, trajectory_actor};
 pub use prost::bytes::Bytes;
 pub use reply::{Ack, Refusal, Refused, decode_ack, decode_refused, encode_ack, encode_refused};
 pub use trajectory::{

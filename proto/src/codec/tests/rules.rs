@@ -38,6 +38,25 @@ fn task(trajectory: &mut wire::Trajectory) -> &mut wire::Task {
 }
 
 #[test]
+fn header_alone_names_the_actor() {
+    let bytes = encode_trajectory(&samples::successful("actor-1", 1));
+    assert_eq!(trajectory_actor(&bytes[..TRAJECTORY_HEADER_BYTES]).unwrap(), "actor-1");
+    let name = "a".repeat(64);
+    let bytes = encode_trajectory(&samples::successful(&name, 1));
+    assert_eq!(trajectory_actor(&bytes[..TRAJECTORY_HEADER_BYTES]).unwrap(), name);
+    let mut other = wire::Trajectory::decode(bytes.as_slice()).unwrap();
+    other.protocol_version = 77;
+    let of = |bytes: &[u8]| trajectory_actor(bytes).unwrap_err().to_string();
+    assert!(of(&other.encode_to_vec()).contains("version 77"), "{}", of(&other.encode_to_vec()));
+    assert_eq!(of(b""), "protocol_version is missing");
+    assert_eq!(of(&[0; 96]), "not a lodestone.v1.Trajectory: failed to decode Protobuf message: invalid tag value: 0");
+    assert_eq!(of(&bytes[..40]), "actor is missing");
+    for wrong in [&b"garbage"[..], b"{}", &[0xff; 96], &[0x12; 96]] {
+        assert!(!of(wrong).is_empty());
+    }
+}
+
+#[test]
 fn invalid_numbers_are_refused() {
     let sane = "expected a number in −1e6..=1e6";
     check(
