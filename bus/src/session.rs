@@ -5,7 +5,9 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use parking_lot::Mutex;
+use tokio::sync::oneshot;
 use tokio::time::Instant;
+use zenoh::Wait;
 
 use super::counters::BusCounters;
 use super::gate::Gate;
@@ -16,7 +18,7 @@ use proto::metrics::BusCounts;
 /// Timeout of closing a session.
 const CLOSE_LIMIT: Duration = Duration::from_secs(10);
 /// The same for a client without a router, which has no peer to notify.
-const CLOSE_LIMIT_ALONE: Duration = Duration::from_secs(1);
+const CLOSE_LIMIT_ALONE: Duration = Duration::from_millis(250);
 
 /// A session on the bus. Clones share it, and every object created from it keeps it open.
 ///
@@ -34,7 +36,7 @@ pub struct Bus {
 
 impl Bus {
     /// Joins the bus; a client waits until its router is present. Dropping the future cancels at once, but leaves
-    /// behind a runtime thread that keeps trying.
+    /// behind a thread that keeps trying; it holds neither the runtime nor the process.
     ///
     /// # Errors
     /// If the configuration is invalid, or an endpoint is invalid or cannot be listened on.
@@ -57,9 +59,16 @@ impl Bus {
             [] => format!("joining the bus at {}", config.connect.join(" and ")),
             listen => format!("listening on {}", listen.join(" and ")),
         };
-        // Zenoh blocks the polling thread until it has joined; a separate task can be abandoned.
-        let opening = tokio::spawn(async move { zenoh::open(zenoh_config).await });
-        let opened = opening.await.map_err(|panic| BusError::during(joining())(panic.into()))?;
+        // Zenoh blocks its thread until it has joined. The runtime would wait for one of its own threads when it ends.
+        let (result, opened) = oneshot::channel();
+        std::thread::Builder::new()
+            .name("joining".to_owned())
+            .spawn(move || {
+                // If nobody waits any more, this closes the session.
+                drop(result.send(zenoh::open(zenoh_config).wait()));
+            })
+            .map_err(|error| BusError::during(joining())(error.into()))?;
+        let opened = opened.await.map_err(|panic| BusError::during(joining())(panic.into()))?;
         let session = opened.map_err(BusError::during(joining()))?;
         if let Some(gate) = &gate {
             gate.open();

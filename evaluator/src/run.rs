@@ -112,7 +112,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
     let ended = evaluate_all(&setup, bus, weights, &selected, last, &mut outlets, &stop).await;
     let kept = outlets.catch_up().await;
     if let Some(films) = films {
-        // Off the async runtime, because the current film takes a moment to finish.
+        // Off the async runtime, because a frame of the current film takes a moment.
         tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
     }
     let n_evaluations = ended?;

@@ -18,6 +18,7 @@ mod output;
 mod record;
 mod report;
 mod resume;
+mod shutdown;
 mod support;
 mod train;
 mod watch;

@@ -1,6 +1,10 @@
 //! A learner or a router that disappears and returns.
 
-use bus::{Bus, BusConfig, SendError};
+use std::net::TcpListener;
+use std::sync::mpsc;
+use std::time::Duration;
+
+use bus::{Bus, BusConfig, BusMode, SendError};
 
 use crate::cluster::{Cluster, Learner, until, within};
 use crate::samples;
@@ -74,4 +78,22 @@ async fn client_without_its_router_closes_in_time() {
     until("the learner's absence", &mut there, |there| !there).await;
     within("the actor's end", actor_bus.close()).await;
     within("the learner's end", learner_bus.close()).await;
+}
+
+#[test]
+fn an_opening_that_nobody_waits_for_does_not_hold_its_runtime() {
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let connect = vec![format!("tcp/{}", silent.local_addr().unwrap())];
+    let config = BusConfig { mode: BusMode::Client, connect, ..BusConfig::default() };
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let opening = runtime.spawn(async move { Bus::open(&config).await.map(drop) });
+    let _connection = silent.accept().unwrap();
+    opening.abort();
+    let (ended, end) = mpsc::channel();
+    // A runtime waits for all of its threads.
+    std::thread::spawn(move || {
+        drop(runtime);
+        ended.send(()).unwrap();
+    });
+    end.recv_timeout(Duration::from_secs(60)).expect("the runtime ends");
 }

@@ -115,7 +115,10 @@ pub async fn once(
             Ok(false) => return Ok(String::new()),
             Err(_) => {
                 let link = run.borrow().link().0;
-                return Err(silent(link, &its_config, patience).await);
+                return tokio::select! {
+                    () = shutdown.cancelled() => Ok(String::new()),
+                    error = silent(link, &its_config, patience) => Err(error),
+                };
             }
         }
         let settled = async { while let Ok(Ok(())) = timeout(QUIET, run.changed()).await {} };

@@ -1,6 +1,7 @@
 //! The terminal: setup, restore, key events, and redraw timing.
 
 use std::io::{self, Stdout, stdout};
+use std::mem::ManuallyDrop;
 use std::panic;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -28,7 +29,8 @@ const KEYS_PERIOD: Duration = Duration::from_millis(100);
 
 /// The terminal in raw mode on its alternate screen, until dropped or until the program panics.
 struct Screen {
-    terminal: Terminal<CrosstermBackend<Stdout>>,
+    /// Never dropped: it would show the cursor, which `give_back` does, and panic if the terminal is gone.
+    terminal: ManuallyDrop<Terminal<CrosstermBackend<Stdout>>>,
     is_taken: Arc<AtomicBool>,
 }
 
@@ -87,7 +89,8 @@ impl Screen {
             before(panic);
         }));
         // From here on, dropping `screen` restores the terminal even if the setup fails halfway.
-        let mut screen = Self { terminal: Terminal::new(CrosstermBackend::new(stdout()))?, is_taken };
+        let terminal = ManuallyDrop::new(Terminal::new(CrosstermBackend::new(stdout()))?);
+        let mut screen = Self { terminal, is_taken };
         enable_raw_mode()?;
         execute!(stdout(), EnterAlternateScreen, cursor::Hide)?;
         screen.terminal.clear()?;

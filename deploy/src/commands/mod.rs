@@ -25,6 +25,7 @@ mod watch;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use ::bus::{Bus, BusConfig, BusError};
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::{Command, ConfigArgs, RunArgs, Settings};
@@ -38,8 +39,9 @@ use crate::{health, signals};
 /// Threads for the bus and for services that wait; stepping and training use their own threads.
 const N_RUNTIME_THREADS: usize = 2;
 
-/// Time limit for threads outside the runtime to end after everything else has ended.
-const LAST_THREADS: Duration = Duration::from_secs(10);
+/// Time limit for threads outside the runtime to end after everything else has ended. What they still compute or print
+/// is of no use to anybody by then.
+const LAST_THREADS: Duration = Duration::from_millis(250);
 
 /// Runs a subcommand to completion.
 ///
@@ -173,6 +175,14 @@ fn configure(
         return Ok(None);
     }
     Ok(Some(settings))
+}
+
+/// Joins the bus; `None` if `shutdown` comes before a router answers.
+async fn join_bus(config: &BusConfig, shutdown: &CancellationToken) -> Result<Option<Bus>, BusError> {
+    tokio::select! {
+        () = shutdown.cancelled() => Ok(None),
+        bus = Bus::open(config) => bus.map(Some),
+    }
 }
 
 /// Runs `command` on a runtime, with a token that the first signal cancels.

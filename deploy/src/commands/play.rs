@@ -4,7 +4,6 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
-use bus::Bus;
 use dashboard::{About, Farewell, Kind};
 use evaluator::{EvaluatorSetup, Policy, Stop};
 use proto::Weights;
@@ -13,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::goals::Goals;
 use super::models::Source;
-use super::services;
+use super::{join_bus, services};
 use crate::cli::PlayArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
@@ -97,7 +96,7 @@ pub(super) async fn run(
     });
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, None, &Origin::default())?;
     terminal.print(&format!("episodes and films go to {}; Ctrl-C ends", run_dir.path().display()));
-    let bus = Bus::open(&config.bus).await?;
+    let Some(bus) = join_bus(&config.bus, &shutdown).await? else { return Ok(()) };
     let publisher = bus.weights_publisher().await?;
     publisher.publish(weights).await?;
     let (reports, evaluated) = watch::channel(None);

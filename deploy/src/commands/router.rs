@@ -1,8 +1,9 @@
 //! `router`: routes the messages of all runs whose processes connect to it.
 
-use bus::{Bus, BusConfig, BusMode, SecurityConfig};
+use bus::{BusConfig, BusMode, SecurityConfig};
 use tokio_util::sync::CancellationToken;
 
+use super::join_bus;
 use crate::cli::RouterArgs;
 use crate::exit::Failure;
 use crate::health::Reporter;
@@ -17,7 +18,7 @@ pub(super) async fn run(args: &RouterArgs, shutdown: CancellationToken) -> Resul
     let security = SecurityConfig { keys: args.keys.folder("router") };
     let config = BusConfig { mode: BusMode::Router, listen, connect, security, ..BusConfig::default() };
     let health = Reporter::start("router", args.health.health_file.as_deref())?;
-    let bus = Bus::open(&config).await?;
+    let Some(bus) = join_bus(&config, &shutdown).await? else { return Ok(()) };
     health.joined(&bus);
     // A router has no main loop that could hang.
     let _waiting = bus.pulse().waiting();

@@ -167,8 +167,7 @@ async fn on_bus(
         }
     };
     let bus = tokio::select! {
-        () = shutdown.cancelled() => return Ok(()),
-        bus = Bus::open(&config.bus) => bus?,
+        bus = join_bus(&config.bus, shutdown) => bus?,
         () = notice => unreachable!("it has no end"),
     };
     tracing::info!(run = config.bus.run, "joined the bus");

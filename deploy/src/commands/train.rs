@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use actor::ActorSetup;
-use bus::Bus;
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluatorSetup, Stop};
@@ -17,7 +16,7 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::TrainingGoals;
-use super::{serve, services};
+use super::{join_bus, serve, services};
 use crate::cli::{Settings, TrainArgs};
 use crate::config::{Config, Preset};
 use crate::exit::Failure;
@@ -70,7 +69,11 @@ pub(super) async fn run(
     let page = page.map(|page| services::Opened { page, about, first: None });
     terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
-    let bus = Bus::open(&config.bus).await.inspect_err(|_| run_dir.abandon())?;
+    let joined = join_bus(&config.bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
+    let Some(bus) = joined else {
+        run_dir.abandon();
+        return Err(Failure::NothingWritten(run_dir.path().to_owned()));
+    };
     goals.keep(run_dir.paths())?;
     health.joined(&bus);
     let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;

@@ -64,13 +64,16 @@ impl ClipQueue {
         self.state().all_counts()
     }
 
-    /// Waits for the next clip and returns it with whether the queue is closed; `None` once it is closed and empty.
-    pub(super) fn next(&self) -> Option<(Clip, bool)> {
+    /// Waits for the next clip and returns it; `None` once the queue is closed and empty.
+    pub(super) fn next(&self) -> Option<Clip> {
         let is_idle = |state: &mut State| state.clips.is_empty() && !state.is_closed;
         let mut state = self.state();
         self.changed.wait_while(&mut state, is_idle);
-        let is_closed = state.is_closed;
-        state.clips.pop_front().map(|clip| (clip, is_closed))
+        state.clips.pop_front()
+    }
+
+    pub(super) fn is_closed(&self) -> bool {
+        self.state().is_closed
     }
 
     pub(super) fn note(&self, made: anyhow::Result<Made>, clip: &Clip) {

@@ -149,7 +149,7 @@ fn restarts_leave_no_more_than_two_files_for_tensorboard() {
 
     let queue = Arc::new(ClipQueue::default());
     assert!(play(&selector(&FilmsConfig::default(), &queue), &scene(), ActionMode::Greedy, End::TimeLimit));
-    let (clip, _) = queue.next().unwrap();
+    let clip = queue.next().unwrap();
     // Half of the megabyte holds one of these films, so the second goes to another file.
     let film = Miniature { gif: vec![0; 300_000], size_px: [1, 1] };
     reel.add(&clip, &film).unwrap();

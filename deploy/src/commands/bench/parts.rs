@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use actor::load::{Load, LoadPlan, LoadReport};
 use anyhow::Context;
 use blueprints::Catalog;
-use bus::{Bus, BusConfig};
+use bus::BusConfig;
 use learner::Learner;
 use learner::sink::{Sink, SinkPlan, SinkReport};
 use proto::Trajectory;
@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
+use crate::commands::join_bus;
 use crate::commands::services::learner_setup;
 use crate::config::{Base, merge};
 use crate::exit::Failure;
@@ -66,7 +67,7 @@ pub(super) enum Note {
 /// Runs `bench router`: like `router`, but exits with the process that measures.
 pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
-    let bus = Bus::open(&orders.plan()?).await?;
+    let Some(bus) = join_bus(&orders.plan().await?, &orders.gone).await? else { return Ok(()) };
     orders.gone.cancelled().await;
     bus.close().await;
     Ok(())
@@ -75,10 +76,10 @@ pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
 /// Runs `bench ingest`.
 pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
-    let plan: IngestPlan = orders.plan()?;
+    let plan: IngestPlan = orders.plan().await?;
     let config = merge(&plan.config, "the plan", Base::Defaults, &[])?;
     let learner = Learner::new(learner_setup(&config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?;
-    let bus = Bus::open(&plan.bus).await?;
+    let Some(bus) = join_bus(&plan.bus, &orders.gone).await? else { return Ok(()) };
     let mut sink = Sink::open(&learner, plan.sink, &bus).await?;
     say(&Note::Ready { n_actors: 0, shortfall: None })?;
     if orders.next().await == Some(Order::Go) {
@@ -93,19 +94,24 @@ pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
 /// Runs `bench load`.
 pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
-    let LoadOrder { load: plan, segments } = orders.plan()?;
+    let LoadOrder { load: plan, segments } = orders.plan().await?;
     let segments = segments.iter().map(read_segment).collect::<anyhow::Result<Vec<Trajectory>>>()?;
-    let load = tokio::select! {
-        () = orders.gone.cancelled() => return Ok(()),
-        load = Load::open(plan) => load?,
+    let gone = orders.gone.clone();
+    let measure = async {
+        let load = Load::open(plan).await?;
+        say(&Note::Ready { n_actors: load.n_actors(), shortfall: load.shortfall().map(str::to_owned) })?;
+        if orders.next().await == Some(Order::Go) {
+            let stop = orders.stop();
+            say(&Note::Sent(load.run(segments, stop).await?))?;
+        }
+        load.close().await;
+        Ok(())
     };
-    say(&Note::Ready { n_actors: load.n_actors(), shortfall: load.shortfall().map(str::to_owned) })?;
-    if orders.next().await == Some(Order::Go) {
-        let stop = orders.stop();
-        say(&Note::Sent(load.run(segments, stop).await?))?;
+    // Nobody waits for the report of a measurement that was ended.
+    tokio::select! {
+        () = gone.cancelled() => Ok(()),
+        measured = measure => measured,
     }
-    load.close().await;
-    Ok(())
 }
 
 fn read_segment(path: &PathBuf) -> anyhow::Result<Trajectory> {
@@ -145,8 +151,11 @@ impl Orders {
         Self { lines, gone }
     }
 
-    fn plan<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
-        let line = tokio::task::block_in_place(|| self.lines.blocking_recv());
+    async fn plan<T: DeserializeOwned>(&mut self) -> anyhow::Result<T> {
+        let line = tokio::select! {
+            () = self.gone.cancelled() => None,
+            line = self.lines.recv() => line,
+        };
         let line = line.context("stdin ended before the plan; `lodestone bench actors` starts this process")?;
         serde_json::from_str(&line).context("reading the plan")
     }

@@ -9,6 +9,7 @@ use render::video::{Collector, Episode};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
+use super::super::join_bus;
 use super::{Goals, Named, make_all, policy};
 use crate::cli::{LiveArgs, RenderArgs};
 use crate::exit::Failure;
@@ -29,18 +30,11 @@ pub(in crate::commands) async fn run(
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     let patience = Duration::from_secs(args.live.timeout);
-    // In a separate task, because opening a session blocks its task while it waits for a router.
-    let its_config = config.clone();
-    let opening = tokio::spawn(async move { Bus::open(&its_config).await });
-    let opened = tokio::select! {
-        () = shutdown.cancelled() => return Ok(()),
-        opened = timeout(patience, opening) => opened,
-    };
-    let Ok(opened) = opened else {
+    let Ok(opened) = timeout(patience, join_bus(&config, &shutdown)).await else {
         let (endpoints, seconds) = (config.connect.join(", "), args.live.timeout);
         return Err(Failure::Bus(anyhow!("no router answers at {endpoints} after {seconds} s")));
     };
-    let bus = opened.map_err(|panic| Failure::Service(panic.into()))??;
+    let Some(bus) = opened? else { return Ok(()) };
     // Episodes received before a failure are still shown.
     let (recorded, ended) = record(&bus, &args.live, &goals, &config, patience, &shutdown).await;
     bus.close().await;
@@ -90,7 +84,13 @@ async fn record(
         match next {
             Ok(Some(segments)) => recorded.push(segments),
             Ok(None) => return (recorded, Err(Failure::Bus(anyhow!("the bus was closed")))),
-            Err(_) => return (recorded, Err(silent(args, &collector, bus, config).await)),
+            Err(_) => {
+                let ended = tokio::select! {
+                    () = shutdown.cancelled() => Ok(()),
+                    reason = silent(args, &collector, bus, config) => Err(reason),
+                };
+                return (recorded, ended);
+            }
         }
     }
     (recorded, Ok(()))

@@ -1,0 +1,212 @@
+//! Long commands end with a signal, and when their terminal is closed, whatever they wait for.
+
+use std::ffi::OsString;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+
+use bus::Bus;
+use proto::Role;
+use serde_json::Value;
+
+use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::served::{Process, train};
+
+/// A router that takes connections and never answers.
+struct Silent(TcpListener);
+
+impl Silent {
+    fn new() -> Self {
+        Self(TcpListener::bind("127.0.0.1:0").unwrap())
+    }
+
+    fn endpoint(&self) -> String {
+        format!("tcp/{}", self.0.local_addr().unwrap())
+    }
+
+    /// Waits until a process that is started now says that it has waited for the router for a while.
+    fn outlast(&self, folder: &Path) {
+        let mut late = lodestone(folder);
+        late.args(["actor", "--connect", &self.endpoint()]).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut late = Process(late.spawn().unwrap());
+        let mut lines = BufReader::new(late.0.stderr.take().unwrap()).lines().map(Result::unwrap);
+        assert!(lines.any(|line| line.contains("no router answers")));
+    }
+}
+
+fn kill(signal: &str, pid: u32) {
+    assert!(Command::new("kill").args([signal, &pid.to_string()]).status().unwrap().success());
+}
+
+#[test]
+fn whoever_waits_for_a_router_ends_with_a_signal() {
+    let folder = tempfile::tempdir().unwrap();
+    let silent = Silent::new();
+    let endpoint = silent.endpoint();
+    let commands: [&[&str]; 7] = [
+        &["actor"],
+        &["learner", "--run-dir", "run"],
+        &["evaluator"],
+        &["evaluator", "--worker"],
+        &["render", "--out", "films"],
+        &["watch", "--json"],
+        &["watch", "--once"],
+    ];
+    let mut waiting: Vec<Process> = Vec::new();
+    let mut connections = Vec::new();
+    for command in commands {
+        let mut process = lodestone(folder.path());
+        process.args(command).args(["--connect", &endpoint]).stdout(Stdio::null()).stderr(Stdio::null());
+        waiting.push(Process(process.spawn().unwrap()));
+        connections.push(silent.0.accept().unwrap());
+    }
+    waiting.iter().for_each(|process| kill("-TERM", process.0.id()));
+    silent.outlast(folder.path());
+    for (process, command) in waiting.iter_mut().zip(commands) {
+        let status = process.0.try_wait().unwrap();
+        assert!(status.is_some_and(|status| status.success()), "{command:?}: {status:?}");
+    }
+}
+
+#[test]
+fn a_command_whose_patience_is_over_ends_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let silent = Silent::new();
+    let endpoint = silent.endpoint();
+    let mut watch = lodestone(folder.path());
+    watch.args(["watch", "--once", "--timeout", "1", "--connect", &endpoint]);
+    let mut watch = Process(watch.stderr(Stdio::null()).spawn().unwrap());
+    let _connection = silent.0.accept().unwrap();
+    silent.outlast(folder.path());
+    assert_eq!(watch.0.try_wait().unwrap().and_then(|status| status.code()), Some(65));
+}
+
+/// Starts the program in a terminal of its own, waits until it prints `words` there, and closes the terminal. Returns
+/// what tells when the process has ended.
+fn closed(folder: &Path, name: &str, args: &[&str], words: &str) -> Receiver<()> {
+    let alive = folder.join(format!("{name}.alive"));
+    assert!(Command::new("mkfifo").arg(&alive).status().unwrap().success());
+    let (ended, end) = channel();
+    let fifo = alive.clone();
+    // Whatever writes to the pipe is the process alone: reading ends when it does.
+    std::thread::spawn(move || {
+        File::open(fifo).unwrap().read_to_end(&mut Vec::new()).unwrap();
+        ended.send(())
+    });
+    let program = lodestone(folder);
+    // The tests may run under `nohup`, which their children would inherit.
+    let mut line = OsString::from("stty rows 30 cols 100; exec env --default-signal=HUP");
+    for word in std::iter::once(program.get_program()).chain(args.iter().map(|arg| arg.as_ref())) {
+        line.push(format!(" '{}'", word.to_str().unwrap()));
+    }
+    line.push(format!(" 3>'{}'", alive.display()));
+    let mut script = Command::new("script");
+    program.get_envs().for_each(|(variable, _)| {
+        script.env_remove(variable);
+    });
+    script.args(["--quiet", "--flush", "--command"]).arg(line).arg("/dev/null").current_dir(folder);
+    script.env("TERM", "xterm").stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut script = Process(script.spawn().unwrap());
+    let (mut printed, mut is_asked) = (String::new(), false);
+    let mut screen = script.0.stdout.take().unwrap();
+    let mut bytes = [0; 4096];
+    while !printed.contains(words) {
+        let n_bytes = screen.read(&mut bytes).unwrap();
+        assert!(n_bytes > 0, "{args:?} ended: {printed}");
+        printed.push_str(&String::from_utf8_lossy(&bytes[..n_bytes]));
+        if !is_asked && printed.contains("\u{1b}[6n") {
+            is_asked = true;
+            // Where the cursor is.
+            script.0.stdin.as_mut().unwrap().write_all(b"\x1b[1;1R").unwrap();
+        }
+    }
+    end
+}
+
+#[test]
+fn a_closed_terminal_ends_every_long_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let silent = Silent::new();
+    let connect = ["--connect", &silent.endpoint()];
+    let trained = train(&mut lodestone(folder.path())).args(["--steps", "256", "--no-web"]).output().unwrap();
+    assert!(trained.status.success(), "{}", String::from_utf8_lossy(&trained.stderr));
+    let listen = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
+    let long: [(&[&str], &str); 11] = [
+        (&["watch", connect[0], connect[1]], "No router"),
+        (&["actor", connect[0], connect[1]], "router:"),
+        (&["learner", connect[0], connect[1], "--run-dir", "other"], "everything goes to"),
+        (&["evaluator", connect[0], connect[1]], "router:"),
+        (&["router", "--listen", &listen], "routing"),
+        (&["serve", "run"], "Ctrl-C ends"),
+        (&["play", "--run-dir", "played"], "Ctrl-C ends"),
+        (&["eval", "--pretrained"], "episodes"),
+        (&["expert", "eval"], "episodes"),
+        (&["record", "--pretrained", "--split", "train", "--out", "recorded"], "episodes"),
+        (&["bench", "actors", "--actors", "2", "--for", "600"], "all have joined"),
+    ];
+    let mut ends = Vec::new();
+    for (number, (args, words)) in long.iter().enumerate() {
+        ends.push(closed(folder.path(), &number.to_string(), args, words));
+    }
+    let before = n_saved_steps(&folder.path().join("run"));
+    ends.push(closed(folder.path(), "train", &["train", "--resume", "run", "--steps", "1000000000"], "steps/s"));
+    silent.outlast(folder.path());
+    let names = long.iter().map(|(args, _)| args[0]).chain(["train"]);
+    let running: Vec<&str> =
+        names.zip(&ends).filter(|(_, end)| end.try_recv().is_err()).map(|(name, _)| name).collect();
+    assert!(running.is_empty(), "{running:?} go on");
+    let after = n_saved_steps(&folder.path().join("run"));
+    assert!(after > before, "it saved {after} steps after {before}");
+}
+
+/// A learner or an actor whose name another process has prints nothing of that process.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nobody_prints_the_progress_of_another_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(folder.path()).await.unwrap();
+    let socket = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
+    let metrics = [
+        ("learner", "learner", include_str!("../../dashboard/tests/metrics/learner.json")),
+        ("actor", "actor/twin", include_str!("../../dashboard/tests/metrics/actor.json")),
+    ];
+    for (role, key, json) in metrics {
+        let name = if role == "learner" { (Role::Learner, "learner") } else { (Role::Actor, "twin") };
+        let _first = bus.declare_alive(name.0, name.1).await.unwrap();
+        let publisher = bus.metrics_publisher(key).await.unwrap();
+        publisher.put(&serde_json::from_str::<Value>(json).unwrap()).await.unwrap();
+        let mut second = lodestone(folder.path());
+        second.args([role, "--connect", &socket, "--run", "default"]);
+        second.args(if role == "learner" { ["--run-dir", "run"] } else { ["--id", "twin"] });
+        let mut second = Process(second.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+        let printed = tokio::task::spawn_blocking(move || {
+            let mut lines = BufReader::new(second.0.stderr.take().unwrap()).lines().map(Result::unwrap);
+            assert!(lines.any(|line| line.contains("the name is in use")));
+            kill("-TERM", second.0.id());
+            let mut printed = String::new();
+            second.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+            printed
+        });
+        let printed = printed.await.unwrap();
+        assert!(!printed.contains("steps/s"), "{role}: {printed}");
+    }
+    bus.close().await;
+}
+
+#[test]
+fn a_limit_of_few_open_files_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
+    for args in [&["train", "--run-dir", "run"][..], &["router", "--listen", &socket], &["eval", "--pretrained"]] {
+        let program = lodestone(folder.path());
+        let mut limited = Command::new("sh");
+        limited.args(["-c", "ulimit -n 16; exec \"$@\"", "sh"]).arg(program.get_program()).args(args);
+        let ended = limited.current_dir(folder.path()).output().unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(71), "{args:?}: {said}");
+        assert!(said.contains("may have 16 files open at once") && said.contains("ulimit -n 1024"), "{said}");
+    }
+    assert!(!folder.path().join("run").exists());
+}
