@@ -13,6 +13,7 @@ use bus::{Bus, BusError, MetricsPublisher, SendError, TrajectorySender, process_
 use policy::PolicyError;
 use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
 use proto::{ActorId, Refusal, Role, Trajectory, Weights, WeightsVersion, keys};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
@@ -51,12 +52,17 @@ pub struct Summary {
 ///
 /// Stepping continues while the learner is away, unless a full backlog pauses it. The run's seed, the actor's name, its
 /// start time, and the version of the first weights determine tasks and actions. Unusable weights are counted, and the
-/// previous ones stay in use.
+/// previous ones stay in use. The metrics that go to the bus go to `told` too.
 ///
 /// # Errors
 /// If a configuration is invalid, the session fails at the start, the weights are of a run with other settings or for
 /// another network, no task can be started, or another live actor has the same name and keeps it.
-pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Summary> {
+pub async fn run(
+    setup: ActorSetup,
+    bus: &Bus,
+    told: watch::Sender<Option<ActorMetrics>>,
+    shutdown: CancellationToken,
+) -> anyhow::Result<Summary> {
     let ActorSetup { config, id, .. } = &setup;
     config.validate().context("invalid actor configuration")?;
     let _alive = tokio::select! {
@@ -101,6 +107,7 @@ pub async fn run(setup: ActorSetup, bus: &Bus, shutdown: CancellationToken) -> a
     let reporter = Reporter {
         shared: shared.clone(),
         metrics,
+        told,
         id: id.clone(),
         epoch,
         n_worlds: (config.n_threads * config.n_worlds) as u64,
@@ -337,6 +344,7 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
 struct Reporter {
     shared: Arc<Shared>,
     metrics: MetricsPublisher,
+    told: watch::Sender<Option<ActorMetrics>>,
     id: ActorId,
     epoch: u64,
     n_worlds: u64,
@@ -376,6 +384,7 @@ impl Reporter {
             if let Err(error) = self.metrics.put(&metrics).await {
                 tracing::debug!(%error, "metrics not published");
             }
+            self.told.send_replace(Some(metrics));
             if !more {
                 return;
             }

@@ -260,6 +260,7 @@ impl Worker {
             if let Err(error) = self.write(&metrics) {
                 tracing::warn!(%error, "metrics were not written");
             }
+            self.options.told.send_replace(Some(metrics.clone()));
             self.send(Some(metrics));
             if self.learner.n_updates().is_multiple_of(settings.checkpoints.every_updates) {
                 restart = true;

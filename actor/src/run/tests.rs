@@ -7,7 +7,6 @@ use environment::EnvironmentConfig;
 use policy::Network;
 use proto::Status;
 use tokio::sync::mpsc;
-use tokio::sync::watch;
 
 use super::*;
 use crate::config::{ActorConfig, FullBacklog};
@@ -51,7 +50,8 @@ impl Actor {
         let bus = Bus::isolated(dir.path()).await.unwrap();
         let shutdown = CancellationToken::new();
         let (its_bus, its_shutdown) = (bus.clone(), shutdown.clone());
-        let task = tokio::spawn(async move { run(setup(config), &its_bus, its_shutdown).await });
+        let task =
+            tokio::spawn(async move { run(setup(config), &its_bus, watch::channel(None).0, its_shutdown).await });
         Self { bus, shutdown, task, _dir: dir }
     }
 
@@ -187,7 +187,7 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     let taken = bus.declare_alive(Role::Actor, "toy").await.unwrap();
     let start = || {
         let bus = bus.clone();
-        tokio::spawn(async move { run(setup(config()), &bus, CancellationToken::new()).await })
+        tokio::spawn(async move { run(setup(config()), &bus, watch::channel(None).0, CancellationToken::new()).await })
     };
     let expected = "another live actor of this run is called \"toy\"; choose another --id";
     assert_eq!(within(start()).await.unwrap().unwrap_err().to_string(), expected);

@@ -11,8 +11,7 @@ use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Kind, Page, Source};
 use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
 use learner::{Feed, LearnerSetup, RunOptions};
-use proto::keys::{self, METRICS_LEARNER};
-use proto::metrics::EvalReport;
+use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use proto::{ActorId, Role, Weights};
 use runlog::{Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
@@ -20,7 +19,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::stage::stage;
-use super::{models, serve};
+use super::{join_bus, models, serve};
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
@@ -45,7 +44,6 @@ pub(super) async fn run_actor(
     let health = Reporter::start(Role::Actor.as_str(), args.health.health_file.as_deref())?;
     let (n_threads, n_worlds) = (config.actor.n_threads, config.actor.n_worlds);
     terminal.print(&begins(&format!("actor `{id}` steps {n_threads} × {n_worlds} worlds"), settings));
-    let key = keys::metrics_actor(&id);
     let setup = actor_setup(config, id);
     let mut shown = None;
     let ended = on_bus(config, &health, &shutdown, async |bus| {
@@ -57,12 +55,9 @@ pub(super) async fn run_actor(
     finished(shown).await.and(ended)
 }
 
-/// Waits for a task that shows a service's progress, if it was started; the task ends with the bus.
-async fn finished(shown: Option<JoinHandle<()>>) -> Result<(), Failure> {
-    match shown {
-        Some(shown) => shown.await.map_err(|panic| Failure::Service(panic.into())),
-        None => Ok(()),
-    }
+/// Waits for a task that shows a service's progress; it ends with the service.
+async fn finished<T>(shown: JoinHandle<T>) -> Result<T, Failure> {
+    shown.await.map_err(|panic| Failure::Service(panic.into()))
 }
 
 /// Describes what a process of a run is about to do.
@@ -91,10 +86,10 @@ pub(super) async fn run_learner(
     let what = format!("learning up to {} environment steps, seed {},", config.n_env_steps, config.seed);
     terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
-    let options = run_options(setup, config, &run_dir, origin.checkpoint);
+    let (told, metrics) = watch::channel(None);
+    let options = run_options(setup, config, &run_dir, origin.checkpoint, told);
     let mut shown = None;
     let ended = on_bus(config, &health, &shutdown, async |bus| {
-        let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
         let (actors, whole, terminal) = (bus.alive(Role::Actor).await?, config.clone(), terminal.clone());
         // The evaluator shows evaluations.
         let reports = watch::channel(None).1;
@@ -103,7 +98,10 @@ pub(super) async fn run_learner(
         learner(options, bus, shutdown.clone()).await.map(drop)
     })
     .await;
-    finished(shown).await.and(ended)
+    if let Some(shown) = shown {
+        finished(shown).await?;
+    }
+    ended
 }
 
 /// Runs `evaluator`: evaluates and prints reports, or runs episodes for another evaluator.
@@ -145,8 +143,8 @@ pub(super) async fn run_evaluator(
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
     let evaluate = async |bus| evaluator(setup, reports, progress, page, bus, stop).await;
     let ended = on_bus(config, &health, &shutdown, evaluate).await;
-    finished(Some(counting)).await?;
-    shown.await.map_err(|panic| Failure::Service(panic.into()))?;
+    finished(counting).await?;
+    finished(shown).await?;
     ended
 }
 
@@ -170,6 +168,7 @@ async fn on_bus(
         bus = join_bus(&config.bus, shutdown) => bus?,
         () = notice => unreachable!("it has no end"),
     };
+    let Some(bus) = bus else { return Ok(()) };
     tracing::info!(run = config.bus.run, "joined the bus");
     health.joined(&bus);
     let ended = service(bus.clone()).await;
@@ -335,14 +334,16 @@ pub(super) fn run_dir(
     Ok(run_dir)
 }
 
-/// The options of a learner for this run.
+/// The options of a learner for this run, which sends its metrics to `told` too.
 pub(super) fn run_options(
     setup: LearnerSetup,
     config: &Config,
     run_dir: &RunDir,
     resume: Option<PathBuf>,
+    told: watch::Sender<Option<LearnerMetrics>>,
 ) -> RunOptions {
-    RunOptions { setup, run_dir: run_dir.paths().clone(), resume, max_env_steps: Some(config.n_env_steps), feed: None }
+    let (run_dir, max_env_steps) = (run_dir.paths().clone(), Some(config.n_env_steps));
+    RunOptions { setup, run_dir, resume, max_env_steps, feed: None, told }
 }
 
 /// Steps worlds in turns with the learner.

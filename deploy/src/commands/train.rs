@@ -8,7 +8,7 @@ use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluatorSetup, Stop};
 use proto::ActorId;
-use proto::keys::{METRICS_LEARNER, Role};
+use proto::keys::Role;
 use proto::metrics::EvalSummary;
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
@@ -76,7 +76,7 @@ pub(super) async fn run(
     };
     goals.keep(run_dir.paths())?;
     health.joined(&bus);
-    let metrics = bus.metrics_subscriber(METRICS_LEARNER).await?;
+    let (told, metrics) = watch::channel(None);
     let actors = bus.alive(Role::Actor).await?;
     let (reports, evaluated) = watch::channel(None);
     let (whole, shown, its_reports) = (config.clone(), terminal.clone(), evaluated.clone());
@@ -91,7 +91,7 @@ pub(super) async fn run(
     let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done));
 
     let mut running = JoinSet::new();
-    let mut options = services::run_options(setup, config, &run_dir, origin.checkpoint);
+    let mut options = services::run_options(setup, config, &run_dir, origin.checkpoint, told);
     options.feed = config.lockstep.then(|| services::lockstep_feed(config, catalog));
     let evaluator =
         EvaluatorSetup { catalog, ..services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path())) };
@@ -115,7 +115,9 @@ pub(super) async fn run(
     });
     if !config.lockstep {
         let actor = ActorSetup { catalog, ..services::actor_setup(config, id) };
-        running.spawn(services::actor(actor, bus.clone(), training.clone()));
+        // The learner's lines and bar count all actors.
+        let told = watch::channel(None).0;
+        running.spawn(services::actor(actor, bus.clone(), told, training.clone()));
     }
     running.spawn(services::evaluator(evaluator, reports, progress, page, bus.clone(), stop));
     let mut ended = Ok(());

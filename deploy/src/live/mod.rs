@@ -1,4 +1,4 @@
-//! Progress output of commands: metrics from the bus, as lines or as a progress bar, and evaluation reports.
+//! Progress output of commands: metrics of this process, as lines or as a progress bar, and evaluation reports.
 
 mod episodes;
 mod lines;
@@ -7,7 +7,7 @@ mod terminal;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bus::{AliveWatch, MetricsSubscriber};
+use bus::AliveWatch;
 use evaluator::{Detail, EvaluationProgress, render};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use tokio::sync::watch;
@@ -33,9 +33,9 @@ pub fn detail(verbose: bool) -> Detail {
     if verbose { Detail::Blueprints } else { Detail::Worst(N_WORST) }
 }
 
-/// Shows the learner's metrics until the bus is closed; without a terminal, at most one line every ten seconds.
+/// Shows the metrics of this process's learner until it ends; without a terminal, at most one line every ten seconds.
 pub async fn show_learning(
-    mut metrics: MetricsSubscriber,
+    mut metrics: watch::Receiver<Option<LearnerMetrics>>,
     actors: AliveWatch,
     reports: Reports,
     terminal: Terminal,
@@ -47,14 +47,8 @@ pub async fn show_learning(
     let mut context = Context { n_env_steps: config.n_env_steps, ppo_weight, ..Context::default() };
     let mut pace = Pace::default();
     let mut last_line: Option<Instant> = None;
-    while let Some(sample) = metrics.recv().await {
-        let learner: LearnerMetrics = match serde_json::from_value(sample.value) {
-            Ok(learner) => learner,
-            Err(error) => {
-                tracing::debug!(%error, key = sample.suffix, "metrics of another version");
-                continue;
-            }
-        };
+    while metrics.changed().await.is_ok() {
+        let Some(learner) = metrics.borrow_and_update().clone() else { continue };
         context.n_actors = actors.borrow().len();
         context.left_s = pace.left_s(&learner, context.n_env_steps);
         context.evaluated = reports.borrow().as_deref().and_then(lines::success);
@@ -67,11 +61,11 @@ pub async fn show_learning(
     progress.finish();
 }
 
-/// Prints an actor's progress, at most one line every ten seconds, until the bus is closed.
-pub async fn show_acting(mut metrics: MetricsSubscriber, terminal: Terminal) {
+/// Prints the progress of this process's actor, at most one line every ten seconds, until it ends.
+pub async fn show_acting(mut metrics: watch::Receiver<Option<ActorMetrics>>, terminal: Terminal) {
     let mut last_line: Option<Instant> = None;
-    while let Some(sample) = metrics.recv().await {
-        let Ok(actor) = serde_json::from_value::<ActorMetrics>(sample.value) else { continue };
+    while metrics.changed().await.is_ok() {
+        let Some(actor) = metrics.borrow_and_update().clone() else { continue };
         if last_line.is_none_or(|shown| shown.elapsed() >= LINE_PERIOD) {
             last_line = Some(Instant::now());
             terminal.print(&lines::actor(&actor));

@@ -5,6 +5,7 @@ use proto::metrics::LearnerMetrics;
 use proto::{ActorId, Refusal, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
@@ -38,11 +39,17 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
     (*newest).clone()
 }
 
+/// Returns the options of a new run without end in `dir`.
+fn options(setup: LearnerSetup, dir: &RunPaths) -> RunOptions {
+    let told = watch::channel(None).0;
+    RunOptions { setup, run_dir: dir.clone(), resume: None, max_env_steps: None, feed: None, told }
+}
+
 /// Runs a learner in `dir` until an actor has received `n_updates` updates.
 async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (Summary, Weights) {
     let setup = small_setup(5);
     let resume = resume.then(|| dir.folder().to_owned());
-    let options = RunOptions { setup: setup.clone(), run_dir: dir.clone(), resume, max_env_steps: None, feed: None };
+    let options = RunOptions { resume, ..options(setup.clone(), dir) };
     let shutdown = CancellationToken::new();
     let learning = tokio::spawn({
         let (bus, shutdown) = (bus.clone(), shutdown.clone());
@@ -84,8 +91,7 @@ async fn failed_final_save_names_lost_and_newest_checkpoints() {
     std::fs::create_dir(checkpoints.join(".new-512")).unwrap();
     let setup = small_setup(5);
     let resume = Some(run_dir.folder().to_owned());
-    let options =
-        RunOptions { setup: setup.clone(), run_dir: run_dir.clone(), resume, max_env_steps: None, feed: None };
+    let options = RunOptions { resume, ..options(setup.clone(), &run_dir) };
     let shutdown = CancellationToken::new();
     let learning = tokio::spawn({
         let (bus, shutdown) = (bus.clone(), shutdown.clone());
@@ -108,13 +114,8 @@ async fn failed_final_save_names_lost_and_newest_checkpoints() {
 async fn run_ends_at_its_number_of_steps() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
-    let options = RunOptions {
-        setup: small_setup(6),
-        run_dir: RunPaths::new(dir.path().join("run")),
-        resume: None,
-        max_env_steps: Some(0),
-        feed: None,
-    };
+    let run_dir = RunPaths::new(dir.path().join("run"));
+    let options = RunOptions { max_env_steps: Some(0), ..options(small_setup(6), &run_dir) };
     let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
     assert!(report.checkpoint.ends_with("checkpoints/step-0"));
@@ -147,8 +148,7 @@ async fn a_learner_that_waits_for_another_one_ends_when_told() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let _other = bus.declare_alive(proto::Role::Learner, "learner").await.unwrap();
     let run_dir = RunPaths::new(dir.path().join("run"));
-    let options =
-        RunOptions { setup: small_setup(7), run_dir: run_dir.clone(), resume: None, max_env_steps: None, feed: None };
+    let options = options(small_setup(7), &run_dir);
     let shutdown = CancellationToken::new();
     shutdown.cancel();
     assert_eq!(run(options, &bus, shutdown).await.unwrap(), None);
