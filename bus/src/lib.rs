@@ -48,4 +48,4 @@ pub use sender::TrajectorySender;
 pub use session::{Bus, process_epoch_ms};
 pub use units::{CallError, UnitCall, UnitServer, WorkerCaller};
 pub use viewer::TrajectoryViewer;
-pub use weights::{WeightsPublisher, WeightsSubscriber};
+pub use weights::{LearnerWatch, WeightsPublisher, WeightsSubscriber};

@@ -49,7 +49,31 @@ pub struct WeightsSubscriber<T = Weights> {
     _open: Bus,
 }
 
+/// Follows whether a learner of the run can be reached.
+#[derive(Debug)]
+pub struct LearnerWatch {
+    there: Matching,
+    _open: Bus,
+}
+
+impl LearnerWatch {
+    /// Returns a receiver of whether a learner is there, and of every change.
+    pub fn watch(&self) -> watch::Receiver<bool> {
+        self.there.watch()
+    }
+}
+
 impl Bus {
+    /// Follows whether a learner of the run can be reached.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn learner_watch(&self) -> Result<LearnerWatch, BusError> {
+        let querier = self.session.declare_querier(keys::WEIGHTS_LATEST).await;
+        let querier = querier.map_err(BusError::during("looking for a learner"))?;
+        Ok(LearnerWatch { there: Matching::of_querier(Arc::new(querier)).await?, _open: self.clone() })
+    }
+
     /// Publishes weights under this process's own epoch. A run should have one publisher.
     ///
     /// # Errors

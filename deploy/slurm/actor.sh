@@ -66,7 +66,7 @@ while ! is_over; do
     reap "$actor" || code=$?
     case $code in
     0) ;;
-    2 | 64)
+    2 | 64 | 71)
         say "$id cannot work: the actor ended with $code, and would again"
         exit "$code"
         ;;

@@ -194,7 +194,7 @@ serve() {
             fi
             say "somebody ended the learner before its steps were reached"
             ;;
-        *:2 | *:64)
+        *:2 | *:64 | *:67 | *:71)
             say "the $ended cannot work: it ended with $code, and would again"
             return "$code"
             ;;

@@ -9,7 +9,7 @@ use bus::{BusError, KeysError};
 use dashboard::WebError;
 use dashboard::terminal::WatchError;
 use dataset::DatasetError;
-use learner::{CheckpointError, LearnerError};
+use learner::{CheckpointError, Diverged, LearnerError};
 use proto::SettingsDifference;
 use runlog::HistoryError;
 
@@ -102,6 +102,9 @@ pub enum Failure {
         /// The most similar path that exists.
         nearest: Option<String>,
     },
+    /// No policy can act with the weights of a file; code 66.
+    #[error("{0:#}")]
+    Weights(anyhow::Error),
     /// The evaluation history of a run cannot be read; code 66.
     #[error(transparent)]
     History(#[from] HistoryError),
@@ -122,6 +125,22 @@ pub enum Failure {
     /// The result of a command cannot be written to stdout; code 1.
     #[error("cannot write to stdout: {0}")]
     Output(io::Error),
+    /// Training has diverged; code 67.
+    #[error(
+        "{0:#}; go on from there with `--resume` and other settings, for example a lower learner.optimizer.learning_rate"
+    )]
+    Diverged(anyhow::Error),
+    /// The system allows too few open files; code 71.
+    #[error(
+        "this process may have {limit} files open at once, and needs {needed}: raise the limit, for example with \
+         `ulimit -n 1024`"
+    )]
+    FewFiles {
+        /// The limit.
+        limit: u64,
+        /// What a process needs.
+        needed: u64,
+    },
     /// A service failed while running; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
@@ -165,9 +184,14 @@ impl From<anyhow::Error> for Failure {
             let of_learner = cause.downcast_ref::<LearnerError>();
             cause.is::<CheckpointError>()
                 || cause.is::<HistoryError>()
-                || matches!(of_learner, Some(LearnerError::Checkpoint(_) | LearnerError::Init(_)))
+                || matches!(
+                    of_learner,
+                    Some(LearnerError::Checkpoint(_) | LearnerError::Init(_) | LearnerError::Weights(_))
+                )
         };
-        if error.chain().any(|cause| cause.is::<SettingsDifference>()) {
+        if error.is::<Diverged>() {
+            Self::Diverged(error)
+        } else if error.chain().any(|cause| cause.is::<SettingsDifference>()) {
             Self::OtherSettings(error)
         } else if error.chain().any(is_checkpoint) {
             Self::Checkpoint(error)
@@ -186,6 +210,7 @@ impl Failure {
             Self::Usage(_) | Self::Keys(MakeKeysError::Exists(_)) => 2,
             Self::Checkpoint(_)
             | Self::Missing { .. }
+            | Self::Weights(_)
             | Self::History(_)
             | Self::NothingToShow(_)
             | Self::Keys(MakeKeysError::Io { .. }) => 66,
@@ -203,6 +228,8 @@ impl Failure {
             | Self::Dataset(_)
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
+            Self::Diverged(_) => 67,
+            Self::FewFiles { .. } => 71,
             Self::Service(_) | Self::Unhealthy(_) | Self::Output(_) => 1,
             Self::Interrupted { .. } | Self::NothingWritten(_) => INTERRUPTED,
         })

@@ -8,8 +8,9 @@ use blueprints::generator::{Draws, MADE_CAPACITY};
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
-use policy::{Policy, PolicyConfig};
+use policy::{Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
+use proto::metrics::{ImitationMetrics, PpoMetrics};
 use proto::{CanonicalSettings, Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -18,17 +19,18 @@ use crate::adam::{Adam, LearningRate};
 use crate::admission::{ActingLimits, Admission};
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
-use crate::config::LearnerConfig;
+use crate::config::{LearnerConfig, OptimizerConfig, RateRule};
 use crate::curriculum::Curriculum;
 use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::metrics::UpdateMetrics;
 use crate::model::Model;
 use crate::normalization::ValueStatistics;
-use crate::ppo::{ImitationSource, Ppo, Progress};
+use crate::ppo::{ImitationSource, Ppo, Progress, Trained};
 use crate::replay::Replay;
 use crate::reverse::ReverseCurriculum;
 use crate::state::LearnerState;
+use crate::trial::Trial;
 
 /// The inputs of a learner.
 #[derive(Clone, Debug)]
@@ -78,6 +80,9 @@ pub enum LearnerError {
     /// The checkpoint cannot be used.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
+    /// No policy can act with the weights of the checkpoint.
+    #[error(transparent)]
+    Weights(#[from] PolicyError),
     /// The policy to start from has a different network.
     #[error("the policy to start from does not fit: {0}")]
     Init(String),
@@ -95,6 +100,10 @@ pub struct Learner {
     replay: Option<Replay>,
     /// Number of trajectories dropped because of their generated goals.
     n_unmade: u64,
+    /// Tries the weights of each update.
+    tried: Policy,
+    /// Number of updates that were taken back.
+    n_refused: u64,
 }
 
 /// Maximum number of blocks in the goals that one update generates, per environment step. The shortest episodes, which
@@ -151,7 +160,9 @@ impl Learner {
             return Err(LearnerError::TooLarge(n_parameters));
         }
         let init = setup.init.clone();
-        let mut learner = Self { ppo, state, mailbox, replay, n_unmade: 0, setup };
+        // The configuration is valid, so this cannot fail.
+        let tried = Policy::new(&setup.policy)?;
+        let mut learner = Self { ppo, state, mailbox, replay, n_unmade: 0, tried, n_refused: 0, setup };
         if let Some(model) = init {
             learner.start_from(&model)?;
         }
@@ -188,7 +199,7 @@ impl Learner {
     /// the training blueprints.
     ///
     /// # Errors
-    /// Those of [`Learner::new`], and [`CheckpointError::Mismatch`].
+    /// Those of [`Learner::new`], [`CheckpointError::Mismatch`], and [`LearnerError::Weights`].
     pub fn resume(setup: LearnerSetup, checkpoint: Checkpoint) -> Result<Self, LearnerError> {
         let mut learner = Self::new(setup)?;
         let mismatch = |reason: &str| Err(CheckpointError::Mismatch(reason.to_owned()).into());
@@ -202,6 +213,8 @@ impl Learner {
         if tasks(&checkpoint.state) != tasks(&learner.state) {
             return mismatch("the training blueprints are others");
         }
+        // Other settings of the policy may have changed.
+        learner.tried.load(&Weights { settings: learner.setup.settings.clone(), ..checkpoint.weights() })?;
         let n_parameters = learner.ppo.parameters().len();
         if checkpoint.adam.first.len() != n_parameters || checkpoint.adam.second.len() != n_parameters {
             return mismatch("the optimizer has other parameters");
@@ -246,6 +259,8 @@ impl Learner {
 
     /// Runs one update on the oldest trajectories and, with imitation, on labeled scenes. Returns `None` if there are
     /// not enough trajectories, or if none has a usable goal. PPO uses only trajectories with sampled actions.
+    ///
+    /// If no policy could act with the new weights, the update is taken back: its steps count, the weights stay.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
         self.update_on(self.setup.config.steps_per_update)
     }
@@ -259,18 +274,8 @@ impl Learner {
         }
         let tally = EpisodeTally::of(&trajectories);
         let n_steps: usize = trajectories.iter().map(n_env_steps).sum();
-        for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
-            if let Some(outcome) = &trajectory.outcome {
-                self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
-                if let Some(reverse) = &self.setup.config.reverse {
-                    let n_blocks = n_blocks(&self.setup.catalog, &trajectory.task.blueprint);
-                    self.state.reverse.record(&trajectory.task.start, n_blocks, outcome.success, reverse);
-                }
-            }
-        }
-        if let Some(replay) = &mut self.replay {
-            trajectories.iter().for_each(|trajectory| replay.push(trajectory.clone(), &self.setup.catalog));
-        }
+        self.record(&trajectories);
+        let trial = Trial::new(&trajectories, &self.setup.catalog);
         let factors = self.setup.config.rewards.at(self.state.n_env_steps);
         let batch = |trajectories| {
             Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy, &factors)
@@ -283,6 +288,47 @@ impl Learner {
         let next = moving.then(|| self.features_after([&own, &batch(others)]));
         let mut batch = own;
         normalize(&mut batch.features, &self.state.normalization);
+        let before = (self.ppo.trained(), self.state.clone());
+        let mut learned = self.learn(&batch);
+        if let Some((features, n_scenes)) = next {
+            self.adopt_features(features, n_scenes);
+        }
+        self.state.normalization.value_mean = self.state.values.mean as f32;
+        self.state.normalization.value_std = self.state.values.std as f32;
+        self.state.version.0 += 1;
+        let refused = self.refusal(&learned.0, &trial);
+        if refused.is_some() {
+            learned = (kept_metrics(&learned.0), None);
+            self.take_back(before);
+        }
+        self.state.n_updates += 1;
+        self.state.n_env_steps += n_steps as u64;
+        self.state.n_episodes += tally.n_episodes();
+        self.mailbox.set_version(self.state.version);
+        let mut metrics =
+            UpdateMetrics::new(&self.state, &batch, n_steps as u64, learned, tally.metrics(), &self.mailbox);
+        (metrics.unmade_total, metrics.refused_total, metrics.refused) = (self.n_unmade, self.n_refused, refused);
+        Some(metrics)
+    }
+
+    /// Records how episodes ended, and the labeled scenes.
+    fn record(&mut self, trajectories: &[Trajectory]) {
+        for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
+            if let Some(outcome) = &trajectory.outcome {
+                self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
+                if let Some(reverse) = &self.setup.config.reverse {
+                    let n_blocks = n_blocks(&self.setup.catalog, &trajectory.task.blueprint);
+                    self.state.reverse.record(&trajectory.task.start, n_blocks, outcome.success, reverse);
+                }
+            }
+        }
+        if let Some(replay) = &mut self.replay {
+            trajectories.iter().for_each(|trajectory| replay.push(trajectory.clone(), &self.setup.catalog));
+        }
+    }
+
+    /// Takes the gradient steps of an update on a batch with normalized features.
+    fn learn(&mut self, batch: &Batch) -> (PpoMetrics, Option<ImitationMetrics>) {
         let config = &self.setup.config;
         let mut progress = Progress {
             rng: &mut self.state.rng,
@@ -297,21 +343,28 @@ impl Learner {
                 features: &self.setup.policy.features,
                 normalization: &self.state.normalization,
             });
-        let learned = self.ppo.update(&batch, imitation_source, config, &mut progress);
-        if let Some((features, n_scenes)) = next {
-            self.adopt_features(features, n_scenes);
+        self.ppo.update(batch, imitation_source, config, &mut progress)
+    }
+
+    /// Returns why the weights of an update are of no use; `None` if policies can act with them.
+    fn refusal(&mut self, ppo: &PpoMetrics, trial: &Trial) -> Option<String> {
+        if ppo.n_skipped_steps > 0 && ppo.n_gradient_steps == 0 {
+            return Some("no gradient was finite".to_owned());
         }
-        self.state.normalization.value_mean = self.state.values.mean as f32;
-        self.state.normalization.value_std = self.state.values.std as f32;
-        self.state.version.0 += 1;
-        self.state.n_updates += 1;
-        self.state.n_env_steps += n_steps as u64;
-        self.state.n_episodes += tally.n_episodes();
-        self.mailbox.set_version(self.state.version);
-        let mut metrics =
-            UpdateMetrics::new(&self.state, &batch, n_steps as u64, learned, tally.metrics(), &self.mailbox);
-        metrics.unmade_total = self.n_unmade;
-        Some(metrics)
+        let weights = self.weights();
+        trial.of(&weights, &mut self.tried).err().map(|error| error.to_string())
+    }
+
+    /// Takes an update back. Its randomness is used up, so that the next one draws other minibatches, and an adaptive
+    /// learning rate shrinks.
+    fn take_back(&mut self, (trained, state): (Trained, LearnerState)) {
+        self.ppo.restore_trained(trained);
+        let mut learning_rate = state.learning_rate;
+        if let RateRule::Adaptive(rule) = &self.setup.config.optimizer.rate_rule {
+            learning_rate = learning_rate.adapted(f32::INFINITY, rule);
+        }
+        self.state = LearnerState { rng: self.state.rng.clone(), learning_rate, ..state };
+        self.n_refused += 1;
     }
 
     /// Returns the newest weights.

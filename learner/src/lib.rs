@@ -30,6 +30,7 @@ pub mod sink;
 pub mod state;
 #[cfg(test)]
 mod tests;
+mod trial;
 
 pub use admission::{ActingLimits, Admission};
 pub use checkpoint::{Checkpoint, CheckpointError};
@@ -39,4 +40,4 @@ pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;
 pub use model::Model;
 pub use policy::device::{DeviceError, DeviceKind};
-pub use run::{Feed, RunOptions, Summary, check, run};
+pub use run::{Diverged, Feed, RunOptions, Summary, check, run};

@@ -34,6 +34,10 @@ pub struct UpdateMetrics {
     pub mailbox: MailboxCounts,
     /// Trajectories dropped because of their generated goals since the start of the process.
     pub unmade_total: u64,
+    /// Updates that were taken back since the start of the process.
+    pub refused_total: u64,
+    /// Why this update was taken back; `None` if its weights are in force.
+    pub refused: Option<String>,
     /// Environment steps of this update: the samples, and the burn-ins before them.
     pub n_steps: u64,
     /// PPO metrics.
@@ -70,6 +74,8 @@ impl UpdateMetrics {
             n_mailbox: mailbox.n_steps() as u64,
             mailbox: mailbox.counts(),
             unmade_total: 0,
+            refused_total: 0,
+            refused: None,
             n_steps,
             ppo,
             imitation,

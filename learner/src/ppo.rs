@@ -41,6 +41,14 @@ pub(crate) struct Ppo {
     imitator: Option<Vec<f32>>,
 }
 
+/// What gradient steps change in the network and its optimizers.
+#[derive(Debug)]
+pub(crate) struct Trained {
+    parameters: Vec<f32>,
+    adam: Adam,
+    critic_adam: Adam,
+}
+
 /// The state that an update changes in addition to the network.
 pub(crate) struct Progress<'a> {
     /// Random number generator that shuffles the samples.
@@ -120,6 +128,18 @@ impl Ppo {
             (self.critic_adam.first[at], self.critic_adam.second[at]) = (first, second);
         }
         self.critic_adam.n_steps = critic_adam.n_steps;
+    }
+
+    /// Returns a copy, so that an update can be taken back.
+    pub(crate) fn trained(&self) -> Trained {
+        let Self { parameters, adam, critic_adam, .. } = self;
+        Trained { parameters: parameters.clone(), adam: adam.clone(), critic_adam: critic_adam.clone() }
+    }
+
+    /// Takes an update back.
+    pub(crate) fn restore_trained(&mut self, before: Trained) {
+        (self.parameters, self.adam, self.critic_adam) = (before.parameters, before.adam, before.critic_adam);
+        self.load();
     }
 
     /// Returns the frozen parameters of the imitator, once it exists.
@@ -383,9 +403,11 @@ impl Ppo {
         self.load();
     }
 
-    /// Loads the flat parameters into the networks.
+    /// Loads the flat parameters into the networks, unless they have overflown: the learner takes such an update back.
     fn load(&mut self) {
-        self.workers.load(&self.parameters).expect("a finite step from finite parameters of the same number");
+        if let Err(error) = self.workers.load(&self.parameters) {
+            tracing::debug!(%error, "the parameters are of no use");
+        }
     }
 }
 

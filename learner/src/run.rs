@@ -30,6 +30,10 @@ const NAME_TIMEOUT: Duration = Duration::from_secs(15);
 /// Interval at which the updating thread checks for shutdown while it waits for trajectories.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
+/// Number of refused updates in a row that ends a run. A single one can come from an odd batch, which the next update
+/// does not have. After three, the settings are at fault, and waiting would only cost time.
+const MAX_REFUSED: u64 = 3;
+
 /// Options of a run.
 pub struct RunOptions {
     /// The inputs of the learner.
@@ -42,6 +46,21 @@ pub struct RunOptions {
     pub max_env_steps: Option<u64>,
     /// The source of trajectories between updates, instead of the bus. Results then do not depend on time.
     pub feed: Option<Feed>,
+    /// Gets the metrics of every update too.
+    pub told: watch::Sender<Option<LearnerMetrics>>,
+}
+
+/// Why training stopped: update after update gave weights with which no policy can act.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "training has diverged: {MAX_REFUSED} updates in a row gave no usable weights ({reason}); the last usable ones are \
+     in {}", checkpoint.display()
+)]
+pub struct Diverged {
+    /// Why the last update was refused.
+    reason: String,
+    /// The checkpoint with the last usable weights.
+    checkpoint: PathBuf,
 }
 
 /// A function that steps worlds with the given weights and returns the finished trajectories; `true` requests new
@@ -79,8 +98,8 @@ struct Publication {
 /// seeds produce equal weights, even after resuming from one of the periodic checkpoints.
 ///
 /// # Errors
-/// If the feed fails, a setting is invalid, the checkpoint cannot be resumed, the session fails, or the last checkpoint
-/// cannot be written.
+/// If the feed fails, a setting is invalid, the checkpoint cannot be resumed, the session fails, the last checkpoint
+/// cannot be written, or training has [`Diverged`].
 pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) -> anyhow::Result<Option<Summary>> {
     let folder = options.run_dir.folder();
     fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
@@ -225,6 +244,8 @@ impl Worker {
         let mut last_report = Instant::now();
         let mut restart = true;
         let mut fed = Ok(());
+        let mut n_refused = 0;
+        let mut diverged = None;
         self.send(None);
         // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
         while !self.publications.is_closed() && !self.is_over() {
@@ -262,6 +283,14 @@ impl Worker {
             }
             self.options.told.send_replace(Some(metrics.clone()));
             self.send(Some(metrics));
+            n_refused = if update.refused.is_some() { n_refused + 1 } else { 0 };
+            if let Some(reason) = update.refused {
+                tracing::warn!(reason, "an update was taken back");
+                if n_refused == MAX_REFUSED {
+                    diverged = Some(reason);
+                    break;
+                }
+            }
             if self.learner.n_updates().is_multiple_of(settings.checkpoints.every_updates) {
                 restart = true;
                 // A full disk should not end a run that still makes progress; only the last checkpoint must succeed.
@@ -274,6 +303,9 @@ impl Worker {
         mailbox.close();
         let checkpoint = self.save(&checkpoints).map_err(|error| self.lost(error, &checkpoints))?;
         fed?;
+        if let Some(reason) = diverged {
+            return Err(Diverged { reason, checkpoint }.into());
+        }
         let weights_version = self.learner.version();
         Ok(Summary {
             weights_version,
@@ -350,6 +382,7 @@ impl Worker {
             n_mailbox: update.n_mailbox,
             expired_total: update.mailbox.expired_total,
             unmade_total: update.unmade_total,
+            refused_total: update.refused_total,
             ppo: update.ppo,
             imitation: update.imitation,
             episodes: update.episodes.clone(),

@@ -52,6 +52,9 @@ pub struct LearnerMetrics {
     /// held-out structure, cannot be generated, or exceeded the number of goals generated per update.
     #[serde(default)]
     pub unmade_total: u64,
+    /// Updates that were taken back since the start of the process, because no policy could act with their weights.
+    #[serde(default)]
+    pub refused_total: u64,
     /// PPO metrics of the update.
     pub ppo: PpoMetrics,
     /// Imitation metrics; `null` without imitation.

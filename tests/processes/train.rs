@@ -167,3 +167,94 @@ fn a_start_that_fails_leaves_no_run_behind() {
     assert!(!stderr.contains(".rs:"), "the error names places in code: {stderr}");
     assert!(!folder.path().join("run").exists());
 }
+
+#[test]
+fn training_that_diverges_stops_and_keeps_usable_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    let diverge = [
+        "--set",
+        "learner.optimizer.rate_rule.kind=fixed",
+        "--set",
+        "learner.optimizer.learning_rate=100000",
+        "--set",
+        "learner.steps_per_update=256",
+        "--set",
+        "evaluator.episodes.n_episodes=2",
+    ];
+    let mut train = lodestone(folder.path());
+    train.args(["train", "--preset", "near-goal", "--run-dir", "run", "--steps", "9000"]).args(diverge);
+    let stopped = train.output().unwrap();
+    let said = String::from_utf8_lossy(&stopped.stderr);
+    assert_eq!(stopped.status.code(), Some(67), "{said}");
+    let run = folder.path().join("run");
+    let kept = format!("step-{}", n_saved_steps(&run));
+    assert!(said.contains("training has diverged: 3 updates in a row") && said.contains(&kept), "{said}");
+    finished(lodestone(folder.path()).args(["eval", "--checkpoint", "run", "--episodes", "1"]));
+
+    // With another rate, the run goes on from there.
+    let n_steps = (n_saved_steps(&run) + 256).to_string();
+    finished(
+        lodestone(folder.path())
+            .args(["train", "--resume", "run", "--steps", &n_steps])
+            .args(["--set", "learner.optimizer.learning_rate=1e-3"]),
+    );
+    assert!(n_saved_steps(&run) >= n_steps.parse().unwrap());
+}
+
+#[test]
+fn weights_with_which_no_policy_can_act_are_refused_wherever_they_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    finished(lodestone(folder.path()).args(["train", "--run-dir", "run", "--steps", "256"]).args(SMALL));
+    // Earlier versions saved such weights.
+    let checkpoints = folder.path().join("run/checkpoints");
+    let mut checkpoint = learner::Checkpoint::read_latest(&checkpoints).unwrap().checkpoint;
+    checkpoint.parameters.fill(1e30);
+    std::fs::remove_dir_all(&checkpoints).unwrap();
+    checkpoint.write(&checkpoints).unwrap();
+    for args in [
+        &["eval", "--checkpoint", "run"][..],
+        &["play", "--checkpoint", "run"],
+        &["serve", "run"],
+        &["record", "--checkpoint", "run", "--split", "train", "--out", "out"],
+        &["export", "--checkpoint", "run", "--out", "out"],
+        &["train", "--resume", "run"],
+        &["train", "--init-from", "run", "--run-dir", "out"],
+        &["learner", "--resume", "run", "--connect", "tcp/127.0.0.1:1"],
+    ] {
+        let refused = lodestone(folder.path()).args(args).output().unwrap();
+        let said = String::from_utf8_lossy(&refused.stderr);
+        assert_eq!(refused.status.code(), Some(66), "{args:?}: {said}");
+        assert!(said.contains("for a scene, must be a number in"), "{args:?}: {said}");
+        assert!(!folder.path().join("out").exists(), "{args:?}");
+    }
+}
+
+#[test]
+fn interrupted_seeds_go_on_with_the_command_that_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let seeds = |steps: &str, args: &[String]| {
+        let mut train = lodestone(folder.path());
+        train.env("LODESTONE_STEPS", steps).args(args).stdout(Stdio::piped()).stderr(Stdio::null());
+        train.spawn().unwrap()
+    };
+    let first: Vec<String> = ["train", "--seeds", "2"].iter().chain(&SMALL).map(|&arg| arg.to_owned()).collect();
+    let mut child = seeds("1000000000", &first);
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.contains("steps/s")));
+    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+    let command = lines.find_map(|line| Some(line.split_once("continue all 2 seeds: ")?.1.to_owned())).unwrap();
+    assert!(child.wait().unwrap().success());
+
+    let run_dir = command.split(' ').skip_while(|word| *word != "--run-dir").nth(1).unwrap();
+    let run_dir = folder.path().join(run_dir);
+    let saved = n_saved_steps(&run_dir.join("seed-1"));
+    assert!(!run_dir.join("seed-2").exists());
+    let mut shell = Command::new("sh");
+    let continued = shell.args(["-c", &command]).env("LODESTONE_STEPS", (saved + 256).to_string());
+    let output = finished(continued.current_dir(folder.path()));
+    let printed = String::from_utf8_lossy(&output.stdout);
+    assert!(printed.contains("continuing `quickstart`") && printed.contains("seed 2, 2 of 2"), "{printed}");
+    for seed in ["seed-1", "seed-2"] {
+        assert!(n_saved_steps(&run_dir.join(seed)) >= saved + 256, "{seed}");
+    }
+}

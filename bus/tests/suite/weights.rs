@@ -106,3 +106,16 @@ async fn a_pull_that_nobody_answers_is_repeated() {
     let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
     until_version(&mut subscriber.watch(), 3).await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_that_leaves_is_noticed_without_its_weights() {
+    let cluster = Cluster::start().await;
+    let (learner_bus, actor_bus) = (cluster.client().await, cluster.client().await);
+    let learner = actor_bus.learner_watch().await.unwrap();
+    let mut there = learner.watch();
+    assert!(!*there.borrow());
+    let publisher = learner_bus.weights_publisher().await.unwrap();
+    until("a learner", &mut there, |there| *there).await;
+    drop(publisher);
+    until("its absence", &mut there, |there| !there).await;
+}

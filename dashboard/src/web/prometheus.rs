@@ -212,6 +212,11 @@ fn dropped(page: &mut Scrape, state: &State) {
         reasons,
     );
     page.counter(
+        "learner_updates_refused",
+        "Updates that were taken back, because no policy could act with their weights",
+        learner.map(|learner| learner.refused_total),
+    );
+    page.counter(
         "learner_duplicates",
         "Trajectories that came again after the learner had taken them",
         learner.map(|learner| learner.ingest.duplicates_total),

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use evaluator::Policy;
 use learner::{Checkpoint, CheckpointError, Model};
 
 use super::files::write_files;
@@ -57,7 +58,18 @@ impl Source {
     }
 
     /// Reads an exported file, or the newest checkpoint of a folder.
+    ///
+    /// # Errors
+    /// When a file cannot be read or is damaged, or no policy can act with its weights.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
+        let source = Self::read_untried(path)?;
+        // Whoever waits for an action of such a policy would wait forever.
+        Policy::with_weights(&source.model.policy, &source.model.weights)
+            .map_err(|error| Failure::Weights(anyhow::Error::new(error).context(path.display().to_string())))?;
+        Ok(source)
+    }
+
+    fn read_untried(path: &Path) -> Result<Self, Failure> {
         check_exists(path)?;
         let unusable = |error: CheckpointError| Failure::Checkpoint(error.into());
         if path.is_file() {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
 use dashboard::{About, Farewell, Kind};
-use evaluator::{EvaluatorSetup, Policy, Stop};
+use evaluator::{EvaluatorSetup, Stop};
 use proto::Weights;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -84,9 +84,6 @@ pub(super) async fn run(
 ) -> Result<(), Failure> {
     let catalog = program.catalog;
     let weights = published(source, config, catalog)?;
-    // Fail early on unusable weights: the page would wait for them forever.
-    let mut policy = Policy::new(&config.policy).map_err(anyhow::Error::from)?;
-    policy.load(&weights).map_err(anyhow::Error::from)?;
     let weights = Arc::new(weights);
     let page = services::page(config.dashboard.web.as_ref(), terminal).await?.map(|page| services::Opened {
         page,

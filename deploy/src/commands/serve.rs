@@ -87,7 +87,10 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let history = paths.history();
     let passes = if history.exists() { History::read(&history)? } else { Vec::new() };
     let learner = updates(&paths)?;
-    let model = Source::read(folder).inspect_err(|error| tracing::warn!(%error, "no policy plays for this run")).ok();
+    let model = match Source::read(folder) {
+        Err(error @ Failure::Weights(_)) => return Err(error),
+        read => read.inspect_err(|error| tracing::warn!(%error, "no policy plays for this run")).ok(),
+    };
     let policy = model.as_ref().map_or_else(|| config.policy.clone(), |source| source.model.policy.clone());
     let weights = model.map(|source| Arc::new(source.model.weights));
     let (_, newest) = watch::channel(weights.clone());

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use actor::{ActorSetup, Lockstep};
 use blueprints::Catalog;
-use bus::Bus;
+use bus::{Bus, BusError};
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Kind, Page, Source};
 use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
@@ -17,6 +17,7 @@ use runlog::{Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
 
 use super::stage::stage;
 use super::{join_bus, models, serve};
@@ -45,13 +46,13 @@ pub(super) async fn run_actor(
     let (n_threads, n_worlds) = (config.actor.n_threads, config.actor.n_worlds);
     terminal.print(&begins(&format!("actor `{id}` steps {n_threads} × {n_worlds} worlds"), settings));
     let setup = actor_setup(config, id);
-    let mut shown = None;
-    let ended = on_bus(config, &health, &shutdown, async |bus| {
-        let metrics = bus.metrics_subscriber(&key).await?;
-        shown = Some(tokio::spawn(live::show_acting(metrics, terminal.clone())));
-        actor(setup, bus, shutdown.clone()).await
-    })
-    .await;
+    let (told, metrics) = watch::channel(None);
+    let shown = tokio::spawn(live::show_acting(metrics, terminal.clone()));
+    let act = async |bus: Bus| {
+        let _told = AbortOnDropHandle::new(tokio::spawn(tell_of_learner(bus.clone())));
+        actor(setup, bus, told, shutdown.clone()).await
+    };
+    let ended = on_bus(config, &health, &shutdown, act).await;
     finished(shown).await.and(ended)
 }
 
@@ -141,7 +142,10 @@ pub(super) async fn run_evaluator(
     let (progress, counted) = watch::channel(None);
     let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || true));
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
-    let evaluate = async |bus| evaluator(setup, reports, progress, page, bus, stop).await;
+    let evaluate = async |bus: Bus| {
+        let _told = AbortOnDropHandle::new(tokio::spawn(tell_of_learner(bus.clone())));
+        evaluator(setup, reports, progress, page, bus, stop).await
+    };
     let ended = on_bus(config, &health, &shutdown, evaluate).await;
     finished(counting).await?;
     finished(shown).await?;
@@ -176,9 +180,25 @@ async fn on_bus(
     ended
 }
 
-/// Runs an actor. Its random draws differ from those of all other actors of the run.
-pub(super) async fn actor(setup: ActorSetup, bus: Bus, shutdown: CancellationToken) -> Result<(), Failure> {
-    actor::run(setup, &bus, shutdown).await?;
+/// Says when the learner is gone, because whoever waits for its weights may wait for long.
+async fn tell_of_learner(bus: Bus) -> Result<(), BusError> {
+    let learner = bus.learner_watch().await?;
+    let mut there = learner.watch();
+    while there.wait_for(|there| *there).await.is_ok() && there.wait_for(|there| !there).await.is_ok() {
+        tracing::warn!(run = bus.run(), "the learner is gone, so no newer weights come until one is there again");
+    }
+    Ok(())
+}
+
+/// Runs an actor, which sends its metrics to `told` too. Its random draws differ from those of all other actors of the
+/// run.
+pub(super) async fn actor(
+    setup: ActorSetup,
+    bus: Bus,
+    told: watch::Sender<Option<ActorMetrics>>,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    actor::run(setup, &bus, told, shutdown).await?;
     Ok(())
 }
 

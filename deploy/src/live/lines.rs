@@ -159,6 +159,7 @@ mod tests {
             n_mailbox: 0,
             expired_total: 0,
             unmade_total: 0,
+            refused_total: 0,
             ppo: PpoMetrics { explained_variance: 0.25, learning_rate: 1e-3, ..PpoMetrics::default() },
             imitation,
             episodes: EpisodeMetrics::default(),

@@ -357,3 +357,41 @@ fn a_critic_that_learns_alone_leaves_the_policy_as_it_is() {
     let rate = learner.update().unwrap().ppo.learning_rate;
     assert_eq!(rate, f64::from(setup.config.optimizer.learning_rate));
 }
+
+#[test]
+fn an_update_that_gives_no_usable_weights_is_taken_back() {
+    // The first step overflows the network's outputs, or the parameters themselves.
+    for learning_rate in [1e5, 1e38] {
+        let mut setup = small_setup(1);
+        setup.config.optimizer.learning_rate = learning_rate;
+        setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+        let mut learner = Learner::new(setup.clone()).unwrap();
+        let first = learner.weights();
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for n in 1..=2 {
+            feed(&learner, bandit(&setup, &learner.weights(), 256, &mut rng));
+            let metrics = learner.update().unwrap();
+            assert!(metrics.refused.is_some(), "{learning_rate}: {metrics:?}");
+            assert_eq!((metrics.refused_total, metrics.n_updates, metrics.n_env_steps), (n, n, 256 * n));
+            assert_eq!(metrics.ppo.total_loss, 0.0, "what was taken back has no loss");
+            assert_eq!(Weights { n_env_steps: 0, ..learner.weights() }, Weights { n_env_steps: 0, ..first.clone() });
+        }
+        let checkpoint = learner.checkpoint();
+        assert_eq!((checkpoint.adam.n_steps, checkpoint.state.values), (0, Default::default()));
+        // With a rate that it can learn with, it goes on from there.
+        setup.config.optimizer.learning_rate = 3e-4;
+        let mut resumed = Learner::resume(setup.clone(), checkpoint).unwrap();
+        feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut rng));
+        assert_eq!(resumed.update().unwrap().refused, None);
+    }
+}
+
+#[test]
+fn an_adaptive_rate_shrinks_when_an_update_is_taken_back() {
+    let mut setup = small_setup(1);
+    setup.config.optimizer.learning_rate = 1e5;
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    feed(&learner, bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2)));
+    assert!(learner.update().unwrap().refused.is_some());
+    assert_eq!(learner.checkpoint().state.learning_rate.0, 1e5_f32 / 1.5);
+}

@@ -9,7 +9,8 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
-use crate::{Checkpoint, CheckpointError, LearnerSetup, RunOptions, Summary, run};
+use crate::config::{FixedRate, RateRule};
+use crate::{Checkpoint, CheckpointError, Diverged, Feed, LearnerSetup, RunOptions, Summary, run};
 use runlog::RunPaths;
 
 /// Sends enough trajectories for one update with each of the next `n_updates` weights.
@@ -129,14 +130,10 @@ async fn run_takes_as_many_steps_as_were_asked_for_and_no_whole_update_more() {
     let setup = small_setup(6);
     assert_eq!(setup.config.steps_per_update, 256);
     let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(6));
-    let options = RunOptions {
-        setup,
-        run_dir: RunPaths::new(dir.path().join("run")),
-        resume: None,
-        max_env_steps: Some(300),
-        // Segments of one step.
-        feed: Some(Box::new(move |weights, _| Ok(bandit(&its_setup, weights, 10, &mut rng)))),
-    };
+    // Segments of one step.
+    let feed: Feed = Box::new(move |weights, _| Ok(bandit(&its_setup, weights, 10, &mut rng)));
+    let run_dir = RunPaths::new(dir.path().join("run"));
+    let options = RunOptions { max_env_steps: Some(300), feed: Some(feed), ..options(setup, &run_dir) };
     let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (2, 300));
     bus.close().await;
@@ -153,5 +150,28 @@ async fn a_learner_that_waits_for_another_one_ends_when_told() {
     shutdown.cancel();
     assert_eq!(run(options, &bus, shutdown).await.unwrap(), None);
     assert!(!run_dir.checkpoints().exists());
+    bus.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn training_that_diverges_stops_and_keeps_usable_weights() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let run_dir = RunPaths::new(dir.path().join("run"));
+    let mut setup = small_setup(5);
+    setup.config.optimizer.learning_rate = 1e5;
+    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    setup.config.checkpoints.every_updates = 1;
+    let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(1));
+    let feed: Feed = Box::new(move |weights, _| Ok(bandit(&its_setup, weights, 256, &mut rng)));
+    let options = RunOptions { feed: Some(feed), ..options(setup.clone(), &run_dir) };
+    let error = run(options, &bus, CancellationToken::new()).await.unwrap_err();
+    assert!(error.is::<Diverged>(), "{error:#}");
+    let found = Checkpoint::read_latest(&run_dir.checkpoints()).unwrap();
+    let message = error.to_string();
+    assert!(message.starts_with("training has diverged: 3 updates in a row gave no usable weights ("), "{message}");
+    assert!(message.ends_with(&format!("the last usable ones are in {}", found.path.display())), "{message}");
+    assert_eq!((found.checkpoint.state.n_updates, found.checkpoint.state.version.0), (3, 0));
+    assert!(policy::Policy::with_weights(&setup.policy, &found.checkpoint.weights()).is_ok());
     bus.close().await;
 }

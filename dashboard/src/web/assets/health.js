@@ -103,6 +103,7 @@ function drawDrops(table, actors, learner, summary) {
     }
     add("learner", "expired", learner.expired_total);
     add("learner", "goal not made", learner.unmade_total);
+    add("learner", "updates taken back", learner.refused_total);
     for (const [reason, n] of Object.entries(learner.bus || {})) add("learner's bus", words(reason), n);
   }
   const rows = [...totals].sort().map(([reason, n]) => [reason, count(n)]);
