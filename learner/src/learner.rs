@@ -135,6 +135,7 @@ impl Learner {
             n_updates: 0,
             n_episodes: 0,
             learning_rate: LearningRate(setup.config.optimizer.learning_rate),
+            initial_rate: Some(setup.config.optimizer.learning_rate),
             rng: ChaCha8Rng::seed_from_u64(setup.seed),
             curriculum: Curriculum::new(setup.config.curriculum.clone(), tasks.iter().cloned()),
             reverse: match &setup.config.reverse {
@@ -230,11 +231,13 @@ impl Learner {
         }
         let Checkpoint { state, mailbox, .. } = checkpoint;
         learner.mailbox.restore(state.version, state.mailbox, mailbox);
+        let initial_rate = learner.state.initial_rate;
+        let learning_rate = resumed_rate(&state, &learner.setup.config.optimizer);
         let curriculum = learner.state.curriculum.with_state_of(state.curriculum);
         // If the reverse curriculum was turned on or off, start with the new setting.
         let is_new = state.reverse.reach().is_empty() || learner.setup.config.reverse.is_none();
         let reverse = if is_new { learner.state.reverse } else { state.reverse };
-        learner.state = LearnerState { curriculum, reverse, ..state };
+        learner.state = LearnerState { curriculum, reverse, learning_rate, initial_rate, ..state };
         Ok(learner)
     }
 
@@ -465,6 +468,28 @@ impl Learner {
         features.freeze_into(&mut self.state.normalization);
         self.state.features = features;
         self.state.n_feature_scenes += n_scenes as u64;
+    }
+}
+
+/// Returns the learning rate of a resumed run: another initial rate takes effect, and so do other bounds.
+fn resumed_rate(saved: &LearnerState, config: &OptimizerConfig) -> LearningRate {
+    let is_new = saved.initial_rate.is_some_and(|rate| rate != config.learning_rate);
+    match &config.rate_rule {
+        _ if is_new => LearningRate(config.learning_rate),
+        RateRule::Adaptive(rule) => LearningRate(saved.learning_rate.0.clamp(rule.min, rule.max)),
+        RateRule::Fixed(_) | RateRule::Line(_) => saved.learning_rate,
+    }
+}
+
+/// Returns the metrics of an update that was taken back. Its losses mean nothing, and may not even be numbers.
+fn kept_metrics(ppo: &PpoMetrics) -> PpoMetrics {
+    PpoMetrics {
+        learning_rate: ppo.learning_rate,
+        n_samples: ppo.n_samples,
+        n_gradient_steps: ppo.n_gradient_steps,
+        n_skipped_steps: ppo.n_skipped_steps,
+        n_epochs: ppo.n_epochs,
+        ..PpoMetrics::default()
     }
 }
 

@@ -27,6 +27,9 @@ pub struct LearnerState {
     pub n_episodes: u64,
     /// Learning rate of the next update.
     pub learning_rate: LearningRate,
+    /// Configured initial learning rate that `learning_rate` comes from; `None` in checkpoints of earlier versions.
+    #[serde(default)]
+    pub initial_rate: Option<f32>,
     /// Random number generator that shuffles the minibatches.
     pub rng: ChaCha8Rng,
     /// Task probabilities.

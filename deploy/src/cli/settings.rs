@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use clap::builder::PossibleValuesParser;
+use learner::config::RateRule;
 use runlog::RunPaths;
 
 use crate::config::{Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
@@ -58,7 +59,9 @@ impl ConfigArgs {
     /// # Errors
     /// Names the file, variable, or flag, and what would be valid.
     pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Settings, ConfigError> {
-        let mut settings = self.merged(resume, &self.overrides(flags)?)?;
+        let overrides = self.overrides(flags)?;
+        let mut settings = self.merged(resume, &overrides)?;
+        has_effect(&overrides, &settings.config)?;
         if let Some(name) = &self.ablation {
             write!(settings.source, ", with the ablation `{name}`").expect("a string takes all");
             // The preset's duration no longer applies.
@@ -75,7 +78,10 @@ impl ConfigArgs {
         if let Some(folder) = resume {
             // Runs of earlier versions name no base; like all others, they are merged over the defaults.
             let (text, origin) = read(&RunPaths::new(folder).config())?;
-            return settings(&text, &origin, Base::Defaults, origin.clone(), None);
+            let before = merge(&text, &origin, Base::Defaults, &[])?;
+            let settings = settings(&text, &origin, Base::Defaults, origin.clone(), None)?;
+            goes_on(&before, &settings.config, folder)?;
+            return Ok(settings);
         }
         if let Some(file) = &self.config {
             let (text, origin) = read(file)?;
@@ -120,6 +126,37 @@ impl ConfigArgs {
         overrides.extend(flags);
         Ok(overrides)
     }
+}
+
+/// Refuses a learning rate that is given while a schedule sets it.
+fn has_effect(overrides: &[Override], config: &Config) -> Result<(), ConfigError> {
+    let is_rate = |given: &&Override| given.path == ["learner", "optimizer", "learning_rate"];
+    match overrides.iter().find(is_rate) {
+        Some(given) if matches!(config.learner.optimizer.rate_rule, RateRule::Line(_)) => Err(ConfigError::Value {
+            origin: given.origin.clone(),
+            message: "has no effect while learner.optimizer.rate_rule is a line; change its points, or add \
+                      learner.optimizer.rate_rule.kind=fixed"
+                .to_owned(),
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// Refuses settings that a run in `folder` cannot change: its network has learned from normalized numbers.
+fn goes_on(before: &Config, now: &Config, folder: &Path) -> Result<(), ConfigError> {
+    let normalized = |config: &Config| {
+        let normalization = &config.learner.normalization;
+        [("features", normalization.features), ("values", normalization.values)]
+    };
+    for ((name, was), (_, is)) in normalized(before).into_iter().zip(normalized(now)) {
+        if was && !is {
+            return Err(ConfigError::Value {
+                origin: folder.display().to_string(),
+                message: format!("learner.normalization.{name} = false comes too late for this run; start another one"),
+            });
+        }
+    }
+    Ok(())
 }
 
 /// The text and the name of a configuration file.
@@ -178,6 +215,31 @@ mod tests {
         );
         assert_eq!(load("no-curriculum", &[]).config.learner.curriculum, preset("no-curriculum").learner.curriculum);
         assert_eq!(load("single-gripper", &["bus.run=one"]).config.bus.run, "one", "flags come last");
+    }
+
+    #[test]
+    fn settings_that_could_not_take_effect_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let load = |set: &str, resume: Option<&str>| {
+            let run = folder.path().to_owned();
+            let args = ConfigArgs { set: vec![set.to_owned()], ..ConfigArgs::default() };
+            if let Some(name) = resume {
+                std::fs::write(RunPaths::new(&run).config(), preset(name).to_toml()).unwrap();
+            }
+            args.load(resume.map(|_| &run), Vec::new()).err().map(|error| error.to_string())
+        };
+        // `quickstart` has a schedule of rates.
+        for resume in [None, Some("quickstart")] {
+            let message = load("learner.optimizer.learning_rate=1e-4", resume).unwrap();
+            assert!(message.contains("has no effect while learner.optimizer.rate_rule is a line"), "{message}");
+        }
+        for name in ["features", "values"] {
+            let set = format!("learner.normalization.{name}=false");
+            let message = load(&set, Some("near-goal")).unwrap();
+            assert!(message.contains(&format!("{name} = false comes too late")), "{message}");
+            assert_eq!(load(&set, None), None);
+        }
+        assert_eq!(load("learner.optimizer.learning_rate=1e-4", Some("near-goal")), None);
     }
 
     #[test]

@@ -11,9 +11,11 @@ use serde_json::{Value, json};
 use proto::Driver;
 
 use super::learning::{bandit, feed, labeled, small_setup};
+use crate::adam::LearningRate;
 use crate::checkpoint::{self, Checkpoint, CheckpointError, files};
-use crate::config::{FixedRate, ImitationConfig, RateRule, ReplayConfig, Schedule};
+use crate::config::{AdaptiveRate, FixedRate, ImitationConfig, RateRule, ReplayConfig, Schedule};
 use crate::model::Model;
+use crate::state::LearnerState;
 use crate::{Learner, LearnerError, LearnerSetup};
 
 /// Runs `n` updates with trajectories determined by `seed` and the learner's weights.
@@ -77,6 +79,40 @@ fn resumed_learner_takes_another_fixed_rate() {
     let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
     feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5)));
     assert_eq!(resumed.update().unwrap().ppo.learning_rate, f64::from(1e-4_f32));
+}
+
+#[test]
+fn resumed_learner_takes_another_adaptive_rate_or_other_bounds() {
+    let dir = tempfile::tempdir().unwrap();
+    let (setup, _, path) = saved(dir.path(), 2);
+    let adapted = Checkpoint::read(&path).unwrap().state.learning_rate.0;
+    assert_ne!(adapted, setup.config.optimizer.learning_rate);
+    let resumed = |learning_rate, max, mut checkpoint: Checkpoint| {
+        let mut setup = setup.clone();
+        setup.config.optimizer.learning_rate = learning_rate;
+        setup.config.optimizer.rate_rule = RateRule::Adaptive(AdaptiveRate { max, ..Default::default() });
+        checkpoint = Learner::resume(setup, checkpoint).unwrap().checkpoint();
+        (checkpoint.state.learning_rate.0, checkpoint)
+    };
+    let saved = || Checkpoint::read(&path).unwrap();
+    let same = setup.config.optimizer.learning_rate;
+    assert_eq!(resumed(same, 1e-3, saved()).0, adapted, "what was adapted goes on");
+    let (rate, changed) = resumed(2e-5, 1e-3, saved());
+    assert_eq!(rate, 2e-5, "another rate takes effect");
+    let adapted_since = LearningRate(5e-5);
+    let state = LearnerState { learning_rate: adapted_since, ..changed.state.clone() };
+    assert_eq!(resumed(2e-5, 1e-3, Checkpoint { state, ..changed }).0, 5e-5, "but only once");
+    assert_eq!(resumed(same, 4e-5, saved()).0, 4e-5, "and so does another bound");
+}
+
+#[test]
+fn a_checkpoint_with_which_no_policy_can_act_is_not_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    let (setup, learner, _) = saved(dir.path(), 1);
+    let mut checkpoint = learner.checkpoint();
+    checkpoint.parameters.fill(1e30);
+    let error = Learner::resume(setup, checkpoint).unwrap_err();
+    assert!(matches!(error, LearnerError::Weights(_)), "{error}");
 }
 
 #[test]
