@@ -200,9 +200,9 @@ pub struct TrainArgs {
     pub blueprint: Vec<String>,
     /// Train this many times in sequence, with the configured seed and the seeds after it, each in a folder `seed-S`
     /// inside the run's folder. The mean and standard deviation of the last evaluations are printed at the end;
-    /// `report` prints them again.
+    /// `report` prints them again. After an interruption, the same command goes on with --run-dir and --auto-resume.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=100), allow_negative_numbers = true)]
-    #[arg(conflicts_with_all = ["resume", "auto_resume", "listen"])]
+    #[arg(conflicts_with_all = ["resume", "listen"])]
     pub seeds: Option<u64>,
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]

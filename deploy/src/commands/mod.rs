@@ -91,8 +91,10 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
             let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
-            let origin = origin(&args.run, &args.config, &said)?;
-            if let (Some(run), false) = (&origin.checkpoint, args.blueprint.is_empty()) {
+            let of_first = args.seeds.map(|_| seeds::first_run(&args.run));
+            let origin = origin(of_first.as_ref().unwrap_or(&args.run), &args.config, &said)?;
+            let is_repeated = args.blueprint.is_empty() || args.seeds.is_some();
+            if let (Some(run), false) = (&origin.checkpoint, is_repeated) {
                 let run = run.display();
                 return Err(Failure::Usage(format!(
                     "--blueprint: the run in {run} goes on with the goals that it began with; for others, start a run with \
@@ -148,8 +150,10 @@ fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Result<Ori
         terminal.print(&format!("{} has no checkpoint yet: the run begins again", folder.display()));
     }
     if let (Some(folder), true) = (&origin.config, run.auto_resume) {
-        let ignored = config.config.as_ref().map(|file| file.display().to_string()).or_else(|| config.preset.clone());
-        let ignored = ignored.map_or_else(String::new, |name| format!("; `{name}` is not read"));
+        let file = config.config.as_ref().map(|file| file.display().to_string()).or_else(|| config.preset.clone());
+        let init = run.init_from.as_ref().filter(|_| origin.checkpoint.is_some());
+        let ignored = file.into_iter().chain(init.map(|model| model.display().to_string()));
+        let ignored: String = ignored.map(|name| format!("; `{name}` is not read")).collect();
         terminal.print(&format!("the run in {} goes on with its own configuration{ignored}", folder.display()));
     }
     Ok(origin)

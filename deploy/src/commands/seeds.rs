@@ -1,5 +1,6 @@
 //! One training with several seeds: `train --seeds`, and how `report` summarizes the resulting folder.
 
+use std::ffi::OsString;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -12,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::goals::TrainingGoals;
 use super::train::{self, Summary};
-use crate::cli::{Settings, TrainArgs};
+use crate::cli::{RunArgs, Settings, TrainArgs};
 use crate::config::MAX_SEED;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -63,18 +64,25 @@ pub(super) async fn train(
     let folder = args.run.run_dir.clone().map_or_else(|| default_folder(&settings.config), Ok)?;
     let mut runs = Vec::new();
     for seed in (first..).take(usize::try_from(n_seeds).unwrap_or(usize::MAX)) {
-        if shutdown.is_cancelled() {
-            break;
-        }
         let mut own = settings.clone();
         own.config.seed = seed;
         // Without a last evaluation there would be nothing to compare.
         own.config.evaluator.evaluate_last = true;
         let run_dir = folder.join(format!("{PREFIX}{seed}"));
         terminal.print(&format!("seed {seed}, {} of {n_seeds}", runs.len() + 1));
+        let origin = Origin::find(&RunArgs { run_dir: Some(run_dir.clone()), ..args.run.clone() });
         // Use a child token, because a training cancels its token when it ends.
         let its_end = shutdown.child_token();
-        runs.push(train::run(&own, args, goals, Some(&run_dir), Origin::default(), terminal, its_end).await?);
+        let trained = train::run(&own, args, goals, Some(&run_dir), origin, terminal, its_end).await;
+        let is_complete = trained.as_ref().is_ok_and(Summary::is_complete);
+        if shutdown.is_cancelled() && !(is_complete && runs.len() as u64 + 1 == n_seeds) {
+            let command = continuing(std::env::args_os(), &args.run, &folder);
+            terminal.print(&format!("\nended in seed {seed}\n  continue all {n_seeds} seeds: {command}"));
+        }
+        runs.push(trained?);
+        if shutdown.is_cancelled() {
+            break;
+        }
     }
     let groups = spreads(&folder)?;
     if !groups.is_empty() {
@@ -83,13 +91,46 @@ pub(super) async fn train(
     Ok(SeedsSummary { folder, runs, groups })
 }
 
-/// The runs of the seeds in a folder, ordered by seed.
+/// The command that this process was started with, changed so that it goes on with the seeds in `folder`.
+fn continuing(command: impl Iterator<Item = OsString>, run: &RunArgs, folder: &Path) -> String {
+    let mut words: Vec<String> = command.map(|word| quoted(&word.to_string_lossy())).collect();
+    if run.run_dir.is_none() {
+        words.extend(["--run-dir".to_owned(), quoted(&folder.to_string_lossy())]);
+    }
+    if !run.auto_resume {
+        words.push("--auto-resume".to_owned());
+    }
+    words.join(" ")
+}
+
+/// A word as a shell reads it.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "_-./=:,@%+".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+/// The arguments of the first seed's run, whose configuration all seeds share.
+pub(super) fn first_run(run: &RunArgs) -> RunArgs {
+    let found = run.run_dir.as_deref().map(|folder| seeds_in(folder, RunPaths::config)).unwrap_or_default();
+    RunArgs { run_dir: found.into_iter().next().or_else(|| run.run_dir.clone()), ..run.clone() }
+}
+
+/// The runs of the seeds in a folder that have been evaluated, ordered by seed.
 pub(super) fn runs_in(folder: &Path) -> Vec<PathBuf> {
+    seeds_in(folder, RunPaths::history)
+}
+
+/// The runs of the seeds in a folder that have this file, ordered by seed.
+fn seeds_in(folder: &Path, file: impl Fn(&RunPaths) -> PathBuf) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let seed = |path: &Path| path.file_name()?.to_str()?.strip_prefix(PREFIX)?.parse::<u64>().ok();
     let mut found: Vec<(u64, PathBuf)> =
         entries.filter_map(|entry| Some((seed(&entry.path())?, entry.path()))).collect();
-    found.retain(|(_, run)| RunPaths::new(run).history().exists());
+    found.retain(|(_, run)| file(&RunPaths::new(run)).exists());
     found.sort();
     found.into_iter().map(|(_, run)| run).collect()
 }
@@ -173,6 +214,20 @@ mod tests {
         };
         assert!(table(&[spread(&rates)]).ends_with("| train 2-6 | greedy | 60.0 | 20.0 | 40.0, 60.0, 80.0 | 21.2 |\n"));
         assert!(table(&[spread(&rates[..1])]).contains("| 40.0 | - | 40.0 |"));
+    }
+
+    #[test]
+    fn the_command_that_goes_on_can_be_pasted() {
+        let command = ["lodestone", "train", "--seeds", "2", "--set", "evaluator.selection.splits=[\"it's\"]"];
+        let words = || command.map(OsString::from).into_iter();
+        let set = r#"'evaluator.selection.splits=["it'\''s"]'"#;
+        let folder = Path::new("runs/a b");
+        assert_eq!(
+            continuing(words(), &RunArgs::default(), folder),
+            format!("lodestone train --seeds 2 --set {set} --run-dir 'runs/a b' --auto-resume")
+        );
+        let again = RunArgs { run_dir: Some("runs/a b".into()), auto_resume: true, ..RunArgs::default() };
+        assert_eq!(continuing(words(), &again, folder), format!("lodestone train --seeds 2 --set {set}"));
     }
 
     #[test]

@@ -43,6 +43,12 @@ pub(super) struct Summary {
     evaluation: Option<EvalSummary>,
 }
 
+impl Summary {
+    pub(super) fn is_complete(&self) -> bool {
+        self.is_complete
+    }
+}
+
 /// Trains until the configured number of steps is reached, a service fails, or `shutdown`.
 ///
 /// # Errors
