@@ -21,6 +21,12 @@ pub const AUTHORITY: &str = "ca";
 /// The role whose certificate may act as a server.
 const ROUTER: &str = "router";
 
+/// Folder in which keys are made, inside their own, until all of them are there.
+const UNFINISHED: &str = ".unfinished";
+
+/// A function that durably writes a new file.
+type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str) -> Result<(), MakeKeysError>;
+
 /// Certificates are valid from this long before they are made, because clocks differ between machines.
 const CLOCK_SLACK: Duration = Duration::hours(1);
 
@@ -71,16 +77,52 @@ pub fn exist(folder: &Path) -> bool {
 /// Creates the authority and the folders of all roles, valid for `n_days`.
 ///
 /// The router's certificate covers the names and addresses in `hosts`; clients reject a router that they reach under
-/// any other. Folders are accessible to their owner only. The router's list of users and its password are written last,
-/// so that an interrupted call does not leave a folder that passes for complete.
+/// any other. Folders are accessible to their owner only. They get their names once all files are written, so that a
+/// call that fails, or is interrupted, can be repeated.
 ///
 /// # Errors
 /// When `folder` already holds keys, a host is not valid, or nothing can be written.
 pub fn create(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKeysError> {
+    create_with(folder, hosts, n_days, &mut write)
+}
+
+/// Like [`create`], but writes each file with `write`.
+fn create_with(folder: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), MakeKeysError> {
+    let unfinished = folder.join(UNFINISHED);
+    remove_interrupted(folder, &unfinished)?;
     if folder.join(AUTHORITY).exists() || ROLES.iter().any(|role| folder.join(role).join(CERTIFICATE_FILE).exists()) {
         return Err(MakeKeysError::Exists(folder.to_owned()));
     }
     check_hosts(hosts)?;
+    make_folder(folder)?;
+    let made = write_all(&unfinished, hosts, n_days, write).and_then(|()| {
+        folders().try_for_each(|name| {
+            let path = folder.join(name);
+            // An empty folder may be there.
+            fs::rename(unfinished.join(name), &path).map_err(|source| MakeKeysError::Io { path, source })
+        })
+    });
+    // The first error counts; what cannot be removed now is removed by the next call.
+    made.and(remove_interrupted(folder, &unfinished))
+}
+
+/// The folders of a run's keys. Nothing works without the router's, which is the last.
+fn folders() -> impl Iterator<Item = &'static str> {
+    ROLES.into_iter().filter(|role| *role != ROUTER).chain([AUTHORITY, ROUTER])
+}
+
+/// Removes what a call left behind that was interrupted: the unfinished folder, and, if the router's is still in it,
+/// the folders that already had their names.
+fn remove_interrupted(folder: &Path, unfinished: &Path) -> Result<(), MakeKeysError> {
+    if unfinished.join(ROUTER).join(PASSWORD_FILE).exists() {
+        let moved = folders().filter(|name| !unfinished.join(name).exists());
+        moved.map(|name| folder.join(name)).try_for_each(|path| remove_folder(&path))?;
+    }
+    remove_folder(unfinished)
+}
+
+/// Makes all keys in the new folder `into`. The router's password comes last.
+fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), MakeKeysError> {
     let validity = Validity::from_now(n_days);
     let authority_key = KeyPair::generate()?;
     let mut authority = CertificateParams::default();
@@ -92,29 +134,21 @@ pub fn create(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKe
     let authority_key_pem = authority_key.serialize_pem();
     let issuer = Issuer::new(authority, authority_key);
 
-    make_folder(folder)?;
-    let mut users = String::new();
+    folders().try_for_each(|name| make_folder(&into.join(name)))?;
+    write(&into.join(AUTHORITY).join(CERTIFICATE_FILE), &authority_pem)?;
+    write(&into.join(AUTHORITY).join(KEY_FILE), &authority_key_pem)?;
+    let passwords = ROLES.map(|role| Ok(format!("{role}:{}\n", password()?)));
+    let passwords = passwords.into_iter().collect::<Result<Vec<String>, MakeKeysError>>()?;
+    write(&into.join(ROUTER).join(USERS_FILE), &passwords.concat())?;
     for role in ROLES {
-        let password = password()?;
-        users.push_str(&format!("{role}:{password}\n"));
-        let into = folder.join(role);
-        make_folder(&into)?;
         let (certificate, key) = certificate(role, hosts, &validity, &issuer)?;
-        write(&into.join(AUTHORITY_FILE), &authority_pem)?;
-        write(&into.join(KEY_FILE), &key)?;
-        write(&into.join(CERTIFICATE_FILE), &certificate)?;
-        if role != ROUTER {
-            write(&into.join(PASSWORD_FILE), &format!("{role}:{password}\n"))?;
-        }
+        write(&into.join(role).join(AUTHORITY_FILE), &authority_pem)?;
+        write(&into.join(role).join(KEY_FILE), &key)?;
+        write(&into.join(role).join(CERTIFICATE_FILE), &certificate)?;
     }
-    let into = folder.join(AUTHORITY);
-    make_folder(&into)?;
-    write(&into.join(CERTIFICATE_FILE), &authority_pem)?;
-    write(&into.join(KEY_FILE), &authority_key_pem)?;
-    // Written last and with all roles: without it nothing works, so an incomplete folder is never used.
-    write(&folder.join(ROUTER).join(USERS_FILE), &users)?;
-    let own = users.lines().find(|line| line.starts_with(ROUTER)).unwrap_or_default();
-    write(&folder.join(ROUTER).join(PASSWORD_FILE), &format!("{own}\n"))
+    let mut passwords: Vec<_> = ROLES.into_iter().zip(passwords).collect();
+    passwords.sort_by_key(|(role, _)| *role == ROUTER);
+    passwords.iter().try_for_each(|(role, password)| write(&into.join(role).join(PASSWORD_FILE), password))
 }
 
 /// Issues a new certificate for the router in `folder` and for `hosts`, signed by the same authority.
@@ -135,14 +169,16 @@ pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), 
     let key = KeyPair::from_pem(&read(KEY_FILE)?).map_err(|error| absent(error.to_string()))?;
     let issuer = Issuer::from_ca_cert_pem(&read(CERTIFICATE_FILE)?, key).map_err(|error| absent(error.to_string()))?;
     let (certificate, key) = certificate(ROUTER, hosts, &Validity::from_now(n_days), &issuer)?;
-    let into = folder.join(ROUTER);
+    let new = |name: &str| folder.join(ROUTER).join(format!(".new-{name}"));
+    // A key without its certificate is of no use, so neither is replaced before both are written.
     for (name, content) in [(KEY_FILE, key), (CERTIFICATE_FILE, certificate)] {
-        let (path, new) = (into.join(name), into.join(format!(".new-{name}")));
-        remove_if_there(&new)?;
-        write(&new, &content)?;
-        fs::rename(&new, &path).map_err(|source| MakeKeysError::Io { path, source })?;
+        remove_if_there(&new(name))?;
+        write(&new(name), &content)?;
     }
-    Ok(())
+    [KEY_FILE, CERTIFICATE_FILE].into_iter().try_for_each(|name| {
+        let path = folder.join(ROUTER).join(name);
+        fs::rename(new(name), &path).map_err(|source| MakeKeysError::Io { path, source })
+    })
 }
 
 /// Rejects hosts that rcgen accepts but that no client would ever match.
@@ -217,10 +253,76 @@ fn write(path: &Path, content: &str) -> Result<(), MakeKeysError> {
 }
 
 fn remove_if_there(path: &Path) -> Result<(), MakeKeysError> {
-    match fs::remove_file(path) {
+    is_gone(path, fs::remove_file(path))
+}
+
+fn remove_folder(path: &Path) -> Result<(), MakeKeysError> {
+    is_gone(path, fs::remove_dir_all(path))
+}
+
+fn is_gone(path: &Path, removed: io::Result<()>) -> Result<(), MakeKeysError> {
+    match removed {
         Err(source) if source.kind() != io::ErrorKind::NotFound => {
             Err(MakeKeysError::Io { path: path.to_owned(), source })
         }
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    /// Makes keys, and fails at the file with this number, as on a full disk. Returns how many were written.
+    fn failing(folder: &Path, at: usize) -> (usize, Result<(), MakeKeysError>) {
+        let mut n_written = 0;
+        let made = create_with(folder, &["localhost".to_owned()], 1, &mut |path, content| {
+            if n_written == at {
+                return Err(MakeKeysError::Io { path: path.to_owned(), source: io::ErrorKind::StorageFull.into() });
+            }
+            n_written += 1;
+            write(path, content)
+        });
+        (n_written, made)
+    }
+
+    #[test]
+    fn keys_can_be_made_again_after_a_failure_at_any_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = folder.path().join("keys");
+        let n_files = 2 + 1 + 4 * ROLES.len();
+        for at in 0..n_files {
+            let (n_written, made) = failing(&keys, at);
+            assert!(n_written == at && matches!(made, Err(MakeKeysError::Io { .. })), "{at}: {made:?}");
+            assert!(names(&keys).is_empty(), "{at}: {:?}", names(&keys));
+        }
+        let (n_written, made) = failing(&keys, n_files);
+        assert!(n_written == n_files && made.is_ok() && exist(&keys), "{made:?}");
+        assert!(matches!(failing(&keys, n_files).1, Err(MakeKeysError::Exists(_))));
+    }
+
+    #[test]
+    fn keys_can_be_made_again_after_a_kill() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = folder.path();
+        let mut complete: Vec<&str> = folders().collect();
+        complete.sort_unstable();
+        // While files are written, and while folders get their names.
+        fs::create_dir_all(keys.join(UNFINISHED).join(ROUTER)).unwrap();
+        create(keys, &[], 1).unwrap();
+        assert_eq!(names(keys), complete);
+        let password = fs::read(keys.join(ROUTER).join(PASSWORD_FILE)).unwrap();
+        fs::create_dir(keys.join(UNFINISHED)).unwrap();
+        fs::rename(keys.join(ROUTER), keys.join(UNFINISHED).join(ROUTER)).unwrap();
+        create(keys, &[], 1).unwrap();
+        assert_eq!(names(keys), complete);
+        assert_ne!(fs::read(keys.join(ROUTER).join(PASSWORD_FILE)).unwrap(), password, "all keys are new");
     }
 }
