@@ -191,7 +191,7 @@ async fn join_bus(config: &BusConfig, shutdown: &CancellationToken) -> Result<Op
 
 /// Runs `command` on a runtime, with a token that the first signal cancels.
 fn on_runtime(command: impl AsyncFnOnce(CancellationToken) -> Result<(), Failure>) -> Result<(), Failure> {
-    limits::allow_many_files();
+    limits::allow_many_files()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(N_RUNTIME_THREADS)
         .enable_all()
