@@ -11,6 +11,7 @@ use std::{fs, io};
 use crate::checks::check_text;
 use crate::error::BlueprintFileError;
 use crate::format::line_at;
+use crate::outside::printable;
 use crate::{Blueprint, BlueprintId, Split, generator};
 
 /// The `(file name, text)` of every compiled-in blueprint file.
@@ -251,8 +252,8 @@ fn checked<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Ve
     files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?))).collect()
 }
 
-/// Reads the `(path, text)` of every `*.toml` file of a folder, sorted by name, or of one file with any name. In a
-/// folder, names that begin with a dot are passed over: they are the locks and copies of editors and file systems.
+/// Reads the `(path to show, text)` of every `*.toml` file of a folder, sorted by name, or of one file with any name. In
+/// a folder, names that begin with a dot are passed over: they are the locks and copies of editors and file systems.
 ///
 /// # Errors
 /// [`CatalogError::Empty`] for a folder without such files, [`CatalogError::Missing`] or [`CatalogError::Io`] with the
@@ -290,7 +291,7 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
             return Err(CatalogError::TooLarge(path));
         }
         let text = text_of(&path, bytes)?;
-        Ok((path.display().to_string(), text))
+        Ok((printable(&path.display().to_string()).into_owned(), text))
     };
     paths.into_iter().map(read).collect()
 }

@@ -2,7 +2,8 @@
 //!
 //! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`]
 //! and [`strength`] → inference of what a file leaves open (`infer`) → [`checks`] → [`drawing`] → the file writer → the
-//! canonical hash → [`catalog`].
+//! canonical hash → [`catalog`]. [`outside`] reads files and prints texts that nobody vouches for, here and in other
+//! crates.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -20,6 +21,7 @@ pub mod hash;
 mod infer;
 pub mod inventory;
 pub mod lattice;
+pub mod outside;
 pub mod stance;
 pub mod strength;
 mod writer;

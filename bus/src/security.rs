@@ -4,11 +4,12 @@
 //! presents a certificate of the run's own authority and a password, both of the same role, and gets the rights that
 //! `access` grants that role. Everything else is denied.
 
+use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
-use std::{fs, io};
 
+use blueprints::outside;
 use proto::settings;
 use serde_json::{Value, json};
 use x509_parser::parse_x509_certificate;
@@ -27,6 +28,9 @@ pub const KEY_FILE: &str = "key.pem";
 pub const PASSWORD_FILE: &str = "password";
 /// A router's list of all roles and their passwords, one `role:password` per line.
 pub const USERS_FILE: &str = "users";
+
+/// Maximum size of a key file in bytes; they have a few hundred.
+const MAX_KEY_BYTES: u64 = 1 << 20;
 
 settings! {
     /// Keys of a process on the bus.
@@ -179,7 +183,7 @@ pub(super) fn address(endpoint: &str) -> Option<(&str, u16)> {
 }
 
 fn read(path: &Path) -> Result<String, KeysError> {
-    fs::read_to_string(path).map_err(|error| KeysError::Unreadable {
+    outside::read_text(path, MAX_KEY_BYTES).map_err(|error| KeysError::Unreadable {
         path: path.to_owned(),
         kind: error.kind(),
         reason: error.to_string(),
@@ -246,7 +250,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let message = Keys::read(folder.path(), false).unwrap_err().to_string();
         assert!(message.contains("ca.pem") && message.contains("lodestone keys new"), "{message}");
-        fs::write(folder.path().join(AUTHORITY_FILE), "nonsense").unwrap();
+        std::fs::write(folder.path().join(AUTHORITY_FILE), "nonsense").unwrap();
         let message = Keys::read(folder.path(), false).unwrap_err().to_string();
         assert!(message.contains("ca.pem") && message.contains("PEM"), "{message}");
     }

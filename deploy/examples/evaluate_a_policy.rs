@@ -17,7 +17,7 @@ fn main() -> anyhow::Result<()> {
     let path = std::env::args().nth(1).map_or_else(|| PathBuf::from(pretrained), PathBuf::from);
     // A model file holds the weights and the network's configuration, so the weights cannot end up in a different
     // network.
-    let model = Model::from_bytes(&std::fs::read(&path)?, &path)?;
+    let model = Model::read(&path)?;
 
     // Evaluate in the world that the policy was trained in.
     let preset = Preset::find("laptop")?;

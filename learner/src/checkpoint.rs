@@ -46,6 +46,9 @@ const IMITATOR: &str = "imitator.safetensors";
 const MODEL: &str = "model.json";
 const STATE: &str = "state.json";
 
+/// Maximum size of `state.json` in bytes; it has about 100 000.
+const MAX_STATE_BYTES: u64 = 64 << 20;
+
 /// Format version of checkpoints and policies, incremented when older readers cannot read the files, or when the policy
 /// would read other features ([`policy::config::FEATURE_LAYOUT`]).
 pub(crate) const FORMAT_VERSION: u32 = 3;
@@ -118,6 +121,9 @@ pub enum CheckpointError {
         /// The unknown setting.
         reason: String,
     },
+    /// The path does not exist.
+    #[error("there is no file or folder {0}")]
+    Missing(PathBuf),
     /// There is no folder `step-<n>`.
     #[error("there is no checkpoint in {0}")]
     Absent(PathBuf),
@@ -239,7 +245,7 @@ impl Checkpoint {
     /// [`CheckpointError::Damaged`] with the name of the damaged file, [`CheckpointError::Version`], or a file system
     /// error.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
-        let bytes = files::read(path, STATE)?;
+        let bytes = files::read(path, STATE, MAX_STATE_BYTES)?;
         parse::<FormatVersion>(path, STATE, &bytes)?.check(&path.join(STATE))?;
         let state: StateFile = parse(path, STATE, &bytes)?;
         let verified = |name| files::read_verified(path, name, &state.files);
@@ -275,7 +281,7 @@ impl Checkpoint {
     /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is a checkpoint.
     ///
     /// # Errors
-    /// [`CheckpointError::Absent`] if there is none; if all are damaged, the error of the newest.
+    /// [`CheckpointError::Missing`] if there is no `dir`, [`CheckpointError::Absent`] if it has none; if all are damaged, the error of the newest.
     pub fn read_latest(dir: &Path) -> Result<Found, CheckpointError> {
         if dir.join(STATE).exists() {
             return Ok(Found { path: dir.into(), checkpoint: Self::read(dir)?, passed_over: Vec::new() });
@@ -290,7 +296,11 @@ impl Checkpoint {
                 }
             }
         }
-        Err(if passed_over.is_empty() { CheckpointError::Absent(dir.into()) } else { passed_over.swap_remove(0) })
+        Err(match passed_over.is_empty() {
+            true if !dir.exists() => CheckpointError::Missing(dir.into()),
+            true => CheckpointError::Absent(dir.into()),
+            false => passed_over.swap_remove(0),
+        })
     }
 
     /// Returns the frozen policy, as sent to the actors.

@@ -6,7 +6,9 @@
 
 use std::path::Path;
 
+use blueprints::outside;
 use policy::PolicyConfig;
+use proto::codec::MAX_WEIGHTS_BYTES;
 use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
@@ -19,6 +21,9 @@ use crate::state::NormalizationFields;
 
 /// Name of the metadata entry.
 const ENTRY: &str = "lodestone";
+
+/// Maximum size of a file in bytes: the largest network, and names and shapes of its parameters.
+const MAX_FILE_BYTES: u64 = MAX_WEIGHTS_BYTES as u64 + (4 << 20);
 
 /// A frozen policy.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,6 +81,15 @@ impl Model {
     /// Returns names and shapes in the order of the flat parameters.
     pub(crate) fn table(&self) -> &[ParameterInfo] {
         &self.table
+    }
+
+    /// Reads a file; one that no policy of a permitted size fills is refused.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Io`], and those of [`Model::from_bytes`].
+    pub fn read(path: &Path) -> Result<Self, CheckpointError> {
+        let failed = |error| CheckpointError::Io { action: "reading", path: path.into(), error };
+        Self::from_bytes(&outside::read(path, MAX_FILE_BYTES).map_err(failed)?, path)
     }
 
     /// Parses the file's bytes; `path` names the file in errors.

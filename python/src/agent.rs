@@ -4,11 +4,12 @@ use std::borrow::Cow;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use blueprints::N_BLOCKS;
+use blueprints::{N_BLOCKS, outside};
 use environment::vec_env::generator;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use policy::features::N_EDGES;
 use policy::{FeatureBatch, FeatureSizes};
+use proto::codec::MAX_WEIGHTS_BYTES;
 use proto::{ActionMode, Decision, N_GRIPPERS};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::sync::MutexExt;
@@ -22,6 +23,9 @@ use crate::model::{Model, ModelError};
 
 /// The pretrained policy embedded in the program.
 const PRETRAINED: &[u8] = include_bytes!("../../deploy/pretrained/model.safetensors");
+
+/// Maximum size of a policy file in bytes, as in `lodestone`: the largest network, and names and shapes of its parameters.
+const MAX_FILE_BYTES: u64 = MAX_WEIGHTS_BYTES as u64 + (4 << 20);
 
 /// Indices of two edge features: the two blocks are connected, and both belong to the blueprint.
 const CONNECTED: usize = 22;
@@ -91,7 +95,7 @@ impl Policy {
     fn load(path: PathBuf) -> PyResult<Self> {
         let shown = path.display();
         let bytes =
-            std::fs::read(&path).map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
+            outside::read(&path, MAX_FILE_BYTES).map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
         let refused =
             |error: PolicyError| PyValueError::new_err(format!("path: {shown} is not a policy: {}", message(&error)));
         Self::from_bytes(Cow::Owned(bytes)).map_err(refused)

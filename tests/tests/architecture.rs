@@ -8,7 +8,7 @@ use crate::repository::{files, manifest, members, read, root, shown};
 const ALLOWED: [(&str, &[&str]); 13] = [
     ("blueprints", &[]),
     ("proto", &["blueprints"]),
-    ("bus", &["proto"]),
+    ("bus", &["blueprints", "proto"]),
     ("environment", &["blueprints", "proto"]),
     ("policy", &["blueprints", "proto"]),
     ("runlog", &["blueprints", "proto"]),

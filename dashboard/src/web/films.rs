@@ -1,10 +1,9 @@
 //! Video clips of evaluations: their list and their contents.
 
-use std::fs;
 use std::path::Path;
 
-use blueprints::Catalog;
-use proto::codec::decode_recording;
+use blueprints::{Catalog, outside};
+use proto::codec::{MAX_TRAJECTORY_BYTES, decode_recording};
 use proto::{Trajectory, WeightsVersion};
 use render::picture::encode;
 use render::video::{Episode, Film, LAST_S, MIN_WIDTH};
@@ -58,8 +57,7 @@ impl Films {
     /// Returns the bytes of the clip with this id. The id is compared with the existing clips and never used as a path.
     pub(super) fn bytes(&self, asked: &str) -> Option<Vec<u8>> {
         let film = self.all().into_iter().find(|film| id(film) == asked)?;
-        let small = fs::metadata(&film.path).ok()?.len() <= MAX_BYTES;
-        small.then(|| fs::read(&film.path).ok()).flatten()
+        outside::read(&film.path, MAX_BYTES).ok()
     }
 
     /// Returns the recorded episode of the clip with this id.
@@ -67,7 +65,7 @@ impl Films {
         let film = self.all().into_iter().find(|film| id(film) == asked)?;
         let name = Path::new(film.path.file_name()?).with_extension(RECORDING);
         let path = self.0.as_ref()?.replays().join(film.blueprint.as_str()).join(name);
-        decode_recording(&fs::read(path).ok()?).ok()
+        decode_recording(&outside::read(&path, MAX_TRAJECTORY_BYTES as u64).ok()?).ok()
     }
 
     /// Returns a PNG of the last scene of the clip with this id; `None` without a recording or if the goal is unknown.

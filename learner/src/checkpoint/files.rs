@@ -1,6 +1,7 @@
 //! The files of a checkpoint: durable writes and verified reads.
 
 use blueprints::hash::fnv1a;
+use blueprints::outside;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{ErrorKind, Write};
@@ -38,10 +39,10 @@ pub(crate) fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<FileInfo,
     Ok(FileInfo { name: name.to_owned(), n_bytes: bytes.len() as u64, fnv1a: hash(bytes) })
 }
 
-/// Reads a file.
-pub(super) fn read(folder: &Path, name: &str) -> Result<Vec<u8>, CheckpointError> {
+/// Reads a file of at most `max_bytes` bytes.
+pub(super) fn read(folder: &Path, name: &str, max_bytes: u64) -> Result<Vec<u8>, CheckpointError> {
     let path = folder.join(name);
-    fs::read(&path).map_err(io("reading", &path))
+    outside::read(&path, max_bytes).map_err(io("reading", &path))
 }
 
 /// Reads a file and verifies it against its entry in `infos`.
@@ -49,10 +50,11 @@ pub(super) fn read_verified(folder: &Path, name: &str, infos: &[FileInfo]) -> Re
     let Some(info) = infos.iter().find(|info| info.name == name) else {
         return Err(damaged(folder, name, "the state file does not list it"));
     };
-    let bytes = read(folder, name)?;
-    if bytes.len() as u64 != info.n_bytes {
-        return Err(damaged(folder, name, format!("it has {} bytes instead of {}", bytes.len(), info.n_bytes)));
+    let n_bytes = fs::metadata(folder.join(name)).map_or(info.n_bytes, |file| file.len());
+    if n_bytes != info.n_bytes {
+        return Err(damaged(folder, name, format!("it has {n_bytes} bytes instead of {}", info.n_bytes)));
     }
+    let bytes = read(folder, name, info.n_bytes)?;
     let found = hash(&bytes);
     if found != info.fnv1a {
         return Err(damaged(folder, name, format!("its hash is {found} instead of {}", info.fnv1a)));

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use blueprints::outside::printable;
 use proto::wilson::SuccessRate;
 
 /// Longest name shown, in characters.
@@ -56,10 +57,9 @@ pub(super) fn success(success: &SuccessRate) -> String {
     format!("{rate:5.1} ({low:5.1} to {high:5.1})")
 }
 
-/// Makes an untrusted name safe for a terminal: printable ASCII of limited length, anything else as `?`.
+/// Makes an untrusted name safe for a terminal, and limits its length.
 pub(super) fn name(text: &str) -> String {
-    let is_harmless = |c: char| c == ' ' || c.is_ascii_graphic();
-    text.chars().take(NAME_LEN).map(|c| if is_harmless(c) { c } else { '?' }).collect()
+    printable(text).chars().take(NAME_LEN).collect()
 }
 
 fn grouped(digits: &str) -> String {
@@ -110,7 +110,7 @@ mod tests {
     #[test]
     fn names_cannot_move_the_cursor() {
         assert_eq!(name("train 2-6"), "train 2-6");
-        assert_eq!(name("a\u{1b}[2Jb\r\n\u{202e}"), "a?[2Jb???");
+        assert_eq!(name("a\u{1b}[2Jb\r\n\u{202e}"), "a\\u001b[2Jb\\u000d\\n\\u202e");
         assert_eq!(name(&"x".repeat(1000)).len(), NAME_LEN);
     }
 }

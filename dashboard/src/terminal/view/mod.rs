@@ -11,6 +11,7 @@ mod trends;
 
 use std::time::Duration;
 
+use blueprints::outside::printable;
 use ratatui::Frame;
 use ratatui::style::Style;
 use ratatui::text::{Line, Text};
@@ -98,20 +99,25 @@ fn overview(run: &RunView, now: Duration, width: usize, height: usize) -> Vec<Li
     lines
 }
 
+/// Names in messages can be anything.
+fn shown(text: String) -> String {
+    printable(&text).into_owned()
+}
+
 fn plain(text: String) -> Line<'static> {
-    Line::from(text)
+    Line::from(shown(text))
 }
 
 fn heading(text: String) -> Line<'static> {
-    Line::styled(text, Style::new().bold())
+    Line::styled(shown(text), Style::new().bold())
 }
 
 fn columns(text: String) -> Line<'static> {
-    Line::styled(text, Style::new().dim())
+    Line::styled(shown(text), Style::new().dim())
 }
 
 fn alarm(text: String) -> Line<'static> {
-    Line::styled(text, Style::new().red().bold())
+    Line::styled(shown(text), Style::new().red().bold())
 }
 
 #[cfg(test)]
