@@ -31,6 +31,9 @@ pub enum BusError {
         /// The system's error.
         error: io::Error,
     },
+    /// The clock is before 1970, and zenoh would panic in some thread.
+    #[error("the clock of this machine is before 1970, and messages carry its time: set it")]
+    Clock,
     /// Zenoh returned an error.
     #[error("{action}: {}", reason(error))]
     Zenoh {

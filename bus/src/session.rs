@@ -47,6 +47,7 @@ impl Bus {
     /// Like [`Self::open`], but all keys have the prefix `namespace` instead of the run's.
     pub(super) async fn open_within(namespace: &str, config: &BusConfig) -> Result<Self, BusError> {
         config.validate()?;
+        check_clock(SystemTime::now())?;
         let credentials = config.read_keys()?;
         let gate = match &credentials {
             Some(keys) => Gate::prepare(config, keys).await?.map(Arc::new),
@@ -140,8 +141,23 @@ impl Bus {
     }
 }
 
+fn check_clock(now: SystemTime) -> Result<(), BusError> {
+    if now < UNIX_EPOCH { Err(BusError::Clock) } else { Ok(()) }
+}
+
 /// Returns the current time in milliseconds since 1970, which distinguishes a restarted process from its predecessor.
 pub fn process_epoch_ms() -> u64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since_1970.as_millis()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_before_1970_is_refused() {
+        assert!(check_clock(UNIX_EPOCH).is_ok());
+        assert!(matches!(check_clock(UNIX_EPOCH - Duration::from_nanos(1)), Err(BusError::Clock)));
+    }
 }

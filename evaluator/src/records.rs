@@ -4,28 +4,42 @@ use std::collections::VecDeque;
 
 use proto::metrics::{EvalOutcome, EvalReport};
 use proto::{ActionMode, Role, keys};
-use runlog::{History, HistoryError, Lines, MetricsWriter, Pass, RunPaths};
+use runlog::{History, HistoryError, Lines, MetricsWriter, Pass, RunPaths, WriteError};
 
 /// The open record files. Writing can fail for a while, because the disk is full or because another program reads the
 /// history; neither ends a run.
 pub(crate) struct Records {
     metrics: MetricsWriter,
     history: History,
+    /// Reports that the metrics do not have yet, oldest first.
+    unwritten: VecDeque<Unwritten>,
     /// Rows that the history does not have yet, oldest first.
     waiting: VecDeque<Pass>,
+}
+
+/// What the metrics do not have yet of a report.
+struct Unwritten {
+    n_env_steps: u64,
+    lines: Lines,
+    scalars: Vec<(String, f64)>,
 }
 
 impl Records {
     /// Opens the record files. Opens the history first, so that a second writer is refused before anything is written.
     pub(crate) fn open(paths: &RunPaths) -> anyhow::Result<Self> {
         let history = History::open(&paths.history())?;
-        Ok(Self { metrics: MetricsWriter::open(paths, Role::Evaluator)?, history, waiting: VecDeque::new() })
+        let metrics = MetricsWriter::open(paths, Role::Evaluator)?;
+        Ok(Self { metrics, history, unwritten: VecDeque::new(), waiting: VecDeque::new() })
     }
 
-    /// Writes a report, whose history row is `row`. A failure is logged; the row then waits for the next call.
+    /// Writes a report, whose history row is `row`. A failure is logged; both then wait for the next call.
     pub(crate) fn keep(&mut self, report: &EvalReport, row: Pass) {
-        if let Err(error) = self.metrics(report) {
-            tracing::warn!(error = format!("{error:#}"), "an evaluation is missing in the run's metrics");
+        match lines(report) {
+            Ok(lines) => {
+                let (n_env_steps, scalars) = (report.summary.n_env_steps, scalars(report));
+                self.unwritten.push_back(Unwritten { n_env_steps, lines, scalars });
+            }
+            Err(error) => tracing::warn!(error = format!("{error:#}"), "an evaluation is missing in the run's metrics"),
         }
         self.waiting.push_back(row);
         if let Err(error) = self.catch_up() {
@@ -34,21 +48,30 @@ impl Records {
         }
     }
 
-    /// Writes the rows that wait to the history.
-    ///
-    /// # Errors
-    /// If the history cannot be written; the remaining rows still wait.
-    pub(crate) fn catch_up(&mut self) -> Result<(), HistoryError> {
-        while let Some(row) = self.waiting.front() {
-            self.history.append(row)?;
-            self.waiting.pop_front();
+    fn catch_up_metrics(&mut self) -> Result<(), WriteError> {
+        while let Some(Unwritten { n_env_steps, lines, scalars }) = self.unwritten.front_mut() {
+            self.metrics.append(lines)?;
+            // Not again, if the curves fail.
+            *lines = Lines::default();
+            self.metrics.scalars(*n_env_steps, scalars.iter().cloned())?;
+            self.unwritten.pop_front();
         }
         Ok(())
     }
 
-    fn metrics(&mut self, report: &EvalReport) -> anyhow::Result<()> {
-        self.metrics.append(&lines(report)?)?;
-        self.metrics.scalars(report.summary.n_env_steps, scalars(report))?;
+    /// Writes the reports that wait to the metrics, and the rows to the history.
+    ///
+    /// # Errors
+    /// If the history cannot be written; the remaining rows still wait.
+    pub(crate) fn catch_up(&mut self) -> Result<(), HistoryError> {
+        if let Err(error) = self.catch_up_metrics() {
+            let n_waiting = self.unwritten.len();
+            tracing::warn!(%error, n_waiting, "evaluations wait to be written to the run's metrics");
+        }
+        while let Some(row) = self.waiting.front() {
+            self.history.append(row)?;
+            self.waiting.pop_front();
+        }
         Ok(())
     }
 }
@@ -127,7 +150,20 @@ mod tests {
         drop(records);
         let versions = |passes: Vec<Pass>| passes.iter().map(|pass| pass.n_env_steps).collect::<Vec<_>>();
         assert_eq!(versions(History::read(&paths.history()).unwrap()), [100, 200, 300]);
-        let metrics = std::fs::read_to_string(paths.metrics()).unwrap();
-        assert_eq!(metrics.lines().count(), 6, "a summary and a blueprint for each evaluation");
+        let n_lines = || std::fs::read_to_string(paths.metrics()).unwrap().lines().count();
+        assert_eq!(n_lines(), 6, "a summary and a blueprint for each evaluation");
+
+        // Lines wait, too.
+        let mut records = Records::open(&paths).unwrap();
+        let aside = dir.path().join("aside");
+        std::fs::rename(paths.metrics(), &aside).unwrap();
+        std::fs::create_dir(paths.metrics()).unwrap();
+        keep(&mut records, 4);
+        keep(&mut records, 5);
+        assert_eq!((records.unwritten.len(), records.waiting.len()), (2, 0));
+        std::fs::remove_dir(paths.metrics()).unwrap();
+        std::fs::rename(aside, paths.metrics()).unwrap();
+        keep(&mut records, 6);
+        assert_eq!((records.unwritten.len(), n_lines()), (0, 12));
     }
 }

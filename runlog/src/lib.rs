@@ -19,4 +19,4 @@ pub mod writer;
 
 pub use history::{History, HistoryError, Pass};
 pub use paths::RunPaths;
-pub use writer::{Lines, MetricsWriter, WriteError, last_line};
+pub use writer::{Lines, MetricsWriter, WriteError, last_line, lines};

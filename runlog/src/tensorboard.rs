@@ -24,6 +24,15 @@ struct Event {
     file_version: Option<String>,
     #[prost(message, optional, tag = "5")]
     summary: Option<Summary>,
+    #[prost(message, optional, tag = "7")]
+    session_log: Option<SessionLog>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct SessionLog {
+    /// [`SESSION_START`].
+    #[prost(int32, tag = "1")]
+    status: i32,
 }
 
 #[derive(Clone, PartialEq, Message)]
@@ -105,6 +114,12 @@ enum SettingKind {
     Switch(bool),
 }
 
+/// `SessionLog.START`.
+const SESSION_START: i32 = 1;
+
+/// Beginning of the name of every event file, which readers require.
+const PREFIX: &str = "events.out.tfevents.";
+
 /// `DT_STRING` of `tensorflow/core/framework/types.proto`.
 const STRINGS: i32 = 7;
 
@@ -144,15 +159,21 @@ impl EventWriter {
     /// If the file cannot be created.
     pub fn create(folder: &Path) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
-        let now = since_1970();
-        // Readers require this prefix and read files in name order.
-        let name = format!("events.out.tfevents.{now:017.6}.{}", std::process::id());
-        let path = folder.join(name);
+        let path = folder.join(next_name(&event_files(folder)?, since_1970()));
         let file = File::options().append(true).create_new(true).open(&path)?;
         let mut writer = Self { path, file, n_bytes: 0, is_cut: false };
         let file_version = Some("brain.Event:2".to_owned());
-        writer.append(&Event { wall_time: now, step: 0, file_version, summary: None })?;
+        writer.append(Event { file_version, ..Event::default() })?;
         Ok(writer)
+    }
+
+    /// Tells readers to forget what earlier files of the folder have at `step` or later.
+    ///
+    /// # Errors
+    /// If writing fails.
+    pub fn restart(&mut self, step: u64) -> io::Result<()> {
+        let session_log = Some(SessionLog { status: SESSION_START });
+        self.append(Event { step: signed(step), session_log, ..Event::default() })
     }
 
     /// Appends scalars by tag at `step`, in one write.
@@ -205,12 +226,11 @@ impl EventWriter {
     }
 
     fn summary(&mut self, step: u64, values: Vec<Tagged>) -> io::Result<()> {
-        let step = i64::try_from(step).unwrap_or(i64::MAX);
-        self.append(&Event { wall_time: since_1970(), step, file_version: None, summary: Some(Summary { values }) })
+        self.append(Event { step: signed(step), summary: Some(Summary { values }), ..Event::default() })
     }
 
-    fn append(&mut self, event: &Event) -> io::Result<()> {
-        let bytes = record(&event.encode_to_vec());
+    fn append(&mut self, event: Event) -> io::Result<()> {
+        let bytes = record(&Event { wall_time: since_1970(), ..event }.encode_to_vec());
         // Readers stop at a record that is cut short, so nothing after it would ever be seen.
         if self.is_cut {
             self.file.set_len(self.n_bytes)?;
@@ -221,6 +241,47 @@ impl EventWriter {
         self.n_bytes += bytes.len() as u64;
         Ok(())
     }
+}
+
+/// Returns the event files in the folder that an [`EventWriter`] named, oldest first. Files of other programs end in
+/// more than numbers.
+///
+/// # Errors
+/// If the folder exists and cannot be read.
+pub fn event_files(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries?,
+    };
+    let mut files = Vec::new();
+    for entry in entries {
+        let entry = entry?;
+        let name = entry.file_name();
+        let numbers = name.as_encoded_bytes().strip_prefix(PREFIX.as_bytes());
+        let is_ours = numbers.is_some_and(|numbers| numbers.iter().all(|c| c.is_ascii_digit() || *c == b'.'));
+        if is_ours && entry.file_type()?.is_file() {
+            files.push(entry.path());
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// Returns the name of a new event file: readers take files in the order of their names, so that it follows the newest
+/// of the folder's `files` even if the clock has been set back.
+fn next_name(files: &[PathBuf], now: f64) -> String {
+    let stamp = |path: &PathBuf| {
+        let name = path.file_name()?.to_str()?.strip_prefix(PREFIX)?;
+        let mut numbers = name.split('.').map(|number| number.parse::<u64>().ok());
+        numbers.next()??.checked_mul(1_000_000)?.checked_add(numbers.next()??)
+    };
+    let next = files.iter().filter_map(stamp).max().map_or(0, |newest| newest.saturating_add(1));
+    let micros = ((now * 1e6) as u64).max(next);
+    format!("{PREFIX}{:010}.{:06}.{}", micros / 1_000_000, micros % 1_000_000, std::process::id())
+}
+
+fn signed(step: u64) -> i64 {
+    i64::try_from(step).unwrap_or(i64::MAX)
 }
 
 /// Flattens metrics to numbers tagged by the path of names: `<root>/<name>` at the top level, `<name>/…/<name>` below.
@@ -276,6 +337,7 @@ fn masked_checksum(data: &[u8]) -> [u8; 4] {
     crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
+/// Returns the seconds since 1970; 0 if the clock is earlier.
 fn since_1970() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |time| time.as_secs_f64())
 }
@@ -349,6 +411,34 @@ mod tests {
         ];
         let wanted = wanted.map(|(name, kind)| (name.to_owned(), Setting { kind: Some(kind) }));
         assert_eq!(session.by_name, BTreeMap::from(wanted));
+    }
+
+    #[test]
+    fn a_new_file_follows_the_older_ones_whatever_the_clock_says() {
+        let dir = tempfile::tempdir().unwrap();
+        let newest = dir.path().join(format!("{PREFIX}9999999998.999999.7"));
+        fs::write(&newest, "").unwrap();
+        let other = dir.path().join(format!("{PREFIX}9999999999.host"));
+        fs::write(other, "").unwrap();
+        let first = EventWriter::create(dir.path()).unwrap();
+        let second = EventWriter::create(dir.path()).unwrap();
+        assert_eq!(event_files(dir.path()).unwrap(), [newest.as_path(), first.path(), second.path()]);
+        let id = std::process::id();
+        assert_eq!(next_name(&[], 0.0), format!("{PREFIX}0000000000.000000.{id}"), "before 1970");
+        let old = PathBuf::from(next_name(&[], 1_700_000_000.5));
+        assert_eq!(next_name(&[old], 1_600_000_000.0), format!("{PREFIX}1700000000.500001.{id}"));
+    }
+
+    #[test]
+    fn a_restart_is_the_start_of_a_session_at_its_step() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut writer = EventWriter::create(dir.path()).unwrap();
+        let n_before = fs::read(writer.path()).unwrap().len();
+        writer.restart(12_000).unwrap();
+        let event =
+            Event::decode(&fs::read(writer.path()).unwrap()[n_before..][12..].split_last_chunk::<4>().unwrap().0[..])
+                .unwrap();
+        assert_eq!((event.step, event.session_log, event.summary), (12_000, Some(SessionLog { status: 1 }), None));
     }
 
     #[test]

@@ -1,21 +1,27 @@
 //! Writes the metrics of one service: lines of `metrics.jsonl` and TensorBoard curves.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::PathBuf;
 
 use proto::Role;
-use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::RunPaths;
-use crate::tensorboard::EventWriter;
+use crate::tensorboard::{EventWriter, event_files};
+
+/// Maximum length of a line that is read, in bytes; those of a learner have below 20 KB.
+const MAX_LINE_BYTES: u64 = 1 << 20;
 
 /// Writes the metrics of one service; other services may append to the same `metrics.jsonl`.
 #[derive(Debug)]
 pub struct MetricsWriter {
     path: PathBuf,
     tensorboard: EventWriter,
+    /// Whether earlier processes left curves that this one has not gone on from yet.
+    goes_on: bool,
 }
 
 /// Errors of writing metrics.
@@ -66,28 +72,61 @@ impl MetricsWriter {
     /// If they cannot be created.
     pub fn open(paths: &RunPaths, role: Role) -> Result<Self, WriteError> {
         let folder = paths.tensorboard(role);
-        let tensorboard = EventWriter::create(&folder).map_err(|source| WriteError::Io { path: folder, source })?;
-        let writer = Self { path: paths.metrics(), tensorboard };
+        let open = || Ok((!event_files(&folder)?.is_empty(), EventWriter::create(&folder)?));
+        let (goes_on, tensorboard) = open().map_err(|source| WriteError::Io { path: folder.clone(), source })?;
+        let writer = Self { path: paths.metrics(), tensorboard, goes_on };
         // Detect an error now rather than at the first update.
         writer.append(&Lines::default())?;
         Ok(writer)
     }
 
-    /// Appends lines in one write, so that lines of other writers cannot interleave. If the file ends in a part of a
-    /// line, which a full disk or a power loss leaves behind, that line is ended first.
+    /// Goes on from a checkpoint of `n_env_steps` environment steps: removes the lines of later steps, which belong to
+    /// abandoned weights, and tells TensorBoard to forget them, so that steps only grow.
     ///
     /// # Errors
-    /// If writing fails; some of the lines may have been written.
+    /// If the files cannot be changed.
+    pub fn resume(&mut self, n_env_steps: u64) -> Result<(), WriteError> {
+        self.locked(|file| keep_until(file, n_env_steps))?;
+        // The checkpoint's own steps stay.
+        self.restart(n_env_steps + 1)
+    }
+
+    /// Appends all lines or, if that fails, none, so that no reader finds a part of a line. A part that a killed
+    /// process left at the end is removed first.
+    ///
+    /// # Errors
+    /// If writing fails.
     pub fn append(&self, lines: &Lines) -> Result<(), WriteError> {
-        let write = || {
+        self.locked(|file| {
+            let end = end_of_lines(file)?;
+            file.set_len(end)?;
+            file.seek(SeekFrom::Start(end))?;
+            write_or_undo(file, &lines.0, |file| file.set_len(end))
+        })
+    }
+
+    /// Changes `metrics.jsonl` while no other process does.
+    fn locked(&self, change: impl FnOnce(&mut File) -> io::Result<()>) -> Result<(), WriteError> {
+        let open = || {
             if let Some(folder) = self.path.parent() {
                 fs::create_dir_all(folder)?;
             }
-            let mut file = OpenOptions::new().create(true).read(true).append(true).open(&self.path)?;
-            let end: &[u8] = if is_cut(&mut file)? { b"\n" } else { b"" };
-            file.write_all(&[end, &lines.0].concat())
+            let mut file = OpenOptions::new().create(true).read(true).write(true).truncate(false).open(&self.path)?;
+            // The lock ends with `file`.
+            file.lock()?;
+            change(&mut file)
         };
-        write().map_err(|source| WriteError::Io { path: self.path.clone(), source })
+        open().map_err(|source| WriteError::Io { path: self.path.clone(), source })
+    }
+
+    /// Tells TensorBoard, once, to forget what earlier processes wrote at `n_env_steps` or later.
+    fn restart(&mut self, n_env_steps: u64) -> Result<(), WriteError> {
+        if self.goes_on {
+            let written = self.tensorboard.restart(n_env_steps);
+            written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })?;
+            self.goes_on = false;
+        }
+        Ok(())
     }
 
     /// Writes the settings of the run, from the text of its `config.toml`, as text and to the table of hyperparameters.
@@ -121,20 +160,72 @@ impl MetricsWriter {
         let is_quiet = |tag: &str| {
             ["bus/", "ingest/", "ppo/"].iter().any(|start| tag.starts_with(start)) || tag.ends_with("_total")
         };
+        self.restart(n_env_steps)?;
         let is_shown = |(tag, value): &(String, f64)| *value != 0.0 || !is_quiet(tag);
         let written = self.tensorboard.scalars(n_env_steps, scalars.into_iter().filter(is_shown));
         written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
     }
 }
 
-/// Returns whether the file ends in the middle of a line.
-fn is_cut(file: &mut File) -> io::Result<bool> {
-    let mut last = [b'\n'];
-    if file.metadata()?.len() > 0 {
-        file.seek(SeekFrom::End(-1))?;
-        file.read_exact(&mut last)?;
+/// Writes all bytes or, after an error, calls `undo`.
+fn write_or_undo<F: Write>(file: &mut F, bytes: &[u8], undo: impl FnOnce(&mut F) -> io::Result<()>) -> io::Result<()> {
+    let written = file.write_all(bytes);
+    if written.is_err() {
+        // The first error explains more; what stays is removed before the next line.
+        let _ = undo(file);
     }
-    Ok(last != [b'\n'])
+    written
+}
+
+/// Returns the length of the file without the part of a line at its end.
+fn end_of_lines(file: &mut File) -> io::Result<u64> {
+    const BLOCK: u64 = 1 << 16;
+    let mut end = file.metadata()?.len();
+    while end > 0 {
+        let start = end.saturating_sub(BLOCK);
+        let mut block = Vec::new();
+        file.seek(SeekFrom::Start(start))?;
+        (&*file).take(end - start).read_to_end(&mut block)?;
+        if let Some(place) = block.iter().rposition(|byte| *byte == b'\n') {
+            return Ok(start + place as u64 + 1);
+        }
+        end = start;
+    }
+    Ok(0)
+}
+
+/// Removes the lines of more than `n_env_steps` environment steps, and broken ones. The rest of the file is written
+/// over, not copied, so that a full disk cannot prevent it.
+fn keep_until(file: &mut File, n_env_steps: u64) -> io::Result<()> {
+    let (mut whole, mut kept, mut is_whole) = (0, Vec::new(), true);
+    let mut reader = BufReader::new(&*file);
+    let mut line = Vec::new();
+    while reader.read_until(b'\n', &mut line)? > 0 {
+        let stays = line.ends_with(b"\n") && steps(&line).is_some_and(|steps| steps <= n_env_steps);
+        is_whole &= stays;
+        match stays {
+            true if is_whole => whole += line.len() as u64,
+            true => kept.extend_from_slice(&line),
+            false => {}
+        }
+        line.clear();
+    }
+    if !is_whole {
+        file.seek(SeekFrom::Start(whole))?;
+        file.write_all(&kept)?;
+        file.set_len(whole + kept.len() as u64)?;
+    }
+    Ok(())
+}
+
+/// Returns the environment steps of a line, 0 if it has none; `None` if it is broken.
+fn steps(line: &[u8]) -> Option<u64> {
+    #[derive(Deserialize)]
+    struct Steps {
+        #[serde(default)]
+        n_env_steps: u64,
+    }
+    Some(serde_json::from_slice::<Steps>(line).ok()?.n_env_steps)
 }
 
 /// Returns the last line of `metrics.jsonl` under `key` that `accepts` accepts, among the last 4 MiB; `None` if there
@@ -156,6 +247,40 @@ pub fn last_line(paths: &RunPaths, key: &str, accepts: impl Fn(&Value) -> bool) 
     // A line cut off at the front, or at the end by a kill, is not valid JSON.
     let lines = bytes.rsplit(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice::<Value>(line).ok());
     Ok(lines.filter(|line| line["key"] == key).find(accepts))
+}
+
+/// Returns the values of all lines under `key` that lead to the last one, with growing `n_env_steps`, and the number of
+/// lines that could not be read. Runs of earlier versions repeat steps after they were resumed.
+///
+/// # Errors
+/// If the file exists and cannot be read.
+pub fn lines<M: DeserializeOwned>(
+    paths: &RunPaths,
+    key: &str,
+    n_env_steps: impl Fn(&M) -> u64,
+) -> io::Result<(Vec<M>, usize)> {
+    let file = match File::open(paths.metrics()) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok((Vec::new(), 0)),
+        opened => opened?,
+    };
+    let start = format!("{{\"key\":\"{key}\"").into_bytes();
+    let (mut found, mut n_unread): (Vec<M>, usize) = (Vec::new(), 0);
+    let (mut reader, mut line) = (BufReader::new(file), Vec::new());
+    while (&mut reader).take(MAX_LINE_BYTES).read_until(b'\n', &mut line)? > 0 {
+        if line.starts_with(&start) {
+            match serde_json::from_slice::<M>(&line) {
+                Ok(value) => {
+                    while found.last().is_some_and(|last| n_env_steps(last) >= n_env_steps(&value)) {
+                        found.pop();
+                    }
+                    found.push(value);
+                }
+                Err(_) => n_unread += 1,
+            }
+        }
+        line.clear();
+    }
+    Ok((found, n_unread))
 }
 
 #[cfg(test)]
@@ -197,23 +322,94 @@ mod tests {
         assert!(!events.contains(token) && !events.contains("dashboard"), "{events}");
     }
 
+    /// A file on a disk with room for a few more bytes.
+    struct Disk {
+        bytes: Vec<u8>,
+        room: usize,
+    }
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let n_bytes = bytes.len().min(self.room - self.bytes.len());
+            self.bytes.extend(&bytes[..n_bytes]);
+            if n_bytes == 0 { Err(io::ErrorKind::StorageFull.into()) } else { Ok(n_bytes) }
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
     #[test]
-    fn a_line_that_was_cut_does_not_spoil_the_next_one() {
+    fn a_full_disk_leaves_no_part_of_a_line() {
+        let (before, line) = (b"{\"n\":1}\n", b"{\"n\":2}\n");
+        for room in before.len()..before.len() + line.len() {
+            let mut disk = Disk { bytes: before.to_vec(), room };
+            let undo = |disk: &mut Disk| {
+                disk.bytes.truncate(before.len());
+                Ok(())
+            };
+            let error = write_or_undo(&mut disk, line, undo).unwrap_err();
+            assert_eq!((error.kind(), &disk.bytes[..]), (io::ErrorKind::StorageFull, &before[..]), "room for {room}");
+        }
+    }
+
+    #[test]
+    fn a_line_that_was_cut_is_removed_before_the_next_one() {
         let folder = tempfile::tempdir().unwrap();
         let paths = RunPaths::new(folder.path());
-        let cut = || OpenOptions::new().append(true).open(paths.metrics()).unwrap().write_all(b"{\"key\":").unwrap();
+        let cut = |part: &[u8]| OpenOptions::new().append(true).open(paths.metrics()).unwrap().write_all(part).unwrap();
         let mut line = Lines::default();
         line.push("learner", &json!({ "n": 1 })).unwrap();
         let whole = "{\"key\":\"learner\",\"n\":1}\n";
         let writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
+        cut(b"{\"key\":");
         writer.append(&line).unwrap();
-        cut();
+        // Longer than what is read at once.
+        cut(&[b' '; 200_000]);
         writer.append(&line).unwrap();
-        cut();
+        cut(b"{");
         MetricsWriter::open(&paths, Role::Evaluator).unwrap();
-        writer.append(&line).unwrap();
-        let written = fs::read_to_string(paths.metrics()).unwrap();
-        assert_eq!(written, format!("{whole}{{\"key\":\n{whole}{{\"key\":\n{whole}"));
+        assert_eq!(fs::read_to_string(paths.metrics()).unwrap(), whole.repeat(2));
+    }
+
+    #[test]
+    fn steps_only_grow_after_a_resume() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        let append = |writer: &MetricsWriter, key: &str, n_env_steps: u64, n: u64| {
+            let mut line = Lines::default();
+            line.push(key, &json!({ "n_env_steps": n_env_steps, "n": n })).unwrap();
+            writer.append(&line).unwrap();
+        };
+        let writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
+        // The evaluation of the first weights ends after an update that is lost.
+        for (key, steps, n) in [("learner", 100, 1), ("learner", 200, 2), ("eval/summary", 100, 3), ("learner", 300, 4)]
+        {
+            append(&writer, key, steps, n);
+        }
+        let broken = b"{\"key\":\"learner\",\"n_e\n{\"key\":\"lear";
+        OpenOptions::new().append(true).open(paths.metrics()).unwrap().write_all(broken).unwrap();
+        let mut writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
+        writer.resume(100).unwrap();
+        append(&writer, "learner", 250, 5);
+        let text = fs::read_to_string(paths.metrics()).unwrap();
+        let found: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert_eq!(found.iter().map(|line| line["n"].as_u64().unwrap()).collect::<Vec<_>>(), [1, 3, 5]);
+    }
+
+    #[test]
+    fn repeated_steps_of_earlier_versions_are_read_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        let read = || lines::<Value>(&paths, "learner", |line| line["n_env_steps"].as_u64().unwrap()).unwrap();
+        assert_eq!(read(), (Vec::new(), 0));
+        let line = |n: u64| format!("{{\"key\":\"learner\",\"n_env_steps\":{n}}}\n");
+        let others = "{\"key\":\"actor/a\"}\n{\"key\":\"learner\",\"half\n";
+        fs::write(paths.metrics(), [line(1), line(3), others.to_owned(), line(2), line(4)].concat()).unwrap();
+        let (found, n_unread) = read();
+        assert_eq!(found.iter().map(|line| line["n_env_steps"].as_u64().unwrap()).collect::<Vec<_>>(), [1, 2, 4]);
+        assert_eq!(n_unread, 1);
     }
 
     #[test]

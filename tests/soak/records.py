@@ -38,11 +38,11 @@ class LearnerLife:
 
 
 class Lines:
-    """Reads metrics.jsonl as it grows."""
+    """Reads metrics.jsonl as it grows. A learner that resumes removes the lines after its checkpoint."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._offset = 0
+        self._known: set[bytes] = set()
         self._rest = b""
         self.n_lines = 0
         self.broken: list[str] = []
@@ -50,15 +50,13 @@ class Lines:
     def read(self) -> list[Update]:
         """Returns the learner's lines since the last call."""
         try:
-            with self._path.open("rb") as file:
-                file.seek(self._offset)
-                data = file.read()
+            *lines, self._rest = self._path.read_bytes().split(b"\n")
         except FileNotFoundError:
             return []
-        self._offset += len(data)
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        new = [line for line in lines if line not in self._known]
+        self._known.update(new)
         found = []
-        for line in lines:
+        for line in new:
             self.n_lines += 1
             try:
                 entry = json.loads(line)

@@ -19,7 +19,7 @@ use super::models::Source;
 use super::names::names;
 use super::stage::stage;
 use crate::cli::ServeArgs;
-use crate::config::{Base, Config, merge};
+use crate::config::{Base, Config, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_run, preset_of};
@@ -108,7 +108,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
 fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
     check_run(paths.folder())?;
     let path = paths.config();
-    let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
+    let text = read(&path)?;
     let config = merge(&text, &path.display().to_string(), Base::Defaults, &[])?;
     config.validate()?;
     Ok(config)
@@ -117,23 +117,12 @@ fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
 /// The learner's lines of `metrics.jsonl`; empty if there is no such file. Logs how many lines cannot be parsed.
 fn updates(paths: &RunPaths) -> Result<Vec<LearnerMetrics>, Failure> {
     let path = paths.metrics();
-    if !path.exists() {
-        return Ok(Vec::new());
-    }
-    let text = std::fs::read_to_string(&path).with_context(|| format!("reading {}", path.display()))?;
-    let (found, n_unread) = learner_lines(&text);
+    let read = runlog::lines(paths, METRICS_LEARNER, |update: &LearnerMetrics| update.n_env_steps);
+    let (found, n_unread) = read.with_context(|| format!("reading {}", path.display()))?;
     if n_unread > 0 {
         tracing::warn!(n_unread, path = %path.display(), "lines of the learner could not be read");
     }
     Ok(found)
-}
-
-/// The learner's metrics, and how many of its lines cannot be parsed.
-fn learner_lines(text: &str) -> (Vec<LearnerMetrics>, usize) {
-    let start = format!("{{\"key\":\"{METRICS_LEARNER}\"");
-    let mut n_unread = 0;
-    let read = |line: &str| serde_json::from_str(line).inspect_err(|_| n_unread += 1).ok();
-    (text.lines().filter(|line| line.starts_with(&start)).filter_map(read).collect(), n_unread)
 }
 
 #[cfg(test)]
@@ -162,12 +151,5 @@ mod tests {
         let named = ["16_002".parse().unwrap()];
         assert_eq!(recorded(&named, &about(Vec::new())), named);
         assert_eq!(recorded(&[], &about(named.to_vec())), named, "those that the run was given");
-    }
-
-    #[test]
-    fn lines_of_others_are_passed_over_and_broken_ones_counted() {
-        let text = "{\"key\":\"actor/a\"}\n{\"key\":\"learner\",\"half\n{\"key\":\"eval/summary\"}\n";
-        let (found, n_unread) = learner_lines(text);
-        assert_eq!((found.len(), n_unread), (0, 1));
     }
 }

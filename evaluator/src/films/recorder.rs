@@ -12,7 +12,7 @@ use blueprints::Catalog;
 use proto::codec::encode_recording;
 use proto::metrics::FilmCounts;
 use proto::{Role, Weights};
-use runlog::tensorboard::{EventWriter, Picture};
+use runlog::tensorboard::{EventWriter, Picture, event_files};
 
 use super::queue::{Clip, ClipQueue, Made};
 use super::selector::EpisodeSelector;
@@ -49,6 +49,8 @@ pub(super) struct Reel {
     n_bytes: u64,
     /// Maximum size of one file.
     max_bytes: u64,
+    /// Whether an earlier process left films that this one has not gone on from yet.
+    goes_on: bool,
 }
 
 impl VideoRecorder {
@@ -159,7 +161,8 @@ impl Reel {
         let older = left.pop();
         left.into_iter().try_for_each(std::fs::remove_file)?;
         let writer = EventWriter::create(&folder)?;
-        Ok(Self { folder, writer, older, n_bytes: 0, max_bytes: room_mb * 1_000_000 / 2 })
+        let goes_on = older.is_some();
+        Ok(Self { folder, writer, older, n_bytes: 0, max_bytes: room_mb * 1_000_000 / 2, goes_on })
     }
 
     pub(super) fn add(&mut self, clip: &Clip, small: &Miniature) -> io::Result<()> {
@@ -173,27 +176,10 @@ impl Reel {
             oldest.map_or(Ok(()), std::fs::remove_file)?;
         }
         self.n_bytes += n_bytes;
+        if std::mem::take(&mut self.goes_on) {
+            self.writer.restart(clip.n_env_steps)?;
+        }
         let picture = Picture { height, width, colorspace: 3, encoded: small.gif.clone() };
         self.writer.picture(clip.n_env_steps, &clip.tags, &picture)
     }
-}
-
-/// Returns the event files in the folder that an [`EventWriter`] named, oldest first: their names begin with the time.
-/// Files of other programs end in more than numbers.
-///
-/// # Errors
-/// If the folder cannot be read.
-fn event_files(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder)? {
-        let entry = entry?;
-        let name = entry.file_name();
-        let numbers = name.to_str().and_then(|name| name.strip_prefix("events.out.tfevents."));
-        let is_ours = numbers.is_some_and(|numbers| numbers.bytes().all(|c| c.is_ascii_digit() || c == b'.'));
-        if is_ours && entry.file_type()?.is_file() {
-            files.push(entry.path());
-        }
-    }
-    files.sort();
-    Ok(files)
 }
