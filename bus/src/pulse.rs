@@ -1,6 +1,7 @@
 //! Heartbeat of a service's main loop, for health checks.
 
 use parking_lot::{Mutex, MutexGuard};
+use proto::metrics::NotSaved;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -16,6 +17,7 @@ pub struct Pulse(Arc<Inner>);
 struct Inner {
     last: Mutex<Instant>,
     n_waiting: AtomicUsize,
+    not_saved: Mutex<Option<NotSaved>>,
 }
 
 /// Marks the service as waiting for others until dropped.
@@ -24,7 +26,11 @@ pub struct Waiting(Pulse);
 
 impl Default for Pulse {
     fn default() -> Self {
-        Self(Arc::new(Inner { last: Mutex::new(Instant::now()), n_waiting: AtomicUsize::new(0) }))
+        Self(Arc::new(Inner {
+            last: Mutex::new(Instant::now()),
+            n_waiting: AtomicUsize::new(0),
+            not_saved: Mutex::default(),
+        }))
     }
 }
 
@@ -43,6 +49,16 @@ impl Pulse {
     /// Returns the time since the last beat; zero while the loop waits for others.
     pub fn age(&self) -> Duration {
         if self.0.n_waiting.load(Ordering::Relaxed) > 0 { Duration::ZERO } else { self.last().elapsed() }
+    }
+
+    /// Records that the service waits because nothing can be saved, or no longer does.
+    pub fn set_not_saved(&self, not_saved: Option<NotSaved>) {
+        *self.0.not_saved.lock() = not_saved;
+    }
+
+    /// Returns why the service waits, if nothing can be saved.
+    pub fn not_saved(&self) -> Option<NotSaved> {
+        self.0.not_saved.lock().clone()
     }
 
     fn last(&self) -> MutexGuard<'_, Instant> {

@@ -9,13 +9,14 @@ use std::time::Duration;
 use blueprints::BlueprintId;
 use bus::MetricsSample;
 use proto::metrics::{
-    ActorMetrics, BusCounts, EvalBlueprint, EvalOutcome, EvalSummary, LearnerMetrics, METRICS_SCHEMA_VERSION,
+    ActorMetrics, BusCounts, EvalBlueprint, EvalOutcome, EvalSummary, LearnerMetrics, METRICS_SCHEMA_VERSION, NotSaved,
 };
 use proto::wilson::SuccessRate;
 use proto::{ActorId, WeightsVersion, keys};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+use time::OffsetDateTime;
 
 pub(crate) use trends::Trends;
 
@@ -259,8 +260,10 @@ impl RunView {
                 let value: LearnerMetrics = parse(value)?;
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
+                // A learner that waits for its disk reports the same update again.
+                let is_update = self.learner.as_ref().is_none_or(|heard| heard.value.n_updates != value.n_updates);
                 let is_news = update(&mut self.learner, value, at);
-                if let Some(heard) = self.learner.as_ref().filter(|_| is_news) {
+                if let Some(heard) = self.learner.as_ref().filter(|_| is_news && is_update) {
                     self.trends.learned(&heard.value);
                 }
                 is_news
@@ -312,6 +315,15 @@ impl RunView {
             lost.min_by_key(|(_, actor)| actor.metrics.as_ref().map(|heard| heard.at)).map(|(id, _)| id.clone());
         oldest.is_some_and(|id| self.actors.remove(&id).is_some())
     }
+}
+
+/// Says in words that a learner waits, since when, and why.
+pub fn waits(not_saved: &NotSaved) -> String {
+    let NotSaved { since_unix_ms, reason } = not_saved;
+    let since = OffsetDateTime::UNIX_EPOCH + Duration::from_millis(*since_unix_ms);
+    let (date, hour, minute) = (since.date(), since.hour(), since.minute());
+    let (year, month, day) = (date.year(), u8::from(date.month()), date.day());
+    format!("training waits: not saved since {year:04}-{month:02}-{day:02} {hour:02}:{minute:02} UTC: {reason}")
 }
 
 /// Stores `value` unless it equals the current value, which then keeps its time. Returns whether the value changed.

@@ -7,7 +7,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use blueprints::outside;
 use bus::{Bus, JoinCounts};
+use dashboard::waits;
+use proto::metrics::NotSaved;
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -22,6 +25,9 @@ const MAX_AGE: Duration = Duration::from_secs(15);
 
 /// A main loop that makes no progress for this long hangs. The largest updates on slow machines take a minute.
 const MAX_IDLE: Duration = Duration::from_secs(300);
+
+/// Maximum size of a state in bytes; it has about 200.
+const MAX_BYTES: u64 = 1 << 16;
 
 /// What follows the file's name in the name of a file that is being written; the process id comes last.
 const NEW: &str = ".new.";
@@ -42,6 +48,9 @@ pub struct State {
     /// Of a router with keys: what became of connections to it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joins: Option<JoinCounts>,
+    /// Why the service waits, if nothing can be saved.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_saved: Option<NotSaved>,
 }
 
 /// Writes the state of this process to a file, and removes the file when dropped.
@@ -66,16 +75,24 @@ impl Reporter {
             .map_err(|error| Failure::Usage(format!("--health-file: cannot write {}: {error}", path.display())))?;
         let its_path = path.clone();
         let task = tokio::spawn(async move {
+            let mut is_written = true;
             loop {
                 let session = bus.borrow().clone();
                 let state = match session {
                     None => state(&role, false, Duration::ZERO),
                     Some(bus) => {
-                        State { joins: bus.joins(), ..state(&role, bus.is_connected().await, bus.pulse().age()) }
+                        let state = state(&role, bus.is_connected().await, bus.pulse().age());
+                        State { joins: bus.joins(), not_saved: bus.pulse().not_saved(), ..state }
                     }
                 };
-                if let Err(error) = write(&its_path, &state) {
-                    tracing::warn!(path = %its_path.display(), %error, "the state of health was not written");
+                // Logged once, because a disk may be full for hours.
+                match write(&its_path, &state) {
+                    Ok(()) => is_written = true,
+                    Err(error) if is_written => {
+                        is_written = false;
+                        tracing::warn!(path = %its_path.display(), %error, "the state of health was not written");
+                    }
+                    Err(_) => {}
                 }
                 tokio::time::sleep(PERIOD).await;
             }
@@ -108,7 +125,7 @@ impl Drop for Reporter {
 /// [`Failure::Unhealthy`] with the reason.
 pub fn check(file: &Path, alive: bool) -> Result<State, Failure> {
     let unhealthy = |reason: String| Err(Failure::Unhealthy(reason));
-    let text = match fs::read_to_string(file) {
+    let text = match outside::read_text(file, MAX_BYTES) {
         Ok(text) => text,
         Err(error) => return unhealthy(format!("no service reports at {}: {error}", file.display())),
     };
@@ -117,7 +134,8 @@ pub fn check(file: &Path, alive: bool) -> Result<State, Failure> {
         Err(error) => return unhealthy(format!("{} holds no state: {error}", file.display())),
     };
     let role = &state.role;
-    let age = Duration::from_millis(unix_ms().saturating_sub(state.unix_ms));
+    // A state from the future was left behind before the clock was set back.
+    let age = Duration::from_millis(unix_ms().abs_diff(state.unix_ms));
     if age > MAX_AGE {
         return unhealthy(format!("the {role} has given no sign of life for {} s", age.as_secs()));
     }
@@ -127,12 +145,15 @@ pub fn check(file: &Path, alive: bool) -> Result<State, Failure> {
     if !alive && !state.connected {
         return unhealthy(format!("the {role} reaches no router"));
     }
+    if let Some(not_saved) = state.not_saved.as_ref().filter(|_| !alive) {
+        return unhealthy(format!("{role}: {}", waits(not_saved)));
+    }
     Ok(state)
 }
 
 fn state(role: &str, connected: bool, idle: Duration) -> State {
-    let idle_s = idle.as_secs_f64();
-    State { role: role.to_owned(), pid: std::process::id(), unix_ms: unix_ms(), connected, idle_s, joins: None }
+    let (pid, idle_s) = (std::process::id(), idle.as_secs_f64());
+    State { role: role.to_owned(), pid, unix_ms: unix_ms(), connected, idle_s, joins: None, not_saved: None }
 }
 
 /// Replaces the file atomically, so that no reader sees a partial state.
@@ -183,8 +204,15 @@ mod tests {
         assert_eq!(verdict(&well, false), None);
         let gone = State { unix_ms: unix_ms() - 16_000, ..well.clone() };
         assert_eq!(verdict(&gone, true).unwrap(), "the actor has given no sign of life for 16 s");
+        let from_tomorrow = State { unix_ms: unix_ms() + 86_400_000, ..well.clone() };
+        assert!(verdict(&from_tomorrow, true).unwrap().starts_with("the actor has given no sign of life"));
         let hangs = State { idle_s: 301.0, ..well.clone() };
         assert_eq!(verdict(&hangs, true).unwrap(), "the actor's main loop has not turned for 301 s");
+        let reason = "cannot write run/metrics.jsonl".to_owned();
+        let waits = State { not_saved: Some(NotSaved { since_unix_ms: 0, reason }), ..well.clone() };
+        assert_eq!(verdict(&waits, true), None, "a restart would lose more");
+        let expected = "actor: training waits: not saved since 1970-01-01 00:00 UTC: cannot write run/metrics.jsonl";
+        assert_eq!(verdict(&waits, false).unwrap(), expected);
         let lost = State { connected: false, ..well };
         assert_eq!(verdict(&lost, true), None);
         assert_eq!(verdict(&lost, false).unwrap(), "the actor reaches no router");

@@ -135,6 +135,8 @@ settings! {
         pub every_updates: u64 = 50, in 1..;
         /// Number of newest checkpoints to keep on disk.
         pub keep: usize = 3, in 1..;
+        /// Seconds between attempts while nothing can be saved, for example on a full disk. Training waits so long.
+        pub retry_s: f64 = 30.0, in 0.001..=3600.0;
     }
 }
 

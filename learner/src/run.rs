@@ -1,31 +1,35 @@
 //! The learner as a service: receives trajectories from the bus, runs updates on a separate thread, and publishes
 //! weights and metrics.
 
+mod saving;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use blueprints::outside::{self, as_text};
 use bus::{Bus, Pulse, WeightsPublisher};
 use proto::metrics::{BusCounts, IngestCounts};
 use proto::metrics::{LearnerMetrics, METRICS_SCHEMA_VERSION};
 use proto::{Role, Trajectory, Weights, WeightsVersion, keys};
-use runlog::{Lines, MetricsWriter, RunPaths, tensorboard};
+use runlog::{MetricsWriter, RunPaths};
 use serde::Serialize;
 use serde_json::Value;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
+use self::saving::Saving;
 use crate::checkpoint::{self, Checkpoint, Found};
 use crate::{Learner, LearnerSetup, MailboxCounts, UpdateMetrics};
-
-/// Metrics without TensorBoard curves: constants, and those with one curve per blueprint.
-const UNPLOTTED: [&str; 3] = ["schema_version", "task_probabilities", "success_by_blueprint"];
 
 /// Time that a learner waits for another one to exit. A killed process appears alive for up to 6 s, and its replacement
 /// must be able to start.
 const NAME_TIMEOUT: Duration = Duration::from_secs(15);
+
+/// Maximum size of `config.toml` in bytes.
+const MAX_CONFIG_BYTES: u64 = 1 << 20;
 
 /// Interval at which the updating thread checks for shutdown while it waits for trajectories.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -81,6 +85,7 @@ pub struct Summary {
     /// Number of trajectories by result.
     pub mailbox: MailboxCounts,
     /// The last checkpoint.
+    #[serde(serialize_with = "as_text")]
     pub checkpoint: PathBuf,
 }
 
@@ -122,13 +127,15 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     let (counted, session) = (server.clone(), bus.clone());
     let before_s = options.resume.as_deref().map_or(0.0, |resume| elapsed_before(resume, learner.n_env_steps()));
     let mut records = MetricsWriter::open(&options.run_dir, Role::Learner)?;
-    if let Ok(settings) = fs::read_to_string(options.run_dir.config()) {
+    records.resume(learner.n_env_steps())?;
+    if let Ok(settings) = outside::read_text(&options.run_dir.config(), MAX_CONFIG_BYTES) {
         records.settings(&settings)?;
     }
     let worker = Worker {
         newest: Arc::new(learner.weights()),
         learner,
         records,
+        saving: Saving::default(),
         options,
         counts: Box::new(move || (counted.counts(), session.counts())),
         publications,
@@ -227,6 +234,7 @@ struct Worker {
     newest: Arc<Weights>,
     options: RunOptions,
     records: MetricsWriter,
+    saving: Saving,
     counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
     publications: mpsc::Sender<Publication>,
     shutdown: CancellationToken,
@@ -238,7 +246,6 @@ struct Worker {
 
 impl Worker {
     fn work(mut self) -> anyhow::Result<Summary> {
-        let checkpoints = self.options.run_dir.checkpoints();
         let settings = self.options.setup.config.clone();
         let mailbox = self.learner.mailbox();
         let mut last_report = Instant::now();
@@ -278,30 +285,23 @@ impl Worker {
             last_report = Instant::now();
             self.newest = Arc::new(self.learner.weights());
             let metrics = self.report(&update, &pace);
-            if let Err(error) = self.write(&metrics) {
-                tracing::warn!(%error, "metrics were not written");
-            }
-            self.options.told.send_replace(Some(metrics.clone()));
-            self.send(Some(metrics));
+            self.send(Some(metrics.clone()));
             n_refused = if update.refused.is_some() { n_refused + 1 } else { 0 };
             if let Some(reason) = update.refused {
                 tracing::warn!(reason, "an update was taken back");
                 if n_refused == MAX_REFUSED {
+                    self.keep(metrics, false)?;
                     diverged = Some(reason);
                     break;
                 }
             }
-            if self.learner.n_updates().is_multiple_of(settings.checkpoints.every_updates) {
-                restart = true;
-                // A full disk should not end a run that still makes progress; only the last checkpoint must succeed.
-                if let Err(error) = self.save(&checkpoints) {
-                    tracing::error!(%error, "no checkpoint was written");
-                }
-            }
+            let is_due = self.learner.n_updates().is_multiple_of(settings.checkpoints.every_updates);
+            restart |= is_due;
+            self.keep(metrics, is_due)?;
         }
         // Trajectories acknowledged after the checkpoint would be lost.
         mailbox.close();
-        let checkpoint = self.save(&checkpoints).map_err(|error| self.lost(error, &checkpoints))?;
+        let checkpoint = self.keep_last()?;
         fed?;
         if let Some(reason) = diverged {
             return Err(Diverged { reason, checkpoint }.into());
@@ -326,41 +326,15 @@ impl Worker {
         reached || self.shutdown.is_cancelled()
     }
 
-    /// Hands the newest weights to the bus, unless the session failed.
+    /// Shows the metrics in this process, and hands them and the newest weights to the bus, unless the session failed.
     fn send(&self, metrics: Option<LearnerMetrics>) {
+        if let Some(metrics) = &metrics {
+            self.options.told.send_replace(Some(metrics.clone()));
+        }
         let publication = Publication { weights: self.newest.clone(), metrics };
         if self.publications.blocking_send(publication).is_err() {
             tracing::debug!("the weights were not published, because the session failed");
         }
-    }
-
-    fn save(&self, checkpoints: &Path) -> Result<PathBuf, checkpoint::CheckpointError> {
-        let path = self.learner.save(checkpoints)?;
-        let keep = self.options.setup.config.checkpoints.keep;
-        if let Err(error) = checkpoint::prune(checkpoints, self.learner.n_env_steps(), keep) {
-            tracing::warn!(%error, "older checkpoints were not removed");
-        }
-        tracing::info!(path = %path.display(), "saved");
-        Ok(path)
-    }
-
-    /// Returns the error for a run whose last checkpoint was not saved, which names the newest valid one.
-    fn lost(&self, error: checkpoint::CheckpointError, checkpoints: &Path) -> anyhow::Error {
-        let newest = match Checkpoint::read_latest(checkpoints) {
-            Ok(found) => format!("the newest whole one is {}", found.path.display()),
-            Err(_) => format!("there is no whole one in {}", checkpoints.display()),
-        };
-        let (n_env_steps, version) = (self.learner.n_env_steps(), self.learner.version().0);
-        let lost = format!("the last checkpoint, of {n_env_steps} environment steps and weights {version}, is lost");
-        anyhow::Error::new(error).context(format!("{lost}; {newest}"))
-    }
-
-    fn write(&mut self, metrics: &LearnerMetrics) -> anyhow::Result<()> {
-        let mut line = Lines::default();
-        line.push(keys::METRICS_LEARNER, metrics)?;
-        self.records.append(&line)?;
-        let scalars = tensorboard::flatten("learner", &serde_json::to_value(metrics)?, &UNPLOTTED);
-        Ok(self.records.scalars(metrics.n_env_steps, scalars)?)
     }
 
     fn report(&self, update: &UpdateMetrics, pace: &Pace) -> LearnerMetrics {
@@ -390,6 +364,7 @@ impl Worker {
             bus,
             task_probabilities: update.task_probabilities.clone(),
             reverse_reach: update.reverse_reach.clone(),
+            not_saved: None,
         }
     }
 }

@@ -3,4 +3,6 @@
 mod checkpoints;
 mod goals;
 pub(crate) mod learning;
+mod learning;
+mod saving;
 mod service;

@@ -72,6 +72,18 @@ pub struct LearnerMetrics {
     /// reverse curriculum.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub reverse_reach: BTreeMap<u8, u8>,
+    /// Present while nothing can be saved and training waits for that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub not_saved: Option<NotSaved>,
+}
+
+/// Why a learner waits: its disk takes nothing.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NotSaved {
+    /// Time of the last checkpoint, or of the learner's start, milliseconds since 1970.
+    pub since_unix_ms: u64,
+    /// The file, and the system's error.
+    pub reason: String,
 }
 
 /// Means over the minibatches of one PPO update, under their usual names.

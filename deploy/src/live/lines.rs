@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use dashboard::waits;
 use learner::config::Schedule;
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 
@@ -60,7 +61,8 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     if let Some(evaluated) = context.evaluated {
         outcome += &format!("  evaluated {:.1} %", 100.0 * evaluated);
     }
-    let mut parts = vec![outcome];
+    let mut parts: Vec<String> = learner.not_saved.iter().map(waits).collect();
+    parts.push(outcome);
     parts.extend(labels(learner));
     parts.extend(rewards(learner, context));
     let actors = if context.n_actors == 1 { "actor" } else { "actors" };
@@ -167,6 +169,7 @@ mod tests {
             bus: BusCounts::default(),
             task_probabilities: std::collections::BTreeMap::new(),
             reverse_reach: std::collections::BTreeMap::new(),
+            not_saved: None,
         }
     }
 
@@ -208,6 +211,15 @@ mod tests {
         for part in parts(&learner, &context) {
             assert!(part.chars().count() <= 80, "{part}");
         }
+    }
+
+    #[test]
+    fn a_run_that_cannot_save_says_so_first() {
+        let mut learner = metrics(None);
+        let reason = "cannot write runs/a/metrics.jsonl: No space left on device".to_owned();
+        learner.not_saved = Some(proto::metrics::NotSaved { since_unix_ms: 1_769_846_700_999, reason: reason.clone() });
+        let parts = parts(&learner, &Context::default());
+        assert_eq!(parts[0], format!("training waits: not saved since 2026-01-31 08:05 UTC: {reason}"));
     }
 
     #[test]

@@ -47,16 +47,20 @@ pub async fn show_learning(
     let mut context = Context { n_env_steps: config.n_env_steps, ppo_weight, ..Context::default() };
     let mut pace = Pace::default();
     let mut last_line: Option<Instant> = None;
+    let mut not_saved = None;
     while metrics.changed().await.is_ok() {
         let Some(learner) = metrics.borrow_and_update().clone() else { continue };
         context.n_actors = actors.borrow().len();
         context.left_s = pace.left_s(&learner, context.n_env_steps);
         context.evaluated = reports.borrow().as_deref().and_then(lines::success);
         progress.set(learner.n_env_steps, &lines::parts(&learner, &context).join("\n"));
-        if !progress.is_drawn() && last_line.is_none_or(|shown| shown.elapsed() >= LINE_PERIOD) {
+        // There may be no other metrics for a long time.
+        let is_urgent = learner.not_saved != not_saved;
+        if !progress.is_drawn() && (is_urgent || last_line.is_none_or(|shown| shown.elapsed() >= LINE_PERIOD)) {
             last_line = Some(Instant::now());
             terminal.print(&lines::learner(&learner, &context));
         }
+        not_saved = learner.not_saved;
     }
     progress.finish();
 }

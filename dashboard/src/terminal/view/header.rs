@@ -6,12 +6,13 @@ use ratatui::text::Line;
 
 use super::format::{age, span};
 use super::{Source, alarm, heading, plain};
-use crate::run_view::{Link, RunView};
+use crate::run_view::{Link, RunView, waits};
 
-/// Returns two lines, and a third with the other runs on the router if this run is empty.
+/// Returns two lines, a third if the learner cannot save, and one with the other runs on the router if this run is empty.
 pub(super) fn lines(run: &RunView, source: &Source, now: Duration) -> Vec<Line<'static>> {
     let title = heading(format!("Run {} at {}", source.run, source.endpoints.join(", ")));
     let mut lines = vec![title, state(run, now)];
+    lines.extend(run.learner().and_then(|heard| heard.value.not_saved.as_ref()).map(|why| alarm(waits(why))));
     if run.is_empty() && !run.others().is_empty() {
         let names: Vec<&str> = run.others().iter().map(String::as_str).collect();
         lines.push(plain(format!("Runs on this router: {}; --run NAME watches one", names.join(", "))));

@@ -56,6 +56,20 @@ fn pressed(keys: &[KeyCode]) -> Controls {
 }
 
 #[test]
+fn a_learner_that_cannot_save_says_so_and_has_learned_nothing_more() {
+    let mut run = busy();
+    let n_values = |run: &RunView| run.trends().all().map(|(_, values)| values.len()).sum::<usize>();
+    let (before, mut learner) = (n_values(&run), samples::learner());
+    learner.value["not_saved"] =
+        serde_json::json!({ "since_unix_ms": 1_769_846_700_000_u64, "reason": "no\u{1b}[2J room" });
+    assert!(run.take(&learner, seconds(32)));
+    let text = text(&run, &source(), seconds(33));
+    let line = "training waits: not saved since 2026-01-31 08:05 UTC: no\\u001b[2J room";
+    assert_eq!(text.lines().nth(2), Some(line), "{text}");
+    assert_eq!(n_values(&run), before);
+}
+
+#[test]
 fn a_run_fits_on_80_by_24() {
     let expected = [
         "Run two-blocks at tcp/127.0.0.1:7447",

@@ -117,6 +117,8 @@ function drawTiles() {
         : ["steps per second", "–", `${count(learner.env_steps_per_s)} in the last update`],
     );
   }
+  const { not_saved: waits } = model.learner || {};
+  if (waits && isLive) tiles.unshift(["not saved since", new Date(waits.since_unix_ms).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" }), `training waits: ${waits.reason}`]);
   if (kind === "training" && isLive) tiles.push(["actors", String(model.roster.actors.length), model.roster.learners.length ? "learner is there" : "no learner"]);
   else if (kind === "training") tiles.push(["actors", "–", "not connected"]);
   $("tiles").replaceChildren(...tiles.map(([name, value, more]) =>

@@ -1,0 +1,171 @@
+//! Saving, and waiting for a disk that takes nothing.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use proto::keys;
+use proto::metrics::{LearnerMetrics, NotSaved};
+use runlog::{Lines, tensorboard};
+
+use super::{POLL_INTERVAL, Worker};
+use crate::checkpoint;
+
+/// Metrics without TensorBoard curves: constants, those with one curve per blueprint, and what is no measurement.
+const UNPLOTTED: [&str; 4] = ["schema_version", "task_probabilities", "success_by_blueprint", "not_saved"];
+
+/// What is on disk, and what is not yet.
+#[derive(Debug)]
+pub(super) struct Saving {
+    /// Time of the last checkpoint of this process, or of its start, in milliseconds since 1970.
+    pub(super) saved_unix_ms: u64,
+    /// The last checkpoint of this process.
+    pub(super) checkpoint: Option<PathBuf>,
+    /// The line of the newest update, until it is written.
+    line: Option<Lines>,
+    /// The points of the newest update, until they are written.
+    scalars: Option<(u64, Vec<(String, f64)>)>,
+    /// Whether a checkpoint is due.
+    is_due: bool,
+    /// The newest update's metrics.
+    metrics: Option<LearnerMetrics>,
+}
+
+impl Default for Saving {
+    fn default() -> Self {
+        let saved_unix_ms = unix_ms();
+        Self { saved_unix_ms, checkpoint: None, line: None, scalars: None, is_due: false, metrics: None }
+    }
+}
+
+impl Worker {
+    /// Saves the metrics of an update and, if one is due, a checkpoint. Returns when that is done: training waits for
+    /// as long as nothing can be saved, because whatever it learns could be lost.
+    pub(super) fn keep(&mut self, metrics: LearnerMetrics, is_due: bool) -> anyhow::Result<()> {
+        let mut line = Lines::default();
+        line.push(keys::METRICS_LEARNER, &metrics)?;
+        let scalars = tensorboard::flatten("learner", &serde_json::to_value(&metrics)?, &UNPLOTTED);
+        self.saving.line = Some(line);
+        self.saving.scalars = Some((metrics.n_env_steps, scalars));
+        self.saving.metrics = Some(metrics);
+        self.saving.is_due = is_due;
+        self.save_or_wait();
+        Ok(())
+    }
+
+    /// Saves a checkpoint, and waits for it like [`Worker::keep`].
+    ///
+    /// # Errors
+    /// If it cannot be saved when the run is told to end, or its session has failed.
+    pub(super) fn keep_last(&mut self) -> anyhow::Result<PathBuf> {
+        self.saving.is_due = true;
+        self.save_or_wait();
+        // Once told to end, the checkpoint alone counts.
+        match self.saving.checkpoint.take() {
+            Some(path) if !self.saving.is_due => Ok(path),
+            _ => self.save_checkpoint().map_err(|error| self.lost(error)),
+        }
+    }
+
+    /// Saves everything, again and again until it succeeds, or until the run is told to end or its session fails.
+    fn save_or_wait(&mut self) {
+        let Err(mut error) = self.save() else { return };
+        let pulse = self.pulse.clone();
+        let _waiting = pulse.waiting();
+        let pause = Duration::from_secs_f64(self.options.setup.config.checkpoints.retry_s);
+        let mut told: Option<String> = None;
+        loop {
+            let reason = format!("{error:#}");
+            if told.as_ref() != Some(&reason) {
+                tracing::error!(reason, "nothing can be saved: training waits, and tries again every {pause:?}");
+                let since_unix_ms = self.saving.saved_unix_ms;
+                self.tell(Some(NotSaved { since_unix_ms, reason: reason.clone() }));
+                told = Some(reason);
+            }
+            if !self.pause(pause) {
+                return;
+            }
+            match self.save() {
+                Ok(()) => break,
+                Err(again) => error = again,
+            }
+        }
+        tracing::info!("everything is saved again");
+        self.tell(None);
+    }
+
+    /// Saves what is not on disk yet. What cannot be saved does not keep the rest from it.
+    fn save(&mut self) -> anyhow::Result<()> {
+        let mut saved = Ok(());
+        if let Some(line) = &self.saving.line {
+            match self.records.append(line) {
+                Ok(()) => self.saving.line = None,
+                Err(error) => saved = Err(error.into()),
+            }
+        }
+        if let Some((n_env_steps, scalars)) = &self.saving.scalars {
+            match self.records.scalars(*n_env_steps, scalars.iter().cloned()) {
+                Ok(()) => self.saving.scalars = None,
+                Err(error) => saved = saved.and(Err(error.into())),
+            }
+        }
+        if self.saving.is_due {
+            match self.save_checkpoint() {
+                Ok(path) => self.saving.checkpoint = Some(path),
+                Err(error) => saved = saved.and(Err(error.into())),
+            }
+        } else if saved.is_err() {
+            // From now on, a checkpoint is what is missing most.
+            self.saving.is_due = true;
+        }
+        saved
+    }
+
+    fn save_checkpoint(&mut self) -> Result<PathBuf, checkpoint::CheckpointError> {
+        let checkpoints = self.options.run_dir.checkpoints();
+        let path = self.learner.save(&checkpoints)?;
+        let keep = self.options.setup.config.checkpoints.keep;
+        if let Err(error) = checkpoint::prune(&checkpoints, self.learner.n_env_steps(), keep) {
+            tracing::warn!(%error, "older checkpoints were not removed");
+        }
+        tracing::info!(path = %path.display(), "saved");
+        self.saving.is_due = false;
+        self.saving.saved_unix_ms = unix_ms();
+        Ok(path)
+    }
+
+    /// Tells viewers and health checks whether the run waits for its disk.
+    fn tell(&self, not_saved: Option<NotSaved>) {
+        self.pulse.set_not_saved(not_saved.clone());
+        if let Some(metrics) = &self.saving.metrics {
+            self.send(Some(LearnerMetrics { not_saved, ..metrics.clone() }));
+        }
+    }
+
+    /// Waits; returns whether the run goes on.
+    fn pause(&self, pause: Duration) -> bool {
+        let start = Instant::now();
+        while !self.shutdown.is_cancelled() && !self.publications.is_closed() {
+            let Some(left) = pause.checked_sub(start.elapsed()) else { return true };
+            std::thread::sleep(left.min(POLL_INTERVAL));
+        }
+        false
+    }
+
+    /// Returns the error for a run whose last checkpoint was not saved, which names the newest valid one.
+    fn lost(&self, error: checkpoint::CheckpointError) -> anyhow::Error {
+        let checkpoints = self.options.run_dir.checkpoints();
+        let newest = match checkpoint::Checkpoint::read_latest(&checkpoints) {
+            Ok(found) => format!("the newest whole one is {}", found.path.display()),
+            Err(_) => format!("there is no whole one in {}", checkpoints.display()),
+        };
+        let (n_env_steps, version) = (self.learner.n_env_steps(), self.learner.version().0);
+        let lost = format!("the last checkpoint, of {n_env_steps} environment steps and weights {version}, is lost");
+        anyhow::Error::new(error).context(format!("{lost}; {newest}"))
+    }
+}
+
+/// Returns the milliseconds since 1970; 0 if the clock is earlier.
+fn unix_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
