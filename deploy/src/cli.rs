@@ -1,10 +1,13 @@
 //! The command-line interface.
 
+use std::borrow::Cow;
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use ::blueprints::Split;
+use ::blueprints::outside::printable_lines;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
@@ -57,7 +60,7 @@ impl Cli {
     pub fn of_process() -> Result<Self, ExitCode> {
         Self::try_parse().map_err(|mut error| {
             suggest_gpu(&mut error);
-            let printed = error.print();
+            let printed = print(&error);
             // The help and the version are results. If stderr is closed, only the exit code is left.
             if let (Err(failed), false) = (printed, error.use_stderr())
                 && failed.kind() != io::ErrorKind::BrokenPipe
@@ -84,6 +87,15 @@ fn suggest_gpu(error: &mut clap::Error) {
     let given = text(ContextKind::InvalidValue);
     if is_device && GPUS.iter().any(|name| given.starts_with(name)) {
         error.insert(ContextKind::SuggestedValue, ContextValue::String("gpu".to_owned()));
+    }
+}
+
+/// Prints an error of the parser, or the help; without colors if an argument has characters that a terminal acts on.
+fn print(error: &clap::Error) -> io::Result<()> {
+    let text = error.render().to_string();
+    match printable_lines(&text) {
+        Cow::Borrowed(_) => error.print(),
+        Cow::Owned(shown) => io::stderr().write_all(shown.as_bytes()),
     }
 }
 
@@ -197,7 +209,7 @@ pub struct TrainArgs {
     /// Train and evaluate on this blueprint only: an id, generated ones included, a file, or a folder of files; may be
     /// repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
     /// Train this many times in sequence, with the configured seed and the seeds after it, each in a folder `seed-S`
     /// inside the run's folder. The mean and standard deviation of the last evaluations are printed at the end;
     /// `report` prints them again. After an interruption, the same command goes on with --run-dir and --auto-resume.
@@ -351,10 +363,10 @@ pub struct PlayArgs {
     pub pretrained: bool,
     /// Only these blueprints: ids, generated ones included, files, or folders of files [default: the whole catalog].
     #[arg(value_name = "FILE|ID")]
-    pub ids: Vec<String>,
+    pub ids: Vec<OsString>,
     /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
     /// Episodes per blueprint.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,
@@ -377,7 +389,7 @@ pub struct EvalArgs {
     pub model: ModelArgs,
     /// Only this blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation [default: the
     /// splits of the run's last evaluation, without validation unless it is the only one].
     #[arg(long, value_name = "S")]

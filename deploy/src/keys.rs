@@ -7,6 +7,7 @@ use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use blueprints::outside;
 use bus::security::{AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, PASSWORD_FILE, ROLES, USERS_FILE};
 use rand::TryRng;
 use rand::rngs::SysRng;
@@ -32,6 +33,9 @@ const CLOCK_SLACK: Duration = Duration::hours(1);
 
 /// Length of a password: 32 characters out of 62 carry 190 bits.
 const N_PASSWORD_CHARACTERS: usize = 32;
+
+/// Maximum size of a key file in bytes; they have a few hundred.
+const MAX_BYTES: u64 = 1 << 20;
 
 /// Reasons why keys cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -161,7 +165,7 @@ pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), 
     let absent = |reason: String| MakeKeysError::NoAuthority { folder: authority.clone(), reason };
     let read = |name: &str| {
         let path = authority.join(name);
-        fs::read_to_string(&path).map_err(|source| match source.kind() {
+        outside::read_text(&path, MAX_BYTES).map_err(|source| match source.kind() {
             io::ErrorKind::NotFound => absent(format!("{}: {source}", path.display())),
             _ => MakeKeysError::Io { path, source },
         })

@@ -16,10 +16,10 @@ pub(crate) const SECRET: u32 = 0o600;
 /// # Errors
 /// When the file cannot be written; an existing file then stays as it is.
 pub(crate) fn replace(path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    // A rename works only within a file system. The name is new, because an existing file would keep its mode.
+    // A rename works only within a file system. The name is new, because an existing file would keep its mode, and
+    // short, because the file's own name may be as long as a name can be.
     let mut part = tempfile::Builder::new()
-        .prefix(&format!(".{name}."))
+        .prefix(".")
         .suffix(".part")
         .permissions(Permissions::from_mode(mode))
         .tempfile_in(path.parent().unwrap_or(Path::new("")))?;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use blueprints::catalog::is_hidden;
+use blueprints::outside;
 use runlog::RunPaths;
 use serde::Serialize;
 use serde_json::Value;
@@ -15,6 +16,7 @@ use crate::cli::RunArgs;
 use crate::config::{Config, Preset, nearest};
 use crate::exit::Failure;
 use crate::replace::{PLAIN, SECRET, replace};
+use crate::shell;
 
 /// The existing folder of a run; no other process learns in it until this is dropped.
 #[derive(Debug)]
@@ -25,6 +27,9 @@ pub struct RunDir {
     /// The operating system releases the lock when the process ends, for whatever reason.
     _lock: File,
 }
+
+/// Maximum size of `meta.json` in bytes; a command line has at most two million.
+const MAX_META_BYTES: u64 = 16 << 20;
 
 /// Where a run starts from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -75,12 +80,12 @@ struct Meta<'a> {
     started_utc: String,
     preset: Option<&'a str>,
     seed: u64,
-    resumed_from: Option<&'a Path>,
+    resumed_from: Option<String>,
 }
 
 /// The preset that a run was started with, if it is recorded. Earlier versions did not record it.
 pub fn preset_of(paths: &RunPaths) -> Option<String> {
-    let meta: Value = serde_json::from_slice(&fs::read(paths.meta()).ok()?).ok()?;
+    let meta: Value = serde_json::from_slice(&outside::read(&paths.meta(), MAX_META_BYTES).ok()?).ok()?;
     Some(meta["preset"].as_str()?.to_owned())
 }
 
@@ -207,7 +212,8 @@ impl RunDir {
         let is_new = !paths.config().exists();
         if has_begun(&paths) && origin.config.as_ref() != Some(&path) {
             return Err(Failure::Usage(format!(
-                "{shown} holds a run already: choose another `--run-dir`, or continue a training with `train --resume {shown}`"
+                "{shown} holds a run already: choose another `--run-dir`, or continue a training with `train --resume {}`",
+                shell::path(&path)
             )));
         }
         Ok(Self { paths, is_new, preset: None, _lock: lock })
@@ -227,7 +233,7 @@ impl RunDir {
             started_utc: utc(SystemTime::now()),
             preset: preset.as_deref(),
             seed: config.seed,
-            resumed_from: origin.checkpoint.as_deref(),
+            resumed_from: origin.checkpoint.as_deref().map(|path| path.display().to_string()),
         };
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
         // The configuration holds the page's token, and the command may.

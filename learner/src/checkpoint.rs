@@ -121,9 +121,6 @@ pub enum CheckpointError {
         /// The unknown setting.
         reason: String,
     },
-    /// The path does not exist.
-    #[error("there is no file or folder {0}")]
-    Missing(PathBuf),
     /// There is no folder `step-<n>`.
     #[error("there is no checkpoint in {0}")]
     Absent(PathBuf),
@@ -281,7 +278,7 @@ impl Checkpoint {
     /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is a checkpoint.
     ///
     /// # Errors
-    /// [`CheckpointError::Missing`] if there is no `dir`, [`CheckpointError::Absent`] if it has none; if all are damaged, the error of the newest.
+    /// [`CheckpointError::Absent`] if there is none; if all are damaged, the error of the newest.
     pub fn read_latest(dir: &Path) -> Result<Found, CheckpointError> {
         if dir.join(STATE).exists() {
             return Ok(Found { path: dir.into(), checkpoint: Self::read(dir)?, passed_over: Vec::new() });
@@ -296,11 +293,7 @@ impl Checkpoint {
                 }
             }
         }
-        Err(match passed_over.is_empty() {
-            true if !dir.exists() => CheckpointError::Missing(dir.into()),
-            true => CheckpointError::Absent(dir.into()),
-            false => passed_over.swap_remove(0),
-        })
+        Err(if passed_over.is_empty() { CheckpointError::Absent(dir.into()) } else { passed_over.swap_remove(0) })
     }
 
     /// Returns the frozen policy, as sent to the actors.

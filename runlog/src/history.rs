@@ -58,7 +58,10 @@ impl Pass {
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
     /// The file does not exist.
-    #[error("{}", missing(.0))]
+    #[error(
+        "there is no history {}: `train` and `evaluator --run-dir` make one with the first evaluation",
+        .0.display()
+    )]
     Missing(PathBuf),
     /// A newer version of the program wrote the file.
     #[error(
@@ -96,19 +99,6 @@ pub enum HistoryError {
         /// SQLite's error.
         error: rusqlite::Error,
     },
-}
-
-/// Says what is missing: the folder, or the history in it.
-fn missing(path: &Path) -> String {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() && !folder.exists() => {
-            format!("there is no folder {}", folder.display())
-        }
-        _ => format!(
-            "there is no history {}: `train` and `evaluator --run-dir` make one with the first evaluation",
-            path.display()
-        ),
-    }
 }
 
 /// Returns what to do about an error of SQLite.

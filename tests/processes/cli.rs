@@ -93,6 +93,8 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["train", "--set", "actor"], None, &["--set actor", "KEY=VALUE"]),
         (&["train", "--run", "My Run"], None, &["bus.run", "My Run", "a-z"]),
         (&["actor"], None, &["bus.connect = []", "router"]),
+        (&["train", "--config", "/dev/zero"], None, &["/dev/zero: it has more than 1048576 bytes"]),
+        (&["blueprints", "check", "/dev/zero"], None, &["/dev/zero has more than 1048576 bytes"]),
         (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
         (&["render", "my.toml", "--out", "films"], Some(""), &["my.toml", "is empty"]),
         (&["render", "my.toml", "--out", "films"], Some("\u{8}\u{1}\u{12}\u{6}exp"), &["my.toml", "cut off"]),
@@ -124,6 +126,7 @@ fn a_wrong_variable_is_named() {
 
 #[test]
 fn whatever_is_missing_is_named_with_one_code() {
+    check_refused(&["eval", "--checkpoint", "/dev/zero"], &[], None, 66, &["/dev/zero: it has more than"]);
     for args in [
         &["eval", "--checkpoint", "gone"][..],
         &["play", "--checkpoint", "gone"],

@@ -15,6 +15,7 @@ mod compatibility;
 mod films;
 mod finished;
 mod output;
+mod outside;
 mod record;
 mod report;
 mod resume;

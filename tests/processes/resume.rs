@@ -109,5 +109,5 @@ fn a_start_that_cannot_be_made_changes_nothing() {
     refused(&["--init-from", "run", "--preset", "quickstart", "--run-dir", "other"], 66, "does not fit");
     assert_eq!(config(), before);
     assert!(!folder.path().join("other").exists());
-    refused(&["--resume", "other"], 64, "no folder of a run");
+    refused(&["--resume", "other"], 66, "other does not exist");
 }

@@ -159,5 +159,5 @@ fn runs_that_have_ended_are_shown_from_their_files() {
 
     let gone = lodestone(folder.path()).args(["serve", "gone"]).output().unwrap();
     assert_eq!(gone.status.code(), Some(66));
-    assert!(error(&gone).contains("gone is no folder of a run"), "{}", error(&gone));
+    assert!(error(&gone).contains("gone does not exist"), "{}", error(&gone));
 }

@@ -1,5 +1,6 @@
 //! Arguments of `blueprints`.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use blueprints::generator::Style;
@@ -69,10 +70,10 @@ pub struct GenerateArgs {
 pub struct ShowArgs {
     /// Blueprints to draw: ids, for example 6_005, files, or folders of files [default: all].
     #[arg(value_name = "FILE|ID", conflicts_with = "split")]
-    pub ids: Vec<String>,
+    pub ids: Vec<OsString>,
     /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with_all = ["split", "path"])]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation.
     #[arg(long, value_name = "S")]
     pub split: Option<Split>,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 
-use super::values::endpoint;
+use super::values::{self, endpoint};
 use crate::config::Override;
 
 /// Endpoints of a process that joins a run.
@@ -27,7 +27,7 @@ pub struct EndpointArgs {
 pub struct KeysArgs {
     /// Folder of keys made by `lodestone keys new`: the whole folder, or that of this process's role (`watch` has the
     /// role viewer, `render` the role evaluator).
-    #[arg(long, value_name = "DIR", env = "LODESTONE_KEYS")]
+    #[arg(long, value_name = "DIR", env = "LODESTONE_KEYS", value_parser = values::text_path())]
     pub keys: Option<PathBuf>,
 }
 

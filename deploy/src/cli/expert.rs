@@ -1,5 +1,6 @@
 //! Arguments of `expert`.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use blueprints::Split;
@@ -18,10 +19,10 @@ pub enum ExpertCommand {
 pub struct ExpertEvalArgs {
     /// Only these blueprints, by id: from the catalog, or generated.
     #[arg(value_name = "ID")]
-    pub ids: Vec<String>,
+    pub ids: Vec<OsString>,
     /// Only this blueprint: an id, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
     /// Only this split of the catalog: train, test, test-literal, test-longest, test-tallest, or validation; may be
     /// repeated [default: all but validation].
     #[arg(long, value_name = "S", conflicts_with_all = ["ids", "blueprint"])]

@@ -1,5 +1,6 @@
 //! Arguments of `record`.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use blueprints::Split;
@@ -70,7 +71,7 @@ pub struct PerformerArgs {
 pub struct GoalArgs {
     /// This blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
     /// repeated.
     #[arg(long, value_name = "S")]

@@ -1,5 +1,6 @@
 //! Arguments of `render`.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::builder::RangedU64ValueParser;
@@ -35,7 +36,7 @@ pub struct RenderArgs {
     pub path: Option<PathBuf>,
     /// Only episodes with this goal: an id, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "path")]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
     /// Show what every attention head of a network attends to during the episode, whichever policy acted: the network
     /// of a run's newest checkpoint, of one checkpoint, or of an exported file.
     #[arg(long, value_name = "DIR")]

@@ -1,5 +1,6 @@
 //! Arguments of `serve`.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -25,5 +26,5 @@ pub struct ServeArgs {
     /// Record this blueprint in the copy: an id, a file, or a folder of files; may be repeated [default: one of each
     /// group].
     #[arg(long, value_name = "FILE|ID", requires = "export")]
-    pub blueprint: Vec<String>,
+    pub blueprint: Vec<OsString>,
 }

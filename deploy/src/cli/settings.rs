@@ -161,7 +161,7 @@ fn goes_on(before: &Config, now: &Config, folder: &Path) -> Result<(), ConfigErr
 
 /// The text and the name of a configuration file.
 fn read(path: &Path) -> Result<(String, String), ConfigError> {
-    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+    let text = crate::config::read(path)?;
     Ok((text, path.display().to_string()))
 }
 

@@ -1,6 +1,9 @@
 //! Parsers of numbers and addresses on the command line.
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use clap::builder::{OsStringValueParser, TypedValueParser};
 
 /// Parses a number of environment steps: `1000000`, `1_000_000`, `1e6`, or `2.5e6`.
 ///
@@ -32,6 +35,15 @@ pub(super) fn endpoint(text: &str) -> Result<String, String> {
         port.is_some_and(|port| port.parse::<u16>().is_ok())
     };
     Ok(if !text.contains('/') && is_address() { format!("tcp/{text}") } else { text.to_owned() })
+}
+
+/// Parses a path that settings hold as text.
+pub(super) fn text_path() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().try_map(|path| {
+        path.into_string()
+            .map(PathBuf::from)
+            .map_err(|_| "the path is kept in settings, which are UTF-8 text: rename it")
+    })
 }
 
 /// Parses the address of a web page: `127.0.0.1:8080`, `localhost:8080`, or a port alone, which means 127.0.0.1.

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
 use blueprints::checks::{CheckResult, Report, check_all};
+use blueprints::outside::printable;
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use serde::Serialize;
 
@@ -62,7 +63,7 @@ fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
     }
     let line = |row: &Row<'_>| {
         let Row { id, split, n_blocks, n_connections, title } = row;
-        format!("{id:<18}{split:<13}{n_blocks:>6}{n_connections:>13}  {title}")
+        format!("{id:<18}{split:<13}{n_blocks:>6}{n_connections:>13}  {}", printable(title))
     };
     let header = format!("{:<18}{:<13}{:>6}{:>13}  title", "id", "split", "blocks", "connections");
     terminal.print_rows(&std::iter::once(header).chain(rows.iter().map(line)).collect::<Vec<_>>());

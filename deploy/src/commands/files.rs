@@ -14,7 +14,7 @@ pub(super) type File = (String, Vec<u8>);
 ///
 /// # Errors
 /// Names the file or folder that cannot be written.
-pub(super) fn write_files(folder: &Path, files: &[File]) -> anyhow::Result<()> {
+pub(super) fn write_files(folder: &Path, files: &[(impl AsRef<Path>, Vec<u8>)]) -> anyhow::Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     for (name, bytes) in files {
         let path = folder.join(name);

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
@@ -29,7 +30,7 @@ struct Named {
     id: BlueprintId,
     structure: u64,
     /// The id, file, or folder as given.
-    name: String,
+    name: OsString,
 }
 
 impl Goals {
@@ -37,7 +38,7 @@ impl Goals {
     ///
     /// # Errors
     /// Names the file that is not a blueprint, or the unknown id and the nearest known one.
-    pub(super) fn open(named: &[String]) -> Result<Self, Failure> {
+    pub(super) fn open(named: &[OsString]) -> Result<Self, Failure> {
         Self::open_beside(named, None)
     }
 
@@ -47,7 +48,7 @@ impl Goals {
     /// # Errors
     /// As for [`Self::open`]; also when a blueprint of the run cannot be read, or is not the one that the run began
     /// with.
-    pub(super) fn open_beside(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
+    pub(super) fn open_beside(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
         let mut goals = Self { catalog: Cow::Borrowed(Catalog::builtin()), own: Vec::new(), ids: Vec::new() };
         if let Some(folder) = run.and_then(blueprints_of_run) {
             let kept = Catalog::load(&folder)?;
@@ -61,14 +62,15 @@ impl Goals {
                 if let Some(hidden) = own.iter().find_map(|own| Catalog::builtin().namesake(own)) {
                     let id = hidden.id();
                     return Err(Failure::Usage(format!(
-                        "{name}: the id {id} is taken by another structure of the catalog; give the file another `id`"
+                        "{}: the id {id} is taken by another structure of the catalog; give the file another `id`",
+                        name.display()
                     )));
                 }
                 own
             } else {
+                let id = name.to_string_lossy();
                 // A file with the same structure may already have replaced the built-in blueprint.
-                let found =
-                    find(&goals.catalog, name).or_else(|error| find(Catalog::builtin(), name).map_err(|_| error));
+                let found = find(&goals.catalog, &id).or_else(|error| find(Catalog::builtin(), &id).map_err(|_| error));
                 Catalog::of_one(found?.into_owned())
             };
             for blueprint in found.iter() {
@@ -140,7 +142,7 @@ impl TrainingGoals {
     ///
     /// # Errors
     /// As for [`Goals::open`]; also names a blueprint that is held out from training.
-    pub(super) fn open(named: &[String], run: Option<&Path>) -> Result<Self, Failure> {
+    pub(super) fn open(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
         let goals = Goals::open_beside(named, run)?;
         for id in goals.ids.iter().chain(&goals.own) {
             let goal = find(&goals.catalog, id.as_str())?;
@@ -210,18 +212,21 @@ impl TrainingGoals {
 ///
 /// # Errors
 /// When two different blueprints share an id, or one structure has two ids: only one of them could be used.
-fn is_repeated(before: &[Named], id: &BlueprintId, structure: u64, name: &str) -> Result<bool, Failure> {
+fn is_repeated(before: &[Named], id: &BlueprintId, structure: u64, name: &OsStr) -> Result<bool, Failure> {
     let same = before.iter().find(|other| other.id == *id || other.structure == structure);
     match same {
         None => Ok(false),
         Some(other) if other.id == *id && other.structure == structure => Ok(true),
         Some(other) if other.id == *id => Err(Failure::Usage(format!(
-            "{name}: the id {id} is taken by {}; give one of the two another `id`",
-            other.name
+            "{}: the id {id} is taken by {}; give one of the two another `id`",
+            name.display(),
+            other.name.display()
         ))),
         Some(other) => Err(Failure::Usage(format!(
-            "{name}: {id} is the same structure as {} of {}; name only one of them",
-            other.id, other.name
+            "{}: {id} is the same structure as {} of {}; name only one of them",
+            name.display(),
+            other.id,
+            other.name.display()
         ))),
     }
 }
@@ -268,7 +273,7 @@ fn blueprints_of_run(path: &Path) -> Option<PathBuf> {
 ///
 /// # Errors
 /// When a file cannot be read.
-pub(super) fn inferred(named: &[String]) -> Result<Vec<String>, Failure> {
+pub(super) fn inferred(named: &[OsString]) -> Result<Vec<String>, Failure> {
     let mut lines = Vec::new();
     for path in named.iter().filter(|name| is_path(name)) {
         for (file, text) in read_files(Path::new(path))? {
@@ -282,7 +287,7 @@ pub(super) fn inferred(named: &[String]) -> Result<Vec<String>, Failure> {
 ///
 /// # Errors
 /// When a file cannot be read.
-pub(super) fn tell_choices(named: &[String], terminal: &Terminal) -> Result<(), Failure> {
+pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<(), Failure> {
     for path in named.iter().filter(|name| is_path(name)) {
         for (file, text) in read_files(Path::new(path))? {
             let report = check_text(&file, &text);
@@ -306,9 +311,11 @@ pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Bluepri
 }
 
 /// Whether a name refers to a file or folder. An id stays an id even if a folder has that name.
-pub(super) fn is_path(name: &str) -> bool {
-    let is_id = || name.parse::<BlueprintId>().is_ok_and(|id| Catalog::builtin().find(&id).is_some());
-    name.contains('/') || name.ends_with(".toml") || (!is_id() && Path::new(name).exists())
+pub(super) fn is_path(name: &OsStr) -> bool {
+    let id = name.to_str().and_then(|id| id.parse::<BlueprintId>().ok());
+    let is_id = || id.is_some_and(|id| Catalog::builtin().find(&id).is_some());
+    let bytes = name.as_encoded_bytes();
+    bytes.contains(&b'/') || bytes.ends_with(b".toml") || (!is_id() && Path::new(name).exists())
 }
 
 #[cfg(test)]
@@ -316,7 +323,7 @@ mod tests {
     use super::*;
 
     fn ids(named: &[&str]) -> Vec<String> {
-        let named: Vec<String> = named.iter().map(|&name| name.to_owned()).collect();
+        let named: Vec<OsString> = named.iter().map(OsString::from).collect();
         let goals = Goals::open(&named).unwrap();
         goals.blueprints().unwrap().iter().map(|blueprint| blueprint.id().to_string()).collect()
     }
@@ -340,7 +347,7 @@ mod tests {
         let file = folder.path().join("my tower.toml");
         let blocks = "{ type = \"2x1x1\", at = [0, 0, 0] }, { type = \"2x1x1\", at = [0, 0, 1] }, { type = \"1x1x1\", at = [0, 0, 2] }";
         std::fs::write(&file, format!("blocks = [{blocks}]")).unwrap();
-        let named = [file.display().to_string(), "6_005".to_owned()];
+        let named = [file.clone().into(), "6_005".into()];
         assert_eq!(inferred(&named).unwrap().len(), 5);
         let goals = TrainingGoals::open(&named, None).unwrap();
         let config =
@@ -364,7 +371,7 @@ mod tests {
         let resumed = TrainingGoals::open(&[], Some(run.folder())).unwrap();
         assert_eq!(selected(resumed.catalog()), ["6_005", "my-tower"]);
         assert_eq!((resumed.catalog(), resumed.settings().len()), (goals.catalog(), 0));
-        let evaluated = Goals::open_beside(&["my-tower".to_owned()], Some(&run.checkpoints().join("step-1"))).unwrap();
+        let evaluated = Goals::open_beside(&["my-tower".into()], Some(&run.checkpoints().join("step-1"))).unwrap();
         assert_eq!(evaluated.blueprints().unwrap().len(), 1);
 
         let kept = run.blueprints().join("my-tower.toml");
@@ -400,7 +407,7 @@ mod tests {
             ([hiding.as_str(), "6_005"], "the id 3_000 is taken by another structure of the catalog"),
             ([generated.as_str(), "6_005"], "the id gen1-any-0_6_000 is taken by another structure"),
         ] {
-            let named = named.map(str::to_owned);
+            let named = named.map(OsString::from);
             let message = Goals::open(&named).err().unwrap().to_string();
             assert!(message.contains(words), "{message}");
         }
@@ -409,7 +416,7 @@ mod tests {
     #[test]
     fn a_generated_goal_is_trained_on_and_kept() {
         let folder = tempfile::tempdir().unwrap();
-        let goals = TrainingGoals::open(&["gen1-arch-7_6_000".to_owned()], None).unwrap();
+        let goals = TrainingGoals::open(&["gen1-arch-7_6_000".into()], None).unwrap();
         let run = RunPaths::new(folder.path().join("run"));
         goals.keep(&run).unwrap();
         std::fs::write(run.config(), "").unwrap();
@@ -431,7 +438,7 @@ mod tests {
             ("validation_7_000".to_owned(), "of the split validation, which is held out"),
             ("6-005".to_owned(), "did you mean `6_005`"),
         ] {
-            let message = TrainingGoals::open(&[name], None).err().unwrap().to_string();
+            let message = TrainingGoals::open(&[name.into()], None).err().unwrap().to_string();
             assert!(message.contains(words), "{message}");
         }
     }

@@ -4,6 +4,7 @@ use crate::cli::KeysCommand;
 use crate::exit::Failure;
 use crate::keys;
 use crate::live::Terminal;
+use crate::shell;
 
 /// Creates or renews keys.
 ///
@@ -15,7 +16,7 @@ pub(super) fn run(command: &KeysCommand, terminal: &Terminal) -> Result<(), Fail
             terminal.print(&format!("{} holds keys already, which are kept", args.dir.display()));
         }
         KeysCommand::New(args) => {
-            let (dir, hosts) = (args.dir.display(), args.certificate.hosts());
+            let (dir, hosts) = (shell::path(&args.dir), args.certificate.hosts());
             keys::create(&args.dir, &hosts, args.certificate.days)?;
             terminal.print(&format!(
                 "keys for {} days in {dir}, for a router at {}\n\

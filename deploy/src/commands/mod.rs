@@ -34,7 +34,7 @@ use crate::exit::Failure;
 use crate::limits;
 use crate::live::Terminal;
 use crate::run_dir::{Origin, check_run};
-use crate::{health, signals};
+use crate::{health, shell, signals};
 
 /// Threads for the bus and for services that wait; stepping and training use their own threads.
 const N_RUNTIME_THREADS: usize = 2;
@@ -95,10 +95,11 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let origin = origin(of_first.as_ref().unwrap_or(&args.run), &args.config, &said)?;
             let is_repeated = args.blueprint.is_empty() || args.seeds.is_some();
             if let (Some(run), false) = (&origin.checkpoint, is_repeated) {
-                let run = run.display();
                 return Err(Failure::Usage(format!(
-                    "--blueprint: the run in {run} goes on with the goals that it began with; for others, start a run with \
-                     `--init-from {run} --blueprint …`"
+                    "--blueprint: the run in {} goes on with the goals that it began with; for others, start a run with \
+                     `--init-from {} --blueprint …`",
+                    run.display(),
+                    shell::path(run)
                 )));
             }
             goals::tell_choices(&args.blueprint, &said)?;

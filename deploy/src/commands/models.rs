@@ -7,7 +7,7 @@ use learner::{Checkpoint, CheckpointError, Model};
 
 use super::files::write_files;
 use crate::cli::{ExportArgs, ModelArgs};
-use crate::config::{Base, Config, ConfigError, Override, Preset, merge};
+use crate::config::{Base, Config, Override, Preset, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_exists, runs_in};
@@ -72,10 +72,9 @@ impl Source {
     fn read_untried(path: &Path) -> Result<Self, Failure> {
         check_exists(path)?;
         let unusable = |error: CheckpointError| Failure::Checkpoint(error.into());
-        if path.is_file() {
-            let read = |error| anyhow::Error::new(error).context(format!("reading {}", path.display()));
-            let bytes = std::fs::read(path).map_err(|error| Failure::Checkpoint(read(error)))?;
-            let model = Model::from_bytes(&bytes, path).map_err(unusable)?;
+        // Anything but a folder, so that a device is refused for what it holds.
+        if path.exists() && !path.is_dir() {
+            let model = Model::read(path).map_err(unusable)?;
             return Ok(Self { model, config: (String::new(), "the defaults".to_owned()) });
         }
         let found = Checkpoint::read_latest(&checkpoint_folder(path)).map_err(|error| match error {
@@ -111,7 +110,7 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
     let (n_bytes, n_steps) = (bytes.len(), model.weights.n_env_steps);
     let name = args.out.file_name().ok_or_else(|| Failure::Usage("--out names no file".to_owned()))?;
     let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    write_files(folder, &[(name.to_string_lossy().into_owned(), bytes)])?;
+    write_files(folder, &[(name, bytes)])?;
     terminal.print(&format!(
         "{}: {} kB, after {n_steps} environment steps",
         args.out.display(),
@@ -134,6 +133,5 @@ fn run_config(checkpoint: &Path) -> Result<(String, String), Failure> {
         tracing::warn!("no config.toml above the checkpoint: the world has its default settings");
         return Ok((String::new(), "the defaults".to_owned()));
     };
-    let text = std::fs::read_to_string(&path).map_err(|source| ConfigError::Read { path: path.clone(), source })?;
-    Ok((text, path.display().to_string()))
+    Ok((read(&path)?, path.display().to_string()))
 }

@@ -20,6 +20,7 @@ use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::{EpisodeCounter, Terminal};
+use crate::shell;
 
 /// Destination of the episodes.
 enum Sink {
@@ -231,16 +232,16 @@ impl Recording<'_> {
                 writer.n_episodes(),
                 writer.n_steps(),
                 writer.n_bytes() as f64 / 1e6,
-                args.out.display(),
+                shell::quoted(&args.out),
                 writer.id(),
             ),
             Sink::Trajectories(folder, n_files) => {
                 // `render` finds the user's own blueprints in the same files.
                 let own = args.goals.blueprint.iter().filter(|name| is_path(name));
-                let own: String = own.map(|path| format!(" --blueprint {path}")).collect();
+                let own: String = own.map(|path| format!(" --blueprint {}", shell::path(Path::new(path)))).collect();
                 format!(
                     "{n_files} episodes{left_out}\nlodestone render {}/*.trajectory{own} --out films",
-                    folder.display()
+                    shell::path(folder)
                 )
             }
         }

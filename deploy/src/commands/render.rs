@@ -5,6 +5,7 @@ mod recordings;
 mod shares;
 
 use std::borrow::Cow;
+use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -31,7 +32,7 @@ const N_STRIP_MOMENTS: usize = 5;
 const STRIP_COLORS: usize = 96;
 
 /// The name of a film and its episode.
-type Named = (String, Episode);
+type Named = (OsString, Episode);
 
 /// Runs the subcommand. Reads every file before it makes the first film.
 ///
@@ -98,13 +99,14 @@ fn make_all(
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     for (name, episode) in episodes {
-        let making = || format!("making a film of {name}");
+        let making = || format!("making a film of {}", name.display());
         let (ending, bytes) = match policy {
             Some(policy) => make_of_attention(&attention(policy, name, episode)?, args).with_context(making)?,
             None => make(episode, args).with_context(making)?,
         };
         let n_bytes = bytes.len();
-        let name = format!("{name}{}.{ending}", if policy.is_some() { "-attention" } else { "" });
+        let mut name = name.clone();
+        name.push(format!("{}.{ending}", if policy.is_some() { "-attention" } else { "" }));
         let path = args.out.join(&name);
         write_files(&args.out, &[(name, bytes)])?;
         terminal.print(&format!("{}: {} steps, {} kB", path.display(), episode.n_steps(), n_bytes.div_ceil(1000)));
@@ -112,9 +114,9 @@ fn make_all(
     Ok(())
 }
 
-fn attention<'e>(policy: &Policy, name: &str, episode: &'e Episode) -> Result<EpisodeAttention<'e>, Failure> {
+fn attention<'e>(policy: &Policy, name: &OsStr, episode: &'e Episode) -> Result<EpisodeAttention<'e>, Failure> {
     EpisodeAttention::new(policy, episode)
-        .map_err(|error| Failure::Recording { files: name.to_owned(), reason: error.to_string() })
+        .map_err(|error| Failure::Recording { files: name.display().to_string(), reason: error.to_string() })
 }
 
 /// Renders an episode. Returns the extension of the file name and the file's bytes.

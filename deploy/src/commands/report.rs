@@ -111,14 +111,14 @@ fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, out: &Path, files: 
         })
     };
     json!({
-        "run": args.run,
+        "run": args.run.display().to_string(),
         "acting": args.acting.name(),
         "n_evaluations": passes.len(),
         "n_blueprints": grid.rows.len(),
         "weights_version": passes.last().map(|last| last.weights_version),
         "n_env_steps": passes.last().map(|last| last.n_env_steps),
         "groups": groups.iter().map(group).collect::<Vec<_>>(),
-        "files": files.iter().map(|(file, _)| out.join(file)).collect::<Vec<_>>(),
+        "files": files.iter().map(|(file, _)| out.join(file).display().to_string()).collect::<Vec<_>>(),
     })
 }
 

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use blueprints::outside::as_text;
 use proto::ActionMode;
 use render::plot::groups;
 use runlog::series::lineage;
@@ -40,6 +41,7 @@ pub(super) struct Spread {
 /// Results of several trainings.
 #[derive(Debug, Serialize)]
 pub(super) struct SeedsSummary {
+    #[serde(serialize_with = "as_text")]
     folder: PathBuf,
     runs: Vec<Summary>,
     groups: Vec<Spread>,

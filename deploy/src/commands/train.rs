@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use actor::ActorSetup;
+use blueprints::outside::as_text;
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluatorSetup, Stop};
@@ -32,6 +33,7 @@ const LOCAL: &str = "local";
 #[derive(Debug, Serialize)]
 pub(super) struct Summary {
     run: String,
+    #[serde(serialize_with = "as_text")]
     run_dir: PathBuf,
     /// Whether the training reached its number of steps.
     is_complete: bool,
@@ -173,7 +175,7 @@ async fn page(config: &Config, args: &TrainArgs, terminal: &Terminal) -> Result<
 
 fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> String {
     let config = &settings.config;
-    let (actor, path) = (&config.actor, run_dir.path().display());
+    let (actor, path, curves) = (&config.actor, run_dir.path().display(), shell::path(&run_dir.path().join("tb")));
     let how = if origin.checkpoint.is_some() { "continuing" } else { "training" };
     let program = program();
     let run = &config.bus.run;
@@ -182,7 +184,7 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
         endpoints => format!(
             "\nothers can join at {}, run `{run}`\nin a terminal: {program} watch --connect {} --run {run}",
             endpoints.join(" and "),
-            endpoints[0],
+            shell::quoted(&endpoints[0]),
         ),
     };
     let takes = settings.preset.map_or_else(String::new, |preset| format!("\n{}", takes(preset, config.n_env_steps)));
@@ -190,7 +192,7 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
         "{how} `{}` up to {} environment steps with {} × {} worlds, seed {}\n\
          settings: {}{takes}\n\
          everything goes to {path}; Ctrl-C saves and ends{listening}\n\
-         curves: tensorboard --logdir {path}/tb",
+         curves: tensorboard --logdir {curves}",
         config.bus.run, config.n_env_steps, actor.n_threads, actor.n_worlds, config.seed, settings.source,
     )
 }

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 use std::time::Duration;
 
+use blueprints::outside::printable;
 use bus::{BusConfig, BusMode, SecurityConfig};
 use dashboard::terminal::{self as view, Format, WatchError};
 use tokio_util::sync::CancellationToken;
@@ -37,12 +38,11 @@ pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: Cancell
         };
         terminal.print(&known);
     } else if args.json {
-        view::stream(config, shutdown, |known| writeln!(io::stdout(), "{known}")).await.map_err(
-            |error| match error {
-                WatchError::Terminal(error) => Failure::Output(error),
-                error => error.into(),
-            },
-        )?;
+        let print = |known: &serde_json::Value| writeln!(io::stdout(), "{}", printable(&known.to_string()));
+        view::stream(config, shutdown, print).await.map_err(|error| match error {
+            WatchError::Terminal(error) => Failure::Output(error),
+            error => error.into(),
+        })?;
     } else {
         let _held = terminal.hold_log();
         view::live(config, shutdown).await?;

@@ -8,7 +8,10 @@ mod layers;
 mod presets;
 mod variables;
 
+use std::path::Path;
+
 use actor::{ActorConfig, EnvironmentConfig, PolicyConfig};
+use blueprints::outside;
 use bus::BusConfig;
 use dashboard::DashboardConfig;
 use evaluator::EvaluatorConfig;
@@ -21,6 +24,17 @@ pub(crate) use error::{nearest, suggestion_or};
 pub use layers::{Base, NO_BASE, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 pub use variables::check_variables;
+
+/// Maximum size of a configuration file in bytes; one with every setting has about 10 000.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// Reads a configuration file.
+///
+/// # Errors
+/// Names the file that cannot be read or is too large.
+pub(crate) fn read(path: &Path) -> Result<String, ConfigError> {
+    outside::read_text(path, MAX_FILE_BYTES).map_err(|source| ConfigError::Read { path: path.to_owned(), source })
+}
 
 /// Largest seed, because TOML's integers are signed.
 pub(crate) const MAX_SEED: u64 = i64::MAX as u64;

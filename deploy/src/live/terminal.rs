@@ -5,6 +5,7 @@ use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
 use std::sync::Arc;
 
+use blueprints::outside::{printable_lines, printable_log};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tracing_subscriber::fmt::MakeWriter;
 
@@ -107,10 +108,10 @@ impl Terminal {
         Self { prints_to_stderr: true, ..self.clone() }
     }
 
-    /// Prints lines to stdout, or to stderr after [`Self::on_stderr`]. A failure does not end a run;
-    /// [`Self::check_written`] returns it.
+    /// Prints lines to stdout, or to stderr after [`Self::on_stderr`], with their control characters escaped. A failure
+    /// does not end a run; [`Self::check_written`] returns it.
     pub fn print(&self, text: &str) {
-        let text = text.trim_end();
+        let text = printable_lines(text.trim_end());
         let written = self.bars.write_above(|| match self.prints_to_stderr {
             false => writeln!(io::stdout(), "{text}"),
             true => writeln!(io::stderr(), "{text}"),
@@ -219,15 +220,20 @@ impl<'a> MakeWriter<'a> for Terminal {
 
 impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        // The logger writes each event at once.
+        let (n_bytes, line) = (bytes.len(), printable_log(&String::from_utf8_lossy(bytes)));
+        let bytes = line.as_bytes();
         if let Some(held) = self.0.held.lock().as_mut() {
             if held.lines.len() + bytes.len() <= MAX_HELD {
                 held.lines.extend_from_slice(bytes);
             } else {
                 held.n_left_out += 1;
             }
-            return Ok(bytes.len());
+            return Ok(n_bytes);
         }
-        Ok(self.0.bars.write_above(|| io::stderr().write(bytes)).unwrap_or(bytes.len()))
+        // Its errors are dropped.
+        let _ = self.0.bars.write_above(|| io::stderr().write_all(bytes));
+        Ok(n_bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {

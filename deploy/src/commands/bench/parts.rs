@@ -6,12 +6,12 @@ use std::path::PathBuf;
 
 use actor::load::{Load, LoadPlan, LoadReport};
 use anyhow::Context;
-use blueprints::Catalog;
+use blueprints::{Catalog, outside};
 use bus::BusConfig;
 use learner::Learner;
 use learner::sink::{Sink, SinkPlan, SinkReport};
 use proto::Trajectory;
-use proto::codec::decode_recording;
+use proto::codec::{MAX_RECORDING_BYTES, decode_recording};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
@@ -116,7 +116,7 @@ pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
 
 fn read_segment(path: &PathBuf) -> anyhow::Result<Trajectory> {
     let context = || format!("reading {}", path.display());
-    let bytes = std::fs::read(path).with_context(context)?;
+    let bytes = outside::read(path, MAX_RECORDING_BYTES as u64).with_context(context)?;
     decode_recording(&bytes).with_context(context)
 }
 

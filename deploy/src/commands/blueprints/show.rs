@@ -71,7 +71,7 @@ fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<Cow<'a, Bluep
     }
     let mut shown: Vec<Cow<'a, Blueprint>> = Vec::new();
     for id in &args.ids {
-        let blueprint = find(catalog, id)?;
+        let blueprint = find(catalog, &id.to_string_lossy())?;
         if shown.iter().all(|other| other.id() != blueprint.id()) {
             shown.push(blueprint);
         }

@@ -119,5 +119,5 @@ fn named(idx: usize, segments: &[Trajectory], goals: &Goals) -> Result<Named, Fa
     let goal = goals.find(&first.task.blueprint).map_err(refused)?;
     let episode = Episode::new(segments, &goal).map_err(|error| refused(error.to_string()))?;
     let (blueprint, version) = (&first.task.blueprint, first.weights_version.0);
-    Ok((format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1), episode))
+    Ok((format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1).into(), episode))
 }

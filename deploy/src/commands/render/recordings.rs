@@ -1,11 +1,12 @@
 //! Reads episodes from files of recorded trajectories.
 
-use std::fs::{self, File};
-use std::io::{self, Read};
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
-use blueprints::BlueprintId;
 use blueprints::catalog::is_hidden;
+use blueprints::{BlueprintId, outside};
 use proto::codec::{MAX_RECORDING_BYTES, PROTOCOL_VERSION, decode_recording};
 use proto::{DecodeError, Trajectory};
 use render::video::{Episode, is_same_episode};
@@ -20,7 +21,7 @@ const KIND: &str = "trajectory";
 
 /// The segments of one episode and the files that they come from.
 struct Recording {
-    name: String,
+    name: OsString,
     files: Vec<PathBuf>,
     segments: Vec<Trajectory>,
 }
@@ -49,7 +50,10 @@ pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, F
     let episodes: Vec<Named> =
         recordings.into_iter().map(|recording| recording.episode(goals)).collect::<Result<_, _>>()?;
     if let Some(i) = (1..episodes.len()).find(|&i| episodes[..i].iter().any(|(name, _)| *name == episodes[i].0)) {
-        return Err(Failure::Usage(format!("two recordings would become {}; rename one of the files", episodes[i].0)));
+        return Err(Failure::Usage(format!(
+            "two recordings would become {}; rename one of the files",
+            episodes[i].0.display()
+        )));
     }
     Ok(episodes)
 }
@@ -71,14 +75,14 @@ fn add(recordings: &mut Vec<Recording>, path: &Path, segment: Trajectory) {
             known.segments.push(segment);
         }
         None => {
-            let name = path.file_stem().map_or_else(|| "film".to_owned(), |stem| stem.to_string_lossy().into_owned());
+            let name = path.file_stem().unwrap_or(OsStr::new("film")).to_owned();
             recordings.push(Recording { name, files: vec![path.to_owned()], segments: vec![segment] });
         }
     }
 }
 
 /// The files of all recordings of a run with names for their films, ordered by blueprint and weights version.
-fn of_run(run: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
+fn of_run(run: &Path) -> Result<Vec<(OsString, PathBuf)>, Failure> {
     let replays = RunPaths::new(run).replays();
     let nothing = |reason: &str| {
         Failure::NothingToShow(format!("{}: {reason}; an evaluator with a run directory records some", run.display()))
@@ -88,7 +92,7 @@ fn of_run(run: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     }
     let refused = |error: io::Error| Failure::Recording {
         files: replays.display().to_string(),
-        reason: format!("cannot be read: {error}"),
+        reason: format!("cannot be read: {}", outside::reason(&error)),
     };
     let mut found = Vec::new();
     for folder in sorted(&replays).map_err(refused)?.into_iter().filter(|path| path.is_dir()) {
@@ -96,7 +100,7 @@ fn of_run(run: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
             if path.extension().is_some_and(|kind| kind == KIND)
                 && let (Some(blueprint), Some(stem)) = (folder.file_name(), path.file_stem())
             {
-                found.push((format!("{}-{}", blueprint.display(), stem.display()), path));
+                found.push(([blueprint, OsStr::new("-"), stem].into_iter().collect(), path));
             }
         }
     }
@@ -125,11 +129,9 @@ impl Recording {
 }
 
 fn read(path: &Path) -> Result<Trajectory, Failure> {
-    let mut bytes = Vec::new();
-    // One byte more than the limit is enough for the decoder to reject the file.
-    let read = File::open(path).and_then(|file| file.take(MAX_RECORDING_BYTES as u64 + 1).read_to_end(&mut bytes));
     let refused = |reason: String| Failure::Recording { files: path.display().to_string(), reason };
-    read.map_err(|error| refused(format!("cannot be read: {error}")))?;
+    let read = outside::read(path, MAX_RECORDING_BYTES as u64);
+    let bytes = read.map_err(|error| refused(format!("cannot be read: {error}")))?;
     decode_recording(&bytes).map_err(|error| refused(explained(&bytes, &error)))
 }
 
@@ -207,12 +209,12 @@ mod tests {
             add(&mut recordings, Path::new(&format!("replays/2_000/{name}.trajectory")), segment(first, last));
         }
         let goals = Goals { catalog: Catalog::builtin().clone(), chosen: Vec::new() };
-        let lengths: Vec<(String, usize)> = recordings
+        let lengths: Vec<(OsString, usize)> = recordings
             .into_iter()
             .map(|recording| recording.episode(&goals).unwrap())
             .map(|(name, episode)| (name, episode.n_steps()))
             .collect();
-        let expected = [("v1", 5), ("v2", 6), ("v3", 5)].map(|(name, n_steps)| (name.to_owned(), n_steps));
+        let expected = [("v1", 5), ("v2", 6), ("v3", 5)].map(|(name, n_steps)| (name.into(), n_steps));
         assert_eq!(lengths, expected);
     }
 }
