@@ -1,10 +1,11 @@
 //! Restarting a run without knowing how it ended.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
+use crate::support::judges::{python, told_by};
 use crate::support::program::{lodestone, n_saved_steps};
 
 /// The one command that a supervisor would run. Every update is saved, so the run can be killed at any time.
@@ -62,6 +63,29 @@ fn one_command_starts_a_run_and_continues_it_after_a_kill() {
     // A run that already has its steps ends at once, and successfully.
     let ended = train(folder.path()).args(["--steps", "1"]).output().unwrap();
     assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+}
+
+#[test]
+fn steps_only_grow_for_readers_of_a_run_that_was_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    drop(trained(folder.path(), 3));
+    // As if the kill had come before the newest checkpoint, and in the middle of a line.
+    let lost = n_saved_steps(&run);
+    fs::remove_dir_all(run.join("checkpoints").join(format!("step-{lost}"))).unwrap();
+    let saved = n_saved_steps(&run);
+    fs::OpenOptions::new().append(true).open(run.join("metrics.jsonl")).unwrap().write_all(b"{\"key\":").unwrap();
+    drop(trained(folder.path(), 2));
+    let text = fs::read_to_string(run.join("metrics.jsonl")).unwrap();
+    let lines = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let steps: Vec<u64> =
+        lines.filter(|line| line["key"] == "learner").map(|line| line["n_env_steps"].as_u64().unwrap()).collect();
+    assert!(steps.is_sorted_by(|a, b| a < b) && steps.contains(&saved), "{steps:?}, resumed at {saved}");
+    let Some(python) = python() else { return };
+    let plotted = told_by(&python, "scalars.py", &[&run.join("tb/learner").display().to_string()]);
+    let plotted: Vec<u64> =
+        plotted["learner/update_s"].as_array().unwrap().iter().map(|point| point[0].as_u64().unwrap()).collect();
+    assert!(plotted.is_sorted_by(|a, b| a < b) && plotted.contains(&saved), "{plotted:?}, resumed at {saved}");
 }
 
 #[test]
