@@ -3,6 +3,5 @@
 mod checkpoints;
 mod goals;
 pub(crate) mod learning;
-mod learning;
 mod saving;
 mod service;

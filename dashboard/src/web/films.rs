@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use blueprints::{Catalog, outside};
-use proto::codec::{MAX_TRAJECTORY_BYTES, decode_recording};
+use proto::codec::{MAX_RECORDING_BYTES, decode_recording};
 use proto::{Trajectory, WeightsVersion};
 use render::picture::encode;
 use render::video::{Episode, Film, LAST_S, MIN_WIDTH};
@@ -65,7 +65,7 @@ impl Films {
         let film = self.all().into_iter().find(|film| id(film) == asked)?;
         let name = Path::new(film.path.file_name()?).with_extension(RECORDING);
         let path = self.0.as_ref()?.replays().join(film.blueprint.as_str()).join(name);
-        decode_recording(&outside::read(&path, MAX_TRAJECTORY_BYTES as u64).ok()?).ok()
+        decode_recording(&outside::read(&path, MAX_RECORDING_BYTES as u64).ok()?).ok()
     }
 
     /// Returns a PNG of the last scene of the clip with this id; `None` without a recording or if the goal is unknown.
