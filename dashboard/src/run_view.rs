@@ -260,8 +260,9 @@ impl RunView {
                 let value: LearnerMetrics = parse(value)?;
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
-                // A learner that waits for its disk reports the same update again.
-                let is_update = self.learner.as_ref().is_none_or(|heard| heard.value.n_updates != value.n_updates);
+                // A learner that waits for its disk reports the same weights again.
+                let is_same = |heard: &Newest<LearnerMetrics>| heard.value.weights_version == value.weights_version;
+                let is_update = !self.learner.as_ref().is_some_and(is_same);
                 let is_news = update(&mut self.learner, value, at);
                 if let Some(heard) = self.learner.as_ref().filter(|_| is_news && is_update) {
                     self.trends.learned(&heard.value);

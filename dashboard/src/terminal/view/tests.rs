@@ -212,7 +212,7 @@ fn names_from_the_bus_cannot_touch_the_terminal() {
     evaluation.value["groups"][0]["name"] = "\u{1b}]0;x\u{7}\n".into();
     run.take(&evaluation, seconds(21));
     let text = text(&run, &source(), seconds(42));
-    assert!(text.contains("\n  ?]0;x??  "), "{text}");
+    assert!(text.contains("\n  \\u001b]0;x\\u0007\\n  "), "{text}");
     assert!(text.chars().all(|c| c == '\n' || !c.is_control()), "{text:?}");
 }
 
