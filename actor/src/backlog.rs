@@ -149,6 +149,7 @@ mod tests {
         let transition = proto::Transition {
             scene: toy::scene(),
             action: proto::Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
+            proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward: Default::default(),
             label: None,

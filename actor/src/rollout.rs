@@ -270,6 +270,7 @@ impl<'c, E: Env> Rollout<'c, E> {
             let transition = Transition {
                 scene,
                 action: decision.action,
+                proposals: decision.proposals,
                 behavior_log_prob,
                 reward: result.reward,
                 label: slot.label,

@@ -139,6 +139,7 @@ mod tests {
         Transition {
             scene: toy::scene(),
             action: Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
+            proposals: [None; 2],
             behavior_log_prob: -1.0,
             reward: RewardTerms { connected, ..RewardTerms::default() },
             label: None,

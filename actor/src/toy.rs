@@ -92,6 +92,7 @@ pub(crate) fn trajectory() -> Trajectory {
     let transition = Transition {
         scene: scene(),
         action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; N_BLOCKS] },
+        proposals: [None; 2],
         behavior_log_prob: -1.0,
         reward: RewardTerms::default(),
         label: None,

@@ -15,8 +15,8 @@ pub(crate) struct Recording {
 impl Recording {
     /// Adds a step.
     pub(crate) fn push(&mut self, step: Step) {
-        let Step { scene, decision: Decision { action, .. }, result: StepResult { reward, .. } } = step;
-        self.transitions.push(Transition { scene, action, behavior_log_prob: 0.0, reward, label: None });
+        let Step { scene, decision: Decision { action, proposals, .. }, result: StepResult { reward, .. } } = step;
+        self.transitions.push(Transition { scene, action, proposals, behavior_log_prob: 0.0, reward, label: None });
     }
 
     /// Returns the episode as a trajectory, without log-probabilities, because it is not used for learning.

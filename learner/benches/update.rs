@@ -64,6 +64,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
                 choices: [0; 2].map(|_| BlockIdx::try_from(rng.random_range(0..N_BLOCKS as u8)).ok()),
                 moves: std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))),
             },
+            proposals: [None; 2],
             behavior_log_prob: -12.0,
             reward: RewardTerms { blocks: rng.random_range(-0.1..0.1), ..RewardTerms::default() },
             label: None,

@@ -3,8 +3,10 @@
 use std::ops::Range;
 
 use blueprints::Catalog;
-use policy::{FeatureBatch, PolicyConfig};
-use proto::{Action, Observation, Status, Trajectory, WeightsVersion};
+use policy::mixture::ActionRows;
+use policy::proposals::Slot;
+use policy::{FeatureBatch, MoveHead, PolicyConfig};
+use proto::{Action, Driver, N_GRIPPERS, Observation, Status, Trajectory, Transition, WeightsVersion};
 
 use crate::config::RewardFactors;
 use crate::gae;
@@ -20,6 +22,10 @@ pub struct Batch {
     pub features: FeatureBatch,
     /// Actions, one per sample.
     pub actions: Vec<Action>,
+    /// Draws from the mixture head, one per sample; `None` for the Gaussian head.
+    pub draws: Option<Vec<Draws>>,
+    /// Number of trajectories that were left out because their actions are not among what their scenes offer.
+    pub n_refused: usize,
     /// Log-probabilities under the acting weights, one per sample.
     pub behavior_log_probs: Vec<f32>,
     /// Rewards, one per sample.
@@ -30,6 +36,15 @@ pub struct Batch {
     advantages_per_link: bool,
     /// Whether returns end at the time limit.
     deadline: bool,
+}
+
+/// The draws of one action from the mixture head.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Draws {
+    /// The proposal of each gripper.
+    pub slots: [Option<Slot>; N_GRIPPERS],
+    /// What they were chosen among.
+    pub rows: ActionRows,
 }
 
 /// Consecutive samples of one episode.
@@ -56,8 +71,10 @@ impl Batch {
         factors: &RewardFactors,
     ) -> Self {
         let mut batch = Self {
-            features: FeatureBatch::new(&policy.features),
+            features: FeatureBatch::of_policy(policy),
             actions: Vec::new(),
+            draws: (policy.network.move_head == MoveHead::Mixture).then(Vec::new),
+            n_refused: 0,
             behavior_log_probs: Vec::new(),
             rewards: Vec::new(),
             segments: Vec::new(),
@@ -71,13 +88,24 @@ impl Batch {
             let policy_lag = policy_lag(version, &trajectory);
             let first = batch.actions.len();
             let mut n_steps = trajectory.first_step;
+            let is_drawn = trajectory.driver == Driver::Sampled;
+            let mut is_offered = true;
             for transition in trajectory.transitions {
                 batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint, n_steps });
                 n_steps = n_steps.saturating_add(1);
+                if is_drawn && !batch.push_draws(&transition) {
+                    is_offered = false;
+                    break;
+                }
                 batch.actions.push(transition.action);
                 batch.behavior_log_probs.push(transition.behavior_log_prob);
                 let reward = transition.reward;
                 batch.rewards.push(reward.total() + (factors.wrong_weight - 1.0) * reward.wrong);
+            }
+            if !is_offered {
+                batch.truncate(first);
+                batch.n_refused += 1;
+                continue;
             }
             if trajectory.status == Status::Success
                 && let Some(last) = batch.rewards.last_mut()
@@ -93,6 +121,27 @@ impl Batch {
             batch.features.push(&Observation { scene, blueprint, n_steps: *n_steps });
         }
         batch
+    }
+
+    /// Appends the draws of a transition whose scene was pushed last; returns whether that scene offers them.
+    fn push_draws(&mut self, transition: &Transition) -> bool {
+        let Some(draws) = &mut self.draws else { return true };
+        let Some(proposals) = self.features.proposals.last() else { return false };
+        let slots = transition.proposals.map(|slot| slot.and_then(Slot::from_index));
+        let rows = ActionRows::new(proposals, &transition.action.choices, &slots);
+        draws.extend(rows.map(|rows| Draws { slots, rows }));
+        draws.len() == self.features.n
+    }
+
+    /// Removes all samples from the `n`th on.
+    fn truncate(&mut self, n: usize) {
+        self.features.truncate(n);
+        self.actions.truncate(n);
+        self.behavior_log_probs.truncate(n);
+        self.rewards.truncate(n);
+        if let Some(draws) = &mut self.draws {
+            draws.truncate(n);
+        }
     }
 
     /// Returns the number of samples.

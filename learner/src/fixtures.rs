@@ -24,6 +24,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
         .map(|_| Transition {
             scene: scene(rng),
             action: action(rng),
+            proposals: [None; 2],
             behavior_log_prob: -10.0,
             reward: RewardTerms::default(),
             label: None,

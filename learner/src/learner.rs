@@ -290,6 +290,7 @@ impl Learner {
         let moving = self.features_move();
         let next = moving.then(|| self.features_after([&own, &batch(others)]));
         let mut batch = own;
+        self.n_unmade += batch.n_refused as u64;
         normalize(&mut batch.features, &self.state.normalization);
         let before = (self.ppo.trained(), self.state.clone());
         let mut learned = self.learn(&batch);

@@ -101,6 +101,8 @@ impl Ppo {
             scales: self.cube(&heads["scales"]).require_grad(),
             logits: self.cube(&heads["grip_logits"]).require_grad(),
             values: self.vector(&heads["value"]).require_grad(),
+            readouts: None,
+            draws: None,
         }
     }
 
@@ -190,7 +192,7 @@ fn entropies_match() {
             (JointForm::ChosenUnique, "gaussian_expected_unique"),
             (JointForm::Matrix, "gaussian_all"),
         ] {
-            let entropy = loss_terms::entropy(&output, form);
+            let entropy = loss_terms::entropy(&output, None, form);
             close(name, &to_vec(entropy.blocks), &flat(&expected["categorical"]), 1e-5);
             close(moves, &to_vec(entropy.moves), &flat(&expected[moves]), 1e-5);
         }

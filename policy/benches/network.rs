@@ -68,6 +68,7 @@ fn update(network: &Network, config: &FeatureConfig, b: usize) {
             scales: output.scales.iter().map(|s| 1.0 / s).collect(),
             logits: output.logits.iter().map(|x| 2.0 * x).collect(),
             values: vec![1.0; b],
+            readouts: Vec::new(),
         };
         network.backward(&mut tape, &by_output, &mut gradient);
         black_box(&gradient);

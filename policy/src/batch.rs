@@ -3,8 +3,9 @@
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::{N_GRIPPERS, Observation};
 
-use crate::config::{BlockMask, FeatureConfig, PolicyConfig};
+use crate::config::{BlockMask, FeatureConfig, MoveHead, PolicyConfig};
 use crate::features::{FeatureSizes, N_EDGES, write_features};
+use crate::proposals::Proposals;
 
 /// Features of `n` scenes, row-major.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,9 +24,12 @@ pub struct FeatureBatch {
     pub held: Vec<[Option<BlockIdx>; N_GRIPPERS]>,
     /// `[n]`: steps since the episode began.
     pub n_steps: Vec<u16>,
+    /// `[n]`: what the mixture head chooses among; empty for the Gaussian head.
+    pub proposals: Vec<Proposals>,
     /// nd, ed, and gd.
     pub sizes: FeatureSizes,
     config: FeatureConfig,
+    with_proposals: bool,
 }
 
 impl FeatureBatch {
@@ -39,9 +43,17 @@ impl FeatureBatch {
             allowed: Vec::new(),
             held: Vec::new(),
             n_steps: Vec::new(),
+            proposals: Vec::new(),
             sizes: FeatureSizes::new(config),
             config: *config,
+            with_proposals: false,
         }
+    }
+
+    /// Creates an empty batch of what a policy reads: features, and proposals if it draws from them.
+    pub fn of_policy(config: &PolicyConfig) -> Self {
+        let with_proposals = config.network.move_head == MoveHead::Mixture;
+        Self { with_proposals, ..Self::new(&config.features) }
     }
 
     /// Replaces the contents with these scenes.
@@ -74,18 +86,28 @@ impl FeatureBatch {
         }
         self.held.push(scene.grippers.map(|gripper| gripper.and_then(|gripper| gripper.held)));
         self.n_steps.push(n_steps);
+        if self.with_proposals {
+            self.proposals.push(Proposals::new(observation));
+        }
         self.n += 1;
+    }
+
+    /// Removes all scenes from the `n`th on.
+    pub fn truncate(&mut self, n: usize) {
+        let n = n.min(self.n);
+        self.n = n;
+        self.nodes.truncate(n * N_BLOCKS * self.sizes.node);
+        self.edges.truncate(n * N_EDGES * self.sizes.edge);
+        self.globals.truncate(n * self.sizes.global);
+        self.allowed.truncate(n * N_BLOCKS);
+        self.held.truncate(n);
+        self.n_steps.truncate(n);
+        self.proposals.truncate(n);
     }
 
     /// Removes all scenes and keeps the memory.
     pub fn clear(&mut self) {
-        self.n = 0;
-        self.nodes.clear();
-        self.edges.clear();
-        self.globals.clear();
-        self.allowed.clear();
-        self.held.clear();
-        self.n_steps.clear();
+        self.truncate(0);
     }
 
     /// Returns the given rows in the given order; a row may appear more than once.
@@ -101,8 +123,14 @@ impl FeatureBatch {
             allowed: pick(&self.allowed, N_BLOCKS, rows),
             held: pick(&self.held, 1, rows),
             n_steps: pick(&self.n_steps, 1, rows),
+            proposals: if self.with_proposals {
+                rows.iter().map(|&row| self.proposals[row].clone()).collect()
+            } else {
+                Vec::new()
+            },
             sizes: self.sizes,
             config: self.config,
+            with_proposals: self.with_proposals,
         }
     }
 }

@@ -11,7 +11,7 @@ pub const FEATURE_LAYOUT: u32 = 2;
 
 settings! {
     /// Everything that determines the meaning of a set of parameters. All services of a run use the same configuration.
-    pub struct PolicyConfig in "policy", check grippers {
+    pub struct PolicyConfig in "policy", check consistency {
         /// The network.
         pub network: NetworkConfig;
         /// Features of the observations.
@@ -68,6 +68,9 @@ settings! {
             where |c| c.value_hidden.len() <= 8 => "at most 8 layers";
         /// Standard deviations of moves.
         pub scale: ScaleConfig;
+        /// How moves are drawn.
+        #[serde(skip_serializing_if = "MoveHead::is_gaussian")]
+        pub move_head: MoveHead = MoveHead::Gaussian;
     }
 
     /// The part of the network that reads the features.
@@ -118,6 +121,17 @@ settings! {
     }
 }
 
+/// How the moves of chosen blocks are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MoveHead {
+    /// From a Gaussian with a diagonal covariance; the grippers choose independently (the paper).
+    #[default]
+    Gaussian,
+    /// From a mixture of [proposals](crate::proposals); the second gripper knows what the first drew (an extension).
+    Mixture,
+}
+
 /// Which blocks a gripper may choose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -147,7 +161,12 @@ pub enum JointForm {
 }
 
 impl PolicyConfig {
-    fn grippers(&self, path: &str) -> Result<(), InvalidSetting> {
+    fn consistency(&self, path: &str) -> Result<(), InvalidSetting> {
+        if self.network.move_head == MoveHead::Mixture {
+            let expected = format_args!("chosen-unique, because {path}.network.move_head = mixture");
+            let fits = self.joint_form == JointForm::ChosenUnique;
+            InvalidSetting::check(format_args!("{path}.joint_form"), self.joint_form.name(), fits, expected)?;
+        }
         let (own, network) = (self.features.n_grippers, self.network.n_grippers);
         let expected = format_args!("{network}, as {path}.network.n_grippers");
         InvalidSetting::check(format_args!("{path}.features.n_grippers"), own, own == network, expected)
@@ -159,6 +178,23 @@ impl PolicyConfig {
     /// The mask, `grip_steps`, and the joint form are left out, because the same parameters are valid with any of them.
     pub fn hash(&self) -> u64 {
         config_hash(&(&self.network, &self.features, FEATURE_LAYOUT))
+    }
+}
+
+impl JointForm {
+    /// Returns the name in configuration files.
+    fn name(self) -> &'static str {
+        match self {
+            Self::ChosenUnique => "chosen-unique",
+            Self::ChosenPerGripper => "chosen-per-gripper",
+            Self::Matrix => "matrix",
+        }
+    }
+}
+
+impl MoveHead {
+    fn is_gaussian(&self) -> bool {
+        *self == Self::Gaussian
     }
 }
 

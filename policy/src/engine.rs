@@ -6,6 +6,7 @@ use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use crate::FeatureBatch;
 use crate::config::PolicyConfig;
 use crate::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
+use crate::mixture::{ActionRows, DrawLogits, DrawNumbers};
 use crate::network::{BatchTensors, Folded, Network, NetworkOutput};
 use crate::parameters::{self, ParameterError, ParameterSpec};
 
@@ -111,20 +112,35 @@ impl Engine {
         }
     }
 
-    /// Like [`Engine::run`], on the autodiff device. Also returns what [`Engine::gradient`] needs.
+    /// Like [`Engine::run`], on the autodiff device. Also returns what [`Engine::gradient`] needs. With the mixture
+    /// head, `draws` are the recorded draws in the scenes of `rows`, or empty if their logits are not needed.
     ///
     /// # Panics
     /// As for [`Engine::run`], or if the engine was created without gradients.
-    pub fn run_tracked(&mut self, batch: &FeatureBatch, rows: &[usize]) -> (NetworkOutput, Leaves) {
+    pub fn run_tracked(
+        &mut self,
+        batch: &FeatureBatch,
+        rows: &[usize],
+        draws: &[&ActionRows],
+    ) -> (NetworkOutput, Leaves) {
         match &mut self.form {
             Form::Cpu { network, tape, .. } => {
-                let leaves =
-                    network.forward(batch, rows, tape).to_tensors(self.n_grippers, &self.device.clone().autodiff());
+                let device = self.device.clone().autodiff();
+                let outputs = network.forward(batch, rows, tape);
+                let leaves = outputs.to_tensors(self.n_grippers, &device);
+                let draws = (!draws.is_empty())
+                    .then(|| DrawNumbers::new(draws, &outputs.readouts).to_tensors(draws.len(), &device));
                 let leaves = NetworkOutput {
                     locs: leaves.locs.require_grad(),
                     scales: leaves.scales.require_grad(),
                     logits: leaves.logits.require_grad(),
                     values: leaves.values.require_grad(),
+                    readouts: None,
+                    draws: draws.map(|DrawLogits { first, blocks, second }| DrawLogits {
+                        first: first.require_grad(),
+                        blocks: blocks.require_grad(),
+                        second: second.require_grad(),
+                    }),
                 };
                 (leaves.clone(), Leaves(Some(leaves)))
             }
@@ -132,23 +148,41 @@ impl Engine {
                 let network = tracked.as_ref().expect("the engine was made with gradients");
                 let device = self.device.clone().autodiff();
                 let batch = BatchTensors::new(&batch.select(rows), network.edge_layout(), &device);
-                (network.forward(&batch), Leaves(None))
+                let output = network.forward(&batch);
+                let readouts = output.readouts.as_ref().filter(|_| !draws.is_empty());
+                let draws = readouts.map(|readouts| DrawLogits::new(draws, readouts));
+                (NetworkOutput { draws, ..output }, Leaves(None))
             }
         }
     }
 
     /// Returns the gradient of a loss in the order of the flat parameters. `leaves` must be those of the engine's last
-    /// tracked pass, from whose output the loss was computed. Reuses the memory of `spare`, such as an earlier
-    /// gradient.
-    pub fn gradient(&mut self, leaves: Leaves, loss: &Tensor<1>, mut spare: Vec<f32>) -> Vec<f32> {
+    /// tracked pass, from whose output the loss was computed, and `draws` those of that pass. Reuses the memory of
+    /// `spare`, such as an earlier gradient.
+    pub fn gradient(
+        &mut self,
+        leaves: Leaves,
+        loss: &Tensor<1>,
+        draws: &[&ActionRows],
+        mut spare: Vec<f32>,
+    ) -> Vec<f32> {
         let mut gradients = loss.backward();
         match (&mut self.form, leaves.0) {
             (Form::Cpu { network, tape, .. }, Some(leaves)) => {
+                let readouts = &tape.outputs().readouts;
+                let by_readouts = match &leaves.draws {
+                    Some(DrawLogits { first, blocks, second }) => {
+                        let by_logits = [first, blocks, second].map(|logits| leaf_gradient(logits, &mut gradients));
+                        DrawNumbers(by_logits).by_readouts(draws, readouts)
+                    }
+                    None => vec![0.0; readouts.len()],
+                };
                 let by_output = Outputs {
                     locs: leaf_gradient(&leaves.locs, &mut gradients),
                     scales: leaf_gradient(&leaves.scales, &mut gradients),
                     logits: leaf_gradient(&leaves.logits, &mut gradients),
                     values: leaf_gradient(&leaves.values, &mut gradients),
+                    readouts: by_readouts,
                 };
                 network.backward(tape, &by_output, &mut spare);
                 spare
@@ -174,12 +208,18 @@ impl Engine {
 
 fn run_on_burn(network: &Network, folded: &Folded, batch: &FeatureBatch, device: &Device) -> Outputs {
     let batch = BatchTensors::new(batch, network.edge_layout(), device);
-    let NetworkOutput { locs, scales, logits, values } = network.forward_folded(folded, &batch);
-    Outputs { locs: to_vec(locs), scales: to_vec(scales), logits: to_vec(logits), values: to_vec(values) }
+    let NetworkOutput { locs, scales, logits, values, readouts, .. } = network.forward_folded(folded, &batch);
+    Outputs {
+        locs: to_vec(locs),
+        scales: to_vec(scales),
+        logits: to_vec(logits),
+        values: to_vec(values),
+        readouts: readouts.map(to_vec).unwrap_or_default(),
+    }
 }
 
 impl Outputs {
-    /// Converts the outputs to tensors.
+    /// Converts the outputs to tensors, except the read-outs.
     pub fn to_tensors(&self, n_grippers: usize, device: &Device) -> NetworkOutput {
         let n = self.values.len();
         let cube =
@@ -189,6 +229,8 @@ impl Outputs {
             scales: cube(&self.scales, [n, 16, 6]),
             logits: cube(&self.logits, [n, n_grippers, 16]),
             values: Tensor::from_data(TensorData::new(self.values.clone(), [n]), device),
+            readouts: None,
+            draws: None,
         }
     }
 }

@@ -71,7 +71,7 @@ use nalgebra::{Matrix3, Vector3};
 use proto::{Gripper, N_GRIPPERS, Observation, Scene};
 
 use crate::config::{FeatureConfig, PolicyConfig};
-use crate::geometry::{Frame, rotation, rotation_vector};
+use crate::geometry::{Frame, matrix, rotation, rotation_vector};
 
 /// Number of directed edges between different blocks.
 pub const N_EDGES: usize = N_BLOCKS * (N_BLOCKS - 1);
@@ -340,10 +340,6 @@ fn write_gripper(gripper: Option<&Gripper>, part: &mut [f32]) {
 /// Returns the world's z axis in the frame with the given axes: the third row.
 fn up_axis(axes: &Matrix3<f32>) -> Vector3<f32> {
     axes.row(2).transpose()
-}
-
-fn matrix(rows: [[i32; 3]; 3]) -> Matrix3<f32> {
-    Matrix3::from_fn(|i, j| rows[i][j] as f32)
 }
 
 /// Fills a slice from the front; the rest stays zero.

@@ -28,6 +28,11 @@ pub(crate) fn rotation([x, y, z, w]: [f32; 4]) -> Matrix3<f32> {
     *UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix().matrix()
 }
 
+/// Converts a rotation of the lattice.
+pub(crate) fn matrix(rows: [[i32; 3]; 3]) -> Matrix3<f32> {
+    Matrix3::from_fn(|i, j| rows[i][j] as f32)
+}
+
 /// Returns axis times angle of a rotation, with the angle in 0..=π rad.
 pub(crate) fn rotation_vector(m: &Matrix3<f32>) -> Vector3<f32> {
     let q = quaternion(m);

@@ -124,6 +124,8 @@ mod tests {
             locs: tensor(locs, [2, N_BLOCKS, MOVE]),
             scales: tensor(vec![1.0; 2 * N_BLOCKS * MOVE], [2, N_BLOCKS, MOVE]),
             values: Tensor::from_data(TensorData::new(vec![0.0_f32; 2], [2]), &device),
+            readouts: None,
+            draws: None,
         };
         let block = |index: u8| BlockIdx::try_from(index).ok();
         let apart = Label { choices: [block(2), block(7)], moves: [[0.0; 6], [0.6, 0.0, 0.0, 0.0, 0.0, 0.0]] };
@@ -162,6 +164,8 @@ mod tests {
                 locs: tensor(locs, [1, N_BLOCKS, MOVE]),
                 scales: tensor(vec![scale; N_BLOCKS * MOVE], [1, N_BLOCKS, MOVE]),
                 values: Tensor::from_data(TensorData::new(vec![0.0_f32], [1]), &device),
+                readouts: None,
+                draws: None,
             }
         };
         let kl = |a: &NetworkOutput, b: &NetworkOutput| divergence(a, b).into_data().try_to_vec::<f32>().unwrap()[0];

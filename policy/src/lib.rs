@@ -16,14 +16,17 @@ pub mod features;
 mod geometry;
 pub mod imitation;
 pub mod loss_terms;
+pub mod mixture;
 pub mod network;
 pub mod normalization;
+mod openings;
 pub mod parameters;
 pub mod policy;
+pub mod proposals;
 
 pub use batch::FeatureBatch;
 pub use config::{
-    BlockMask, EncoderConfig, FeatureConfig, GatConfig, JointForm, NetworkConfig, PolicyConfig, ResnetConfig,
+    BlockMask, EncoderConfig, FeatureConfig, GatConfig, JointForm, MoveHead, NetworkConfig, PolicyConfig, ResnetConfig,
     ScaleConfig,
 };
 pub use device::{DeviceError, DeviceKind};

@@ -6,7 +6,9 @@ use proto::{Action, N_GRIPPERS};
 
 use crate::config::JointForm;
 use crate::distribution::{HALF_LN_2PI, MASKED_LOGIT};
+use crate::mixture::{ActionRows, Row};
 use crate::network::NetworkOutput;
+use crate::proposals::{Kind, Slot};
 
 /// Entries of a move.
 const MOVE: usize = 6;
@@ -18,6 +20,19 @@ pub struct ActionTensors {
     pub choices: Tensor<3>,
     /// Moves `[B, 16, 6]`.
     pub moves: Tensor<3>,
+    /// Draws from the mixture head; `None` for the Gaussian head.
+    pub draws: Option<DrawTensors>,
+}
+
+/// Recorded draws from the mixture head on a device.
+#[derive(Clone, Debug)]
+pub struct DrawTensors {
+    /// One-hot of the first gripper's proposal `[B, K]`.
+    pub first: Tensor<2>,
+    /// One-hot of the second gripper's proposal `[B, K]`; zeros where it moved nothing of its own.
+    pub second: Tensor<2>,
+    /// 1 for the blocks that were moved by [`Kind::Free`] `[B, 16]`.
+    pub free: Tensor<2>,
 }
 
 /// Entropy by part, in nats, one value per step.
@@ -46,7 +61,40 @@ impl ActionTensors {
         Self {
             choices: Tensor::from_data(TensorData::new(choices, [b, n_grippers, N_BLOCKS]), device),
             moves: Tensor::from_data(TensorData::new(moves, [b, N_BLOCKS, MOVE]), device),
+            draws: None,
         }
+    }
+
+    /// Adds the draws: the slots of each action's proposals, and the rows that offer them.
+    pub fn with_draws<'a>(
+        self,
+        actions: impl ExactSizeIterator<Item = (&'a Action, &'a [Option<Slot>; N_GRIPPERS], &'a ActionRows)>,
+        device: &Device,
+    ) -> Self {
+        let b = actions.len();
+        let all: Vec<_> = actions.collect();
+        let one_hot = |gripper: usize, row: fn(&ActionRows) -> &Row| {
+            let width = all.iter().map(|(_, _, rows)| row(rows).len()).max().unwrap_or(0).max(1);
+            let mut values = vec![0.0_f32; b * width];
+            for ((_, slots, rows), values) in all.iter().zip(values.chunks_exact_mut(width)) {
+                if let Some(at) = slots[gripper].and_then(|slot| row(rows).position(slot.index())) {
+                    values[at] = 1.0;
+                }
+            }
+            Tensor::<2>::from_data(TensorData::new(values, [b, width]), device)
+        };
+        let mut free = vec![0.0_f32; b * N_BLOCKS];
+        for ((action, slots, _), free) in all.iter().zip(free.chunks_exact_mut(N_BLOCKS)) {
+            for (choice, slot) in action.choices.iter().zip(*slots) {
+                if let (Some(block), Some(Kind::Free)) = (choice, slot.map(Slot::kind)) {
+                    free[block.get()] = 1.0;
+                }
+            }
+        }
+        let free = Tensor::from_data(TensorData::new(free, [b, N_BLOCKS]), device);
+        let draws =
+            DrawTensors { first: one_hot(0, |rows| &rows.first), second: one_hot(1, |rows| &rows.second), free };
+        Self { draws: Some(draws), ..self }
     }
 }
 
@@ -74,10 +122,17 @@ pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[[bool; N_BLOCKS]; N_GRI
 /// # Shapes
 /// → `[B]`
 pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm) -> Tensor<1> {
-    let choice = per_row(activation::log_softmax(output.logits.clone(), 2) * actions.choices.clone());
+    let choice = per_row(activation::log_softmax(block_logits(output), 2) * actions.choices.clone());
     let z = (actions.moves.clone() - output.locs.clone()) / output.scales.clone();
     let density = (z.powi_scalar(2).mul_scalar(-0.5) - output.scales.clone().log()).sub_scalar(HALF_LN_2PI);
     let by_block = density.sum_dim(2).squeeze_dim::<2>(2);
+    if let (Some(logits), Some(drawn)) = (&output.draws, &actions.draws) {
+        let of_draw = |logits: &Tensor<2>, drawn: &Tensor<2>| {
+            (activation::log_softmax(logits.clone(), 1) * drawn.clone()).sum_dim(1).squeeze_dim::<1>(1)
+        };
+        let draws = of_draw(&logits.first, &drawn.first) + of_draw(&logits.second, &drawn.second);
+        return choice + draws + (by_block * drawn.free.clone()).sum_dim(1).squeeze_dim(1);
+    }
     let weighted = match form {
         JointForm::Matrix => by_block,
         JointForm::ChosenPerGripper => by_block * counts(&actions.choices),
@@ -88,12 +143,27 @@ pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm
 
 /// Returns the entropy of the choices, and that of the moves in expectation over the choices.
 ///
+/// With the mixture head, these are the entropies of the choices of blocks and of proposals, each given the recorded
+/// `draws` before it. Their mean over drawn actions is that of the joint distribution, without the moves' densities.
+///
 /// # Shapes
 /// → `[B]` each
-pub fn entropy(output: &NetworkOutput, form: JointForm) -> EntropyTensors {
-    let log_probs = activation::log_softmax(output.logits.clone(), 2);
+pub fn entropy(output: &NetworkOutput, draws: Option<&DrawTensors>, form: JointForm) -> EntropyTensors {
+    let log_probs = activation::log_softmax(block_logits(output), 2);
     let probs = log_probs.clone().exp();
     let blocks = per_row(probs.clone() * log_probs).neg();
+    if let (Some(logits), Some(drawn)) = (&output.draws, draws) {
+        let of_draw = |logits: &Tensor<2>, drawn: &Tensor<2>| {
+            let log_probs = activation::log_softmax(logits.clone(), 1);
+            // 0 where nothing was drawn.
+            let was_drawn = drawn.clone().sum_dim(1);
+            (log_probs.clone().exp() * log_probs * was_drawn).sum_dim(1).squeeze_dim::<1>(1).neg()
+        };
+        return EntropyTensors {
+            blocks,
+            moves: of_draw(&logits.first, &drawn.first) + of_draw(&logits.second, &drawn.second),
+        };
+    }
     let of_move = output.scales.clone().log().add_scalar(0.5 + HALF_LN_2PI).sum_dim(2).squeeze_dim::<2>(2);
     let weighted = match form {
         JointForm::Matrix => of_move,
@@ -109,6 +179,20 @@ pub fn entropy(output: &NetworkOutput, form: JointForm) -> EntropyTensors {
         }
     };
     EntropyTensors { blocks, moves: weighted.sum_dim(1).squeeze_dim(1) }
+}
+
+/// Returns the logits of the blocks `[B, G, 16]`; with the mixture head, the second gripper's are those given the first
+/// one's recorded draw.
+fn block_logits(output: &NetworkOutput) -> Tensor<3> {
+    let logits = output.logits.clone();
+    let [b, n_grippers, n] = logits.dims();
+    match &output.draws {
+        Some(draws) if n_grippers > 1 => {
+            let (first, second) = (logits.clone().narrow(1, 0, 1), logits.narrow(1, 1, 1));
+            Tensor::cat(vec![first, second + draws.blocks.clone().reshape([b, 1, n])], 1)
+        }
+        _ => logits,
+    }
 }
 
 /// Sums over grippers: `[B, G, 16]` → `[B, 16]`.

@@ -3,21 +3,23 @@
 mod attention;
 mod trial;
 
-use blueprints::Catalog;
+use blueprints::{Catalog, N_BLOCKS};
 use burn::tensor::Device;
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, InvalidSetting, Normalization, Observation, SettingsDifference,
-    Weights, WeightsVersion,
+    ActionMode, Agent, CanonicalSettings, Decision, InvalidSetting, N_GRIPPERS, Normalization, Observation,
+    SettingsDifference, Weights, WeightsVersion,
 };
 use rand_chacha::ChaCha8Rng;
 
 use crate::FeatureBatch;
-use crate::config::PolicyConfig;
+use crate::config::{MoveHead, PolicyConfig};
 use crate::cpu::Outputs;
 use crate::distribution::{ActionDistribution, mask_logits};
 use crate::engine::Engine;
+use crate::mixture::{MixtureDistribution, N_READOUTS};
 use crate::normalization::normalize;
 use crate::parameters::ParameterError;
+use crate::proposals::Slot;
 
 pub use attention::Attention;
 
@@ -147,7 +149,7 @@ impl Policy {
         config.validate()?;
         let engine = Engine::new(config, 0, &Device::flex(), false);
         let normalization = Normalization { value_std: 1.0, ..Normalization::default() };
-        let batch = FeatureBatch::new(&config.features);
+        let batch = FeatureBatch::of_policy(config);
         Ok(Self { config: config.clone(), engine, normalization, version: None, batch })
     }
 
@@ -193,7 +195,7 @@ impl Policy {
             engine,
             normalization: weights.normalization.clone(),
             version: Some(version),
-            batch: FeatureBatch::new(&self.config.features),
+            batch: FeatureBatch::of_policy(&self.config),
         };
         if let Some(blueprint) = Catalog::builtin().iter().next() {
             tried.run(&[Observation { scene: &trial::scene(blueprint), blueprint, n_steps: 0 }])?;
@@ -209,7 +211,8 @@ impl Policy {
     /// [`PolicyError::NoDistribution`] if the forward pass gives no distribution for one of the rows.
     ///
     /// # Panics
-    /// If the number of generators or modes differs from the number of rows, or the features have other sizes.
+    /// If the number of generators or modes differs from the number of rows, the features have other sizes, or the batch
+    /// is not one of [`FeatureBatch::of_policy`].
     pub fn act_on(
         &mut self,
         batch: &mut FeatureBatch,
@@ -217,6 +220,8 @@ impl Policy {
         rngs: &mut [ChaCha8Rng],
     ) -> Result<Vec<Decision>, PolicyError> {
         assert_eq!((rngs.len(), modes.len()), (batch.n, batch.n), "one generator and one mode per row");
+        let is_mixture = self.config.network.move_head == MoveHead::Mixture;
+        assert_eq!(batch.proposals.len(), if is_mixture { batch.n } else { 0 }, "proposals for the mixture head alone");
         let mut output = self.forward(batch)?;
         let per_scene = output.logits.len() / batch.n.max(1);
         let mut decisions = Vec::with_capacity(batch.n);
@@ -227,14 +232,23 @@ impl Policy {
             }
             let moves = row * 96..(row + 1) * 96;
             let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
-            let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
-            let action = match mode {
-                ActionMode::Sampled => distribution.sample(rng).ok_or(self.no_distribution("a logit", f32::NAN))?,
-                ActionMode::Greedy => distribution.mode(),
+            let no_choice = || self.no_distribution("a logit", f32::NAN);
+            let (action, proposals, log_prob) = if let Some(proposals) = batch.proposals.get(row) {
+                let readouts = &output.readouts[row * N_BLOCKS * N_READOUTS..][..N_BLOCKS * N_READOUTS];
+                let distribution = MixtureDistribution { logits, locs, scales, readouts, proposals };
+                let drawn = distribution.act(*mode, rng).ok_or_else(no_choice)?;
+                (drawn.action, drawn.slots.map(|slot| slot.map(Slot::index)), drawn.log_prob)
+            } else {
+                let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
+                let action = match mode {
+                    ActionMode::Sampled => distribution.sample(rng).ok_or_else(no_choice)?,
+                    ActionMode::Greedy => distribution.mode(),
+                };
+                let log_prob = distribution.log_prob(&action);
+                (action, [None; N_GRIPPERS], log_prob)
             };
-            let log_prob = distribution.log_prob(&action);
             self.check("a log-probability", &[log_prob])?;
-            decisions.push(Decision { action, log_prob, value: output.values[row] });
+            decisions.push(Decision { action, proposals, log_prob, value: output.values[row] });
         }
         Ok(decisions)
     }
@@ -248,7 +262,7 @@ impl Policy {
 
     /// Lends the kept batch to `with`.
     fn with_batch<T>(&mut self, with: impl FnOnce(&mut Self, &mut FeatureBatch) -> T) -> T {
-        let mut batch = std::mem::replace(&mut self.batch, FeatureBatch::new(&self.config.features));
+        let mut batch = std::mem::replace(&mut self.batch, FeatureBatch::of_policy(&self.config));
         let result = with(self, &mut batch);
         self.batch = batch;
         result
@@ -267,6 +281,7 @@ impl Policy {
             ("a logit", &output.logits),
             ("a mean move", &output.locs),
             ("a deviation of a move", &output.scales),
+            ("a read-out", &output.readouts),
             ("a value", &output.values),
         ] {
             self.check(name, numbers)?;

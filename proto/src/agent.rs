@@ -3,7 +3,7 @@
 use blueprints::Blueprint;
 use rand_chacha::ChaCha8Rng;
 
-use crate::{Action, ActionMode, Scene};
+use crate::{Action, ActionMode, N_GRIPPERS, Scene};
 
 /// An agent's observation of a world.
 #[derive(Clone, Copy, Debug)]
@@ -21,6 +21,8 @@ pub struct Observation<'a> {
 pub struct Decision {
     /// The chosen action.
     pub action: Action,
+    /// The slot of the proposal that each gripper's move was drawn from; `None` if it was not drawn from one.
+    pub proposals: [Option<u8>; N_GRIPPERS],
     /// Joint log-probability of the action in the policy's configured form, nats; 0 if the agent has no distribution.
     pub log_prob: f32,
     /// Value of the scene in reward units; 0 if the agent has no critic.

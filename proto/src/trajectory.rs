@@ -60,6 +60,8 @@ pub struct Transition {
     pub scene: Scene,
     /// The action taken.
     pub action: Action,
+    /// The slot of the proposal that each gripper's move was drawn from; `None` if it was not drawn from one.
+    pub proposals: [Option<u8>; N_GRIPPERS],
     /// Joint log-probability of the action under the acting weights.
     pub behavior_log_prob: f32,
     /// Reward by term.

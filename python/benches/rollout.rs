@@ -92,7 +92,7 @@ impl Agent for Random {
             let mut block = || BlockIdx::try_from(rng.random_range(0..N_BLOCKS as u8)).ok();
             let choices = [block(), block()];
             let moves = std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0)));
-            Decision { action: Action { choices, moves }, log_prob: 0.0, value: 0.0 }
+            Decision { action: Action { choices, moves }, proposals: [None; 2], log_prob: 0.0, value: 0.0 }
         };
         Ok(rngs.iter_mut().map(decide).collect())
     }

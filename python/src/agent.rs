@@ -8,7 +8,7 @@ use blueprints::{N_BLOCKS, outside};
 use environment::vec_env::generator;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use policy::features::N_EDGES;
-use policy::{FeatureBatch, FeatureSizes};
+use policy::{FeatureBatch, FeatureSizes, MoveHead};
 use proto::codec::MAX_WEIGHTS_BYTES;
 use proto::{ActionMode, Decision, N_GRIPPERS};
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -177,6 +177,8 @@ enum PolicyError {
     Features(#[from] serde_json::Error),
     #[error("it keeps a grip for {0} steps (policy.grip_steps), and features do not tell which step it is")]
     Grip(u16),
+    #[error("it draws moves from proposals (policy.network.move_head = mixture), and features do not tell what is proposed")]
+    Mixture,
 }
 
 impl Policy {
@@ -189,6 +191,9 @@ impl Policy {
         let Model { config, weights } = Model::read(&file)?;
         if config.grip_steps != 1 {
             return Err(PolicyError::Grip(config.grip_steps));
+        }
+        if config.network.move_head == MoveHead::Mixture {
+            return Err(PolicyError::Mixture);
         }
         let policy = policy::Policy::with_weights(&config, &weights)?;
         let batch = FeatureBatch::new(&config.features);

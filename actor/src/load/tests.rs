@@ -20,6 +20,7 @@ fn segment(n_steps: usize) -> Trajectory {
                 choices: [BlockIdx::try_from(0).ok(), BlockIdx::try_from(1).ok()],
                 moves: [[0.0; 6]; 16],
             },
+            proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward: Default::default(),
             label: None,

@@ -241,6 +241,7 @@ pub(super) mod tests {
         let transition = |i: usize| Transition {
             scene: scene(i as f32),
             action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; 16] },
+            proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward,
             label: None,

@@ -56,7 +56,7 @@ impl Agent for ExpertAgent {
             let decided = row.expert.as_mut().map(|expert| expert.decide(seen.scene));
             let (action, activity) = decided.unzip();
             row.activity = activity;
-            Decision { action: action.unwrap_or(Action::IDLE), log_prob: 0.0, value: 0.0 }
+            Decision { action: action.unwrap_or(Action::IDLE), proposals: [None; 2], log_prob: 0.0, value: 0.0 }
         };
         Ok(self.rows.iter_mut().zip(observations).map(decide).collect())
     }

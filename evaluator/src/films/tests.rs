@@ -73,7 +73,7 @@ fn play(selector: &EpisodeSelector, scene: &Scene, acting: ActionMode, end: End)
     let seen = Observation { scene, blueprint: blueprint(), n_steps: 0 };
     let place = Place { sequence_idx: 0, episode_idx: 0 };
     let Some(mut recording) = selector.begin(place, &spec, acting, seen) else { return false };
-    let decision = Decision { action: Action::IDLE, log_prob: 0.0, value: 0.0 };
+    let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };
     let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
     selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, &(), 0, seen);
     selector.end(recording, &spec, scene, &spec.result(acting, end, 1, RewardTerms::default(), false));

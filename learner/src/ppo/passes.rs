@@ -5,13 +5,15 @@ use std::ops::AddAssign;
 use blueprints::N_BLOCKS;
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::cpu::Outputs;
+use policy::distribution::mask_logits;
 use policy::imitation::{self, LabelTensors};
 use policy::loss_terms::{self, ActionTensors};
+use policy::mixture::{ActionRows, MixtureDistribution, N_READOUTS};
 use policy::parameters::ParameterError;
 use policy::{Engine, FeatureBatch, NetworkOutput, PolicyConfig};
 use proto::Label;
 
-use crate::batch::Batch;
+use crate::batch::{Batch, Draws};
 use crate::config::{ImitationConfig, LossTerms};
 use crate::loss::{policy_loss, value_loss};
 
@@ -170,7 +172,7 @@ impl Passes {
         spare: Vec<f32>,
     ) -> ImitationPass {
         // Do not mask: the expert may move an obstructing block that a mask would forbid.
-        let (output, leaves) = self.engine.run_tracked(&batch.features, rows);
+        let (output, leaves) = self.engine.run_tracked(&batch.features, rows, &[]);
         let device = &self.tracked_device;
         let labels: Vec<Label> = rows.iter().map(|&row| batch.labels[row]).collect();
         let tensors = LabelTensors::new(&labels, usize::from(self.policy.network.n_grippers), device);
@@ -180,7 +182,7 @@ impl Passes {
         if scale_weight > 0.0 {
             total = total + loss.scales.sum() * scale_weight;
         }
-        let gradient = self.engine.gradient(leaves, &(total * share), spare);
+        let gradient = self.engine.gradient(leaves, &(total * share), &[], spare);
         let sums = to_vec(Tensor::cat(vec![blocks, moves], 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let n_hits = n_hits(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);
@@ -196,10 +198,15 @@ impl Passes {
         let log_probs = if n_samples == 0 {
             Vec::new()
         } else {
-            let actions = self.actions(batch, &rows[..n_samples], &self.device);
-            let mut output = head_of(&self.tensors(&outputs, &self.device), n_samples);
-            self.mask(&mut output, &batch.features, &rows[..n_samples]);
-            to_vec(loss_terms::log_prob(&output, &actions, self.policy.joint_form))
+            match &batch.draws {
+                Some(draws) => self.mixture_log_probs(batch, draws, &rows[..n_samples], &outputs),
+                None => {
+                    let actions = self.actions(batch, &rows[..n_samples], &self.device);
+                    let mut output = head_of(&self.tensors(&outputs, &self.device), n_samples);
+                    self.mask(&mut output, &batch.features, &rows[..n_samples]);
+                    to_vec(loss_terms::log_prob(&output, &actions, self.policy.joint_form))
+                }
+            }
         };
         Evaluation { values: outputs.values, log_probs }
     }
@@ -218,7 +225,11 @@ impl Passes {
         share: f32,
         spare: Vec<f32>,
     ) -> GradientPass {
-        let (mut output, leaves) = self.engine.run_tracked(&batch.features, samples);
+        let draws: Vec<&ActionRows> = match &batch.draws {
+            Some(draws) => samples.iter().map(|&sample| &draws[sample].rows).collect(),
+            None => Vec::new(),
+        };
+        let (mut output, leaves) = self.engine.run_tracked(&batch.features, samples, &draws);
         self.mask(&mut output, &batch.features, samples);
         let (config, device) = (&targets.loss, &self.tracked_device);
         let values = std::mem::replace(&mut output.values, Tensor::zeros([0], device));
@@ -227,10 +238,11 @@ impl Passes {
             Tensor::<1>::from_data(TensorData::new(values, [samples.len()]), device)
         };
         let form = self.policy.joint_form;
-        let log_prob = loss_terms::log_prob(&output, &self.actions(batch, samples, device), form);
+        let actions = self.actions(batch, samples, device);
+        let log_prob = loss_terms::log_prob(&output, &actions, form);
         let (weight, advantage) = (column(&targets.weights), column(&targets.advantages));
         let policy = policy_loss(log_prob.clone(), column(targets.reference), weight, advantage, config.clip).sum();
-        let entropy = loss_terms::entropy(&output, form);
+        let entropy = loss_terms::entropy(&output, actions.draws.as_ref(), form);
         let (blocks, moves) = (entropy.blocks.sum(), entropy.moves.sum());
         let (old, target) = (column(&targets.old_values), column(&targets.value_targets));
         let value = value_loss(values, old, target, config.value_clip).sum();
@@ -250,7 +262,7 @@ impl Passes {
             loss = loss + divergence.clone() * config.imitator_kl;
             parts.push(divergence);
         }
-        let gradient = self.engine.gradient(leaves, &(loss * share), spare);
+        let gradient = self.engine.gradient(leaves, &(loss * share), &draws, spare);
         let sums = to_vec(Tensor::cat(parts, 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let imitator_kl = sums.get(4).copied().map_or(0.0, f64::from);
@@ -270,7 +282,32 @@ impl Passes {
 
     fn actions(&self, batch: &Batch, samples: &[usize], device: &Device) -> ActionTensors {
         let n_grippers = usize::from(self.policy.network.n_grippers);
-        ActionTensors::new(samples.iter().map(|&sample| &batch.actions[sample]), n_grippers, device)
+        let actions = ActionTensors::new(samples.iter().map(|&sample| &batch.actions[sample]), n_grippers, device);
+        let Some(draws) = &batch.draws else { return actions };
+        let drawn = samples.iter().map(|&sample| (&batch.actions[sample], &draws[sample].slots, &draws[sample].rows));
+        actions.with_draws(drawn, device)
+    }
+
+    /// Computes the log-probabilities of samples as the actor did, so that they are equal as long as the weights are.
+    fn mixture_log_probs(&self, batch: &Batch, draws: &[Draws], samples: &[usize], outputs: &Outputs) -> Vec<f32> {
+        let per_scene = usize::from(self.policy.network.n_grippers) * N_BLOCKS;
+        let row = |(at, &sample): (usize, &usize)| {
+            let mut logits = outputs.logits[at * per_scene..(at + 1) * per_scene].to_vec();
+            if let Some(allowed) = self.policy.choosable(&batch.features, sample) {
+                mask_logits(&mut logits, &allowed);
+            }
+            let moves = at * N_BLOCKS * 6..(at + 1) * N_BLOCKS * 6;
+            let distribution = MixtureDistribution {
+                logits: &logits,
+                locs: &outputs.locs[moves.clone()],
+                scales: &outputs.scales[moves],
+                readouts: &outputs.readouts[at * N_BLOCKS * N_READOUTS..][..N_BLOCKS * N_READOUTS],
+                proposals: &batch.features.proposals[sample],
+            };
+            let Draws { slots, rows } = &draws[sample];
+            distribution.log_prob(&batch.actions[sample], slots, rows)
+        };
+        samples.iter().enumerate().map(row).collect()
     }
 }
 
@@ -282,6 +319,8 @@ fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
         scales: rows(&output.scales),
         logits: rows(&output.logits),
         values: output.values.clone().narrow(0, 0, n),
+        readouts: None,
+        draws: None,
     }
 }
 

@@ -55,6 +55,7 @@ pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
         let reward = RewardTerms { connected: f32::from(u8::from(success)), ..RewardTerms::default() };
         let step = &mut trajectory.transitions[0];
         (step.action, step.behavior_log_prob) = (decision.action, decision.log_prob);
+        step.proposals = decision.proposals;
         step.reward = reward;
         trajectory.status = if success { Status::Success } else { Status::TimeLimit };
         trajectory.outcome = Some(Outcome { success, n_steps: 1, episode_return: reward });

@@ -24,6 +24,8 @@ pub struct Outputs {
     pub logits: Vec<f32>,
     /// Values `[B]`.
     pub values: Vec<f32>,
+    /// Read-outs of the mixture head `[B, 16, N_READOUTS]`; empty for the Gaussian head.
+    pub readouts: Vec<f32>,
 }
 
 /// Kernels of the policy head, or their transposes.
@@ -34,6 +36,7 @@ pub(super) struct PolicyKernels {
     grip_key: Packed,
     /// The rows of the block key kernel that act on nodes.
     block_key: Packed,
+    proposals: Option<Packed>,
 }
 
 /// Kernels of the value head, or their transposes.
@@ -63,6 +66,7 @@ impl PolicyKernels {
             input_global: pack(net.of(&spans.input_global), [shape.sizes.global, w]),
             grip_key: pack(net.of(&spans.grip_key), [2 * w, g * w]),
             block_key: pack(&net.of(&spans.block_key)[..w * w], [w, w]),
+            proposals: spans.proposals.as_ref().map(|linear| pack(net.of(&linear.w), [w, linear.n_out])),
         }
     }
 
@@ -77,6 +81,11 @@ impl PolicyKernels {
             let at = to.len();
             to.resize(at + rows * MOVE, 0.0);
             product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut to[at..]);
+        }
+        if let (Some(linear), Some(kernel)) = (&spans.proposals, &self.proposals) {
+            let at = out.readouts.len();
+            out.readouts.resize(at + rows * linear.n_out, 0.0);
+            product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut out.readouts[at..]);
         }
         let at = out.scales.len() - rows * MOVE;
         out.scales[at..].iter_mut().for_each(|s| *s = scale(&shape.scale, *s));
@@ -110,12 +119,12 @@ impl PolicyKernels {
     }
 
     /// Sets the gradient of the last layer's nodes and adds to that of its globals; `self` holds the transposes. The
-    /// input gradients are those of these scenes' means, unbounded deviations, and logits.
+    /// input gradients are those of these scenes' means, unbounded deviations, logits, and read-outs.
     pub(super) fn backward(
         &self,
         net: Context<'_>,
         x: &Activations,
-        [locs, scales, logits]: [&[f32]; 3],
+        [locs, scales, logits, readouts]: [&[f32]; 4],
         flow: &mut Flow,
         gradient: &mut [f32],
     ) {
@@ -130,6 +139,11 @@ impl PolicyKernels {
             add_transposed(arch, nodes, w, of_act, MOVE, &mut gradient[linear.w.clone()]);
             product(arch, of_act, &self.act[part], base, false, &mut flow.nodes);
             base = Base::Kept;
+        }
+        if let (Some(linear), Some(kernel)) = (&spans.proposals, &self.proposals) {
+            add_rows(arch, readouts, &mut gradient[linear.b.clone()]);
+            add_transposed(arch, nodes, w, readouts, linear.n_out, &mut gradient[linear.w.clone()]);
+            product(arch, readouts, kernel, Base::Kept, false, &mut flow.nodes);
         }
 
         let mut of_grip = vec![0.0; x.n * g * w];

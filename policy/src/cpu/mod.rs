@@ -61,6 +61,11 @@ pub struct Tape {
 }
 
 impl Tape {
+    /// Returns the outputs of the last forward pass.
+    pub fn outputs(&self) -> &Outputs {
+        &self.outputs
+    }
+
     /// Returns the edge weights of each layer in the last forward pass, `[n, 16 receivers, heads, 16 senders]`. Without
     /// attention, they are equal, with one head.
     pub fn attention(&self) -> Vec<Vec<f32>> {
@@ -131,9 +136,8 @@ impl CpuNetwork {
     fn run<'t>(&self, batch: &FeatureBatch, rows: &[usize], tape: &'t mut Tape) -> &'t Outputs {
         assert_eq!(batch.sizes, self.shape.sizes, "features of this network");
         let Tape { parts, n_parts, value, outputs, .. } = tape;
-        for values in [&mut outputs.locs, &mut outputs.scales, &mut outputs.logits, &mut outputs.values] {
-            values.clear();
-        }
+        let Outputs { locs, scales, logits, values, readouts } = outputs;
+        [locs, scales, logits, values, readouts].into_iter().for_each(Vec::clear);
         value.raw_global.clear();
         value.global.clear();
         for (part, rows) in rows.chunks(GRAPHS).enumerate() {
@@ -185,12 +189,18 @@ impl CpuNetwork {
         self.layers.iter().zip(&mut *folded).for_each(|(layer, folded)| layer.fold.clear(folded));
         let global = value.backward(net, of_value, &by_output.values, gradient);
         let scales = unscale(&shape.scale, &outputs.scales, &by_output.scales);
+        let n_readouts = spans.proposals.as_ref().map_or(0, |linear| linear.n_out);
         let (mut moves, mut choices) = (0, 0);
         for (x, global) in parts[..*n_parts].iter_mut().zip(global.chunks(GRAPHS * shape.width)) {
             let (n_moves, n_choices) = (x.n * 96, x.n * shape.n_grippers * 16);
             let of_moves = moves..moves + n_moves;
-            let by_head =
-                [&by_output.locs[of_moves.clone()], &scales[of_moves], &by_output.logits[choices..choices + n_choices]];
+            let of_readouts = moves / 6 * n_readouts..(moves + n_moves) / 6 * n_readouts;
+            let by_head = [
+                &by_output.locs[of_moves.clone()],
+                &scales[of_moves],
+                &by_output.logits[choices..choices + n_choices],
+                &by_output.readouts[of_readouts],
+            ];
             (moves, choices) = (moves + n_moves, choices + n_choices);
             flow.global.clear();
             flow.global.extend_from_slice(global);

@@ -75,6 +75,8 @@ pub(super) struct Spans {
     pub(super) act_scale: Linear,
     pub(super) grip_key: Span,
     pub(super) block_key: Span,
+    /// Absent with the Gaussian head.
+    pub(super) proposals: Option<Linear>,
     pub(super) value_input_global: Span,
     pub(super) value_graph_global: Span,
     pub(super) value_mlp: Vec<Linear>,
@@ -158,6 +160,7 @@ impl Spans {
             act_scale: linear("head.act_scale"),
             grip_key: span("head.grip_key.w"),
             block_key: span("head.block_key.w"),
+            proposals: table.iter().any(|spec| spec.name == "head.proposals.w").then(|| linear("head.proposals")),
             value_input_global: span("value.input_global.w"),
             value_graph_global: span("value.graph_global.w"),
             value_mlp: (0..n_value).map(|j| linear(&format!("value.mlp.{j}"))).collect(),

@@ -4,8 +4,9 @@ use burn::module::Module;
 use burn::tensor::{Tensor, activation};
 
 use super::layers::{Builder, Linear, Projection};
-use crate::config::{NetworkConfig, ScaleConfig};
+use crate::config::{MoveHead, NetworkConfig, ScaleConfig};
 use crate::features::FeatureSizes;
+use crate::mixture::N_READOUTS;
 use crate::parameters::Initializer;
 
 /// Number of blocks.
@@ -22,6 +23,7 @@ pub struct PolicyHead {
     act_scale: Linear,
     grip_key: Projection,
     block_key: Projection,
+    proposals: Option<Linear>,
     #[module(skip)]
     scale: ScaleConfig,
 }
@@ -44,6 +46,8 @@ impl PolicyHead {
             act_scale: builder.linear("head.act_scale", [width, MOVE], small),
             grip_key: builder.projection("head.grip_key", [2 * width, grippers * width], init),
             block_key: builder.projection("head.block_key", [width + grippers, width], init),
+            proposals: (config.move_head == MoveHead::Mixture)
+                .then(|| builder.linear("head.proposals", [width, N_READOUTS], Initializer::FanIn(0.1))),
             scale: config.scale,
         }
     }
@@ -64,6 +68,16 @@ impl PolicyHead {
         let keys = Tensor::cat(vec![nodes.clone(), held], 1).matmul(self.block_key.w.val()).reshape([b, N, width]);
         let logits = grip.reshape([b, grippers, width]).matmul(keys.swap_dims(1, 2)).div_scalar((width as f32).sqrt());
         (locs, scales, logits)
+    }
+
+    /// Reads out what the mixture head's logits are sums of; `None` for the Gaussian head.
+    ///
+    /// # Shapes
+    /// nodes `[B·16, w]` → `[B, 16, N_READOUTS]`
+    pub fn readouts(&self, nodes: &Tensor<2>) -> Option<Tensor<3>> {
+        let rows = nodes.dims()[0];
+        let linear = self.proposals.as_ref()?;
+        Some(linear.forward(nodes.clone()).reshape([rows / N, N, N_READOUTS]))
     }
 
     /// Maps the layer's output to standard deviations; see [`ScaleConfig`].

@@ -19,6 +19,7 @@ pub use tensors::{BatchTensors, EdgeLayout, dense_edges};
 
 use crate::config::{EncoderConfig, NetworkConfig};
 use crate::features::FeatureSizes;
+use crate::mixture::DrawLogits;
 use crate::parameters::{self, ParameterSpec};
 use layers::Builder;
 
@@ -54,6 +55,10 @@ pub struct NetworkOutput {
     pub logits: Tensor<3>,
     /// Values `[B]`, in the unit of the value targets used in training (normalized, see `Normalization`).
     pub values: Tensor<1>,
+    /// Read-outs of the mixture head `[B, 16, N_READOUTS]`; `None` for the Gaussian head.
+    pub readouts: Option<Tensor<3>>,
+    /// Logits of recorded draws from the mixture head; `None` for the Gaussian head, or if no draws were given.
+    pub draws: Option<DrawLogits>,
 }
 
 /// The part of a forward pass that depends only on parameters; valid until they change.
@@ -129,6 +134,7 @@ impl Network {
         };
         let (locs, scales, logits) = self.head.forward(&nodes, &global, &batch.globals);
         let values = self.value.forward(&global, &batch.globals, &logits);
-        NetworkOutput { locs, scales, logits, values }
+        let readouts = self.head.readouts(&nodes);
+        NetworkOutput { locs, scales, logits, values, readouts, draws: None }
     }
 }

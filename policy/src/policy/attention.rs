@@ -60,7 +60,7 @@ impl Policy {
         if observations.is_empty() {
             return Vec::new();
         }
-        let mut batch = FeatureBatch::new(&self.config.features);
+        let mut batch = FeatureBatch::of_policy(&self.config);
         batch.fill(observations);
         normalize(&mut batch, &self.normalization);
         let (layers, mut logits) = self.engine.attention(&batch);

@@ -5,8 +5,8 @@ use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::features::N_EDGES;
 use policy::parameters;
 use policy::{
-    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig,
-    ScaleConfig,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, Network,
+    NetworkConfig, ScaleConfig,
 };
 
 use crate::common::{generate, relative_error};
@@ -55,7 +55,8 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
         ("logits", &found.logits, expected.logits.to_data()),
         ("values", &found.values, expected.values.to_data()),
     ];
-    for (part, found, expected) in parts {
+    let readouts = expected.readouts.as_ref().map(|readouts| ("readouts", &found.readouts, readouts.to_data()));
+    for (part, found, expected) in parts.into_iter().chain(readouts) {
         let error = relative_error(found, &widened(expected.as_slice().unwrap()));
         assert!(error < TOLERANCE, "{name}: {part} off by {error:e}");
     }
@@ -65,6 +66,7 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
         scales: numbers("d scales", found.scales.len()),
         logits: numbers("d logits", found.logits.len()),
         values: numbers("d values", found.values.len()),
+        readouts: numbers("d readouts", found.readouts.len()),
     };
     let cube = |values: &[f32], like: &Tensor<3>| {
         Tensor::<3>::from_data(TensorData::new(values.to_vec(), like.dims()), &device)
@@ -74,6 +76,10 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
         + (expected.scales.clone() * cube(&by_output.scales, &expected.scales)).sum()
         + (expected.logits.clone() * cube(&by_output.logits, &expected.logits)).sum()
         + (expected.values * weights).sum();
+    let loss = match &expected.readouts {
+        Some(readouts) => loss + (readouts.clone() * cube(&by_output.readouts, readouts)).sum(),
+        None => loss,
+    };
     let wanted = parameters::flatten_gradients(&network, &mut loss.backward());
     let mut gradient = vec![f32::NAN; 3];
     cpu.backward(&mut tape, &by_output, &mut gradient);
@@ -93,6 +99,7 @@ fn kernels_equal_burn_whatever_the_shape() {
     let with = |gat| NetworkConfig { encoder: EncoderConfig::Gat(gat), ..default.clone() };
     let paper = FeatureSizes::new(&FeatureConfig::paper());
     check("all features", &default, FeatureSizes::new(&FeatureConfig::default()), 11);
+    check("read-outs", &NetworkConfig { move_head: MoveHead::Mixture, ..default.clone() }, paper, 9);
     check("self-edges", &with(GatConfig { self_edges: true, ..gat }), paper, 2);
     check("equal weights", &with(GatConfig { attention: false, ..gat }), paper, 3);
     // Nodes have more features than the network's width, so the first layer does not attend to raw features. No size is

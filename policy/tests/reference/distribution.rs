@@ -78,6 +78,8 @@ impl Heads {
             scales: leaf(&self.scales, [b, 16, 6]),
             logits: leaf(&self.logits, [b, 2, 16]),
             values: Tensor::zeros([b], device),
+            readouts: None,
+            draws: None,
         }
     }
 }
@@ -145,7 +147,7 @@ fn entropies_match_in_all_forms() {
     ] {
         let (blocks, moves): (Vec<f32>, Vec<f32>) =
             (0..8).map(|i| heads.row(i, form).entropy()).map(|e| (e.blocks, e.moves)).unzip();
-        let tensors = loss_terms::entropy(&heads.tensors(&Device::flex()), form);
+        let tensors = loss_terms::entropy(&heads.tensors(&Device::flex()), None, form);
         for (ours, key) in [
             (blocks, "categorical"),
             (values(tensors.blocks), "categorical"),
@@ -162,7 +164,7 @@ fn entropies_match_in_all_forms() {
 fn entropy_gradients_match_in_the_per_gripper_form() {
     let golden = read_json(&golden_path("ppo_policy.json"));
     let output = Heads::read(&golden["new"]).tensors(&Device::flex().autodiff());
-    let entropy = loss_terms::entropy(&output, JointForm::ChosenPerGripper);
+    let entropy = loss_terms::entropy(&output, None, JointForm::ChosenPerGripper);
     let gradients = (entropy.blocks + entropy.moves).mean().backward();
     let expected = &golden["entropy_grad_of_mean_per_gripper_form"];
     let logits = values(output.logits.grad(&gradients).unwrap());
@@ -258,7 +260,7 @@ proptest! {
             let on_tensors = values(loss_terms::log_prob(&output, &tensors, form))[0];
             let on_slices = distribution.log_prob(&action);
             prop_assert!((on_tensors - on_slices).abs() <= 1e-4 * on_slices.abs().max(1.0));
-            let on_tensors = loss_terms::entropy(&output, form);
+            let on_tensors = loss_terms::entropy(&output, None, form);
             let on_slices = distribution.entropy();
             prop_assert!((values(on_tensors.blocks)[0] - on_slices.blocks).abs() <= 1e-4);
             prop_assert!((values(on_tensors.moves)[0] - on_slices.moves).abs() <= 1e-3);

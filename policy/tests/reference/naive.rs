@@ -12,8 +12,8 @@ use policy::cpu::{CpuNetwork, NetworkLayout, Tape};
 use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters;
 use policy::{
-    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig,
-    ScaleConfig,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, Network,
+    NetworkConfig, ScaleConfig,
 };
 
 const N: usize = 16;
@@ -170,6 +170,7 @@ fn check(gat: GatConfig, n_grippers: u8) {
         n_grippers,
         value_hidden: vec![20, 9],
         scale: ScaleConfig::default(),
+        move_head: MoveHead::Gaussian,
     };
     proto::setting::Section::validate_at(&config, "policy.network").unwrap();
     let device = Device::flex();

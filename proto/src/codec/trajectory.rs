@@ -261,6 +261,8 @@ fn transition_to_wire(transition: &Transition) -> wire::Transition {
     wire::Transition {
         scene: Some(scene_to_wire(&transition.scene)),
         action: Some(action_to_wire(&transition.action)),
+        proposal_0: transition.proposals[0].map(u32::from),
+        proposal_1: transition.proposals[1].map(u32::from),
         behavior_log_prob: transition.behavior_log_prob,
         reward: Some(reward_to_wire(&transition.reward)),
         label: transition.label.as_ref().map(label_to_wire),
@@ -271,10 +273,18 @@ fn transition_from_wire(transition: wire::Transition) -> Result<Transition, Deco
     Ok(Transition {
         scene: scene_from_wire(present("transition.scene", transition.scene)?)?,
         action: action_from_wire(present("transition.action", transition.action)?)?,
+        proposals: [
+            proposal_from_wire("transition.proposal_0", transition.proposal_0)?,
+            proposal_from_wire("transition.proposal_1", transition.proposal_1)?,
+        ],
         behavior_log_prob: number("transition.behavior_log_prob", transition.behavior_log_prob)?,
         reward: reward_from_wire(present("transition.reward", transition.reward)?)?,
         label: transition.label.map(label_from_wire).transpose()?,
     })
+}
+
+fn proposal_from_wire(field: &'static str, proposal: Option<u32>) -> Result<Option<u8>, DecodeError> {
+    proposal.map(|index| narrow(field, index, "a number in 0..=255")).transpose()
 }
 
 fn status_to_wire(status: Status) -> wire::Status {

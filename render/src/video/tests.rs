@@ -33,6 +33,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
     let transition = |step: u16| Transition {
         scene: scene(0.4 * f32::from(step)),
         action: action.clone(),
+        proposals: [None; 2],
         behavior_log_prob: 0.0,
         reward,
         label: None,

@@ -175,6 +175,7 @@ mod tests {
         let transition = Transition {
             scene: scene.clone(),
             action: Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] },
+            proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward: RewardTerms::default(),
             label: None,

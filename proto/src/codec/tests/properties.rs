@@ -77,6 +77,7 @@ fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
                 choices: [Some(samples::block(first)), two_grippers.then(|| samples::block(second))],
                 moves,
             },
+            proposals: [None, Some(50)],
             behavior_log_prob,
             reward,
             label: labeled.then(|| Label {

@@ -45,6 +45,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
             choices: [Some(block(4)), Some(block(0))],
             moves: std::array::from_fn(|i| [i as f32, -1.5, 0.25, 0.0, 0.5, -0.75]),
         },
+        proposals: [Some(3), None],
         behavior_log_prob: -7.5,
         reward: RewardTerms { connected: 1.0, wrong: -1.0, magnets: 0.5, blocks: -0.25, force: -0.125 },
         label: None,

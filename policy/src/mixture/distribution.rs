@@ -1,0 +1,165 @@
+//! The action distribution of the mixture head in one scene, on slices.
+
+use blueprints::{BlockIdx, N_BLOCKS};
+use proto::{Action, ActionMode, Move, N_GRIPPERS};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution as _, StandardNormal};
+
+use super::{ActionRows, Draw, Row};
+use crate::distribution::HALF_LN_2PI;
+use crate::proposals::{Kind, Proposals, Slot};
+
+/// The distribution for one scene with G grippers; borrows one row of the network's output.
+#[derive(Clone, Copy, Debug)]
+pub struct MixtureDistribution<'a> {
+    /// Logits of the grippers' blocks `[G, 16]`, masked.
+    pub logits: &'a [f32],
+    /// Means of [`Kind::Free`] `[16, 6]`.
+    pub locs: &'a [f32],
+    /// Standard deviations of [`Kind::Free`] `[16, 6]`, above 0.
+    pub scales: &'a [f32],
+    /// Read-outs `[16, N_READOUTS]`.
+    pub readouts: &'a [f32],
+    /// Proposals of the scene.
+    pub proposals: &'a Proposals,
+}
+
+/// An action and the draws that it came from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DrawnAction {
+    /// The action; the moves of blocks that no gripper chose are zeros.
+    pub action: Action,
+    /// The slot of each gripper's proposal; `None` for a second gripper on the first's block.
+    pub slots: [Option<Slot>; N_GRIPPERS],
+    /// Joint log-probability, as [`MixtureDistribution::log_prob`] computes it.
+    pub log_prob: f32,
+}
+
+impl MixtureDistribution<'_> {
+    /// Draws an action, or in greedy mode takes the most probable option of each draw (the first of equals) and the
+    /// mean of its move. Returns `None` if a logit is not finite.
+    pub fn act(&self, mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<DrawnAction> {
+        let mut action = Action::IDLE;
+        let mut slots = [None; N_GRIPPERS];
+        let mut log_prob = 0.0;
+        let mut row = Row::default();
+        let mut logits = Vec::new();
+        let mut choose = |logits: &[f32], rng: &mut ChaCha8Rng| {
+            let (at, of_choice) = choose(logits, mode, rng)?;
+            log_prob += of_choice;
+            Some(at)
+        };
+
+        let block = BlockIdx::try_from(choose(&self.logits[..N_BLOCKS], rng)? as u8).ok()?;
+        row.first_proposal(self.proposals, block);
+        row.logits(self.readouts, &mut logits);
+        let first = Draw { block, slot: Slot::from_index(row.index(choose(&logits, rng)?))? };
+        (action.choices[0], slots[0]) = (Some(block), Some(first.slot));
+        let mut second = None;
+        if self.logits.len() > N_BLOCKS {
+            row.second_block(self.proposals, first);
+            logits.clear();
+            row.logits(self.readouts, &mut logits);
+            logits.iter_mut().zip(&self.logits[N_BLOCKS..]).for_each(|(logit, own)| *logit += own);
+            let block = BlockIdx::try_from(choose(&logits, rng)? as u8).ok()?;
+            action.choices[1] = Some(block);
+            if block != first.block {
+                row.second_proposal(self.proposals, first, block);
+                logits.clear();
+                row.logits(self.readouts, &mut logits);
+                let draw = Draw { block, slot: Slot::from_index(row.index(choose(&logits, rng)?))? };
+                slots[1] = Some(draw.slot);
+                second = Some(draw);
+            }
+        }
+        for draw in [Some(first), second].into_iter().flatten() {
+            let movement = self.movement(draw, mode, rng)?;
+            action.moves[draw.block.get()] = movement;
+            log_prob += self.free_log_density(draw, &movement);
+        }
+        Some(DrawnAction { action, slots, log_prob })
+    }
+
+    /// Returns the joint log-probability of an action whose draws `rows` describes, nats. For [`Kind::Free`], it
+    /// includes the log-density of the move. The noise around other proposals has no parameters and is left out.
+    pub fn log_prob(&self, action: &Action, slots: &[Option<Slot>], rows: &ActionRows) -> f32 {
+        let mut logits = Vec::new();
+        let mut total = 0.0;
+        let mut of_row = |row: &Row, own: &[f32], choice: Option<u8>| {
+            let Some(at) = choice.and_then(|choice| row.position(choice)) else { return };
+            logits.clear();
+            row.logits(self.readouts, &mut logits);
+            logits.iter_mut().zip(own).for_each(|(logit, own)| *logit += own);
+            total += log_softmax_at(&logits, at);
+        };
+        let slot = |gripper: usize| slots.get(gripper).copied().flatten();
+        of_row(&rows.first, &[], slot(0).map(Slot::index));
+        of_row(&rows.blocks, &self.logits[N_BLOCKS..], action.choices[1].map(u8::from));
+        of_row(&rows.second, &[], slot(1).map(Slot::index));
+        let Some(first) = action.choices[0] else { return f32::NEG_INFINITY };
+        total += log_softmax_at(&self.logits[..N_BLOCKS], first.get());
+        for (gripper, choice) in action.choices.iter().enumerate() {
+            if let (Some(block), Some(slot)) = (*choice, slot(gripper)) {
+                total += self.free_log_density(Draw { block, slot }, &action.moves[block.get()]);
+            }
+        }
+        total
+    }
+
+    fn movement(&self, draw: Draw, mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<Move> {
+        let mut normal = || -> f32 {
+            match mode {
+                ActionMode::Greedy => 0.0,
+                ActionMode::Sampled => StandardNormal.sample(rng),
+            }
+        };
+        if draw.slot.kind() == Kind::Free {
+            let at = draw.block.get() * 6;
+            return Some(std::array::from_fn(|k| self.locs[at + k] + self.scales[at + k] * normal()));
+        }
+        let proposal = self.proposals.get(draw.block.get(), draw.slot)?;
+        let noise = proposal.noise();
+        Some(proposal.movement.map(|mean| mean + noise * normal()))
+    }
+
+    fn free_log_density(&self, draw: Draw, movement: &Move) -> f32 {
+        if draw.slot.kind() != Kind::Free {
+            return 0.0;
+        }
+        let at = draw.block.get() * 6;
+        let entry = |k: usize| {
+            let scale = self.scales[at + k];
+            let z = (movement[k] - self.locs[at + k]) / scale;
+            -0.5 * z * z - scale.ln() - HALF_LN_2PI
+        };
+        (0..6).map(entry).sum()
+    }
+}
+
+/// Returns the position of the chosen logit and its log-probability; `None` if a logit is not finite.
+fn choose(logits: &[f32], mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<(usize, f32)> {
+    if !logits.iter().all(|logit| logit.is_finite()) {
+        return None;
+    }
+    let best = (0..logits.len()).reduce(|best, at| if logits[at] > logits[best] { at } else { best })?;
+    let chosen = match mode {
+        ActionMode::Greedy => best,
+        ActionMode::Sampled => {
+            let weights = logits.iter().map(|logit| (logit - logits[best]).exp());
+            let mut rest = rng.random::<f32>() * weights.clone().sum::<f32>();
+            // If rounding leaves a rest above all weights, the most probable option gets it.
+            let reached = weights.enumerate().find(|&(_, weight)| {
+                rest -= weight;
+                rest < 0.0
+            });
+            reached.map_or(best, |(at, _)| at)
+        }
+    };
+    Some((chosen, log_softmax_at(logits, chosen)))
+}
+
+fn log_softmax_at(logits: &[f32], at: usize) -> f32 {
+    let max = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    logits[at] - max - logits.iter().map(|logit| (logit - max).exp()).sum::<f32>().ln()
+}

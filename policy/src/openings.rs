@@ -1,0 +1,112 @@
+//! The direction in which one piece of a structure leaves another.
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::num::NonZeroUsize;
+
+use blueprints::hash::fnv1a;
+use lru::LruCache;
+
+/// A unit cell, by its lowest corner, in units (0.1 m).
+pub(crate) type Cell = [i32; 3];
+
+/// Steps of one unit after which two pieces are apart: no blueprint is longer.
+const FAR_UNITS: i32 = 14;
+
+/// Pairs of pieces that a thread remembers. An episode meets a few dozen, and a search takes up to a millisecond.
+const REMEMBERED: NonZeroUsize = NonZeroUsize::new(8192).expect("above 0");
+
+thread_local! {
+    static KNOWN: RefCell<LruCache<[u64; 2], Option<Cell>>> = RefCell::new(LruCache::new(REMEMBERED));
+}
+
+/// Returns the direction, with entries −1, 0, and 1, in which piece `a` leaves piece `b` without touching it and which
+/// opens all their common faces best; `None` if every direction is blocked.
+///
+/// Of two directions, the better one has the larger least component along the normals of the common faces, then the
+/// larger sum of them; of equal ones, the shorter. The cells of each piece are in the frame of the blueprint.
+pub(crate) fn opening(a: &[Cell], b: &[Cell]) -> Option<Cell> {
+    KNOWN.with_borrow_mut(|known| *known.get_or_insert([key(a), key(b)], || search(a, b)))
+}
+
+/// Hashes the cells of a piece in their order, which is that of the blocks.
+fn key(cells: &[Cell]) -> u64 {
+    fnv1a(cells.iter().flatten().flat_map(|x| x.to_le_bytes()))
+}
+
+fn search(a: &[Cell], b: &[Cell]) -> Option<Cell> {
+    let other: BTreeSet<Cell> = b.iter().copied().collect();
+    let normals: BTreeSet<Cell> = a
+        .iter()
+        .flat_map(|cell| faces().map(move |normal| (cell, normal)))
+        // The normal of a common face points from b to a.
+        .filter(|(cell, normal)| other.contains(&std::array::from_fn(|k| cell[k] - normal[k])))
+        .map(|(_, normal)| normal)
+        .collect();
+    let mut best: Option<([f32; 3], Cell)> = None;
+    for direction in directions() {
+        let length = (dot(direction, direction) as f32).sqrt();
+        let along = || normals.iter().map(|&normal| dot(normal, direction));
+        let (least, sum) = (along().min().unwrap_or(0), along().sum::<i32>());
+        let score = [least as f32 / length, sum as f32 / length, -length];
+        if least >= 0 && best.is_none_or(|(best, _)| score > best) && is_free(a, &other, direction) {
+            best = Some((score, direction));
+        }
+    }
+    best.map(|(_, direction)| direction)
+}
+
+fn faces() -> impl Iterator<Item = Cell> {
+    directions().filter(|&d| dot(d, d) == 1)
+}
+
+/// The 26 directions to the neighbors of a cell.
+fn directions() -> impl Iterator<Item = Cell> {
+    let steps = || -1..=1;
+    steps().flat_map(move |x| steps().flat_map(move |y| steps().map(move |z| [x, y, z]))).filter(|&d| d != [0; 3])
+}
+
+/// Whether no cell of `a`, moving along `direction`, meets `other`.
+fn is_free(a: &[Cell], other: &BTreeSet<Cell>, direction: Cell) -> bool {
+    // Between two lattice places, a moving cell overlaps every cell of the box between them.
+    let overlapped = || {
+        let range = |k: usize| direction[k].min(0)..=direction[k].max(0);
+        range(0).flat_map(move |x| range(1).flat_map(move |y| range(2).map(move |z| [x, y, z])))
+    };
+    let at = |cell: &Cell, t: i32, shift: Cell| std::array::from_fn(|k| cell[k] + direction[k] * t + shift[k]);
+    (0..FAR_UNITS).all(|t| a.iter().all(|cell| overlapped().all(|shift| !other.contains(&at(cell, t, shift)))))
+}
+
+fn dot(a: Cell, b: Cell) -> i32 {
+    (0..3).map(|k| a[k] * b[k]).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_on_another_leaves_upward() {
+        assert_eq!(search(&[[0, 0, 1]], &[[0, 0, 0]]), Some([0, 0, 1]));
+        assert_eq!(search(&[[0, 0, 0]], &[[0, 0, 1]]), Some([0, 0, -1]));
+    }
+
+    #[test]
+    fn a_block_in_a_corner_leaves_diagonally() {
+        // Neighbors below and on the left: straight up would graze the left one.
+        assert_eq!(search(&[[1, 0, 1]], &[[1, 0, 0], [0, 0, 1]]), Some([1, 0, 1]));
+    }
+
+    #[test]
+    fn a_block_in_a_slot_leaves_along_it() {
+        assert_eq!(search(&[[0, 0, 1]], &[[-1, 0, 1], [1, 0, 1], [0, 0, 0]]), Some([0, 0, 1]));
+        let cage: Vec<Cell> = faces().collect();
+        assert_eq!(search(&[[0, 0, 0]], &cage), None);
+    }
+
+    #[test]
+    fn pieces_that_do_not_touch_leave_by_the_shortest_free_way() {
+        let found = search(&[[0, 0, 0]], &[[3, 0, 0]]);
+        assert!(found.is_some_and(|d| dot(d, d) == 1 && d != [1, 0, 0]), "{found:?}");
+    }
+}

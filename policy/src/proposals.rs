@@ -1,0 +1,424 @@
+//! Proposals: the moves of a scene from which the mixture head draws.
+//!
+//! Every block i has a short list of moves that may make sense. The policy chooses one of them, and the move is drawn
+//! around it with noise that grows with the move. What is proposed is a function of scene and blueprint.
+//!
+//! ```text
+//!  join j, not aligned          join j, aligned        meet j                    detach j
+//!
+//!       ┌───┐ → ╮                    ┌───┐             ┌───┐   half of          ┌───┐ ↗  pull, lift,
+//!       │ i │    ╲ the funnel        │ i │             │ i │ ↘ the way          │ i │↻   bend, twist
+//!       └───┘     ↓                  └─↓─┘             └───┘                    └───┘
+//!              ┌─────┐              ┌─────┐               ↖ ┌─────┐              ┌─────┐
+//!              │  j  │              │  j  │                 │  j  │              │  j  │
+//!              └─────┘              └─────┘                 └─────┘              └─────┘
+//!
+//!  hold: rise to half a meter     lift: half a step up     free: the Gaussian of the network
+//! ```
+//!
+//! | kind | of | the move of i | proposed if |
+//! |---|---|---|---|
+//! | [`Join`](Kind::Join) | each j | to its place relative to j; through the funnel if the two are to be connected | both belong to the blueprint, and they are in different pieces or their connection is open |
+//! | [`Meet`](Kind::Meet) | each j | half of that, for when j comes as well | the blueprint connects the two, and they are not connected |
+//! | [`Detach`](Kind::Detach) | each j | away from j, a little up, and turning | the two are connected, but not as the blueprint wants it |
+//! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground; nothing if it is higher | always |
+//! | [`Lift`](Kind::Lift) | i | half a step up | always |
+//! | [`Free`](Kind::Free) | i | drawn from the network's own Gaussian | always |
+//!
+//! **The funnel.** On the way to its place, i stays off j in the direction in which their pieces part most freely (or
+//! along the normal of the connection, if they belong to one piece already): the farther it is from the axis, and the
+//! more it has to turn, the farther off. Once i is aligned, the funnel ends, and the move is exact.
+//!
+//! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
+//! more than one step is scaled down, so that shift and turn arrive together.
+
+use std::ops::Range;
+
+use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS};
+use nalgebra::Vector3;
+use proto::{Move, Observation, Scene};
+
+use crate::geometry::{Frame, matrix, rotation_vector};
+use crate::openings::{Cell, opening};
+
+const N: usize = N_BLOCKS;
+
+/// Number of slots of a block: one for each kind and partner, and one for each kind without a partner.
+pub const N_SLOTS: usize = Kind::PAIRED.len() * N + Kind::ALONE.len();
+
+/// Number of entries of a [relation](Proposals::relation).
+pub const N_RELATION: usize = 8;
+
+/// Reach of one step at full speed, m: 3 m/s for 0.1 s.
+const STEP_M: f32 = 0.3;
+/// Reach of one step at full speed, rad: 2π rad/s for 0.1 s.
+const STEP_RAD: f32 = 0.2 * std::f32::consts::PI;
+
+/// Standard deviation of a move, as a fraction of the limits: constant part, and factor of its largest entry. The sum
+/// at full speed is 9 mm; magnets snap within 3 cm.
+const NOISE: [f32; 2] = [0.01, 0.02];
+
+/// Longest distance from the place in the funnel of two single blocks, m.
+const FUNNEL_M: f32 = 0.2;
+/// Distance per lateral distance beyond 1 cm.
+const FUNNEL_SLOPE: f32 = 2.0;
+/// Distance from the axis at which two blocks count as aligned, m.
+const ALIGNED_M: f32 = 0.01;
+/// Distance in the funnel per radian of turn, m, for single blocks; larger pieces need their radius more.
+const FUNNEL_PER_RAD: f32 = 0.15;
+/// Turn at which two blocks count as aligned, rad.
+const ALIGNED_RAD: f32 = 0.1;
+
+/// Height to which a held block rises, m: room for other blocks below.
+const HOLD_M: f32 = 0.5;
+/// The part of a step that `Lift` rises.
+const LIFT: f32 = 0.5;
+/// Pull and lift of `Detach`, as fractions of the speed limit.
+const PULL: f32 = 0.4;
+const PULL_UP: f32 = 0.06;
+
+/// What a proposal does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// Goes to its place relative to a partner.
+    Join,
+    /// Goes half of the way.
+    Meet,
+    /// Breaks a wrong connection with a partner.
+    Detach,
+    /// Stays, above the ground.
+    Hold,
+    /// Rises.
+    Lift,
+    /// Draws from the network's own Gaussian.
+    Free,
+}
+
+impl Kind {
+    /// The kinds with a partner, in the order of their slots.
+    pub const PAIRED: [Self; 3] = [Self::Join, Self::Meet, Self::Detach];
+    /// The kinds without a partner, in the order of their slots.
+    pub const ALONE: [Self; 3] = [Self::Hold, Self::Lift, Self::Free];
+    /// All kinds.
+    pub const ALL: [Self; 6] = [Self::Join, Self::Meet, Self::Detach, Self::Hold, Self::Lift, Self::Free];
+
+    /// Returns the name, as in metrics: `join`, `meet`, `detach`, `hold`, `lift`, or `free`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Join => "join",
+            Self::Meet => "meet",
+            Self::Detach => "detach",
+            Self::Hold => "hold",
+            Self::Lift => "lift",
+            Self::Free => "free",
+        }
+    }
+}
+
+/// Position of a proposal among those of its block, 0 to [`N_SLOTS`] − 1: what an action says about its origin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Slot(u8);
+
+impl Slot {
+    /// Returns the slot of a kind with a partner.
+    ///
+    /// # Panics
+    /// If the kind has none.
+    pub fn paired(kind: Kind, partner: BlockIdx) -> Self {
+        let at = Kind::PAIRED.iter().position(|&paired| paired == kind).expect("a kind with a partner");
+        Self((at * N + partner.get()) as u8)
+    }
+
+    /// Returns the slot of a kind without a partner.
+    ///
+    /// # Panics
+    /// If the kind has one.
+    pub fn alone(kind: Kind) -> Self {
+        let at = Kind::ALONE.iter().position(|&alone| alone == kind).expect("a kind without a partner");
+        Self((Kind::PAIRED.len() * N + at) as u8)
+    }
+
+    /// Returns the slot with this index; `None` if there is none.
+    pub fn from_index(index: u8) -> Option<Self> {
+        (usize::from(index) < N_SLOTS).then_some(Self(index))
+    }
+
+    /// Returns the index.
+    pub fn index(self) -> u8 {
+        self.0
+    }
+
+    /// Returns the kind.
+    pub fn kind(self) -> Kind {
+        let at = usize::from(self.0);
+        if at < Kind::PAIRED.len() * N { Kind::PAIRED[at / N] } else { Kind::ALONE[at - Kind::PAIRED.len() * N] }
+    }
+
+    /// Returns the partner, 0 to 15; `None` if the kind has none.
+    pub fn partner(self) -> Option<usize> {
+        let at = usize::from(self.0);
+        (at < Kind::PAIRED.len() * N).then_some(at % N)
+    }
+}
+
+/// One proposal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Proposal {
+    /// Its place.
+    pub slot: Slot,
+    /// The mean of the move; zeros for [`Kind::Free`].
+    pub movement: Move,
+}
+
+impl Proposal {
+    /// Returns the standard deviation of the move, the same for all six entries.
+    pub fn noise(&self) -> f32 {
+        NOISE[0] + NOISE[1] * self.movement.iter().fold(0.0_f32, |most, x| most.max(x.abs()))
+    }
+}
+
+/// The proposals of one scene, and what the choice among them depends on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Proposals {
+    /// By block, then by slot.
+    entries: Vec<Proposal>,
+    /// The last entry of each block, exclusive.
+    ends: [u16; N],
+    /// `[receivers, senders]`
+    relations: Vec<[f32; N_RELATION]>,
+}
+
+impl Proposals {
+    /// Proposes moves for all blocks of a scene.
+    pub fn new(observation: &Observation<'_>) -> Self {
+        let view = View::new(observation.scene, observation.blueprint);
+        let mut proposals =
+            Self { entries: Vec::with_capacity(4 * N), ends: [0; N], relations: vec![[0.0; N_RELATION]; N * N] };
+        let mut joins = Vec::with_capacity(N);
+        let mut detaches = Vec::with_capacity(N);
+        for i in BlockIdx::all() {
+            joins.clear();
+            detaches.clear();
+            for j in BlockIdx::all().filter(|&j| j != i) {
+                let pair = view.pair(i, j);
+                joins.extend(pair.join.map(|join| (j, join, pair.is_open)));
+                detaches.extend(pair.detach.map(|detach| (j, detach)));
+                proposals.relations[i.get() * N + j.get()] = pair.relation;
+            }
+            let mut push = |slot, movement| proposals.entries.push(Proposal { slot, movement });
+            joins.iter().for_each(|(j, join, _)| push(Slot::paired(Kind::Join, *j), *join));
+            let open = joins.iter().filter(|(_, _, is_open)| *is_open);
+            open.for_each(|(j, join, _)| push(Slot::paired(Kind::Meet, *j), join.map(|x| 0.5 * x)));
+            detaches.iter().for_each(|(j, detach)| push(Slot::paired(Kind::Detach, *j), *detach));
+            push(Slot::alone(Kind::Hold), view.rise(i, HOLD_M - view.frames[i.get()].position.z));
+            push(Slot::alone(Kind::Lift), view.rise(i, LIFT * STEP_M));
+            push(Slot::alone(Kind::Free), [0.0; 6]);
+            proposals.ends[i.get()] = proposals.entries.len() as u16;
+        }
+        proposals
+    }
+
+    /// Returns the proposals of a block, by slot; never empty.
+    pub fn of(&self, block: usize) -> &[Proposal] {
+        &self.entries[self.range(block)]
+    }
+
+    /// Returns the proposal of a block in a slot; `None` if there is none in this scene.
+    pub fn get(&self, block: usize, slot: Slot) -> Option<&Proposal> {
+        let own = self.of(block);
+        own.binary_search_by_key(&slot, |proposal| proposal.slot).ok().map(|at| &own[at])
+    }
+
+    /// Returns what block `i` is to block `j`, zeros if they are the same:
+    ///
+    /// | index | meaning | unit |
+    /// |---|---|---|
+    /// | 0 | to be connected, and in different pieces | 0 or 1 |
+    /// | 1 | in one piece | 0 or 1 |
+    /// | 2 | connected, correctly or not | 0 or 1 |
+    /// | 3 | a gripper holds j | 0 or 1 |
+    /// | 4 | exp(−n / 2), with the n steps that the join takes | 0 to 1 |
+    /// | 5 | exp(−3 d), with the larger of the lateral distance and the turn, in steps | 0 to 1 |
+    /// | 6 | to be connected, in one piece, and not connected | 0 or 1 |
+    /// | 7 | connected, but not as the blueprint wants it | 0 or 1 |
+    pub fn relation(&self, i: usize, j: usize) -> &[f32; N_RELATION] {
+        &self.relations[i * N + j]
+    }
+
+    fn range(&self, block: usize) -> Range<usize> {
+        let start = if block == 0 { 0 } else { self.ends[block - 1] };
+        start.into()..self.ends[block].into()
+    }
+}
+
+/// A scene with everything that proposals need of it.
+struct View<'a> {
+    blueprint: &'a Blueprint,
+    frames: [Frame; N],
+    pieces: [usize; N],
+    /// Largest distance from a block's center to the center of another of its piece, m.
+    radii: [f32; N],
+    /// The cells of each piece, at the index of its name.
+    cells: [Vec<Cell>; N],
+    connections: [[Connection; N]; N],
+    held: [bool; N],
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Connection {
+    None,
+    Right,
+    Wrong,
+}
+
+/// The proposals of an ordered pair.
+struct Pair {
+    join: Option<Move>,
+    /// Whether the blueprint connects the two, and nothing does yet.
+    is_open: bool,
+    detach: Option<Move>,
+    relation: [f32; N_RELATION],
+}
+
+impl<'a> View<'a> {
+    fn new(scene: &Scene, blueprint: &'a Blueprint) -> Self {
+        let frames = scene.blocks.each_ref().map(Frame::new);
+        let pieces = scene.pieces(blueprint);
+        let mut connections = [[Connection::None; N]; N];
+        for joint in &scene.joints {
+            let is_right = blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
+            let found = if is_right { Connection::Right } else { Connection::Wrong };
+            connections[joint.a.get()][joint.b.get()] = found;
+            connections[joint.b.get()][joint.a.get()] = found;
+        }
+        let mut cells: [Vec<Cell>; N] = Default::default();
+        for placement in blueprint.placements() {
+            cells[pieces[placement.block.get()]].extend(placement.filled_cells(Inventory::standard()));
+        }
+        let radius = |i: usize| {
+            let same = (0..N).filter(|&k| pieces[k] == pieces[i]);
+            same.map(|k| (frames[k].position - frames[i].position).norm()).fold(0.0, f32::max)
+        };
+        let mut held = [false; N];
+        scene.grippers.iter().flatten().filter_map(|gripper| gripper.held).for_each(|block| held[block.get()] = true);
+        Self { radii: std::array::from_fn(radius), blueprint, frames, pieces, cells, connections, held }
+    }
+
+    /// Returns a move straight up by at most `height_m` and one step.
+    fn rise(&self, i: BlockIdx, height_m: f32) -> Move {
+        let up = self.frames[i.get()].localize(&Vector3::z()) * (height_m / STEP_M).clamp(0.0, 1.0);
+        [up.x, up.y, up.z, 0.0, 0.0, 0.0]
+    }
+
+    fn pair(&self, i: BlockIdx, j: BlockIdx) -> Pair {
+        let connection = self.connections[i.get()][j.get()];
+        let is_wrong = connection == Connection::Wrong;
+        let bit = |is: bool| f32::from(u8::from(is));
+        let mut relation = [0.0; N_RELATION];
+        relation[2] = bit(connection != Connection::None);
+        relation[3] = bit(self.held[j.get()]);
+        relation[7] = bit(is_wrong);
+        let mut pair = Pair { join: None, is_open: false, detach: is_wrong.then(|| self.detach(i, j)), relation };
+        let Some(way) = self.way(i, j) else { return pair };
+        let is_joined = self.pieces[i.get()] == self.pieces[j.get()];
+        let link = self.blueprint.link(i, j);
+        let is_linked = link.is_some();
+        pair.relation[0] = bit(is_linked && !is_joined);
+        pair.relation[1] = bit(is_joined);
+        pair.relation[4] = (-0.5 * way.n_steps()).exp();
+        pair.relation[6] = bit(is_linked && is_joined && connection == Connection::None);
+        pair.is_open = is_linked && connection == Connection::None;
+        let is_possible = is_linked && connection != Connection::Right;
+        let mut join = way;
+        if let Some(link) = link {
+            let normal = self.normal(i, j, link, is_joined);
+            let (lateral_m, turn_rad) = way.off_axis(&normal);
+            pair.relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
+            if is_possible {
+                let wide = self.radii[i.get()].min(self.radii[j.get()]);
+                let off = FUNNEL_SLOPE * (lateral_m - ALIGNED_M).max(0.0)
+                    + (FUNNEL_PER_RAD + wide) * (turn_rad - ALIGNED_RAD).max(0.0);
+                join.shift += normal * off.min(FUNNEL_M + wide);
+            }
+        }
+        // Toward a block of the same piece, both would move, and nothing would change.
+        pair.join = (!is_joined || is_possible).then(|| join.to_move());
+        pair
+    }
+
+    /// Returns the exact way of `i` to its place relative to a fixed `j`; `None` if the blueprint lacks one of them.
+    fn way(&self, i: BlockIdx, j: BlockIdx) -> Option<Way> {
+        let wanted = self.blueprint.relative(i, j)?;
+        let (own, other) = (&self.frames[i.get()], &self.frames[j.get()]);
+        let offset = own.localize(&(other.position - own.position));
+        let current = own.axes.tr_mul(&other.axes);
+        // With j at (offset, C) in i's frame, the place (m, T) of i satisfies offset = m + T · wanted and C = T · D.
+        let turn = current * matrix(wanted.rotation.matrix()).transpose();
+        Some(Way { shift: offset - turn * wanted.position_m(), turn: rotation_vector(&turn) })
+    }
+
+    /// Returns the unit vector in i's frame along which i comes to j from outside.
+    fn normal(&self, i: BlockIdx, j: BlockIdx, link: &Link, is_joined: bool) -> Vector3<f32> {
+        let of_j = match self.blueprint.placement(j) {
+            Some(place) if !is_joined => {
+                let [a, b] = [i, j].map(|block| &self.cells[self.pieces[block.get()]]);
+                opening(a, b).map(|direction| place.rotation.inverse().apply(direction))
+            }
+            _ => None,
+        };
+        let of_j = of_j.unwrap_or_else(|| contact_normal(j, link));
+        let current = self.frames[i.get()].axes.tr_mul(&self.frames[j.get()].axes);
+        current * Vector3::from(of_j.map(|x| x as f32)).normalize()
+    }
+
+    /// Returns a move that pulls, lifts, bends, and twists.
+    fn detach(&self, i: BlockIdx, j: BlockIdx) -> Move {
+        let (own, other) = (&self.frames[i.get()], &self.frames[j.get()]);
+        let away = (own.position - other.position).try_normalize(1e-6).unwrap_or_else(Vector3::z);
+        let hinge = away.cross(&Vector3::z()).try_normalize(0.1).unwrap_or_else(Vector3::x);
+        let linear = own.localize(&(away * PULL + Vector3::z() * PULL_UP));
+        let angular = own.localize(&(hinge + away));
+        let angular = angular / angular.amax().max(1.0);
+        [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+    }
+}
+
+/// A rigid motion of a block, in its own frame.
+#[derive(Clone, Copy)]
+struct Way {
+    /// m
+    shift: Vector3<f32>,
+    /// Axis times angle, rad.
+    turn: Vector3<f32>,
+}
+
+impl Way {
+    /// Returns the number of steps that the motion takes at full speed.
+    fn n_steps(&self) -> f32 {
+        (self.shift.amax() / STEP_M).max(self.turn.amax() / STEP_RAD)
+    }
+
+    /// Returns the distance from the line through the place along `normal`, m, and the angle to turn, rad.
+    fn off_axis(&self, normal: &Vector3<f32>) -> (f32, f32) {
+        ((self.shift - normal * normal.dot(&self.shift)).norm(), self.turn.norm())
+    }
+
+    /// Returns the velocities of one step.
+    fn to_move(self) -> Move {
+        let n_steps = self.n_steps().max(1.0);
+        let (linear, angular) = (self.shift / (STEP_M * n_steps), self.turn / (STEP_RAD * n_steps));
+        [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+    }
+}
+
+/// Returns the outward normal, in j's frame, of j's face at a connection.
+fn contact_normal(j: BlockIdx, link: &Link) -> [i32; 3] {
+    let inventory = Inventory::standard();
+    let other = if link.a == j { link.b } else { link.a };
+    let relative = if link.a == j { link.relative } else { link.relative.inverse() };
+    let own = inventory.cells(j).map(i32::from);
+    let other = relative.rotation.apply(inventory.cells(other).map(i32::from)).map(i32::abs);
+    // The boxes touch where their centers are half of both sizes apart, in half units: the sum of their cells.
+    let touches = |k: usize| relative.offset_half_units[k].abs() == own[k] + other[k];
+    std::array::from_fn(|k| if touches(k) { relative.offset_half_units[k].signum() } else { 0 })
+}

@@ -1,0 +1,435 @@
+//! The mixture head: what is proposed, that draws follow their log-probability, and that the kernels, their gradients,
+//! and burn agree.
+
+#![allow(clippy::unwrap_used)]
+
+use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS, RelativePlacement};
+use burn::tensor::{Device, Tensor};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use policy::loss_terms::{self, ActionTensors};
+use policy::mixture::{ActionRows, Draw, DrawLogits, MixtureDistribution, N_READOUTS, Row};
+use policy::proposals::{Kind, Proposals, Slot};
+use policy::{
+    BatchTensors, Engine, FeatureBatch, FeatureConfig, JointForm, MoveHead, Network, NetworkConfig, PolicyConfig,
+    parameters,
+};
+use proto::{Action, ActionMode, Gripper, Joint, Move, Observation, Pose, Scene};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Reach of a step at full speed: 3 m/s and 2π rad/s for 0.1 s.
+const STEP_M: f32 = 0.3;
+const STEP_RAD: f32 = 0.2 * std::f32::consts::PI;
+
+fn block(index: usize) -> BlockIdx {
+    BlockIdx::try_from(index as u8).unwrap()
+}
+
+fn goal(id: &str) -> Blueprint {
+    Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone()
+}
+
+fn orientation(pose: &Pose) -> UnitQuaternion<f32> {
+    UnitQuaternion::from_quaternion(Quaternion::from(pose.orientation))
+}
+
+/// Blocks on a spiral, all turned the same way, with idle grippers.
+fn scattered() -> Scene {
+    let turned = UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9);
+    let place = |i: usize| {
+        let (angle, radius) = (i as f32, 0.5 + 0.1 * i as f32);
+        Pose {
+            position: [radius * angle.cos(), radius * angle.sin(), 0.1 + 0.02 * i as f32],
+            orientation: turned.coords.into(),
+        }
+    };
+    let gripper = Gripper {
+        held: None,
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        linear_velocity: [0.0; 3],
+        angular_velocity: [0.0; 3],
+    };
+    Scene {
+        blocks: std::array::from_fn(place),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(gripper), Some(gripper)],
+        n_heavy_contacts: 0,
+    }
+}
+
+/// Puts `i` where the goal wants it relative to `j`, and then `off_m` and `turn` away in its own frame.
+fn place(scene: &mut Scene, goal: &Blueprint, i: BlockIdx, j: BlockIdx, off_m: Vector3<f32>, turn: Vector3<f32>) {
+    let wanted = goal.relative(j, i).unwrap();
+    let of_j = &scene.blocks[j.get()];
+    let turned = orientation(of_j) * wanted.rotation.quaternion();
+    let at = Vector3::from(of_j.position) + orientation(of_j) * wanted.position_m() - turned * off_m;
+    let orientation = turned * UnitQuaternion::from_scaled_axis(-turn);
+    scene.blocks[i.get()] = Pose { position: at.into(), orientation: orientation.coords.into() };
+}
+
+/// Moves a block as the world would in one step without contacts.
+fn moved(pose: &Pose, movement: &Move) -> Pose {
+    let [x, y, z, a, b, c] = *movement;
+    let own = orientation(pose);
+    let turn = UnitQuaternion::from_scaled_axis(own * Vector3::new(a, b, c) * STEP_RAD);
+    Pose {
+        position: (Vector3::from(pose.position) + own * Vector3::new(x, y, z) * STEP_M).into(),
+        orientation: (turn * own).coords.into(),
+    }
+}
+
+fn proposals(scene: &Scene, blueprint: &Blueprint) -> Proposals {
+    Proposals::new(&Observation { scene, blueprint, n_steps: 0 })
+}
+
+fn kinds(proposals: &Proposals, block: BlockIdx) -> Vec<Kind> {
+    proposals.of(block.get()).iter().map(|proposal| proposal.slot.kind()).collect()
+}
+
+/// Returns the distance and the angle between a block and its place relative to another.
+fn error(scene: &Scene, goal: &Blueprint, i: BlockIdx, j: BlockIdx) -> (f32, f32) {
+    let wanted = goal.relative(j, i).unwrap();
+    let (of_i, of_j) = (&scene.blocks[i.get()], &scene.blocks[j.get()]);
+    let at = Vector3::from(of_j.position) + orientation(of_j) * wanted.position_m();
+    let turned = orientation(of_j) * wanted.rotation.quaternion();
+    ((at - Vector3::from(of_i.position)).norm(), turned.angle_to(&orientation(of_i)))
+}
+
+#[test]
+fn slots_are_numbered_by_kind_and_partner() {
+    assert_eq!(Slot::paired(Kind::Join, block(3)).index(), 3);
+    assert_eq!(Slot::paired(Kind::Detach, block(15)).index(), 47);
+    assert_eq!(Slot::alone(Kind::Free).index(), 50);
+    assert_eq!(Slot::from_index(51), None);
+    for index in 0..51 {
+        let slot = Slot::from_index(index).unwrap();
+        let again = slot
+            .partner()
+            .map_or_else(|| Slot::alone(slot.kind()), |partner| Slot::paired(slot.kind(), block(partner)));
+        assert_eq!(slot, again);
+    }
+}
+
+#[test]
+fn a_join_along_the_axis_brings_the_block_into_its_place() {
+    let goal = goal("2_000");
+    let link = goal.links()[0];
+    let mut scene = scattered();
+    // 10 cm off along the normal of the connection, not turned: the funnel is over.
+    let found = proposals(&scene, &goal);
+    assert!(found.get(link.a.get(), Slot::paired(Kind::Join, link.b)).is_some());
+    let toward = (link.relative.position_m()).map(|x| if x.abs() > 1e-6 { x.signum() } else { 0.0 });
+    for axis in 0..3 {
+        let mut normal = Vector3::zeros();
+        normal[axis] = toward[axis];
+        if normal.norm() == 0.0 {
+            continue;
+        }
+        place(&mut scene, &goal, link.a, link.b, normal * 0.1, Vector3::zeros());
+        let join = *proposals(&scene, &goal).get(link.a.get(), Slot::paired(Kind::Join, link.b)).unwrap();
+        // Only along the normal is the lateral distance 0.
+        let mut after = scene.clone();
+        after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join.movement);
+        let (distance, angle) = error(&after, &goal, link.a, link.b);
+        if distance < 1e-4 {
+            assert!(angle < 1e-3);
+            return;
+        }
+    }
+    panic!("no axis leads into the place");
+}
+
+#[test]
+fn a_turned_block_is_turned_on_the_way_and_stays_off_until_then() {
+    let goal = goal("2_000");
+    let link = goal.links()[0];
+    let mut scene = scattered();
+    place(&mut scene, &goal, link.a, link.b, Vector3::zeros(), Vector3::new(0.0, 0.3, 0.2));
+    let join = *proposals(&scene, &goal).get(link.a.get(), Slot::paired(Kind::Join, link.b)).unwrap();
+    let mut after = scene.clone();
+    after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join.movement);
+    let (distance, angle) = error(&after, &goal, link.a, link.b);
+    assert!(angle < 1e-3, "{angle}");
+    // 0.15 m/rad of the turn of 0.36 rad beyond 0.1 rad.
+    let turn = Vector3::new(0.0_f32, 0.3, 0.2).norm();
+    assert!((distance - 0.15 * (turn - 0.1)).abs() < 1e-3, "{distance}");
+    // Half of it, for when the partner comes too.
+    let meet = proposals(&scene, &goal).get(link.a.get(), Slot::paired(Kind::Meet, link.b)).unwrap().movement;
+    assert_eq!(meet, join.movement.map(|x| 0.5 * x));
+}
+
+#[test]
+fn far_moves_are_scaled_so_that_shift_and_turn_arrive_together_and_noise_grows_with_the_move() {
+    let (goal, scene) = (goal("2_000"), scattered());
+    let link = goal.links()[0];
+    let found = proposals(&scene, &goal);
+    let join = found.get(link.a.get(), Slot::paired(Kind::Join, link.b)).unwrap();
+    let most = join.movement.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
+    assert!((most - 1.0).abs() < 1e-6);
+    assert!((join.noise() - 0.03).abs() < 1e-6);
+    assert!((found.get(link.a.get(), Slot::alone(Kind::Free)).unwrap().noise() - 0.01).abs() < 1e-6);
+}
+
+#[test]
+fn what_does_nothing_is_not_proposed_and_wrong_connections_can_be_broken() {
+    let goal = goal("3_000");
+    let link = goal.links()[0];
+    let mut scene = scattered();
+    let outside = BlockIdx::all().find(|&block| !goal.contains(block)).unwrap();
+    assert_eq!(kinds(&proposals(&scene, &goal), outside), [Kind::Hold, Kind::Lift, Kind::Free]);
+    let before = kinds(&proposals(&scene, &goal), link.a);
+    assert!(before.contains(&Kind::Join) && before.contains(&Kind::Meet) && !before.contains(&Kind::Detach));
+
+    scene.joints = vec![Joint { a: link.a, b: link.b, relative: link.relative }];
+    let joined = proposals(&scene, &goal);
+    let gone = [Kind::Join, Kind::Meet, Kind::Detach].map(|kind| Slot::paired(kind, link.b));
+    assert!(gone.iter().all(|&slot| joined.get(link.a.get(), slot).is_none()));
+
+    let wrong =
+        RelativePlacement { offset_half_units: link.relative.offset_half_units.map(|x| x + 2), ..link.relative };
+    scene.joints = vec![Joint { a: link.a, b: link.b, relative: wrong }];
+    let wrong = proposals(&scene, &goal);
+    assert!(wrong.get(link.a.get(), Slot::paired(Kind::Detach, link.b)).is_some());
+    assert!(wrong.get(link.a.get(), Slot::paired(Kind::Meet, link.b)).is_none());
+    assert_eq!(wrong.relation(link.a.get(), link.b.get())[7], 1.0);
+}
+
+#[test]
+fn hold_rises_to_half_a_meter_and_no_higher() {
+    let (goal, mut scene) = (goal("2_000"), scattered());
+    let held = block(5);
+    let rises = |scene: &Scene| {
+        let hold = *proposals(scene, &goal).get(held.get(), Slot::alone(Kind::Hold)).unwrap();
+        moved(&scene.blocks[held.get()], &hold.movement).position[2]
+    };
+    scene.blocks[held.get()].position[2] = 0.35;
+    assert!((rises(&scene) - 0.5).abs() < 1e-5);
+    // At most one step of 0.3 m.
+    scene.blocks[held.get()].position[2] = 0.05;
+    assert!((rises(&scene) - 0.35).abs() < 1e-5);
+    scene.blocks[held.get()].position[2] = 0.8;
+    assert!((rises(&scene) - 0.8).abs() < 1e-5);
+}
+
+/// Three blocks near each other, one of the connections made, and one wrong.
+fn busy() -> (Blueprint, Scene) {
+    let goal = goal("4_000");
+    let mut scene = scattered();
+    let link = goal.links()[0];
+    place(&mut scene, &goal, link.b, link.a, Vector3::zeros(), Vector3::zeros());
+    scene.joints = vec![Joint { a: link.a, b: link.b, relative: link.relative }];
+    let other = goal.links().iter().find(|other| **other != link).unwrap();
+    let wrong = RelativePlacement { offset_half_units: [2, 0, 4], ..other.relative };
+    scene.joints.push(Joint { a: other.a, b: other.b, relative: wrong });
+    scene.joints.sort_by_key(|joint| (joint.a, joint.b));
+    scene.grippers[0].as_mut().unwrap().held = Some(link.a);
+    (goal, scene)
+}
+
+fn numbers(n: usize, scale: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    (0..n).map(|_| scale * rng.random_range(-1.0..1.0)).collect()
+}
+
+#[test]
+fn draws_are_as_frequent_as_their_log_probability_says() {
+    let (goal, scene) = busy();
+    let found = proposals(&scene, &goal);
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut logits = numbers(32, 2.0, &mut rng);
+    // Four blocks are left to choose, so that every combination is drawn often enough.
+    let allowed: Vec<usize> = goal.placements().iter().map(|placement| placement.block.get()).collect();
+    (0..32).filter(|k| !allowed.contains(&(k % 16))).for_each(|k| logits[k] = -1e9);
+    let (locs, scales) = (numbers(96, 1.0, &mut rng), vec![0.3; 96]);
+    let readouts = numbers(16 * N_READOUTS, 1.0, &mut rng);
+    let distribution =
+        MixtureDistribution { logits: &logits, locs: &locs, scales: &scales, readouts: &readouts, proposals: &found };
+    let n = 200_000;
+    let mut counts = std::collections::BTreeMap::new();
+    for _ in 0..n {
+        let drawn = distribution.act(ActionMode::Sampled, &mut rng).unwrap();
+        let rows = ActionRows::new(&found, &drawn.action.choices, &drawn.slots).unwrap();
+        let again = distribution.log_prob(&drawn.action, &drawn.slots, &rows);
+        assert!((drawn.log_prob - again).abs() < 1e-4, "{} {again}", drawn.log_prob);
+        let is_free = drawn.slots.iter().flatten().any(|slot| slot.kind() == Kind::Free);
+        let entry = counts.entry((drawn.action.choices.map(|b| b.map(u8::from)), drawn.slots)).or_insert((0, again));
+        entry.0 += 1;
+        assert!(is_free || entry.1 == again, "the noise of other proposals does not count");
+    }
+    let mut total = 0.0;
+    for ((_, slots), (count, log_prob)) in &counts {
+        if slots.iter().flatten().any(|slot| slot.kind() == Kind::Free) {
+            continue;
+        }
+        let p = f64::from(*log_prob).exp();
+        total += p;
+        let found = f64::from(*count) / f64::from(n);
+        // Five standard errors, and a little for those that are hardly ever drawn.
+        assert!((found - p).abs() < 5.0 * (p / f64::from(n)).sqrt() + 2e-5, "{slots:?}: {found} of {p}");
+    }
+    let of_free: i32 = counts
+        .iter()
+        .filter(|((_, slots), _)| slots.iter().flatten().any(|slot| slot.kind() == Kind::Free))
+        .map(|(_, (count, _))| count)
+        .sum();
+    let left = f64::from(of_free) / f64::from(n);
+    assert!((total + left - 1.0).abs() < 0.02, "{total} and {left} of free draws");
+}
+
+#[test]
+fn the_greedy_action_is_the_most_probable_at_every_draw() {
+    let (goal, scene) = busy();
+    let found = proposals(&scene, &goal);
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let (logits, locs, scales) = (numbers(32, 2.0, &mut rng), numbers(96, 1.0, &mut rng), vec![0.3; 96]);
+    let readouts = numbers(16 * N_READOUTS, 1.0, &mut rng);
+    let distribution =
+        MixtureDistribution { logits: &logits, locs: &locs, scales: &scales, readouts: &readouts, proposals: &found };
+    let greedy = distribution.act(ActionMode::Greedy, &mut rng).unwrap();
+    let best = (0..16).max_by(|&a, &b| logits[a].total_cmp(&logits[b])).unwrap();
+    assert_eq!(greedy.action.choices[0], Some(block(best)));
+    let mut row = Row::default();
+    row.first_proposal(&found, block(best));
+    let mut of_slots = Vec::new();
+    row.logits(&readouts, &mut of_slots);
+    let best_slot = (0..row.len()).max_by(|&a, &b| of_slots[a].total_cmp(&of_slots[b])).unwrap();
+    assert_eq!(greedy.slots[0].map(Slot::index), Some(row.index(best_slot)));
+    let is_free = greedy.slots[0].unwrap().kind() == Kind::Free;
+    let expected = found.get(best, greedy.slots[0].unwrap()).unwrap().movement;
+    assert!(is_free || greedy.action.moves[best] == expected);
+}
+
+#[test]
+fn draws_that_a_scene_does_not_offer_are_refused() {
+    let (goal, scene) = busy();
+    let found = proposals(&scene, &goal);
+    let (a, b) = (block(0), block(1));
+    let hold = Some(Slot::alone(Kind::Hold));
+    let offered =
+        |blocks: [Option<BlockIdx>; 2], slots: [Option<Slot>; 2]| ActionRows::new(&found, &blocks, &slots).is_some();
+    assert!(offered([Some(a), Some(b)], [hold, hold]));
+    assert!(offered([Some(a), Some(a)], [hold, None]));
+    assert!(offered([Some(a), None], [hold, None]));
+    // Both move one block, so only the first one's proposal counts; and a block with its own partner is none.
+    assert!(!offered([Some(a), Some(a)], [hold, hold]));
+    assert!(!offered([Some(a), Some(b)], [hold, None]));
+    assert!(!offered([Some(a), Some(b)], [None, hold]));
+    assert!(!offered([Some(a), None], [hold, hold]));
+    assert!(!offered([None, None], [None, None]));
+    assert!(!offered([Some(a), Some(b)], [Some(Slot::paired(Kind::Detach, a)), hold]));
+}
+
+#[test]
+fn gradients_of_rows_equal_differences() {
+    let (goal, scene) = busy();
+    let found = proposals(&scene, &goal);
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let link = goal.links()[0];
+    let open = goal.links().iter().find(|link| found.get(link.a.get(), Slot::paired(Kind::Join, link.b)).is_some());
+    let open = open.unwrap();
+    let first = Draw { block: open.a, slot: Slot::paired(Kind::Join, open.b) };
+    let mut rows = [Row::default(), Row::default(), Row::default()];
+    rows[0].first_proposal(&found, open.a);
+    rows[1].second_block(&found, first);
+    rows[2].second_proposal(&found, first, open.b);
+    assert_ne!(link.a, link.b);
+    let readouts = numbers(16 * N_READOUTS, 1.0, &mut rng);
+    for row in &rows {
+        let by_logit = numbers(row.len(), 1.0, &mut rng);
+        // Bilinear, so the central difference is exact up to rounding.
+        let loss = |readouts: &[f32]| -> f64 {
+            let mut logits = Vec::new();
+            row.logits(readouts, &mut logits);
+            logits.iter().zip(&by_logit).map(|(x, d)| f64::from(*x) * f64::from(*d)).sum()
+        };
+        let mut gradient = vec![0.0; readouts.len()];
+        row.add_gradient(&readouts, &by_logit, &mut gradient);
+        for k in 0..readouts.len() {
+            let shifted = |by: f32| {
+                let mut shifted = readouts.clone();
+                shifted[k] += by;
+                loss(&shifted)
+            };
+            let difference = (shifted(0.5) - shifted(-0.5)) as f32;
+            assert!((gradient[k] - difference).abs() < 1e-4, "read-out {k}: {} {difference}", gradient[k]);
+        }
+    }
+}
+
+/// The loss of a few recorded actions and its gradient, on the kernels and on burn.
+#[test]
+fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
+    let network = NetworkConfig { move_head: MoveHead::Mixture, value_hidden: vec![32], ..Default::default() };
+    let config = PolicyConfig { network, features: FeatureConfig::paper(), ..Default::default() };
+    let device = Device::flex();
+    let tracked = device.clone().autodiff();
+    let on_burn = Network::init(&config.network, &config.sizes(), 0, &tracked);
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let noise = numbers(on_burn.n_parameters(), 0.1, &mut rng);
+    let values: Vec<f32> = parameters::flatten(&on_burn).iter().zip(noise).map(|(p, x)| p + x).collect();
+    let on_burn = parameters::load(on_burn, &values).unwrap();
+    let mut engine = Engine::new(&config, 0, &device, true);
+    engine.load(&values).unwrap();
+
+    let (goal, scene) = busy();
+    let mut batch = FeatureBatch::of_policy(&config);
+    let mut actions = Vec::new();
+    for n_steps in 0..7 {
+        batch.push(&Observation { scene: &scene, blueprint: &goal, n_steps });
+        let outputs = engine.run(&batch, &[usize::from(n_steps)]);
+        let distribution = MixtureDistribution {
+            logits: &outputs.logits,
+            locs: &outputs.locs,
+            scales: &outputs.scales,
+            readouts: &outputs.readouts,
+            proposals: &batch.proposals[usize::from(n_steps)],
+        };
+        // With one more draw each time, and the last on one block.
+        let mut drawn = distribution.act(ActionMode::Sampled, &mut rng).unwrap();
+        if n_steps == 6 {
+            drawn.action.choices[1] = drawn.action.choices[0];
+            drawn.slots[1] = None;
+        }
+        let rows = ActionRows::new(&batch.proposals[0], &drawn.action.choices, &drawn.slots).unwrap();
+        let log_prob = distribution.log_prob(&drawn.action, &drawn.slots, &rows);
+        actions.push((drawn.action, drawn.slots, rows, log_prob));
+    }
+    let order: Vec<usize> = (0..7).rev().collect();
+    let draws: Vec<&ActionRows> = order.iter().map(|&k| &actions[k].2).collect();
+    let tensors = |device: &Device| {
+        let plain: Vec<&Action> = order.iter().map(|&k| &actions[k].0).collect();
+        let drawn = order.iter().map(|&k| (&actions[k].0, &actions[k].1, &actions[k].2));
+        ActionTensors::new(plain.into_iter(), 2, device).with_draws(drawn, device)
+    };
+    let loss = |output: &policy::NetworkOutput| {
+        let actions = tensors(&tracked);
+        let form = JointForm::ChosenUnique;
+        let log_prob = loss_terms::log_prob(output, &actions, form);
+        let entropy = loss_terms::entropy(output, actions.draws.as_ref(), form);
+        let loss = (log_prob.clone() * 0.7 + entropy.blocks * 0.3 + entropy.moves * 0.2 + output.values.clone()).sum();
+        (log_prob.into_data().try_to_vec::<f32>().unwrap(), loss)
+    };
+
+    let (output, leaves) = engine.run_tracked(&batch, &order, &draws);
+    let (log_probs, total) = loss(&output);
+    for (found, &k) in log_probs.iter().zip(&order) {
+        assert!((found - actions[k].3).abs() < 1e-4, "{found} on tensors, {} on slices", actions[k].3);
+    }
+    let gradient = engine.gradient(leaves, &total, &draws, Vec::new());
+
+    let mut output = on_burn.forward(&BatchTensors::new(&batch.select(&order), on_burn.edge_layout(), &tracked));
+    output.draws = output.readouts.as_ref().map(|readouts| DrawLogits::new(&draws, readouts));
+    let (expected, total) = loss(&output);
+    log_probs.iter().zip(&expected).for_each(|(a, b)| assert!((a - b).abs() < 1e-4, "{a} {b}"));
+    let expected = parameters::flatten_gradients(&on_burn, &mut total.backward());
+    let mut at = 0;
+    for spec in on_burn.table() {
+        let span = at..at + spec.len();
+        let largest = expected[span.clone()].iter().fold(1e-6_f32, |most, x| most.max(x.abs()));
+        for (found, expected) in gradient[span.clone()].iter().zip(&expected[span.clone()]) {
+            assert!((found - expected).abs() < 5e-5 * largest, "{}: {found} {expected}", spec.name);
+        }
+        at = span.end;
+    }
+    let _: Option<Tensor<3>> = output.readouts;
+}
