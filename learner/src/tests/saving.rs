@@ -54,6 +54,7 @@ impl Running {
             resume: None,
             max_env_steps: Some(max_env_steps),
             feed: Some(Box::new(feed)),
+            told: tokio::sync::watch::Sender::new(None),
         };
         let shutdown = CancellationToken::new();
         let learning = tokio::spawn({
