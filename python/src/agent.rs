@@ -94,8 +94,8 @@ impl Policy {
     #[staticmethod]
     fn load(path: PathBuf) -> PyResult<Self> {
         let shown = path.display();
-        let bytes =
-            outside::read(&path, MAX_FILE_BYTES).map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
+        let bytes = outside::read(&path, MAX_FILE_BYTES)
+            .map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
         let refused =
             |error: PolicyError| PyValueError::new_err(format!("path: {shown} is not a policy: {}", message(&error)));
         Self::from_bytes(Cow::Owned(bytes)).map_err(refused)
@@ -177,7 +177,9 @@ enum PolicyError {
     Features(#[from] serde_json::Error),
     #[error("it keeps a grip for {0} steps (policy.grip_steps), and features do not tell which step it is")]
     Grip(u16),
-    #[error("it draws moves from proposals (policy.network.move_head = mixture), and features do not tell what is proposed")]
+    #[error(
+        "it draws moves from proposals (policy.network.move_head = mixture), and features do not tell what is proposed"
+    )]
     Mixture,
 }
 
