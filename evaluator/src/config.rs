@@ -263,7 +263,7 @@ mod tests {
             ),
             (
                 EvaluatorConfig { episodes: twice, ..Default::default() },
-                "evaluator.episodes.acting = [Greedy, Greedy]: expected \"mode\", \"sampled\" or both",
+                "evaluator.episodes.acting = [\"mode\", \"mode\"]: expected \"mode\", \"sampled\" or both",
             ),
             (
                 EvaluatorConfig {
@@ -277,7 +277,7 @@ mod tests {
                     films: FilmsConfig { groups: vec![Group::Train2To6; 2], ..Default::default() },
                     ..Default::default()
                 },
-                "evaluator.films.groups = [Train2To6, Train2To6]: expected names of groups, none twice",
+                "evaluator.films.groups = [\"train 2-6\", \"train 2-6\"]: expected names of groups, none twice",
             ),
         ];
         for (config, message) in table {
