@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use ::blueprints::Split;
-use ::blueprints::outside::printable_lines;
+use ::blueprints::outside::{printable, printable_lines};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
@@ -90,13 +90,16 @@ fn suggest_gpu(error: &mut clap::Error) {
     }
 }
 
-/// Prints an error of the parser, or the help; without colors if an argument has characters that a terminal acts on.
+/// Prints an error of the parser, or the help; an error without colors, and so without escape sequences of anybody, if an
+/// argument or a variable has characters that a terminal acts on.
 fn print(error: &clap::Error) -> io::Result<()> {
-    let text = error.render().to_string();
-    match printable_lines(&text) {
-        Cow::Borrowed(_) => error.print(),
-        Cow::Owned(shown) => io::stderr().write_all(shown.as_bytes()),
+    let of_us = |name: &OsString| name.as_encoded_bytes().starts_with(b"LODESTONE_");
+    let variables = std::env::vars_os().filter(|(name, _)| of_us(name)).map(|(_, value)| value);
+    let is_active = |text: OsString| matches!(printable(&text.to_string_lossy()), Cow::Owned(_));
+    if error.use_stderr() && std::env::args_os().chain(variables).any(is_active) {
+        return io::stderr().write_all(printable_lines(&error.render().to_string()).as_bytes());
     }
+    error.print()
 }
 
 /// The environment variable that an invalid value came from, if it did not come from an argument.
