@@ -6,6 +6,7 @@
 //! handshake a task and a time limit, checks who comes, and carries the bytes of those admitted to zenoh through a Unix
 //! socket in a folder that only this user can enter.
 
+mod arrival;
 mod counts;
 mod hall;
 mod handshake;

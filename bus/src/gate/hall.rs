@@ -12,8 +12,8 @@ use tokio::task::AbortHandle;
 use tokio_util::task::TaskTracker;
 
 use super::JoinCounts;
-use super::handshake::{self, Refused};
-use super::listener::Arrived;
+use super::arrival::{Arrived, Refused};
+use super::handshake;
 use super::relay::{LINGER, relay};
 
 /// Most connections that wait at once. One more ends the oldest: an honest handshake takes milliseconds, so whoever

@@ -11,36 +11,10 @@ use zenoh_codec::{RCodec, Zenoh080};
 use zenoh_protocol::common::{ZExtBody, ZExtUnknown, iext};
 use zenoh_protocol::transport::{TransportBody, TransportMessage};
 
-use super::listener::Arrived;
+use super::arrival::{Arrived, Refused};
 
 /// Number of zenoh's extension in which a client names its user and proves the password.
 const USER_PASSWORD: u8 = 0x2;
-
-/// Reasons why a connection does not become a member.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum Refused {
-    /// The connection broke, or TLS refused it.
-    #[error("{0}")]
-    Broken(#[from] io::Error),
-    /// QUIC refused it.
-    #[error("{0}")]
-    Quic(#[from] quinn::ConnectionError),
-    /// A certificate that names no role.
-    #[error("its certificate names no role")]
-    NoRole,
-    /// A user that is not the certificate's role.
-    #[error("it has the certificate of the role `{role}` and another user name")]
-    Mixed {
-        /// The certificate's role.
-        role: String,
-    },
-    /// The router answered with a refusal.
-    #[error("wrong password, or another version of zenoh, of the role `{role}`")]
-    ByRouter {
-        /// The certificate's role.
-        role: String,
-    },
-}
 
 /// Leads a process to zenoh's router, which asks for its password, and returns the connection to the router.
 ///

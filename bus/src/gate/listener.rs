@@ -7,12 +7,11 @@ use std::time::Duration;
 
 use quinn::crypto::rustls::QuicServerConfig;
 use quinn::{EndpointConfig, Incoming, TokioRuntime, VarInt};
-use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream, lookup_host};
 use tokio_rustls::TlsAcceptor;
 
+use super::arrival::{Arrived, Refused};
 use super::hall::Hall;
-use super::handshake::Refused;
 use super::tls;
 use crate::BusError;
 use crate::security::{Keys, address, is_tls};
@@ -22,22 +21,6 @@ const PROTOCOLS: [&[u8]; 2] = [b"zenoh", b"hq-29"];
 
 /// Pause after an error of the system, such as too many open files, which only time can mend.
 const PAUSE: Duration = Duration::from_millis(100);
-
-/// An encrypted connection.
-pub(super) trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
-
-impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
-
-/// A process whose certificate is good.
-pub(super) struct Arrived {
-    pub(super) stream: Box<dyn Stream>,
-    /// The role in its certificate.
-    pub(super) role: String,
-    /// How long both certificates are still valid.
-    pub(super) valid_for: Duration,
-    /// Of QUIC: dropping it cuts the stream.
-    pub(super) connection: Option<quinn::Connection>,
-}
 
 /// A bound port.
 #[derive(Debug)]
