@@ -12,7 +12,7 @@ use crate::cli::Cli;
 pub(super) const SETTINGS: [&str; 3] = ["DEVICE", "RUN", "SEED"];
 
 /// Variables of tests, of Compose, and of the scripts for Slurm, which this program does not read.
-const OTHERS: [&str; 16] = [
+const OTHERS: [&str; 18] = [
     "CHROMEDRIVER",
     "GOLDEN_DIR",
     "GPU_IMAGE",
@@ -28,6 +28,8 @@ const OTHERS: [&str; 16] = [
     "SLURM_INTERFACE",
     "SLURM_LEARNER",
     "SLURM_POLL_S",
+    "SLURM_PORTS",
+    "SLURM_PROTOCOL",
     "TEST_HISTORY",
 ];
 
