@@ -146,7 +146,8 @@ impl Worker {
         let start = Instant::now();
         while !self.shutdown.is_cancelled() && !self.publications.is_closed() {
             let Some(left) = pause.checked_sub(start.elapsed()) else { return true };
-            std::thread::sleep(left.min(POLL_INTERVAL));
+            // What ends the wait has no blocking form here, and nothing unparks this thread.
+            std::thread::park_timeout(left.min(POLL_INTERVAL));
         }
         false
     }
