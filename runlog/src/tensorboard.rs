@@ -436,7 +436,7 @@ mod tests {
         let n_before = fs::read(writer.path()).unwrap().len();
         writer.restart(12_000).unwrap();
         let event =
-            Event::decode(&fs::read(writer.path()).unwrap()[n_before..][12..].split_last_chunk::<4>().unwrap().0[..])
+            Event::decode(fs::read(writer.path()).unwrap()[n_before..][12..].split_last_chunk::<4>().unwrap().0)
                 .unwrap();
         assert_eq!((event.step, event.session_log, event.summary), (12_000, Some(SessionLog { status: 1 }), None));
     }

@@ -111,7 +111,7 @@ fn what_cannot_be_drawn_is_named_with_what_to_do() {
     std::fs::create_dir(path("bare")).unwrap();
     for (args, code, words) in [
         (&["bare"][..], 66, &["bare/eval.db", "evaluator --run-dir"][..]),
-        (&["gone"], 66, &["gone/eval.db", "no history"]),
+        (&["gone"], 66, &["gone does not exist"]),
         (&["newer"], 66, &["newer/eval.db", "schema version 9", "use the newer program"]),
         (&["empty"], 66, &["empty/eval.db", "no evaluation yet"]),
         (&["run", "--acting", "sampled"], 66, &["no evaluation of sampled actions", "use --acting greedy"]),

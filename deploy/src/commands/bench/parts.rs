@@ -2,7 +2,7 @@
 //! to stdout.
 
 use std::io::{self, BufRead, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use actor::load::{Load, LoadPlan, LoadReport};
 use anyhow::Context;
@@ -95,7 +95,7 @@ pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
 pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let LoadOrder { load: plan, segments } = orders.plan().await?;
-    let segments = segments.iter().map(read_segment).collect::<anyhow::Result<Vec<Trajectory>>>()?;
+    let segments = segments.iter().map(|path| read_segment(path)).collect::<anyhow::Result<Vec<Trajectory>>>()?;
     let gone = orders.gone.clone();
     let measure = async {
         let load = Load::open(plan).await?;
@@ -114,7 +114,7 @@ pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
     }
 }
 
-fn read_segment(path: &PathBuf) -> anyhow::Result<Trajectory> {
+fn read_segment(path: &Path) -> anyhow::Result<Trajectory> {
     let context = || format!("reading {}", path.display());
     let bytes = outside::read(path, MAX_RECORDING_BYTES as u64).with_context(context)?;
     decode_recording(&bytes).with_context(context)
