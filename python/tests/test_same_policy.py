@@ -18,7 +18,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-TOLERANCE = 1e-5
+# As in the reference tests in Rust. With one build of torch 2.15, the two were 1.7e-5 apart: 1.1e-5 and 1.4e-5 from
+# float64.
+TOLERANCE = 2e-5
 # Goals with few blocks, with many, and one that no policy was trained on.
 BLUEPRINTS = ("2_000", "6_005", "12_000", "test_14_000")
 N_STEPS = 15
