@@ -22,7 +22,7 @@ pub const AUTHORITY: &str = "ca";
 /// The role whose certificate may act as a server.
 const ROUTER: &str = "router";
 
-/// Folder in which keys are made, inside their own, until all of them are there.
+/// File that marks keys that are not complete.
 const UNFINISHED: &str = ".unfinished";
 
 /// A function that durably writes a new file.
@@ -75,14 +75,14 @@ impl From<rcgen::Error> for MakeKeysError {
 
 /// Whether `folder` holds keys that [`create`] made.
 pub fn exist(folder: &Path) -> bool {
-    ROLES.iter().all(|role| folder.join(role).join(PASSWORD_FILE).is_file())
+    !folder.join(UNFINISHED).exists() && ROLES.iter().all(|role| folder.join(role).join(PASSWORD_FILE).is_file())
 }
 
 /// Creates the authority and the folders of all roles, valid for `n_days`.
 ///
 /// The router's certificate covers the names and addresses in `hosts`; clients reject a router that they reach under
-/// any other. Folders are accessible to their owner only. They get their names once all files are written, so that a
-/// call that fails, or is interrupted, can be repeated.
+/// any other. Folders are accessible to their owner only. A mark stays until all files are written, so that a call that
+/// fails, or is interrupted, can be repeated.
 ///
 /// # Errors
 /// When `folder` already holds keys, a host is not valid, or nothing can be written.
@@ -93,39 +93,42 @@ pub fn create(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKe
 /// Like [`create`], but writes each file with `write`.
 fn create_with(folder: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), MakeKeysError> {
     let unfinished = folder.join(UNFINISHED);
-    remove_interrupted(folder, &unfinished)?;
+    if unfinished.exists() {
+        remove_made(folder)?;
+    }
     if folder.join(AUTHORITY).exists() || ROLES.iter().any(|role| folder.join(role).join(CERTIFICATE_FILE).exists()) {
         return Err(MakeKeysError::Exists(folder.to_owned()));
     }
     check_hosts(hosts)?;
     make_folder(folder)?;
-    let made = write_all(&unfinished, hosts, n_days, write).and_then(|()| {
-        folders().try_for_each(|name| {
-            let path = folder.join(name);
-            // An empty folder may be there.
-            fs::rename(unfinished.join(name), &path).map_err(|source| MakeKeysError::Io { path, source })
-        })
-    });
-    // The first error counts; what cannot be removed now is removed by the next call.
-    made.and(remove_interrupted(folder, &unfinished))
-}
-
-/// The folders of a run's keys. Nothing works without the router's, which is the last.
-fn folders() -> impl Iterator<Item = &'static str> {
-    ROLES.into_iter().filter(|role| *role != ROUTER).chain([AUTHORITY, ROUTER])
-}
-
-/// Removes what a call left behind that was interrupted: the unfinished folder, and, if the router's is still in it,
-/// the folders that already had their names.
-fn remove_interrupted(folder: &Path, unfinished: &Path) -> Result<(), MakeKeysError> {
-    if unfinished.join(ROUTER).join(PASSWORD_FILE).exists() {
-        let moved = folders().filter(|name| !unfinished.join(name).exists());
-        moved.map(|name| folder.join(name)).try_for_each(|path| remove_folder(&path))?;
+    self::write(&unfinished, "")?;
+    match write_all(folder, hosts, n_days, write) {
+        Ok(()) => remove_if_there(&unfinished),
+        // The first error counts; what cannot be removed now is removed by the next call.
+        Err(error) => remove_made(folder).and(Err(error)),
     }
-    remove_folder(unfinished)
 }
 
-/// Makes all keys in the new folder `into`. The router's password comes last.
+/// The folders of a run's keys.
+fn folders() -> impl Iterator<Item = &'static str> {
+    ROLES.into_iter().chain([AUTHORITY])
+}
+
+/// Removes what a call left behind that was interrupted. A role's folder may be a volume of its own, which can neither be
+/// removed nor get another name.
+fn remove_made(folder: &Path) -> Result<(), MakeKeysError> {
+    for name in folders() {
+        let path = folder.join(name);
+        for file in [AUTHORITY_FILE, KEY_FILE, CERTIFICATE_FILE, PASSWORD_FILE, USERS_FILE] {
+            remove_if_there(&path.join(file))?;
+        }
+        // It fails for a volume, and for a folder that holds anything else.
+        let _ = fs::remove_dir(&path);
+    }
+    remove_if_there(&folder.join(UNFINISHED))
+}
+
+/// Makes all keys in the folder `into`. The router's password comes last: nothing works without it.
 fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), MakeKeysError> {
     let validity = Validity::from_now(n_days);
     let authority_key = KeyPair::generate()?;
@@ -257,15 +260,7 @@ fn write(path: &Path, content: &str) -> Result<(), MakeKeysError> {
 }
 
 fn remove_if_there(path: &Path) -> Result<(), MakeKeysError> {
-    is_gone(path, fs::remove_file(path))
-}
-
-fn remove_folder(path: &Path) -> Result<(), MakeKeysError> {
-    is_gone(path, fs::remove_dir_all(path))
-}
-
-fn is_gone(path: &Path, removed: io::Result<()>) -> Result<(), MakeKeysError> {
-    match removed {
+    match fs::remove_file(path) {
         Err(source) if source.kind() != io::ErrorKind::NotFound => {
             Err(MakeKeysError::Io { path: path.to_owned(), source })
         }
@@ -275,6 +270,8 @@ fn is_gone(path: &Path, removed: io::Result<()>) -> Result<(), MakeKeysError> {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::MetadataExt;
+
     use super::*;
 
     fn names(folder: &Path) -> Vec<String> {
@@ -316,17 +313,26 @@ mod tests {
     fn keys_can_be_made_again_after_a_kill() {
         let folder = tempfile::tempdir().unwrap();
         let keys = folder.path();
+        // A folder that is there stays the same one, as that of a mounted volume must.
+        fs::create_dir(keys.join(ROUTER)).unwrap();
+        let of_router = || fs::metadata(keys.join(ROUTER)).unwrap().ino();
+        let before = of_router();
+        create(keys, &[], 1).unwrap();
         let mut complete: Vec<&str> = folders().collect();
         complete.sort_unstable();
-        // While files are written, and while folders get their names.
-        fs::create_dir_all(keys.join(UNFINISHED).join(ROUTER)).unwrap();
+        assert_eq!((names(keys), of_router()), (complete.iter().map(|&name| name.to_owned()).collect(), before));
+        let password = || fs::read(keys.join(ROUTER).join(PASSWORD_FILE)).unwrap();
+        let first = password();
+        // Killed while files were written, and just before the end.
+        fs::write(keys.join(UNFINISHED), "").unwrap();
+        fs::remove_file(keys.join(ROUTER).join(PASSWORD_FILE)).unwrap();
+        assert!(!exist(keys));
         create(keys, &[], 1).unwrap();
-        assert_eq!(names(keys), complete);
-        let password = fs::read(keys.join(ROUTER).join(PASSWORD_FILE)).unwrap();
-        fs::create_dir(keys.join(UNFINISHED)).unwrap();
-        fs::rename(keys.join(ROUTER), keys.join(UNFINISHED).join(ROUTER)).unwrap();
+        let second = password();
+        fs::write(keys.join(UNFINISHED), "").unwrap();
+        assert!(!exist(keys));
         create(keys, &[], 1).unwrap();
+        assert!(exist(keys) && first != second && second != password(), "all keys are new");
         assert_eq!(names(keys), complete);
-        assert_ne!(fs::read(keys.join(ROUTER).join(PASSWORD_FILE)).unwrap(), password, "all keys are new");
     }
 }
