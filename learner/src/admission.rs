@@ -4,10 +4,8 @@
 use std::collections::BTreeMap;
 
 use blueprints::generator::{Draws, Request};
-use blueprints::{BlueprintId, Split};
-use proto::{Action, Driver, Label, RewardTerms, Scene, Start, Status, Trajectory};
-
-use crate::learner::LearnerSetup;
+use blueprints::{BlueprintId, Catalog, Split};
+use proto::{Action, CanonicalSettings, Driver, Label, RewardTerms, Scene, Start, Status, Trajectory};
 
 /// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
 const MAX_POSITION_M: f32 = 50.0;
@@ -71,17 +69,23 @@ pub struct Admission {
 impl Admission {
     /// Creates rules that admit the training split of the catalog, the run's own tasks, and the generated goals that its
     /// actors draw, from actors with its settings.
-    pub fn new(setup: &LearnerSetup) -> Self {
-        let LearnerSetup { catalog, tasks, generated, .. } = setup;
+    pub fn new(
+        catalog: &Catalog,
+        tasks: &[BlueprintId],
+        generated: Option<Draws>,
+        n_grippers: u8,
+        settings: &CanonicalSettings,
+        acting: ActingLimits,
+    ) -> Self {
         let split =
             catalog.of_split(Split::Train).into_iter().map(|blueprint| (blueprint.id().clone(), blueprint.n_blocks()));
         let tasks = tasks.iter().filter_map(|id| Some((id.clone(), catalog.find(id)?.n_blocks())));
         Self {
-            settings_hash: setup.settings.hash(),
-            acting: setup.acting,
-            n_grippers: usize::from(setup.policy.network.n_grippers),
+            settings_hash: settings.hash(),
+            acting,
+            n_grippers: n_grippers.into(),
             training: split.chain(tasks).collect(),
-            generated: generated.clone(),
+            generated,
         }
     }
 
@@ -218,7 +222,6 @@ fn within(x: f32, limit: f32) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::Catalog;
     use blueprints::generator::Style;
     use proto::Outcome;
 
@@ -227,7 +230,9 @@ mod tests {
     use crate::tests::learning::small_setup;
 
     fn admission(generated: Option<Draws>) -> Admission {
-        Admission::new(&LearnerSetup { tasks: vec!["gen1-arch-7_6_000".parse().unwrap()], generated, ..small_setup(1) })
+        let mut setup = small_setup(1);
+        (setup.tasks, setup.generated) = (vec!["gen1-arch-7_6_000".parse().unwrap()], generated);
+        setup.admission()
     }
 
     fn of_goal(goal: &str, start: Start) -> Trajectory {
@@ -330,7 +335,12 @@ mod tests {
             has_prebuilt_starts: false,
             has_near_goal_starts: false,
         };
-        let rules = Admission::new(&LearnerSetup { acting, ..small_setup(1) });
+        let rules_of = |acting| {
+            let mut setup = small_setup(1);
+            setup.acting = acting;
+            setup.admission()
+        };
+        let rules = rules_of(acting);
         let label = |t: &mut Trajectory| {
             let label = Label { choices: t.transitions[0].action.choices, moves: [[0.0; 6]; 2] };
             t.transitions.iter_mut().for_each(|transition| transition.label = Some(label));
@@ -359,7 +369,7 @@ mod tests {
         (longest.first_step, longest.n_burn_in_steps, longest.driver) = (60, 60, Driver::Greedy);
         assert_eq!(rules.check(&longest), Ok(()));
         let without = ActingLimits { burn_in_steps: 0, ..acting };
-        let rules = Admission::new(&LearnerSetup { acting: without, ..small_setup(1) });
+        let rules = rules_of(without);
         let mut greedy = trajectory(2, 5);
         greedy.driver = Driver::Greedy;
         assert!(rules.check(&greedy).is_err());

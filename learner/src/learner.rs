@@ -8,7 +8,7 @@ use blueprints::generator::{Draws, MADE_CAPACITY};
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
-use policy::{Policy, PolicyConfig, PolicyError};
+use policy::{MoveHead, Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
 use proto::metrics::{ImitationMetrics, PpoMetrics};
 use proto::{CanonicalSettings, Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
@@ -111,6 +111,14 @@ pub struct Learner {
 /// that tries to overload the learner sends more: generating a large goal takes up to 30 ms.
 const GENERATED_BLOCKS_PER_STEP: usize = 4;
 
+impl LearnerSetup {
+    /// Returns what a learner with this setup admits.
+    pub(crate) fn admission(&self) -> Admission {
+        let Self { catalog, tasks, generated, policy, settings, acting, .. } = self;
+        Admission::new(catalog, tasks, generated.clone(), policy.network.n_grippers, settings, *acting)
+    }
+}
+
 impl Learner {
     /// Creates a learner, untrained unless `setup.init` is a policy.
     ///
@@ -120,6 +128,10 @@ impl Learner {
     pub fn new(setup: LearnerSetup) -> Result<Self, LearnerError> {
         setup.config.validate()?;
         setup.policy.validate()?;
+        let imitates_a_mixture =
+            setup.policy.network.move_head == MoveHead::Mixture && setup.config.imitation.is_some();
+        let expected = "gaussian, because labels for learner.imitation name no proposals";
+        InvalidSetting::check("policy.network.move_head", "mixture", !imitates_a_mixture, expected)?;
         if setup.tasks.is_empty() {
             return Err(LearnerError::NoTasks);
         }
@@ -148,8 +160,7 @@ impl Learner {
             mailbox: MailboxCounts::default(),
             normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         };
-        let admission = Admission::new(&setup);
-        let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), admission));
+        let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), setup.admission()));
         let n_threads = setup.config.n_threads.unwrap_or_else(|| match setup.device {
             DeviceKind::Cpu => n_cores(),
             DeviceKind::Gpu => 1,

@@ -182,7 +182,7 @@ mod tests {
 
     fn mailbox(capacity_steps: usize) -> Mailbox {
         let config = MailboxConfig { capacity_steps, max_policy_lag: 2 };
-        Mailbox::new(config, Admission::new(&small_setup(1)))
+        Mailbox::new(config, small_setup(1).admission())
     }
 
     #[test]

@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::learning::{bandit, feed, small_setup};
-use crate::config::{FixedRate, RateRule};
+use crate::config::{FixedRate, ImitationConfig, RateRule};
 use crate::{Learner, LearnerSetup};
 
 pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
@@ -62,6 +62,14 @@ fn actions_that_their_scenes_do_not_offer_are_refused_and_counted() {
     let update = learner.update().unwrap();
     assert_eq!((update.n_steps, update.unmade_total), (256, 3));
     assert_eq!(update.ppo.n_samples, 253);
+}
+
+#[test]
+fn a_mixture_cannot_imitate() {
+    let mut setup = mixture_setup(1);
+    setup.config.imitation = Some(ImitationConfig::default());
+    let error = Learner::new(setup).unwrap_err().to_string();
+    assert!(error.starts_with("policy.network.move_head = mixture: expected gaussian"), "{error}");
 }
 
 #[test]
