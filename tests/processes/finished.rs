@@ -55,6 +55,7 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     // The heat map opens a recorded episode. Of evaluations in quick succession, only the first is filmed.
     let films: Value = serde_json::from_str(&get(address.strip_prefix("http://").unwrap(), "/api/films").1).unwrap();
     let filmed = &films["films"][0]["weights_version"];
+    assert!(filmed.is_u64(), "{films}");
     browser.until(&format!("heat.rows.length === 1 && heat.passes.some((pass) => pass.weights_version === {filmed})"));
     let column = format!("heat.passes.findIndex((pass) => pass.weights_version === {filmed})");
     browser.run(&format!("heat.move({{ row: 0, column: {column} }}); heat.open()"));
