@@ -8,7 +8,7 @@ use proto::setting::Section;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{CurriculumConfig, WideningConfig};
-use crate::state::share;
+use crate::numbers::share;
 
 /// Success rates and probabilities of the training blueprints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -22,6 +22,7 @@ pub mod mailbox;
 pub mod metrics;
 pub mod model;
 pub mod normalization;
+mod numbers;
 mod ppo;
 pub mod replay;
 pub mod reverse;

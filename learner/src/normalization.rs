@@ -8,7 +8,7 @@
 use proto::InvalidSetting;
 use serde::{Deserialize, Serialize};
 
-use crate::state::{finite, not_negative, positive};
+use crate::numbers::{finite, not_negative, positive};
 
 /// Running mean and standard deviation of the value targets, in reward units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

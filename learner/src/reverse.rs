@@ -8,7 +8,7 @@ use proto::{InvalidSetting, Start};
 use serde::{Deserialize, Serialize};
 
 use crate::config::ReverseConfig;
-use crate::state::share;
+use crate::numbers::share;
 
 /// How far from the goal episodes begin, by the goal's number of blocks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

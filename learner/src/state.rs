@@ -2,7 +2,6 @@
 
 use policy::PolicyConfig;
 use policy::normalization::FeatureMoments;
-use proto::setting::Number;
 use proto::{CanonicalSettings, InvalidSetting, Normalization, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -11,6 +10,7 @@ use crate::adam::LearningRate;
 use crate::curriculum::Curriculum;
 use crate::mailbox::MailboxCounts;
 use crate::normalization::ValueStatistics;
+use crate::numbers::{finite, not_negative, positive};
 use crate::reverse::ReverseCurriculum;
 
 /// Counters, statistics, curriculum, and random number generator.
@@ -91,26 +91,6 @@ impl LearnerState {
             reverse_reach: self.reverse.reach(),
         }
     }
-}
-
-/// Checks that a number is finite and at least 0.
-pub(crate) fn not_negative<T: Number + From<u8>>(key: &str, value: T) -> Result<(), InvalidSetting> {
-    InvalidSetting::check(key, value, value.is_finite() && value >= T::from(0), "at least 0 and finite")
-}
-
-/// Checks that a number is finite and above 0.
-pub(crate) fn positive<T: Number + From<u8>>(key: &str, value: T) -> Result<(), InvalidSetting> {
-    InvalidSetting::check(key, value, value.is_finite() && value > T::from(0), "above 0 and finite")
-}
-
-/// Checks that a number is finite.
-pub(crate) fn finite<T: Number>(key: &str, value: T) -> Result<(), InvalidSetting> {
-    InvalidSetting::check(key, value, value.is_finite(), "a finite number")
-}
-
-/// Checks that a number is in 0..=1, but for the rounding of quotients of small numbers.
-pub(crate) fn share(key: &str, value: f64) -> Result<(), InvalidSetting> {
-    InvalidSetting::check(key, value, (0.0..=1.001).contains(&value), "0..=1")
 }
 
 fn check_normalization(path: &str, normalization: &Normalization, widths: [usize; 3]) -> Result<(), InvalidSetting> {
