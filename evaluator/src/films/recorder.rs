@@ -78,7 +78,8 @@ impl VideoRecorder {
         let (its_queue, its_config) = (queue.clone(), config.clone());
         let work = move || {
             while let Some(clip) = its_queue.next() {
-                its_queue.note(files.keep(&clip, &its_config, || its_queue.is_closed()), &clip);
+                let is_late = its_queue.is_closed();
+                its_queue.note(files.keep(&clip, &its_config, is_late), &clip);
             }
         };
         let thread = std::thread::Builder::new().name("films".to_owned()).spawn(work)?;
@@ -101,7 +102,7 @@ impl VideoRecorder {
         self.queue.wait_until(is_reached)
     }
 
-    /// Ends the thread without waiting for a film. Of the current and the waiting clips, only the recordings are kept.
+    /// Ends the thread after the current film. Of the waiting clips, only the recordings are kept.
     pub(crate) fn close(mut self) {
         self.queue.close();
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
@@ -121,21 +122,16 @@ impl Drop for VideoRecorder {
 
 impl Files {
     /// Keeps the recording of a clip, and its film unless it `is_late`.
-    fn keep(&mut self, clip: &Clip, config: &FilmsConfig, is_late: impl Fn() -> bool) -> anyhow::Result<Made> {
+    fn keep(&mut self, clip: &Clip, config: &FilmsConfig, is_late: bool) -> anyhow::Result<Made> {
         let (segment, id) = (&clip.trajectory, &clip.trajectory.task.blueprint);
         let label = ClipName { version: segment.weights_version, ending: clip.ending, number: clip.number };
         self.replays.put(id, label, &encode_recording(segment)).context("keeping the recording")?;
-        if is_late() {
+        if is_late {
             return Ok(Made::RecordingOnly);
         }
         let goal = self.catalog.get(id).context("its goal is not in the catalog")?;
         let episode = Episode::new(std::slice::from_ref(segment), goal)?;
-        // A film takes a second or more, which is long after a signal.
-        let film = mp4(Film::new(&episode, config.width).frames(config.fps).take_while(|_| !is_late()), config.fps);
-        if is_late() {
-            return Ok(Made::RecordingOnly);
-        }
-        let film = film?;
+        let film = mp4(Film::new(&episode, config.width).frames(config.fps), config.fps)?;
         let path = self.videos.put(id, label, &film).context("keeping the film")?;
         tracing::debug!(path = %path.display(), "a film of an evaluation");
         let Some(reel) = &mut self.reel else { return Ok(Made::Film { is_oversized: false }) };
