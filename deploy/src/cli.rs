@@ -51,6 +51,11 @@ pub struct Cli {
     pub log_format: LogFormat,
 }
 
+/// Returns the definition of the command line.
+pub fn program() -> clap::Command {
+    Cli::command()
+}
+
 impl Cli {
     /// Parses the arguments of this process.
     ///

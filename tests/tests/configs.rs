@@ -40,6 +40,7 @@ fn the_binary_embeds_every_preset() {
 fn every_variable_of_scripts_and_manifests_exists() {
     let mut paths = files(root(), &["sh", "sbatch", "yaml", "yml", "py", "example"]);
     paths.extend([".ci/run", "deploy/slurm/lodestone-slurm", "deploy/Dockerfile"].map(|path| root().join(path)));
+    let program = deploy::cli::program();
     let mut n_names = 0;
     for path in paths {
         let text = read(&path);
@@ -50,7 +51,7 @@ fn every_variable_of_scripts_and_manifests_exists() {
                 continue;
             }
             n_names += 1;
-            let known = check_variables([name.as_str()]);
+            let known = check_variables([name.as_str()], &program);
             assert!(known.is_ok(), "{}: {}", shown(&path), known.unwrap_err());
         }
     }

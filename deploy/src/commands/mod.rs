@@ -28,7 +28,7 @@ use std::time::Duration;
 use ::bus::{Bus, BusConfig, BusError};
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::{Command, ConfigArgs, RunArgs, Settings};
+use crate::cli::{self, Command, ConfigArgs, RunArgs, Settings};
 use crate::config::{Override, check_variables};
 use crate::exit::Failure;
 use crate::limits;
@@ -49,7 +49,7 @@ const LAST_THREADS: Duration = Duration::from_millis(250);
 /// The reason for the failure; [`Failure`] lists the kinds.
 pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     let names: Vec<String> = std::env::vars_os().map(|(name, _)| name.to_string_lossy().into_owned()).collect();
-    check_variables(names.iter().map(String::as_str))?;
+    check_variables(names.iter().map(String::as_str), &cli::program())?;
     match command {
         Command::Bench(command) => bench::run(&command, terminal),
         Command::Blueprints(command) => blueprints::run(&command, terminal),

@@ -2,11 +2,13 @@
 
 use std::ffi::OsString;
 
-use super::variables::SETTINGS;
 use super::{Config, ConfigError, Preset};
 
 /// Name of the base of a file that overrides the plain defaults.
 pub const NO_BASE: &str = "none";
+
+/// Settings that are variables without a section.
+pub(super) const SETTINGS: [&str; 3] = ["DEVICE", "RUN", "SEED"];
 
 /// Prefix of every variable of this program.
 pub(super) const PREFIX: &str = "LODESTONE_";

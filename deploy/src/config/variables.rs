@@ -2,14 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use clap::CommandFactory;
-
-use super::layers::PREFIX;
+use super::layers::{PREFIX, SETTINGS};
 use super::{Base, ConfigError, PRESETS, merge, nearest};
-use crate::cli::Cli;
-
-/// Settings that are variables without a section.
-pub(super) const SETTINGS: [&str; 3] = ["DEVICE", "RUN", "SEED"];
 
 /// Variables of tests, of Compose, and of the scripts for Slurm, which this program does not read.
 const OTHERS: [&str; 18] = [
@@ -34,16 +28,20 @@ const OTHERS: [&str; 18] = [
 ];
 
 /// Refuses names that begin with `LODESTONE_` and mean nothing: most are settings with one underscore between section
-/// and key, which would be ignored. Names with two are settings, and are checked where the configuration is read.
+/// and key, which would be ignored. Names with two are settings, and are checked where the configuration is read. Flags of
+/// the `program` may have names too.
 ///
 /// # Errors
 /// Names the first such variable in alphabetical order, and the most similar one that exists.
-pub fn check_variables<'n>(names: impl IntoIterator<Item = &'n str>) -> Result<(), ConfigError> {
+pub fn check_variables<'n>(
+    names: impl IntoIterator<Item = &'n str>,
+    program: &clap::Command,
+) -> Result<(), ConfigError> {
     let ours: BTreeSet<&str> = names.into_iter().filter_map(|name| name.strip_prefix(PREFIX)).collect();
     if ours.is_empty() {
         return Ok(());
     }
-    let known = known();
+    let known = known(program);
     let means_nothing = |name: &&&str| !name.contains("__") && !known.contains(**name) && !is_service(name);
     let Some(unknown) = ours.iter().find(means_nothing) else { return Ok(()) };
     let candidates: BTreeSet<String> = known.into_iter().chain(keys()).collect();
@@ -55,14 +53,14 @@ pub fn check_variables<'n>(names: impl IntoIterator<Item = &'n str>) -> Result<(
 }
 
 /// All known names without a section.
-fn known() -> BTreeSet<String> {
+fn known(program: &clap::Command) -> BTreeSet<String> {
     fn of_flags(command: &clap::Command, found: &mut BTreeSet<String>) {
         let names = command.get_arguments().filter_map(|argument| argument.get_env()?.to_str()?.strip_prefix(PREFIX));
         found.extend(names.map(str::to_owned));
         command.get_subcommands().for_each(|below| of_flags(below, found));
     }
     let mut found: BTreeSet<String> = SETTINGS.iter().chain(&OTHERS).map(|&name| name.to_owned()).collect();
-    of_flags(&Cli::command(), &mut found);
+    of_flags(program, &mut found);
     found
 }
 
@@ -100,10 +98,13 @@ fn is_service(name: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
+    use crate::cli::Cli;
 
     fn refused(name: &str) -> Option<String> {
-        check_variables([name]).err().map(|error| error.to_string())
+        check_variables([name], &Cli::command()).err().map(|error| error.to_string())
     }
 
     #[test]
