@@ -1,8 +1,9 @@
 //! From a scene to an action: graph features, the network, the action distribution, and parameters as flat vectors.
 //!
 //! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`cpu`] → [`engine`] → [`parameters`] →
-//! [`distribution`] → [`policy`] (inference), [`loss_terms`] (the same distribution on tensors, for training), and
-//! [`imitation`] (distances from the expert's labels and from another policy).
+//! [`distribution`] (the Gaussian head) → [`proposals`] and [`mixture`] (the other head) → [`policy`] (inference),
+//! [`loss_terms`] (the same distributions on tensors, for training), and [`imitation`] (distances from the expert's
+//! labels and from another policy).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
