@@ -415,6 +415,9 @@ pub struct EvalArgs {
     /// Set one key of the run's configuration, for example evaluator.episodes.starts=mixed; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
+    /// Also print how the episodes ended, by number of blocks.
+    #[arg(long, conflicts_with = "json")]
+    pub endings: bool,
     /// Print every blueprint, not only the groups and the worst blueprints.
     #[arg(long)]
     pub verbose: bool,

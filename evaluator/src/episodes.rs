@@ -6,7 +6,8 @@ use proto::metrics::{EvalReport, EvalResetFree};
 use proto::{Agent, Weights};
 
 use crate::config::ResetFreeConfig;
-use crate::follower::Follower;
+use crate::endings::Endings;
+use crate::follower::{Both, Follower};
 use crate::pool::EvaluationPool;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
@@ -34,12 +35,14 @@ pub fn evaluate(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
-    let report = evaluate_followed(setup, policy, weights, blueprints, &Follower { keep_going, on_episode: &|_| {} })?;
+    let follower = Follower { keep_going, on_episode: &|_| {} };
+    let report = evaluate_followed(setup, policy, weights, blueprints, &follower, None)?;
     if report.summary.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
 }
 
 /// Like [`evaluate()`], but calls `follower` for each episode, and returns a partial report when `keep_going` returns
-/// false. A partial report is marked incomplete and has no reset-free runs.
+/// false. A partial report is marked incomplete and has no reset-free runs. Counts in `endings`, if given, how the
+/// episodes end, those of reset-free runs included.
 ///
 /// # Errors
 /// If the weights do not fit or an episode cannot be started.
@@ -49,10 +52,12 @@ pub fn evaluate_followed(
     weights: &Weights,
     blueprints: &[&Blueprint],
     follower: &Follower<'_>,
+    endings: Option<&Endings>,
 ) -> Result<EvalReport, EvalError> {
     let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
     let (queue, keep_going) = (&WorkQueue::default(), follower.keep_going);
-    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(follower), keep_going };
+    let observer = Both(&endings, follower);
+    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(&observer), keep_going };
     let mut last_part = None;
     match evaluate_in_parts(&pool, weights, blueprints, &mut |part| last_part = Some(part)) {
         Err(EvalError::Interrupted) => last_part.ok_or(EvalError::Interrupted),

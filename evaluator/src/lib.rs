@@ -2,7 +2,7 @@
 //! uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `work_queue` (distribution
-//! of the work) → [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks) → [`table`] (what is printed)
+//! of the work) → [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), [`endings`] (how episodes end) → [`table`] (what is printed)
 //! → [`run()`] (the service on the bus), which shares its work through `dispatcher` with processes that call
 //! [`run_worker()`]. [`films`] records films in every evaluation, [`expert`] evaluates the scripted expert in the same
 //! way, [`perform`] plays one episode for display, and [`record()`] records many.
@@ -11,6 +11,7 @@
 
 pub mod config;
 mod dispatcher;
+pub mod endings;
 pub mod episodes;
 pub mod expert;
 pub mod films;
@@ -36,6 +37,7 @@ mod worker;
 pub use config::{
     EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, FilmsConfig, ResetFreeConfig, Selection, Starts,
 };
+pub use endings::{Ending, Endings, SizeEndings};
 pub use environment::EnvironmentConfig;
 pub use episodes::{evaluate, evaluate_followed};
 pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_expert_followed};
@@ -45,6 +47,6 @@ pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use record::{Callbacks, Recorded, record};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
-pub use table::{Detail, render, render_expert};
+pub use table::{Detail, render, render_endings, render_expert};
 pub use work_queue::EvaluationProgress;
 pub use worker::run_worker;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
 
+use crate::endings::{Ending, SizeEndings};
 use crate::expert::{Cause, ExpertBlueprint, ExpertReport};
 
 /// Level of detail of the text.
@@ -130,6 +131,34 @@ pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
         text.words(format!("failed for {cause:<24} {n:>6}"));
     }
     text.render()
+}
+
+/// Formats how episodes ended as lines, each ending with a line break: the share of each [ending](Ending) in percent;
+/// wrong connections, broken ones, and missing ones at the end, per episode; and the shares of draws by kind of
+/// proposal, in percent.
+pub fn render_endings(sizes: &BTreeMap<(&str, usize), SizeEndings>) -> String {
+    let mut text = format!(
+        "{:<7} {:>6} {:>6} {:>6} {:>5} {:>5} {:>5} {:>5} {:>5} {:>5} {:>5}  draws, %\n",
+        "actions", "blocks", "of", "built", "still", "wrong", "misp.", "stuck", "time", "div.", "w/b/m"
+    );
+    for ((acting, n_blocks), size) in sizes {
+        let n = size.n_episodes().max(1) as f64;
+        let share = |ending: Ending| 100.0 * size.endings.get(&ending).copied().unwrap_or(0) as f64 / n;
+        let shares = [Ending::Built, Ending::Still, Ending::Wrong, Ending::Misplaced, Ending::Stuck, Ending::Time];
+        let shares = shares.map(|ending| format!("{:>5.1}", share(ending))).join(" ");
+        let n_draws = size.draws.values().sum::<u64>().max(1) as f64;
+        let draws = size.draws.iter().map(|(kind, &n)| format!("{kind} {:.0}", 100.0 * n as f64 / n_draws));
+        let draws: Vec<String> = draws.collect();
+        text += &format!(
+            "{acting:<7} {n_blocks:>6} {n:>6}  {shares} {:>5.1} {:.1}/{:.1}/{:.1}  {}\n",
+            share(Ending::Diverged),
+            size.n_wrong as f64 / n,
+            size.n_broken as f64 / n,
+            size.n_missing as f64 / n,
+            draws.join(" ")
+        );
+    }
+    text
 }
 
 impl Table {

@@ -3,7 +3,9 @@
 use std::time::Instant;
 
 use blueprints::{Blueprint, Split};
-use evaluator::{EvalSetup, EvaluatorConfig, Follower, Selection, evaluate_followed, render};
+use evaluator::{
+    Endings, EvalSetup, EvaluatorConfig, Follower, Selection, evaluate_followed, render, render_endings,
+};
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, tell_choices};
@@ -51,7 +53,9 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     let (episodes, start) = (EpisodeCounter::new(terminal.on_stderr(), n_planned), Instant::now());
     let follower =
         Follower { keep_going: &|| !shutdown.is_cancelled(), on_episode: &|episode| episodes.count(episode) };
-    let report = evaluate_followed(&setup, &config.policy, &source.model.weights, &blueprints, &follower);
+    let endings = args.endings.then(Endings::default);
+    let weights = &source.model.weights;
+    let report = evaluate_followed(&setup, &config.policy, weights, &blueprints, &follower, endings.as_ref());
     let n_ended = episodes.finish();
     let mut report = report.map_err(anyhow::Error::from)?;
     report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -59,6 +63,9 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         super::json(&report, terminal)?;
     } else {
         terminal.print(&render(&report, live::detail(args.verbose)));
+        if let Some(endings) = endings {
+            terminal.print(&render_endings(&endings.into_sizes()));
+        }
     }
     if report.summary.is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
 }

@@ -114,7 +114,7 @@ fn what_an_interrupted_evaluation_found_is_reported() {
             n_ended.fetch_add(1, Ordering::Relaxed);
         },
     };
-    let report = evaluate_followed(&setup, &small_policy(), &weights(), &blueprints(1), &follower).unwrap();
+    let report = evaluate_followed(&setup, &small_policy(), &weights(), &blueprints(1), &follower, None).unwrap();
     let summary = &report.summary;
     assert_eq!((summary.is_complete, summary.n_planned, summary.all.mode.success.n_episodes), (false, 3, 2));
 }

@@ -1,0 +1,177 @@
+//! Counts how episodes end, by the size of their goal: where to look when success stays where it is.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use blueprints::Blueprint;
+use environment::Step;
+use nalgebra::Vector3;
+use parking_lot::Mutex;
+use policy::proposals::Slot;
+use proto::unit::End;
+use proto::{ActionMode, Joint, Observation, Scene};
+use serde::{Deserialize, Serialize};
+
+use crate::report::EpisodeResult;
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
+
+/// Number of steps without movement after which an episode counts as still.
+const STILL_STEPS: usize = 20;
+/// Largest distance that a block moves in them, m.
+const STILL_M: f32 = 0.03;
+/// Number of steps without a new correct connection after which an episode counts as stuck.
+const STUCK_STEPS: u32 = 30;
+
+/// How an episode ended. Of several that apply, the first counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// The goal was built.
+    Built,
+    /// The physics diverged.
+    Diverged,
+    /// No block of the goal moved by more than 3 cm in the last 20 steps.
+    Still,
+    /// A wrong connection was left.
+    Wrong,
+    /// All connections were made, but a pair was not in place.
+    Misplaced,
+    /// No correct connection was made in the last 30 steps.
+    Stuck,
+    /// Time ran out while connections were still being made.
+    Time,
+}
+
+impl Ending {
+    /// All endings, in the order of the table.
+    pub const ALL: [Self; 7] =
+        [Self::Built, Self::Diverged, Self::Still, Self::Wrong, Self::Misplaced, Self::Stuck, Self::Time];
+}
+
+/// How the episodes with goals of one size ended.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SizeEndings {
+    /// Number of episodes by ending.
+    pub endings: BTreeMap<Ending, u64>,
+    /// Number of wrong connections that formed.
+    pub n_wrong: u64,
+    /// Number of correct connections that broke.
+    pub n_broken: u64,
+    /// Number of correct connections missing at the ends.
+    pub n_missing: u64,
+    /// Number of draws by kind of proposal; empty for another policy head.
+    pub draws: BTreeMap<String, u64>,
+}
+
+impl SizeEndings {
+    /// Returns the number of episodes.
+    pub fn n_episodes(&self) -> u64 {
+        self.endings.values().sum()
+    }
+}
+
+/// Collects the endings of episodes, by action mode and size.
+#[derive(Debug, Default)]
+pub struct Endings(Mutex<BTreeMap<(&'static str, usize), SizeEndings>>);
+
+impl Endings {
+    /// Returns what was collected, by action mode (`greedy` or `sampled`) and number of blocks.
+    pub fn into_sizes(self) -> BTreeMap<(&'static str, usize), SizeEndings> {
+        self.0.into_inner()
+    }
+}
+
+/// What is kept of a running episode.
+pub(crate) struct EpisodeRecord {
+    /// Positions of the goal's blocks in the last scenes, oldest first.
+    recent: VecDeque<Vec<Vector3<f32>>>,
+    n_right: u32,
+    steps_since_gain: u32,
+    has_wrong: bool,
+    found: SizeEndings,
+}
+
+impl<A> EpisodeObserver<A> for Option<&Endings> {
+    type Record = EpisodeRecord;
+
+    fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, start: Observation<'_>) -> Option<EpisodeRecord> {
+        self.map(|_| EpisodeRecord {
+            recent: VecDeque::new(),
+            n_right: n_right(start.scene, start.blueprint),
+            steps_since_gain: 0,
+            has_wrong: false,
+            found: SizeEndings::default(),
+        })
+    }
+
+    fn observe(&self, record: &mut EpisodeRecord, step: Step, _: &A, _: usize, after: Observation<'_>) {
+        record.note(&step, after);
+    }
+
+    fn end(&self, mut record: EpisodeRecord, spec: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
+        let Some(endings) = self else { return };
+        *record.found.endings.entry(record.ending(result.end)).or_default() += 1;
+        let acting = match result.acting {
+            ActionMode::Greedy => "greedy",
+            ActionMode::Sampled => "sampled",
+        };
+        endings.0.lock().entry((acting, spec.n_blocks)).or_default().add(record.found);
+    }
+}
+
+impl EpisodeRecord {
+    fn note(&mut self, step: &Step, Observation { scene, blueprint, .. }: Observation<'_>) {
+        let before = &step.scene;
+        let new = scene.joints.iter().filter(|joint| !before.joints.contains(joint));
+        self.found.n_wrong += new.filter(|joint| !is_right(blueprint, joint)).count() as u64;
+        let lost = before.joints.iter().filter(|joint| !scene.joints.contains(joint));
+        self.found.n_broken += lost.filter(|joint| is_right(blueprint, joint)).count() as u64;
+        for slot in step.decision.proposals.iter().flatten().filter_map(|&slot| Slot::from_index(slot)) {
+            *self.found.draws.entry(slot.kind().name().to_owned()).or_default() += 1;
+        }
+        let n_right = n_right(scene, blueprint);
+        self.found.n_missing = blueprint.links().len() as u64 - u64::from(n_right);
+        self.has_wrong = scene.joints.len() as u32 > n_right;
+        self.steps_since_gain = if n_right > self.n_right { 0 } else { self.steps_since_gain + 1 };
+        self.n_right = n_right;
+        if self.recent.len() > STILL_STEPS {
+            self.recent.pop_front();
+        }
+        let places = blueprint.placements().iter();
+        self.recent.push_back(places.map(|p| Vector3::from(scene.blocks[p.block.get()].position)).collect());
+    }
+
+    fn ending(&self, end: End) -> Ending {
+        match end {
+            End::Success { .. } => Ending::Built,
+            End::Diverged => Ending::Diverged,
+            End::TimeLimit if self.is_still() => Ending::Still,
+            End::TimeLimit if self.has_wrong => Ending::Wrong,
+            End::TimeLimit if self.found.n_missing == 0 => Ending::Misplaced,
+            End::TimeLimit if self.steps_since_gain >= STUCK_STEPS => Ending::Stuck,
+            End::TimeLimit => Ending::Time,
+        }
+    }
+
+    fn is_still(&self) -> bool {
+        let (Some(first), Some(last)) = (self.recent.front(), self.recent.back()) else { return false };
+        self.recent.len() > STILL_STEPS && first.iter().zip(last).all(|(a, b)| (a - b).norm() < STILL_M)
+    }
+}
+
+impl SizeEndings {
+    fn add(&mut self, other: Self) {
+        other.endings.into_iter().for_each(|(ending, n)| *self.endings.entry(ending).or_default() += n);
+        other.draws.into_iter().for_each(|(kind, n)| *self.draws.entry(kind).or_default() += n);
+        self.n_wrong += other.n_wrong;
+        self.n_broken += other.n_broken;
+        self.n_missing += other.n_missing;
+    }
+}
+
+fn is_right(blueprint: &Blueprint, joint: &Joint) -> bool {
+    blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative)
+}
+
+fn n_right(scene: &Scene, blueprint: &Blueprint) -> u32 {
+    scene.joints.iter().filter(|joint| is_right(blueprint, joint)).count() as u32
+}
