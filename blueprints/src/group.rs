@@ -3,7 +3,7 @@
 use crate::Split;
 use serde::{Deserialize, Serialize};
 
-/// A column of the paper's ablation table, in the paper's order, or the validation split.
+/// A column of the paper's ablation table, in the paper's order, or a part of the validation split.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Group {
@@ -17,13 +17,15 @@ pub enum Group {
     Test12To16,
     /// Held-out literal, longest and tallest blueprints.
     TestSpecial,
-    /// Blueprints of the validation split, which is not in the paper.
+    /// Blueprints of 2 to 6 blocks of the validation split, which is not in the paper.
+    Validation2To6,
+    /// Blueprints of 7 to 16 blocks of the validation split.
     Validation,
 }
 
 /// A string that is not a group name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16, test special or validation")]
+#[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16, test special, validation 2-6 or validation")]
 pub struct InvalidGroup(pub String);
 
 impl TryFrom<String> for Group {
@@ -42,8 +44,15 @@ impl From<Group> for String {
 
 impl Group {
     /// All groups in the paper's order, then validation.
-    pub const ALL: [Self; 6] =
-        [Self::Train2To6, Self::Train7To11, Self::Train12To16, Self::Test12To16, Self::TestSpecial, Self::Validation];
+    pub const ALL: [Self; 7] = [
+        Self::Train2To6,
+        Self::Train7To11,
+        Self::Train12To16,
+        Self::Test12To16,
+        Self::TestSpecial,
+        Self::Validation2To6,
+        Self::Validation,
+    ];
 
     /// Returns the group of a blueprint of `n_blocks` blocks; `None` for a size outside the paper's groups.
     pub fn of(split: Split, n_blocks: usize) -> Option<Self> {
@@ -53,6 +62,7 @@ impl Group {
             (Split::Train, 12..=16) => Some(Self::Train12To16),
             (Split::Test, 12..=16) => Some(Self::Test12To16),
             (Split::TestLiteral | Split::TestLongest | Split::TestTallest, _) => Some(Self::TestSpecial),
+            (Split::Validation, 2..=6) => Some(Self::Validation2To6),
             (Split::Validation, _) => Some(Self::Validation),
             (Split::Train | Split::Test, _) => None,
         }
@@ -66,6 +76,7 @@ impl Group {
             Self::Train12To16 => "train 12-16",
             Self::Test12To16 => "test 12-16",
             Self::TestSpecial => "test special",
+            Self::Validation2To6 => "validation 2-6",
             Self::Validation => "validation",
         }
     }
@@ -90,6 +101,7 @@ mod tests {
             (Split::TestLiteral, 10, Some(Group::TestSpecial)),
             (Split::TestLongest, 12, Some(Group::TestSpecial)),
             (Split::TestTallest, 16, Some(Group::TestSpecial)),
+            (Split::Validation, 6, Some(Group::Validation2To6)),
             (Split::Validation, 7, Some(Group::Validation)),
             (Split::Validation, 16, Some(Group::Validation)),
         ];

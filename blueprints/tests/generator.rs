@@ -96,6 +96,16 @@ fn catalog_records_match_their_provenance() {
 fn validation_goals_match_their_provenance_and_are_not_for_training() {
     let catalog = Catalog::builtin();
     let drawn = [
+        ("validation_2_000", "gen1-any-18_2_000"),
+        ("validation_2_001", "gen1-tower-18_2_000"),
+        ("validation_3_000", "gen1-any-18_3_000"),
+        ("validation_3_001", "gen1-tower-18_3_000"),
+        ("validation_4_000", "gen1-any-18_4_000"),
+        ("validation_4_001", "gen1-ring-18_4_000"),
+        ("validation_5_000", "gen1-table-18_5_000"),
+        ("validation_5_001", "gen1-stairs-18_5_000"),
+        ("validation_6_000", "gen1-arch-18_6_000"),
+        ("validation_6_001", "gen1-cross-18_6_000"),
         ("validation_7_000", "gen1-arch-18_7_000"),
         ("validation_7_001", "gen1-stairs-18_7_000"),
         ("validation_8_000", "gen1-table-19_8_000"),

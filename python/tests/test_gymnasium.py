@@ -94,7 +94,7 @@ class SingleEnvironment(unittest.TestCase):
             env = gymnasium.make(ID, blueprint=own)
             self.assertEqual(env.reset(seed=1)[1]["blueprint"], "mine_4_000")
         self.assertEqual(len(lodestone.blueprints("train")), 142)
-        self.assertEqual(len(lodestone.blueprints("validation")), 24)
+        self.assertEqual(len(lodestone.blueprints("validation")), 34)
 
     def test_splits_and_ids_come_before_folders(self) -> None:
         mine = {"mine_4_000": 4}

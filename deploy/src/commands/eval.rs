@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn the_shipped_policy_is_evaluated_on_the_papers_blueprints() {
-        let preset = crate::config::Preset::find("laptop").unwrap();
+        let preset = crate::config::Preset::find("imitation").unwrap();
         let config = crate::config::Config::parse(preset.text, preset.name).unwrap();
         let evaluated = final_selection(&config.evaluator).select(Catalog::builtin()).unwrap();
         assert_eq!(evaluated.len(), 142 + 24);

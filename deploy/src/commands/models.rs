@@ -17,7 +17,7 @@ use runlog::RunPaths;
 const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
 
 /// Preset that the shipped policy was trained with.
-const PRETRAINED_PRESET: &str = "laptop";
+const PRETRAINED_PRESET: &str = "imitation";
 
 /// A policy, and the text and origin of the configuration that it was trained with.
 pub(super) struct Source {

@@ -1,6 +1,6 @@
 // Success by group against environment steps, with 95 % intervals, and the table of the newest evaluation.
 
-const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation", "all"];
+const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation 2-6", "validation", "all"];
 /** Curves with fewer points than this have visible dots. */
 const MAX_DOTS = 40;
 
