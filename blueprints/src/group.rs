@@ -25,7 +25,9 @@ pub enum Group {
 
 /// A string that is not a group name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16, test special, validation 2-6 or validation")]
+#[error(
+    "{0:?} is not a group: train 2-6, train 7-11, train 12-16, test 12-16, test special, validation 2-6 or validation"
+)]
 pub struct InvalidGroup(pub String);
 
 impl TryFrom<String> for Group {

@@ -10,6 +10,7 @@
 pub mod batch;
 pub mod config;
 pub mod cpu;
+mod detour;
 pub mod device;
 pub mod distribution;
 pub mod engine;

@@ -19,7 +19,7 @@
 //! | kind | of | the move of i | proposed if |
 //! |---|---|---|---|
 //! | [`Join`](Kind::Join) | each j | to its place relative to j; through the funnel if the two are to be connected | both belong to the blueprint, and they are in different pieces or their connection is open |
-//! | [`Meet`](Kind::Meet) | each j | half of that, for when j comes as well | the blueprint connects the two, and they are not connected |
+//! | [`Meet`](Kind::Meet) | each j | a part of that, for when j comes as well: half of the way, or less if more blocks move with i than with j | the blueprint connects the two, and they are not connected |
 //! | [`Detach`](Kind::Detach) | each j | away from j, a little up, and turning | the two are connected, but not as the blueprint wants it |
 //! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground; nothing if it is higher | always |
 //! | [`Lift`](Kind::Lift) | i | half a step up | always |
@@ -28,6 +28,9 @@
 //! **The funnel.** On the way to its place, i stays off j in the direction in which their pieces part most freely (or
 //! along the normal of the connection, if they belong to one piece already): the farther it is from the axis, and the
 //! more it has to turn, the farther off. Once i is aligned, the funnel ends, and the move is exact.
+//!
+//! **The detour.** If blocks of other pieces are between i and that point, i goes around them (`detour.rs`): straight
+//! ways through a structure were what broke most of its connections.
 //!
 //! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
 //! more than one step is scaled down, so that shift and turn arrive together.
@@ -38,6 +41,7 @@ use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS};
 use nalgebra::Vector3;
 use proto::{Move, Observation, Scene};
 
+use crate::detour::{Obstacle, next_stop};
 use crate::geometry::{Frame, matrix, rotation_vector};
 use crate::openings::{Cell, opening};
 
@@ -82,7 +86,7 @@ const PULL_UP: f32 = 0.06;
 pub enum Kind {
     /// Goes to its place relative to a partner.
     Join,
-    /// Goes half of the way.
+    /// Goes a part of the way.
     Meet,
     /// Breaks a wrong connection with a partner.
     Detach,
@@ -194,21 +198,24 @@ impl Proposals {
         let view = View::new(observation.scene, observation.blueprint);
         let mut proposals =
             Self { entries: Vec::with_capacity(4 * N), ends: [0; N], relations: vec![[0.0; N_RELATION]; N * N] };
-        let mut joins = Vec::with_capacity(N);
+        let [mut joins, mut meets] = [Vec::with_capacity(N), Vec::with_capacity(N)];
         let mut detaches = Vec::with_capacity(N);
         for i in BlockIdx::all() {
             joins.clear();
+            meets.clear();
             detaches.clear();
+            let obstacles = view.obstacles(i);
             for j in BlockIdx::all().filter(|&j| j != i) {
-                let pair = view.pair(i, j);
-                joins.extend(pair.join.map(|join| (j, join, pair.is_open)));
+                let pair = view.pair(i, j, &obstacles);
+                joins.extend(pair.join.map(|join| (j, join.to_move())));
+                let share = view.share(i, j);
+                meets.extend(pair.join.filter(|_| pair.is_open).map(|join| (j, join.part(share).to_move())));
                 detaches.extend(pair.detach.map(|detach| (j, detach)));
                 proposals.relations[i.get() * N + j.get()] = pair.relation;
             }
             let mut push = |slot, movement| proposals.entries.push(Proposal { slot, movement });
-            joins.iter().for_each(|(j, join, _)| push(Slot::paired(Kind::Join, *j), *join));
-            let open = joins.iter().filter(|(_, _, is_open)| *is_open);
-            open.for_each(|(j, join, _)| push(Slot::paired(Kind::Meet, *j), join.map(|x| 0.5 * x)));
+            joins.iter().for_each(|(j, join)| push(Slot::paired(Kind::Join, *j), *join));
+            meets.iter().for_each(|(j, meet)| push(Slot::paired(Kind::Meet, *j), *meet));
             detaches.iter().for_each(|(j, detach)| push(Slot::paired(Kind::Detach, *j), *detach));
             push(Slot::alone(Kind::Hold), view.rise(i, HOLD_M - view.frames[i.get()].position.z));
             push(Slot::alone(Kind::Lift), view.rise(i, LIFT * STEP_M));
@@ -262,6 +269,8 @@ struct View<'a> {
     cells: [Vec<Cell>; N],
     connections: [[Connection; N]; N],
     held: [bool; N],
+    /// Number of blocks of each piece, at the index of its name.
+    sizes: [u8; N],
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -273,7 +282,7 @@ enum Connection {
 
 /// The proposals of an ordered pair.
 struct Pair {
-    join: Option<Move>,
+    join: Option<Way>,
     /// Whether the blueprint connects the two, and nothing does yet.
     is_open: bool,
     detach: Option<Move>,
@@ -301,7 +310,16 @@ impl<'a> View<'a> {
         };
         let mut held = [false; N];
         scene.grippers.iter().flatten().filter_map(|gripper| gripper.held).for_each(|block| held[block.get()] = true);
-        Self { radii: std::array::from_fn(radius), blueprint, frames, pieces, cells, connections, held }
+        let mut sizes = [0; N];
+        pieces.iter().for_each(|&piece| sizes[piece] += 1);
+        Self { radii: std::array::from_fn(radius), blueprint, frames, pieces, cells, connections, held, sizes }
+    }
+
+    /// Returns i's part of the way if both come. It falls with the square of the number of blocks that move with i:
+    /// large pieces break when they move or turn fast.
+    fn share(&self, i: BlockIdx, j: BlockIdx) -> f32 {
+        let [own, other] = [i, j].map(|block| f32::from(self.sizes[self.pieces[block.get()]]).powi(2));
+        if self.pieces[i.get()] == self.pieces[j.get()] { 0.5 } else { other / (own + other) }
     }
 
     /// Returns a move straight up by at most `height_m` and one step.
@@ -310,7 +328,7 @@ impl<'a> View<'a> {
         [up.x, up.y, up.z, 0.0, 0.0, 0.0]
     }
 
-    fn pair(&self, i: BlockIdx, j: BlockIdx) -> Pair {
+    fn pair(&self, i: BlockIdx, j: BlockIdx, obstacles: &[Obstacle<'_>]) -> Pair {
         let connection = self.connections[i.get()][j.get()];
         let is_wrong = connection == Connection::Wrong;
         let bit = |is: bool| f32::from(u8::from(is));
@@ -339,11 +357,34 @@ impl<'a> View<'a> {
                 let off = FUNNEL_SLOPE * (lateral_m - ALIGNED_M).max(0.0)
                     + (FUNNEL_PER_RAD + wide) * (turn_rad - ALIGNED_RAD).max(0.0);
                 join.shift += normal * off.min(FUNNEL_M + wide);
+                if !is_joined {
+                    join.shift = self.around(i, join.shift, &normal, obstacles);
+                }
             }
         }
         // Toward a block of the same piece, both would move, and nothing would change.
-        pair.join = (!is_joined || is_possible).then(|| join.to_move());
+        pair.join = (!is_joined || is_possible).then_some(join);
         pair
+    }
+
+    /// Returns the blocks of all other pieces.
+    fn obstacles(&self, i: BlockIdx) -> Vec<Obstacle<'_>> {
+        let others = BlockIdx::all().filter(|k| self.pieces[k.get()] != self.pieces[i.get()]);
+        let extents = |k| Inventory::standard().half_extents_m(k).into();
+        others.map(|k| Obstacle { frame: &self.frames[k.get()], half_extents_m: extents(k) }).collect()
+    }
+
+    /// Returns the first straight part of a way of `i` by `shift` that leads around the obstacles; vectors in its frame.
+    fn around(
+        &self,
+        i: BlockIdx,
+        shift: Vector3<f32>,
+        normal: &Vector3<f32>,
+        obstacles: &[Obstacle<'_>],
+    ) -> Vector3<f32> {
+        let own = &self.frames[i.get()];
+        let to = own.position + own.axes * shift;
+        own.localize(&(next_stop(&own.position, &to, &(own.axes * normal), obstacles) - own.position))
     }
 
     /// Returns the exact way of `i` to its place relative to a fixed `j`; `None` if the blueprint lacks one of them.
@@ -376,9 +417,10 @@ impl<'a> View<'a> {
         let (own, other) = (&self.frames[i.get()], &self.frames[j.get()]);
         let away = (own.position - other.position).try_normalize(1e-6).unwrap_or_else(Vector3::z);
         let hinge = away.cross(&Vector3::z()).try_normalize(0.1).unwrap_or_else(Vector3::x);
-        let linear = own.localize(&(away * PULL + Vector3::z() * PULL_UP));
+        let share = 2.0 * self.share(i, j);
+        let linear = own.localize(&(away * PULL + Vector3::z() * PULL_UP)) * share.min(1.0);
         let angular = own.localize(&(hinge + away));
-        let angular = angular / angular.amax().max(1.0);
+        let angular = angular * (share.min(1.0) / angular.amax().max(1.0));
         [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
     }
 }
@@ -393,6 +435,11 @@ struct Way {
 }
 
 impl Way {
+    /// Returns this part of the motion.
+    fn part(self, share: f32) -> Self {
+        Self { shift: self.shift * share, turn: self.turn * share }
+    }
+
     /// Returns the number of steps that the motion takes at full speed.
     fn n_steps(&self) -> f32 {
         (self.shift.amax() / STEP_M).max(self.turn.amax() / STEP_RAD)

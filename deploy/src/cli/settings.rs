@@ -188,7 +188,7 @@ mod tests {
         assert_eq!((two_lines.config.actor.n_worlds, two_lines.preset), (3, None));
         assert_eq!(two_lines.config.learner, preset("quickstart").learner);
         assert!(two_lines.source.ends_with("my.toml over the preset `quickstart`"), "{}", two_lines.source);
-        assert_eq!(load("", Some("two-blocks")).unwrap().config, preset("two-blocks"));
+        assert_eq!(load("", Some("paper")).unwrap().config, preset("paper"));
         assert_eq!(load("base = \"paper\"", None).unwrap().config, preset("paper"));
         assert_eq!(load("base = \"none\"", None).unwrap().config, Config::default());
     }
@@ -228,8 +228,8 @@ mod tests {
             }
             args.load(resume.map(|_| &run), Vec::new()).err().map(|error| error.to_string())
         };
-        // `quickstart` has a schedule of rates.
-        for resume in [None, Some("quickstart")] {
+        // `imitation` has a schedule of rates.
+        for resume in [Some("imitation"), Some("compact")] {
             let message = load("learner.optimizer.learning_rate=1e-4", resume).unwrap();
             assert!(message.contains("has no effect while learner.optimizer.rate_rule is a line"), "{message}");
         }

@@ -3,9 +3,7 @@
 use std::time::Instant;
 
 use blueprints::{Blueprint, Split};
-use evaluator::{
-    Endings, EvalSetup, EvaluatorConfig, Follower, Selection, evaluate_followed, render, render_endings,
-};
+use evaluator::{Endings, EvalSetup, EvaluatorConfig, Follower, Selection, evaluate_followed, render, render_endings};
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, tell_choices};

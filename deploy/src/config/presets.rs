@@ -32,8 +32,6 @@ pub const PRESETS: &[Preset] = presets![
     "imitation": "about an hour and a half on two cores, 1.3 GB of memory and 1 GB of disk; it may be ended and resumed at any time",
     "fine-tune": "about 20 minutes on two cores, 1 GB of memory and 1 GB of disk",
     "compact": "15 to 60 minutes on two cores, 1 GB of memory and 1 GB of disk",
-    "two-blocks": "about an hour on two cores and 0.3 GB of memory",
-    "reverse-curriculum": "about ten hours on two cores and 0.7 GB of memory; it may be ended and resumed at any time",
     "near-goal": "one to two minutes on two cores",
     "imitation-only": "about 13 minutes on two cores",
     "ppo-only": "about 13 minutes on two cores",
