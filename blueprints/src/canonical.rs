@@ -167,7 +167,7 @@ mod tests {
             .collect();
         assert_eq!(half_turns.len(), 3);
         let held_out: Vec<&Blueprint> = catalog.iter().filter(|b| b.split() != Split::Train).collect();
-        assert_eq!(held_out.len(), 24 + 24);
+        assert_eq!(held_out.len(), 24 + 34);
         for blueprint in held_out {
             let mut others: Vec<Blueprint> = (0..3).map(|axis| mirrored(blueprint, axis)).collect();
             others.extend(half_turns.iter().map(|&turn| with_other_poles(blueprint, turn)));

@@ -96,7 +96,7 @@ fn catalog_records_match_their_provenance() {
 fn validation_goals_match_their_provenance_and_are_not_for_training() {
     let catalog = Catalog::builtin();
     let drawn = [
-        ("validation_2_000", "gen1-any-18_2_000"),
+        ("validation_2_000", "gen1-any-19_2_000"),
         ("validation_2_001", "gen1-tower-18_2_000"),
         ("validation_3_000", "gen1-any-18_3_000"),
         ("validation_3_001", "gen1-tower-18_3_000"),
