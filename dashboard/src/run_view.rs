@@ -1,6 +1,7 @@
 //! The known state of a run: the newest metrics of each part and which processes are alive. Shown by the page and the
 //! terminal.
 
+pub(crate) mod proposals;
 mod trends;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -260,6 +261,9 @@ impl RunView {
                 let value: LearnerMetrics = parse(value)?;
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
+                if !value.proposals.as_ref().is_none_or(proposals::are_believable) {
+                    return Err(Refusal::Unreadable);
+                }
                 // A learner that waits for its disk reports the same weights again.
                 let is_same = |heard: &Newest<LearnerMetrics>| heard.value.weights_version == value.weights_version;
                 let is_update = !self.learner.as_ref().is_some_and(is_same);

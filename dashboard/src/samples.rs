@@ -10,6 +10,21 @@ pub(crate) fn learner() -> MetricsSample {
     sample("learner", include_str!("../tests/metrics/learner.json"))
 }
 
+/// Metrics of a learner with the mixture head.
+pub(crate) fn mixture_learner() -> MetricsSample {
+    let mut learner = learner();
+    let kind = |n_draws: u64, n_tries: u64, success: Option<f64>| serde_json::json!({ "n_draws": n_draws, "share": n_draws as f64 / 200.0, "n_tries": n_tries, "success": success });
+    learner.value["proposals"] = serde_json::json!({
+        "first_proposal_entropy": 1.5, "second_block_entropy": 1.25, "second_proposal_entropy": 0.75,
+        "kinds": {
+            "join": kind(100, 80, Some(0.125)), "meet": kind(50, 50, Some(0.04)), "detach": kind(0, 0, None),
+            "hold": kind(26, 0, None), "lift": kind(14, 0, None), "free": kind(10, 0, None),
+            "of a later version": kind(0, 0, None),
+        },
+    });
+    learner
+}
+
 /// An evaluation of two groups.
 pub(crate) fn evaluation() -> MetricsSample {
     sample("eval/summary", include_str!("../tests/metrics/eval-summary.json"))

@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
-use blueprints::Catalog;
+use blueprints::{Blueprint, Catalog};
 use policy::mixture::ActionRows;
 use policy::proposals::Slot;
 use policy::{FeatureBatch, MoveHead, PolicyConfig};
-use proto::{Action, Driver, N_GRIPPERS, Observation, Status, Trajectory, Transition, WeightsVersion};
+use proto::{Action, Driver, N_GRIPPERS, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
 
 use crate::config::RewardFactors;
+use crate::draws;
 use crate::gae;
 use crate::mailbox::policy_lag;
 
@@ -45,6 +46,8 @@ pub struct Draws {
     pub slots: [Option<Slot>; N_GRIPPERS],
     /// What they were chosen among.
     pub rows: ActionRows,
+    /// Whether the step did what each proposal is for; `None` if there was nothing to do.
+    pub did: [Option<bool>; N_GRIPPERS],
 }
 
 /// Consecutive samples of one episode.
@@ -90,14 +93,15 @@ impl Batch {
             let mut n_steps = trajectory.first_step;
             let is_drawn = trajectory.driver == Driver::Sampled;
             let mut is_offered = true;
-            for transition in trajectory.transitions {
+            for (t, transition) in trajectory.transitions.iter().enumerate() {
                 batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint, n_steps });
                 n_steps = n_steps.saturating_add(1);
-                if is_drawn && !batch.push_draws(&transition) {
+                let after = trajectory.transitions.get(t + 1).map_or(&trajectory.last_scene, |next| &next.scene);
+                if is_drawn && !batch.push_draws(transition, after, &blueprint) {
                     is_offered = false;
                     break;
                 }
-                batch.actions.push(transition.action);
+                batch.actions.push(transition.action.clone());
                 batch.behavior_log_probs.push(transition.behavior_log_prob);
                 let reward = transition.reward;
                 batch.rewards.push(reward.total() + (factors.wrong_weight - 1.0) * reward.wrong);
@@ -124,12 +128,13 @@ impl Batch {
     }
 
     /// Appends the draws of a transition whose scene was pushed last; returns whether that scene offers them.
-    fn push_draws(&mut self, transition: &Transition) -> bool {
+    fn push_draws(&mut self, transition: &Transition, after: &Scene, blueprint: &Blueprint) -> bool {
         let Some(draws) = &mut self.draws else { return true };
         let Some(proposals) = self.features.proposals.last() else { return false };
         let slots = transition.proposals.map(|slot| slot.and_then(Slot::from_index));
         let rows = ActionRows::new(proposals, &transition.action.choices, &slots);
-        draws.extend(rows.map(|rows| Draws { slots, rows }));
+        let did = draws::did(transition, &slots, after, blueprint);
+        draws.extend(rows.map(|rows| Draws { slots, rows, did }));
         draws.len() == self.features.n
     }
 

@@ -10,7 +10,7 @@ use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
 use policy::{MoveHead, Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
-use proto::metrics::{ImitationMetrics, PpoMetrics};
+use proto::metrics::PpoMetrics;
 use proto::{CanonicalSettings, Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -26,7 +26,7 @@ use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::metrics::UpdateMetrics;
 use crate::model::Model;
 use crate::normalization::ValueStatistics;
-use crate::ppo::{ImitationSource, Ppo, Progress, Trained};
+use crate::ppo::{ImitationSource, Learned, Ppo, Progress, Trained};
 use crate::replay::Replay;
 use crate::reverse::ReverseCurriculum;
 use crate::state::LearnerState;
@@ -311,9 +311,9 @@ impl Learner {
         self.state.normalization.value_mean = self.state.values.mean as f32;
         self.state.normalization.value_std = self.state.values.std as f32;
         self.state.version.0 += 1;
-        let refused = self.refusal(&learned.0, &trial);
+        let refused = self.refusal(&learned.ppo, &trial);
         if refused.is_some() {
-            learned = (kept_metrics(&learned.0), None);
+            learned = Learned { ppo: kept_metrics(&learned.ppo), imitation: None, ..learned };
             self.take_back(before);
         }
         self.state.n_updates += 1;
@@ -343,7 +343,7 @@ impl Learner {
     }
 
     /// Takes the gradient steps of an update on a batch with normalized features.
-    fn learn(&mut self, batch: &Batch) -> (PpoMetrics, Option<ImitationMetrics>) {
+    fn learn(&mut self, batch: &Batch) -> Learned {
         let config = &self.setup.config;
         let mut progress = Progress {
             rng: &mut self.state.rng,

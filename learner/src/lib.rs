@@ -12,6 +12,7 @@ pub mod batch;
 pub mod checkpoint;
 pub mod config;
 pub mod curriculum;
+mod draws;
 pub mod episodes;
 #[cfg(test)]
 mod fixtures;

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use blueprints::BlueprintId;
 use proto::WeightsVersion;
-use proto::metrics::{EpisodeMetrics, ImitationMetrics, PpoMetrics};
+use proto::metrics::{EpisodeMetrics, ImitationMetrics, PpoMetrics, ProposalMetrics};
 use serde::Serialize;
 
 use crate::batch::Batch;
 use crate::mailbox::{Mailbox, MailboxCounts};
+use crate::ppo::Learned;
 use crate::state::LearnerState;
 
 /// Metrics of one update.
@@ -44,6 +45,8 @@ pub struct UpdateMetrics {
     pub ppo: PpoMetrics,
     /// Imitation metrics; `None` without imitation.
     pub imitation: Option<ImitationMetrics>,
+    /// What the mixture head drew; `None` for the Gaussian head, and if PPO had no samples.
+    pub proposals: Option<ProposalMetrics>,
     /// Episodes that ended in the batch.
     pub episodes: EpisodeMetrics,
     /// Probability of each training blueprint.
@@ -57,7 +60,7 @@ impl UpdateMetrics {
         state: &LearnerState,
         batch: &Batch,
         n_steps: u64,
-        (ppo, imitation): (PpoMetrics, Option<ImitationMetrics>),
+        Learned { ppo, imitation, proposals }: Learned,
         episodes: EpisodeMetrics,
         mailbox: &Mailbox,
     ) -> Self {
@@ -79,6 +82,7 @@ impl UpdateMetrics {
             n_steps,
             ppo,
             imitation,
+            proposals,
             episodes,
             task_probabilities: state.curriculum.probabilities(),
             reverse_reach: state.reverse.reach(),

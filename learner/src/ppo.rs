@@ -9,13 +9,14 @@ use std::ops::Range;
 use burn::tensor::Device;
 use policy::PolicyConfig;
 use policy::parameters::{ParameterError, ParameterSpec, VALUE_HEAD};
-use proto::metrics::{ImitationMetrics, PpoMetrics};
+use proto::metrics::{ImitationMetrics, PpoMetrics, ProposalMetrics};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
 use crate::config::{LearnerConfig, LossTerms, Objective, RateRule};
+use crate::draws;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalization::ValueStatistics;
 pub(crate) use imitation_update::ImitationSource;
@@ -59,6 +60,16 @@ pub(crate) struct Progress<'a> {
     pub(crate) values: &'a mut ValueStatistics,
     /// Environment steps consumed before this update.
     pub(crate) n_env_steps: u64,
+}
+
+/// The metrics of an update.
+#[derive(Debug)]
+pub(crate) struct Learned {
+    pub(crate) ppo: PpoMetrics,
+    /// `None` without imitation.
+    pub(crate) imitation: Option<ImitationMetrics>,
+    /// `None` for the Gaussian head, and without samples.
+    pub(crate) proposals: Option<ProposalMetrics>,
 }
 
 /// Positions of the value head in the flat vector.
@@ -169,7 +180,7 @@ impl Ppo {
         imitation_source: Option<ImitationSource<'_>>,
         config: &LearnerConfig,
         progress: &mut Progress<'_>,
-    ) -> (PpoMetrics, Option<ImitationMetrics>) {
+    ) -> Learned {
         let terms = config.loss_at(progress.n_env_steps);
         match &config.optimizer.rate_rule {
             // A resumed run may have been given another rate.
@@ -184,11 +195,14 @@ impl Ppo {
         let mut imitation_update =
             imitation_source.and_then(|imitation_source| ImitationUpdate::new(imitation_source, progress.n_env_steps));
         let learns = terms.policy > 0.0 || terms.value_coefficient > 0.0 || terms.imitator_kl > 0.0;
+        let mut proposals = None;
         let mut metrics = PpoMetrics { learning_rate: f64::from(progress.learning_rate.0), ..PpoMetrics::default() };
         if learns && batch.n_samples() > 0 {
-            metrics = self.update_with(batch, terms, imitation_update.as_mut(), config, progress);
+            (metrics, proposals) = self.update_with(batch, terms, imitation_update.as_mut(), config, progress);
         }
-        let Some(mut imitation_update) = imitation_update else { return (metrics, None) };
+        let Some(mut imitation_update) = imitation_update else {
+            return Learned { ppo: metrics, imitation: None, proposals };
+        };
         let mut steps = Steps::default();
         while imitation_update.n_left() > 0 {
             let mut gradient = self.workers.zeros(self.parameters.len());
@@ -201,7 +215,7 @@ impl Ppo {
         }
         metrics.n_gradient_steps += steps.n_steps;
         metrics.n_skipped_steps += steps.n_skipped;
-        (metrics, Some(imitation_update.metrics()))
+        Learned { ppo: metrics, imitation: Some(imitation_update.metrics()), proposals }
     }
 
     /// Runs PPO, and adds the imitation gradient to each gradient step while imitation steps are left.
@@ -212,7 +226,7 @@ impl Ppo {
         mut imitation_update: Option<&mut ImitationUpdate<'_>>,
         config: &LearnerConfig,
         progress: &mut Progress<'_>,
-    ) -> PpoMetrics {
+    ) -> (PpoMetrics, Option<ProposalMetrics>) {
         let before = self.workers.evaluate(batch, config.forward_size);
         let values = in_reward_units(&before.values, progress.values);
         let advantages = batch.advantages(&values, config.gamma, config.lambda);
@@ -266,7 +280,7 @@ impl Ppo {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
         let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;
-        PpoMetrics {
+        let metrics = PpoMetrics {
             total_loss: mean(steps.losses.total(&targets.loss)),
             policy_loss: mean(steps.losses.policy),
             value_loss: mean(steps.losses.value),
@@ -286,7 +300,8 @@ impl Ppo {
             n_epochs,
             value_mean: progress.values.mean,
             value_std: progress.values.std,
-        }
+        };
+        (metrics, batch.draws.as_ref().map(|draws| draws::metrics(draws, &before.entropies)))
     }
 
     /// Runs one epoch over all samples in random order.

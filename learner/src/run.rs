@@ -359,6 +359,7 @@ impl Worker {
             refused_total: update.refused_total,
             ppo: update.ppo,
             imitation: update.imitation,
+            proposals: update.proposals.clone(),
             episodes: update.episodes.clone(),
             ingest,
             bus,

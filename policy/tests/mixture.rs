@@ -231,6 +231,13 @@ fn numbers(n: usize, scale: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
     (0..n).map(|_| scale * rng.random_range(-1.0..1.0)).collect()
 }
 
+/// The entropy of a choice, from its probabilities.
+fn entropy(logits: &[f32]) -> f32 {
+    let weights: Vec<f32> = logits.iter().map(|logit| logit.exp()).collect();
+    let total: f32 = weights.iter().sum();
+    -weights.iter().map(|weight| weight / total * (weight / total).ln()).sum::<f32>()
+}
+
 #[test]
 fn draws_are_as_frequent_as_their_log_probability_says() {
     let (goal, scene) = busy();
@@ -392,7 +399,10 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
         }
         let rows = ActionRows::new(&batch.proposals[0], &drawn.action.choices, &drawn.slots).unwrap();
         let log_prob = distribution.log_prob(&drawn.action, &drawn.slots, &rows);
-        actions.push((drawn.action, drawn.slots, rows, log_prob));
+        let [first, second_block, second] = distribution.entropies(&rows);
+        assert_eq!(second == 0.0, n_steps == 6, "the last has no second proposal");
+        let entropy = [entropy(&outputs.logits[..16]) + second_block, first + second];
+        actions.push((drawn.action, drawn.slots, rows, log_prob, entropy));
     }
     let order: Vec<usize> = (0..7).rev().collect();
     let draws: Vec<&ActionRows> = order.iter().map(|&k| &actions[k].2).collect();
@@ -401,11 +411,18 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
         let drawn = order.iter().map(|&k| (&actions[k].0, &actions[k].1, &actions[k].2));
         ActionTensors::new(plain.into_iter(), 2, device).with_draws(drawn, device)
     };
+    let actions_of = &actions;
     let loss = |output: &policy::NetworkOutput| {
         let actions = tensors(&tracked);
         let form = JointForm::ChosenUnique;
         let log_prob = loss_terms::log_prob(output, &actions, form);
         let entropy = loss_terms::entropy(output, actions.draws.as_ref(), form);
+        for (part, values) in [entropy.blocks.clone(), entropy.moves.clone()].into_iter().enumerate() {
+            for (found, &k) in values.into_data().try_to_vec::<f32>().unwrap().iter().zip(&order) {
+                let on_slices = actions_of[k].4[part];
+                assert!((found - on_slices).abs() < 1e-4, "part {part}: {found} on tensors, {on_slices} on slices");
+            }
+        }
         let loss = (log_prob.clone() * 0.7 + entropy.blocks * 0.3 + entropy.moves * 0.2 + output.values.clone()).sum();
         (log_prob.into_data().try_to_vec::<f32>().unwrap(), loss)
     };

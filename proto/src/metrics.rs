@@ -60,6 +60,9 @@ pub struct LearnerMetrics {
     /// Imitation metrics; `null` without imitation.
     #[serde(default)]
     pub imitation: Option<ImitationMetrics>,
+    /// What the mixture head drew; absent for the Gaussian head, and if PPO had no samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub proposals: Option<ProposalMetrics>,
     /// Episodes that ended since the last report.
     pub episodes: EpisodeMetrics,
     /// Trajectories that arrived, by result.
@@ -129,6 +132,36 @@ pub struct PpoMetrics {
     pub value_mean: f64,
     /// Standard deviation of the value targets, reward units.
     pub value_std: f64,
+}
+
+/// The mixture head's draws of proposals in the samples of an update. The entropies are those before its first gradient
+/// step, means over the samples in which the choice was made, and 0 if there are none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ProposalMetrics {
+    /// Entropy of the first gripper's choice among the proposals of its block, nats.
+    pub first_proposal_entropy: f64,
+    /// Entropy of the second gripper's choice of a block, given the first one's draw, nats.
+    pub second_block_entropy: f64,
+    /// Entropy of the second gripper's choice among the proposals of its block, nats.
+    pub second_proposal_entropy: f64,
+    /// Draws of both grippers by kind of proposal: `join`, `meet`, `detach`, `hold`, `lift`, `free`.
+    pub kinds: BTreeMap<String, KindMetrics>,
+}
+
+/// Draws of one kind of proposal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct KindMetrics {
+    /// Number of draws.
+    pub n_draws: u64,
+    /// Part of all draws, 0 to 1.
+    pub share: f64,
+    /// Draws that had a connection to change. For `join` and `meet`, the blueprint connects the block and its partner,
+    /// and they were not connected correctly; for `detach`, they were connected wrongly. Other kinds have none.
+    pub n_tries: u64,
+    /// Part of the tries whose step changed it, 0 to 1: afterwards the two were connected correctly (`join`, `meet`),
+    /// or no longer connected wrongly (`detach`). A way of several steps counts as one success in as many tries. `null`
+    /// without tries.
+    pub success: Option<f64>,
 }
 
 /// Imitation of the expert's labels in one update; means over scenes.

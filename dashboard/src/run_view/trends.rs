@@ -4,11 +4,15 @@ use std::collections::VecDeque;
 
 use proto::metrics::{EvalSummary, LearnerMetrics};
 
+use super::proposals::CHARTED;
+
 /// Number of newest values kept per trend.
 const MAX_VALUES: usize = 200;
 
-/// Learner metrics that are tracked, by their name on the page; `None` where a metric does not apply.
-type Look = fn(&LearnerMetrics) -> Option<f64>;
+/// Returns a number of an update; `None` where it does not apply.
+pub(crate) type Look = fn(&LearnerMetrics) -> Option<f64>;
+
+/// Learner metrics that are tracked, by name; those of [`CHARTED`] follow them.
 const FOLLOWED: [(&str, Look); 12] = [
     ("success of episodes", |learner| {
         let success = &learner.episodes.success;
@@ -31,13 +35,13 @@ const FOLLOWED: [(&str, Look); 12] = [
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Trends {
     evaluated: VecDeque<f64>,
-    learned: [VecDeque<f64>; FOLLOWED.len()],
+    learned: [VecDeque<f64>; FOLLOWED.len() + CHARTED.len()],
 }
 
 impl Trends {
     /// Records a learner update.
     pub(super) fn learned(&mut self, learner: &LearnerMetrics) {
-        for (values, (_, look)) in self.learned.iter_mut().zip(FOLLOWED) {
+        for (values, (_, look)) in self.learned.iter_mut().zip(followed()) {
             push(values, look(learner));
         }
     }
@@ -56,9 +60,13 @@ impl Trends {
 
     /// Returns the names and values, oldest first, of all trends that have values.
     pub(crate) fn all(&self) -> impl Iterator<Item = (&'static str, &VecDeque<f64>)> {
-        let learned = FOLLOWED.iter().zip(&self.learned).map(|((name, _), values)| (*name, values));
+        let learned = followed().zip(&self.learned).map(|((name, _), values)| (name, values));
         [("success, evaluated", &self.evaluated)].into_iter().chain(learned).filter(|(_, values)| !values.is_empty())
     }
+}
+
+fn followed() -> impl Iterator<Item = (&'static str, Look)> {
+    FOLLOWED.into_iter().chain(CHARTED.into_iter().map(|(_, name, look)| (name, look)))
 }
 
 /// Returns the imitation metrics, if the imitation loss is active.

@@ -16,6 +16,7 @@ use tokio_util::sync::CancellationToken;
 use super::about::Farewell;
 use super::events::{Events, Viewers, event};
 use crate::follow::News;
+use crate::run_view::proposals::CHARTED;
 use crate::run_view::{Link, Roster, RunView, SessionState};
 use runlog::Pass;
 use runlog::overview::{Passes, PassesView, SCHEMA_VERSION};
@@ -92,6 +93,9 @@ struct Point {
     /// Imitation metrics; absent if the imitation loss is inactive.
     #[serde(flatten)]
     labels: Option<Labels>,
+    /// Draws of the mixture head; absent for the Gaussian head.
+    #[serde(flatten)]
+    draws: BTreeMap<&'static str, f64>,
 }
 
 /// Imitation metrics of an update.
@@ -265,6 +269,7 @@ impl Points {
                 block_loss: imitation.block_loss,
                 move_loss: imitation.move_loss,
             }),
+            draws: CHARTED.iter().filter_map(|&(name, _, look)| Some((name, look(learner)?))).collect(),
         };
         self.newest = Some(point.clone());
         if !self.n_seen.is_multiple_of(self.n_skipped + 1) {
@@ -305,6 +310,18 @@ mod tests {
         assert_eq!(labels.map(|name| points[0].get(name)), [None; 3]);
         assert_eq!(labels.map(|name| points[1][name].as_f64()), [0.75, 0.25, 0.5].map(Some));
         assert_eq!([&points[0]["elapsed_s"], &points[1]["elapsed_s"]], [&json!(2520.5), &json!(5000.0)]);
+    }
+
+    #[test]
+    fn history_has_the_draws_of_the_mixture_head() {
+        let board = Board::default();
+        board.told(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
+        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
+        let point = &history["learner"][0];
+        for (name, value) in [("share_hold", 0.13), ("success_join", 0.125), ("second_proposal_entropy", 0.75)] {
+            assert_eq!(point[name], json!(value), "{point}");
+        }
+        assert_eq!(point.get("success_detach"), None);
     }
 
     #[test]

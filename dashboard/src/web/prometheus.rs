@@ -10,13 +10,14 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use proto::metrics::{FilmCounts, ImitationMetrics};
+use proto::metrics::{FilmCounts, ImitationMetrics, ProposalMetrics};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Role};
 use serde::Serialize;
 
 use super::board::State;
 use crate::run_view::counters;
+use crate::run_view::proposals::kinds;
 
 /// The content type of [`text`].
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -148,6 +149,7 @@ fn learner(page: &mut Scrape, state: &State) {
         l.ppo.explained_variance
     });
     gauge("learner_learning_rate", "Learning rate of the newest update", |l| l.ppo.learning_rate);
+    proposals(page, learner.and_then(|learner| learner.proposals.as_ref()));
     let imitation = learner.and_then(|learner| learner.imitation);
     let mut gauge = |name, help, value: fn(&ImitationMetrics) -> f64| {
         page.gauge(name, help, imitation.as_ref().map(value));
@@ -159,6 +161,27 @@ fn learner(page: &mut Scrape, state: &State) {
         i.block_accuracy
     });
     gauge("learner_imitation_replay_scenes", "Labeled scenes in the replay buffer", |i| i.n_replay as f64);
+}
+
+fn proposals(page: &mut Scrape, proposals: Option<&ProposalMetrics>) {
+    let Some(proposals) = proposals else { return };
+    let kinds = || kinds(proposals).map(|(kind, found)| (vec![label("kind", kind.name())], found));
+    let share = kinds().map(|(labels, found)| (labels, found.share));
+    page.gauges(
+        "learner_proposal_share_ratio",
+        "Part of the mixture head's draws in the newest update, by kind",
+        share,
+    );
+    let success = kinds().filter_map(|(labels, found)| Some((labels, found.success?)));
+    let help = "Part of the draws with a connection to make or break whose step did so, by kind of proposal";
+    page.gauges("learner_proposal_success_ratio", help, success);
+    let entropies = [
+        ("first_proposal", proposals.first_proposal_entropy),
+        ("second_block", proposals.second_block_entropy),
+        ("second_proposal", proposals.second_proposal_entropy),
+    ];
+    let entropies = entropies.map(|(choice, entropy)| (vec![label("choice", choice)], entropy));
+    page.gauges("learner_proposal_entropy_nats", "Entropy of a choice of the mixture head", entropies);
 }
 
 fn roster(page: &mut Scrape, state: &State) {
@@ -326,6 +349,23 @@ mod tests {
         for (name, value) in [("block_loss_nats", 0.25), ("block_accuracy_ratio", 0.75), ("replay_scenes", 100.0)] {
             assert_eq!(samples.get(&format!("lodestone_learner_imitation_{name}")), Some(&value), "{samples:#?}");
         }
+    }
+
+    #[test]
+    fn draws_of_the_mixture_head_are_scraped_by_kind() {
+        let board = Board::default();
+        board.told(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
+        let samples = parse(&text(&board.state(), "a run").unwrap());
+        for (sample, value) in [
+            ("share_ratio{kind=\"join\"}", 0.5),
+            ("share_ratio{kind=\"detach\"}", 0.0),
+            ("success_ratio{kind=\"meet\"}", 0.04),
+            ("entropy_nats{choice=\"second_block\"}", 1.25),
+        ] {
+            assert_eq!(samples.get(&format!("lodestone_learner_proposal_{sample}")), Some(&value), "{samples:#?}");
+        }
+        let n = |name: &str| samples.keys().filter(|sample| sample.contains(name)).count();
+        assert_eq!((n("proposal_share"), n("proposal_success")), (6, 2), "{samples:#?}");
     }
 
     #[test]

@@ -164,6 +164,7 @@ mod tests {
             refused_total: 0,
             ppo: PpoMetrics { explained_variance: 0.25, learning_rate: 1e-3, ..PpoMetrics::default() },
             imitation,
+            proposals: None,
             episodes: EpisodeMetrics::default(),
             ingest: IngestCounts::default(),
             bus: BusCounts::default(),

@@ -34,6 +34,8 @@ pub(super) struct Evaluation {
     pub(super) values: Vec<f32>,
     /// Log-probabilities of the samples' actions.
     pub(super) log_probs: Vec<f32>,
+    /// Entropies of the samples' draws from the mixture head; empty for the Gaussian head.
+    pub(super) entropies: Vec<[f32; 3]>,
 }
 
 /// The targets of the loss; the vectors have one entry per sample.
@@ -195,20 +197,20 @@ impl Passes {
         let outputs = self.engine.run(&batch.features, rows);
         // Samples come first in a batch, so the samples in `rows` are a prefix.
         let n_samples = rows.partition_point(|&row| row < batch.n_samples());
-        let log_probs = if n_samples == 0 {
-            Vec::new()
+        let (log_probs, entropies) = if n_samples == 0 {
+            Default::default()
         } else {
             match &batch.draws {
-                Some(draws) => self.mixture_log_probs(batch, draws, &rows[..n_samples], &outputs),
+                Some(draws) => self.evaluate_draws(batch, draws, &rows[..n_samples], &outputs),
                 None => {
                     let actions = self.actions(batch, &rows[..n_samples], &self.device);
                     let mut output = head_of(&self.tensors(&outputs, &self.device), n_samples);
                     self.mask(&mut output, &batch.features, &rows[..n_samples]);
-                    to_vec(loss_terms::log_prob(&output, &actions, self.policy.joint_form))
+                    (to_vec(loss_terms::log_prob(&output, &actions, self.policy.joint_form)), Vec::new())
                 }
             }
         };
-        Evaluation { values: outputs.values, log_probs }
+        Evaluation { values: outputs.values, log_probs, entropies }
     }
 
     /// Computes only the values of `rows`.
@@ -288,8 +290,15 @@ impl Passes {
         actions.with_draws(drawn, device)
     }
 
-    /// Computes the log-probabilities of samples as the actor did, so that they are equal as long as the weights are.
-    fn mixture_log_probs(&self, batch: &Batch, draws: &[Draws], samples: &[usize], outputs: &Outputs) -> Vec<f32> {
+    /// Computes the log-probabilities of samples as the actor did, so that they are equal as long as the weights are,
+    /// and the entropies of their draws.
+    fn evaluate_draws(
+        &self,
+        batch: &Batch,
+        draws: &[Draws],
+        samples: &[usize],
+        outputs: &Outputs,
+    ) -> (Vec<f32>, Vec<[f32; 3]>) {
         let per_scene = usize::from(self.policy.network.n_grippers) * N_BLOCKS;
         let row = |(at, &sample): (usize, &usize)| {
             let mut logits = outputs.logits[at * per_scene..(at + 1) * per_scene].to_vec();
@@ -304,10 +313,10 @@ impl Passes {
                 readouts: &outputs.readouts[at * N_BLOCKS * N_READOUTS..][..N_BLOCKS * N_READOUTS],
                 proposals: &batch.features.proposals[sample],
             };
-            let Draws { slots, rows } = &draws[sample];
-            distribution.log_prob(&batch.actions[sample], slots, rows)
+            let Draws { slots, rows, .. } = &draws[sample];
+            (distribution.log_prob(&batch.actions[sample], slots, rows), distribution.entropies(rows))
         };
-        samples.iter().enumerate().map(row).collect()
+        samples.iter().enumerate().map(row).unzip()
     }
 }
 

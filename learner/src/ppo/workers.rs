@@ -89,6 +89,7 @@ impl Workers {
         for piece in self.map(&pieces(&rows, size), |passes, rows, _| passes.evaluate(batch, rows)) {
             whole.values.extend(piece.values);
             whole.log_probs.extend(piece.log_probs);
+            whole.entropies.extend(piece.entropies);
         }
         whole
     }

@@ -1,8 +1,10 @@
 //! Updates of the mixture head.
 
+use std::collections::BTreeMap;
+
 use policy::MoveHead;
 use policy::proposals::{Kind, Slot};
-use proto::{ActionMode, Agent, Observation, Status};
+use proto::{ActionMode, Agent, Joint, Observation, Status};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -43,6 +45,59 @@ fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
         assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
     }
     assert!(rates[0] < 0.3 && rates[11] > 0.9, "{rates:?}");
+}
+
+#[test]
+fn an_update_tells_what_was_drawn_and_what_came_of_it() {
+    let mut setup = mixture_setup(1);
+    // One gradient step, whose losses are those before it.
+    (setup.config.minibatch_size, setup.config.n_epochs) = (256, 1);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2));
+    let mut counts = BTreeMap::new();
+    let (mut n_tries, mut n_successes, mut n_second) = (0, 0, 0);
+    for trajectory in &mut trajectories {
+        let blueprint = setup.catalog.get(&trajectory.task.blueprint).unwrap();
+        let link = blueprint.links()[0];
+        let step = &trajectory.transitions[0];
+        n_second += u32::from(step.proposals[1].is_some());
+        let mut n_joins = 0;
+        for slot in step.proposals.iter().flatten().map(|&slot| Slot::from_index(slot).unwrap()) {
+            *counts.entry(slot.kind().name()).or_insert(0_u64) += 1;
+            // In an empty scene, a join of two blocks of the goal of two is one of its only link.
+            n_joins += u64::from(slot.kind() == Kind::Join);
+        }
+        // Every other step that could connect the two does.
+        if n_joins > 0 && n_tries % 2 == 0 {
+            trajectory.last_scene.joints.push(Joint { a: link.a, b: link.b, relative: link.relative });
+            n_successes += n_joins;
+        }
+        n_tries += n_joins;
+    }
+    feed(&learner, trajectories);
+    let update = learner.update().unwrap();
+    let found = update.proposals.unwrap();
+    let n_draws: u64 = counts.values().sum();
+    assert_eq!(found.kinds.len(), 6);
+    for (kind, of) in &found.kinds {
+        let n = counts.get(kind.as_str()).copied().unwrap_or(0);
+        assert_eq!((of.n_draws, of.share), (n, n as f64 / n_draws as f64), "{kind}");
+    }
+    let join = found.kinds["join"];
+    assert!(n_successes > 0 && n_successes < n_tries);
+    assert_eq!((join.n_tries, join.success), (n_tries, Some(n_successes as f64 / n_tries as f64)));
+    assert_eq!((found.kinds["hold"].n_tries, found.kinds["hold"].success), (0, None));
+    let moves = found.first_proposal_entropy + found.second_proposal_entropy * f64::from(n_second) / 256.0;
+    assert!((moves - update.ppo.entropy_moves).abs() < 1e-4, "{moves} {:?}", update.ppo);
+    assert!(found.second_block_entropy > 0.0 && found.second_block_entropy < update.ppo.entropy_blocks);
+}
+
+#[test]
+fn the_gaussian_head_draws_from_no_proposals() {
+    let setup = small_setup(1);
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    feed(&learner, bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2)));
+    assert_eq!(learner.update().unwrap().proposals, None);
 }
 
 #[test]

@@ -107,6 +107,19 @@ impl MixtureDistribution<'_> {
         total
     }
 
+    /// Returns the entropies of the choices that `rows` describes, nats: of the first gripper's proposal, and, given
+    /// that draw, of the second's block and proposal. A choice that was not made has 0.
+    pub fn entropies(&self, rows: &ActionRows) -> [f32; 3] {
+        let mut logits = Vec::new();
+        let own = [&[][..], self.logits.get(N_BLOCKS..).unwrap_or_default(), &[]];
+        std::array::from_fn(|part| {
+            logits.clear();
+            rows.all()[part].logits(self.readouts, &mut logits);
+            logits.iter_mut().zip(own[part]).for_each(|(logit, own)| *logit += own);
+            entropy(&logits)
+        })
+    }
+
     fn movement(&self, draw: Draw, mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<Move> {
         let mut normal = || -> f32 {
             match mode {
@@ -162,4 +175,14 @@ fn choose(logits: &[f32], mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<(usi
 fn log_softmax_at(logits: &[f32], at: usize) -> f32 {
     let max = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     logits[at] - max - logits.iter().map(|logit| (logit - max).exp()).sum::<f32>().ln()
+}
+
+/// Returns the entropy of a choice, nats; 0 without options.
+fn entropy(logits: &[f32]) -> f32 {
+    let max = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    let (total, weighted) = logits.iter().fold((0.0, 0.0), |(total, weighted), logit| {
+        let weight = (logit - max).exp();
+        (total + weight, weighted + weight * (logit - max))
+    });
+    if total > 0.0 { total.ln() - weighted / total } else { 0.0 }
 }

@@ -1,10 +1,11 @@
 //! The learner's newest update: throughput, policy lag, losses and episodes.
 
+use proto::metrics::{KindMetrics, ProposalMetrics};
 use ratatui::text::Line;
 
 use super::format::{count, number, rate, seconds, success};
 use super::{heading, plain, trends};
-use crate::run_view::RunView;
+use crate::run_view::{RunView, proposals};
 
 /// Formats the learner's newest metrics, fitted to `width` characters where lines can get long.
 pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
@@ -57,6 +58,9 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         )));
     }
     lines.push(plain(format!("  episodes    {ended}")));
+    if let Some(proposals) = &learner.proposals {
+        lines.extend(draws(proposals));
+    }
     if let Some(imitation) = learner.imitation.filter(|imitation| imitation.weight > 0.0) {
         lines.push(plain(format!(
             "  labels      block accuracy {:.1} %, block loss {}, move loss {}",
@@ -67,4 +71,19 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     }
     lines.extend(trends::overview(run, width));
     lines
+}
+
+/// Formats the kinds that were drawn, how often they did what they are for, and the entropies of the choices.
+fn draws(found: &ProposalMetrics) -> [Line<'static>; 2] {
+    let percents = |of: fn(&KindMetrics) -> Option<f64>| {
+        let each = proposals::kinds(found).filter_map(|(kind, numbers)| Some((kind, of(numbers)?)));
+        each.map(|(kind, share)| format!("{} {:.0} %", kind.name(), 100.0 * share)).collect::<Vec<_>>().join(", ")
+    };
+    let ProposalMetrics { first_proposal_entropy, second_block_entropy, second_proposal_entropy, .. } = found;
+    let entropy = format!("{first_proposal_entropy:.2} / {second_block_entropy:.2} / {second_proposal_entropy:.2}");
+    let success = Some(percents(|kind| kind.success)).filter(|success| !success.is_empty());
+    [
+        plain(format!("  draws       {}", percents(|kind| Some(kind.share)))),
+        plain(format!("  succeeded   {}; entropy {entropy}", success.as_deref().unwrap_or("none had anything to do"))),
+    ]
 }

@@ -3,6 +3,16 @@
 /** Returns the imitation metrics, if the imitation loss is active. */
 const labels = ({ imitation }) => (imitation && imitation.weight > 0 ? imitation : {});
 
+/** Returns the mixture head's draws of one kind of proposal, if there are any. */
+const drawn = ({ proposals }, kind) => proposals?.kinds?.[kind] || {};
+
+/** What `history` calls the entropies of the mixture head's choices. */
+const CHOICES = [
+  ["first_proposal_entropy", "entropy of the first proposal, nats"],
+  ["second_block_entropy", "entropy of the second block, nats"],
+  ["second_proposal_entropy", "entropy of the second proposal, nats"],
+];
+
 const HEALTH = [
   ["env_steps_per_s", "steps per second", (learner) => learner.env_steps_per_s],
   ["policy_lag_mean", "lag, versions", (learner) => learner.policy_lag_mean],
@@ -14,6 +24,9 @@ const HEALTH = [
   ["entropy", "entropy, nats", (learner) => learner.ppo.entropy],
   ["approx_kl", "KL of an update, nats", (learner) => learner.ppo.approx_kl],
   ["explained_variance", "explained variance", (learner) => learner.ppo.explained_variance],
+  ...["join", "meet", "detach", "hold", "lift", "free"].map((kind) => [`share_${kind}`, `share of ${kind}`, (learner) => drawn(learner, kind).share]),
+  ...["join", "meet", "detach"].map((kind) => [`success_${kind}`, `success of ${kind}`, (learner) => drawn(learner, kind).success]),
+  ...CHOICES.map(([name, title]) => [name, title, ({ proposals }) => proposals?.[name]]),
 ];
 
 /** All zero if training uses no rewards; such charts are omitted. */

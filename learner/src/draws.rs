@@ -1,0 +1,117 @@
+//! What the mixture head drew in an update, and whether it did what it was for.
+
+use std::collections::BTreeMap;
+
+use blueprints::{BlockIdx, Blueprint};
+use policy::proposals::{Kind, Slot};
+use proto::metrics::{KindMetrics, ProposalMetrics};
+use proto::{N_GRIPPERS, Scene, Transition};
+
+use crate::batch::Draws;
+
+/// Returns for each gripper whether the step from `transition` to `after` made or broke the connection that its
+/// proposal is for; `None` if there was none to make or break.
+pub(crate) fn did(
+    transition: &Transition,
+    slots: &[Option<Slot>; N_GRIPPERS],
+    after: &Scene,
+    blueprint: &Blueprint,
+) -> [Option<bool>; N_GRIPPERS] {
+    std::array::from_fn(|gripper| {
+        let (block, slot) = (transition.action.choices[gripper]?, slots[gripper]?);
+        let partner = BlockIdx::try_from(slot.partner()? as u8).ok()?;
+        let [before, after] = [&transition.scene, after].map(|scene| connection(scene, blueprint, block, partner));
+        let wanted = Some(true);
+        match slot.kind() {
+            Kind::Join | Kind::Meet => {
+                let is_open = blueprint.link(block, partner).is_some() && before != wanted;
+                is_open.then_some(after == wanted)
+            }
+            Kind::Detach => (before == Some(false)).then_some(after != Some(false)),
+            Kind::Hold | Kind::Lift | Kind::Free => None,
+        }
+    })
+}
+
+/// Returns whether the connection of two blocks is the one that the blueprint wants; `None` if they have none.
+fn connection(scene: &Scene, blueprint: &Blueprint, a: BlockIdx, b: BlockIdx) -> Option<bool> {
+    let joint = scene.joints.iter().find(|joint| (joint.a, joint.b) == (a.min(b), a.max(b)))?;
+    Some(blueprint.link(a, b).is_some_and(|link| link.relative == joint.relative))
+}
+
+/// Summarizes the draws of all samples, and the entropies of their choices.
+pub(crate) fn metrics(draws: &[Draws], entropies: &[[f32; 3]]) -> ProposalMetrics {
+    let mut kinds: BTreeMap<String, KindMetrics> = BTreeMap::new();
+    let mut n_successes: BTreeMap<Kind, u64> = BTreeMap::new();
+    for (slot, did) in draws.iter().flat_map(|draws| draws.slots.iter().zip(draws.did)) {
+        let Some(kind) = slot.map(Slot::kind) else { continue };
+        let found = kinds.entry(kind.name().to_owned()).or_default();
+        found.n_draws += 1;
+        found.n_tries += u64::from(did.is_some());
+        *n_successes.entry(kind).or_default() += u64::from(did == Some(true));
+    }
+    let n_draws: u64 = kinds.values().map(|kind| kind.n_draws).sum();
+    for kind in Kind::ALL {
+        let found = kinds.entry(kind.name().to_owned()).or_default();
+        let n_successes = n_successes.get(&kind).copied().unwrap_or(0);
+        found.share = found.n_draws as f64 / n_draws.max(1) as f64;
+        found.success = (found.n_tries > 0).then(|| n_successes as f64 / found.n_tries as f64);
+    }
+    let mean = |part: usize| {
+        let made = draws.iter().zip(entropies).filter(|(draws, _)| !draws.rows.all()[part].is_empty());
+        let (n, total) = made.fold((0_u64, 0.0), |(n, total), (_, of)| (n + 1, total + f64::from(of[part])));
+        total / n.max(1) as f64
+    };
+    let [first_proposal_entropy, second_block_entropy, second_proposal_entropy] = [0, 1, 2].map(mean);
+    ProposalMetrics { first_proposal_entropy, second_block_entropy, second_proposal_entropy, kinds }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::Joint;
+
+    use super::*;
+    use crate::fixtures::{blueprint_id, trajectory};
+
+    #[test]
+    fn a_draw_succeeds_if_its_step_makes_or_breaks_the_connection() {
+        let blueprint = blueprints::Catalog::builtin().get(&blueprint_id()).unwrap();
+        let link = blueprint.links()[0];
+        let (a, b) = (link.a, link.b);
+        let right = Joint { a, b, relative: link.relative };
+        let mut wrong = right;
+        wrong.relative.offset_half_units[0] += 1;
+        let other = BlockIdx::all().find(|block| !blueprint.contains(*block)).unwrap();
+        let of = |kind, partner| Slot::paired(kind, partner);
+        let (done, not, nothing) = (Some(true), Some(false), None);
+        for (slot, before, after, expected) in [
+            (of(Kind::Join, b), None, Some(right), done),
+            (of(Kind::Meet, b), None, Some(right), done),
+            (of(Kind::Join, b), Some(wrong), Some(right), done),
+            (of(Kind::Join, b), None, None, not),
+            (of(Kind::Meet, b), None, Some(wrong), not),
+            (of(Kind::Join, b), Some(right), Some(right), nothing),
+            (of(Kind::Join, other), None, None, nothing),
+            (of(Kind::Detach, b), Some(wrong), None, done),
+            (of(Kind::Detach, b), Some(wrong), Some(right), done),
+            (of(Kind::Detach, b), Some(wrong), Some(wrong), not),
+            (of(Kind::Detach, b), Some(right), None, nothing),
+            (Slot::alone(Kind::Hold), None, Some(right), nothing),
+            (Slot::alone(Kind::Free), None, Some(right), nothing),
+        ] {
+            let mut segment = trajectory(1, 1);
+            segment.transitions[0].scene.joints.extend(before);
+            segment.last_scene.joints.extend(after);
+            segment.transitions[0].action.choices = [Some(a), None];
+            let found = did(&segment.transitions[0], &[Some(slot), None], &segment.last_scene, blueprint);
+            assert_eq!(found, [expected, None], "{slot:?}: {before:?} {after:?}");
+            // The same pair from the other side.
+            if slot.partner() == Some(b.get()) {
+                segment.transitions[0].action.choices = [None, Some(b)];
+                let mirrored = [None, Some(Slot::paired(slot.kind(), a))];
+                let found = did(&segment.transitions[0], &mirrored, &segment.last_scene, blueprint);
+                assert_eq!(found, [None, expected], "{slot:?}, mirrored");
+            }
+        }
+    }
+}
