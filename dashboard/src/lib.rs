@@ -13,7 +13,7 @@ pub mod terminal;
 pub mod web;
 
 pub use config::DashboardConfig;
-pub use run_view::waits;
+pub use run_view::{Sizes, waits};
 pub use web::{About, Builder, Farewell, FinishedRun, Kind, Order, Page, Source, Stage, StageError, WebError, export};
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! terminal.
 
 pub(crate) mod proposals;
+mod sizes;
 mod trends;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -19,6 +20,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use time::OffsetDateTime;
 
+pub use sizes::Sizes;
 pub(crate) use trends::Trends;
 
 /// Maximum number of remembered actors, including lost ones, so that invented names cannot exhaust memory.
@@ -40,6 +42,7 @@ pub(crate) struct RunView {
     unread: Unread,
     bus: BusCounts,
     trends: Trends,
+    sizes: Sizes,
     others: BTreeSet<String>,
 }
 
@@ -220,6 +223,11 @@ impl RunView {
         &self.trends
     }
 
+    /// Returns the success of the newest training episodes by size.
+    pub(crate) fn sizes(&self) -> &Sizes {
+        &self.sizes
+    }
+
     /// Sets the names of the other runs on the router.
     pub(crate) fn set_others(&mut self, others: BTreeSet<String>) {
         self.others = others;
@@ -270,6 +278,7 @@ impl RunView {
                 let is_news = update(&mut self.learner, value, at);
                 if let Some(heard) = self.learner.as_ref().filter(|_| is_news && is_update) {
                     self.trends.learned(&heard.value);
+                    self.sizes.add(&heard.value);
                 }
                 is_news
             }

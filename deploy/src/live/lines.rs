@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use dashboard::waits;
+use dashboard::{Sizes, waits};
 use learner::config::Schedule;
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 
@@ -17,6 +17,8 @@ pub(super) struct Context {
     pub(super) n_actors: usize,
     /// Seconds left at the current pace.
     pub(super) left_s: Option<f64>,
+    /// Success of the newest training episodes by number of blocks.
+    pub(super) sizes: Sizes,
     /// Success rate of the last evaluation, 0 to 1.
     pub(super) evaluated: Option<f64>,
 }
@@ -46,7 +48,7 @@ pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
     format!("{minutes:6.1} min  {:>9} steps ({percent:3.0} %)  {parts}", learner.n_env_steps)
 }
 
-/// How episodes end, what labels and rewards teach, and the throughput with the time left: one line each under the bar,
+/// How episodes end, also by size, what labels and rewards teach, and the throughput with the time left: one line each under the bar,
 /// of at most 80 characters.
 pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> {
     let episodes = &learner.episodes;
@@ -63,6 +65,7 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     }
     let mut parts: Vec<String> = learner.not_saved.iter().map(waits).collect();
     parts.push(outcome);
+    parts.extend(context.sizes.text().map(|sizes| format!("by blocks: {sizes}")));
     parts.extend(labels(learner));
     parts.extend(rewards(learner, context));
     let actors = if context.n_actors == 1 { "actor" } else { "actors" };
@@ -140,6 +143,7 @@ mod tests {
     use proto::metrics::{
         BusCounts, EpisodeMetrics, ImitationMetrics, IngestCounts, METRICS_SCHEMA_VERSION, PpoMetrics,
     };
+    use proto::wilson::SuccessRate;
 
     use super::*;
 
@@ -205,10 +209,15 @@ mod tests {
     fn lines_under_the_bar_fit_into_80_columns() {
         let labels = ImitationMetrics { weight: 1.0, block_accuracy: 1.0, ..Default::default() };
         let mut learner = metrics(Some(labels));
-        learner.episodes.success = proto::wilson::SuccessRate::new(9999, 9999);
+        learner.episodes.success = SuccessRate::new(9999, 9999);
         learner.ppo.entropy = 12.34;
         learner.ppo.explained_variance = -0.25;
-        let context = Context { n_actors: 999, left_s: Some(5000.0), evaluated: Some(1.0), ..Context::default() };
+        let mut context = Context { n_actors: 999, left_s: Some(5000.0), evaluated: Some(1.0), ..Context::default() };
+        let sizes = ["11_000", "12_000", "13_000", "14_000", "15_000", "16_000", "mine"];
+        let rates = sizes.map(|id| (id.parse().unwrap(), SuccessRate::new(100, 100)));
+        learner.episodes.success_by_blueprint = rates.into();
+        context.sizes.add(&learner);
+        assert!(parts(&learner, &context)[1].starts_with("by blocks: 11: 100  12: 100"));
         for part in parts(&learner, &context) {
             assert!(part.chars().count() <= 80, "{part}");
         }

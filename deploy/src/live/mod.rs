@@ -50,6 +50,7 @@ pub async fn show_learning(
     let mut not_saved = None;
     while metrics.changed().await.is_ok() {
         let Some(learner) = metrics.borrow_and_update().clone() else { continue };
+        context.sizes.add(&learner);
         context.n_actors = actors.borrow().len();
         context.left_s = pace.left_s(&learner, context.n_env_steps);
         context.evaluated = reports.borrow().as_deref().and_then(lines::success);

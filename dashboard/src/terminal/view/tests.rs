@@ -139,6 +139,20 @@ fn while_only_labels_teach_there_are_no_zeros_of_ppo() {
 }
 
 #[test]
+fn success_by_size_is_that_of_more_than_one_update() {
+    let mut run = RunView::default();
+    for (update, id, n_successes) in [(1, "2_000", 10), (2, "3_000", 9)] {
+        let mut sample = samples::learner();
+        (sample.value["n_updates"], sample.value["weights_version"]) = (update.into(), update.into());
+        sample.value["episodes"]["success_by_blueprint"] =
+            serde_json::json!({ id: proto::wilson::SuccessRate::new(n_successes, 10) });
+        run.take(&sample, seconds(30 + update));
+    }
+    let shown = screen(&run, seconds(42), 80, 24);
+    assert!(shown.contains(&"  by blocks   2: 100  3: 90 %".to_owned()), "{shown:#?}");
+}
+
+#[test]
 fn draws_of_the_mixture_head_are_told_by_kind() {
     let mut run = RunView::default();
     run.take(&samples::mixture_learner(), seconds(30));

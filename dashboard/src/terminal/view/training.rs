@@ -58,6 +58,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         )));
     }
     lines.push(plain(format!("  episodes    {ended}")));
+    lines.extend(run.sizes().text().map(|sizes| plain(format!("  by blocks   {sizes}"))));
     if let Some(proposals) = &learner.proposals {
         lines.extend(draws(proposals));
     }
