@@ -185,9 +185,8 @@ impl Learner {
     fn start_from(&mut self, model: &Model) -> Result<(), LearnerError> {
         let mut theirs = model.policy.clone();
         theirs.network.scale = self.setup.policy.network.scale;
-        if theirs.hash() != self.setup.policy.hash() {
-            let error = "its network or its features are configured otherwise (`policy.network`, `policy.features`)";
-            return Err(LearnerError::Init(error.to_owned()));
+        if let Some(difference) = self.setup.policy.network_difference(&theirs) {
+            return Err(LearnerError::Init(difference.between("there", "in this run")));
         }
         let unfit = |error: &dyn std::fmt::Display| LearnerError::Init(error.to_string());
         // Checks the numbers; the parameters' names and order are checked below.
@@ -215,8 +214,8 @@ impl Learner {
     pub fn resume(setup: LearnerSetup, checkpoint: Checkpoint) -> Result<Self, LearnerError> {
         let mut learner = Self::new(setup)?;
         let mismatch = |reason: &str| Err(CheckpointError::Mismatch(reason.to_owned()).into());
-        if checkpoint.model.hash() != learner.setup.policy.hash() {
-            return mismatch("the network or its features are configured otherwise");
+        if let Some(difference) = learner.setup.policy.network_difference(&checkpoint.model) {
+            return mismatch(&difference.between("there", "in this run"));
         }
         if checkpoint.table != learner.table() {
             return mismatch("the network has other parameters");

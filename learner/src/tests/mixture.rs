@@ -1,6 +1,8 @@
 //! Updates of the mixture head.
 
 use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
 
 use policy::MoveHead;
 use policy::proposals::{Kind, Slot};
@@ -10,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::learning::{bandit, feed, small_setup};
 use crate::config::{FixedRate, ImitationConfig, RateRule};
-use crate::{Learner, LearnerSetup};
+use crate::{Learner, LearnerSetup, Model};
 
 pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
     let mut setup = small_setup(seed);
@@ -117,6 +119,39 @@ fn actions_that_their_scenes_do_not_offer_are_refused_and_counted() {
     let update = learner.update().unwrap();
     assert_eq!((update.n_steps, update.unmade_total), (256, 3));
     assert_eq!(update.ppo.n_samples, 253);
+}
+
+#[test]
+fn a_policy_of_one_head_is_none_for_a_run_of_the_other() {
+    for (own, theirs, there, here) in [
+        (small_setup(1), mixture_setup(1), r#""mixture" there"#, "not set in this run"),
+        (mixture_setup(1), small_setup(1), "not set there", r#""mixture" in this run"#),
+    ] {
+        let expected = format!("policy.network.move_head is {there} and {here}");
+        let checkpoint = Learner::new(theirs).unwrap().checkpoint();
+        let model = Model::from(&checkpoint);
+        let resumed = Learner::resume(own.clone(), checkpoint).unwrap_err().to_string();
+        assert_eq!(resumed, format!("the checkpoint does not fit this learner: {expected}"));
+        let started = Learner::new(LearnerSetup { init: Some(Arc::new(model)), ..own }).unwrap_err().to_string();
+        assert_eq!(started, format!("the policy to start from does not fit: {expected}"));
+    }
+}
+
+#[test]
+fn nobody_acts_with_a_file_whose_parameters_are_of_another_head() {
+    let n_parameters = |setup| Learner::new(setup).unwrap().weights().parameters.len();
+    let [gaussian, mixture] = [small_setup(1), mixture_setup(1)].map(n_parameters);
+    for (theirs, claimed, given, expected) in [
+        (small_setup(1), MoveHead::Mixture, gaussian, mixture),
+        (mixture_setup(1), MoveHead::Gaussian, mixture, gaussian),
+    ] {
+        let mut model = Model::from(&Learner::new(theirs).unwrap().checkpoint());
+        model.policy.network.move_head = claimed;
+        let read = Model::from_bytes(&model.to_bytes().unwrap(), Path::new("policy.safetensors")).unwrap();
+        let error = policy::Policy::with_weights(&read.policy, &read.weights).unwrap_err();
+        let error = format!("{error}: {}", std::error::Error::source(&error).unwrap());
+        assert_eq!(error, format!("weights 0 do not fit: {given} parameters given, the network has {expected}"));
+    }
 }
 
 #[test]
