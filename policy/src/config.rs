@@ -2,7 +2,7 @@
 
 use blueprints::N_BLOCKS;
 use proto::codec::MAX_PARAMETERS;
-use proto::{InvalidSetting, config_hash, settings};
+use proto::{CanonicalSettings, InvalidSetting, SettingsDifference, config_hash, settings};
 use serde::{Deserialize, Serialize};
 
 /// Version of the lists in `features.rs`, incremented when an entry moves or changes its meaning. Increment the format
@@ -178,6 +178,15 @@ impl PolicyConfig {
     /// The mask, `grip_steps`, and the joint form are left out, because the same parameters are valid with any of them.
     pub fn hash(&self) -> u64 {
         config_hash(&(&self.network, &self.features, FEATURE_LAYOUT))
+    }
+
+    /// Returns the first setting of those in the [hash](Self::hash) that `theirs` has otherwise.
+    pub fn network_difference(&self, theirs: &Self) -> Option<SettingsDifference> {
+        let settings = |config: &Self| {
+            let network = CanonicalSettings::default().with("policy.network", &config.network);
+            network.with("policy.features", &config.features)
+        };
+        settings(theirs).difference(&settings(self))
     }
 }
 

@@ -361,6 +361,7 @@ fn a_policy_of_a_kind_that_is_not_known_is_refused_by_the_setting() {
         (encoder, "spline"),
         (|header| header["policy"]["head_of_tomorrow"] = json!({ "kind": "spline" }), "head_of_tomorrow"),
         (|header| header["policy"]["mask"] = json!("guess"), "guess"),
+        (|header| header["policy"]["network"]["move_head"] = json!("splines"), "splines"),
     ] {
         let error = Model::from_bytes(&with_header(&bytes, change), path).unwrap_err();
         assert!(matches!(error, CheckpointError::UnknownPolicy { .. }), "{error}");
