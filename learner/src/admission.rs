@@ -5,10 +5,17 @@ use std::collections::BTreeMap;
 
 use blueprints::generator::{Draws, Request};
 use blueprints::{BlueprintId, Catalog, Split};
-use proto::{Action, CanonicalSettings, Driver, Label, RewardTerms, Scene, Start, Status, Trajectory};
+use policy::proposals::{N_SLOTS, Slot};
+use policy::{MoveHead, NetworkConfig};
+use proto::{
+    Action, CanonicalSettings, Driver, Label, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition,
+};
 
 /// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
 const MAX_POSITION_M: f32 = 50.0;
+
+/// Largest entry of a unit quaternion, with some tolerance.
+const MAX_ORIENTATION: f32 = 1.01;
 
 /// Largest magnitude of a reward term per step: 120 block pairs with the largest configurable weight, 10. A single
 /// larger reward would outweigh the returns of a whole batch.
@@ -60,6 +67,7 @@ pub struct Admission {
     settings_hash: u64,
     acting: ActingLimits,
     n_grippers: usize,
+    move_head: MoveHead,
     /// Blueprints allowed as goals and start states, with their numbers of blocks.
     training: BTreeMap<BlueprintId, usize>,
     /// Generated structures allowed as goals, if the run generates any.
@@ -73,7 +81,7 @@ impl Admission {
         catalog: &Catalog,
         tasks: &[BlueprintId],
         generated: Option<Draws>,
-        n_grippers: u8,
+        network: &NetworkConfig,
         settings: &CanonicalSettings,
         acting: ActingLimits,
     ) -> Self {
@@ -83,7 +91,8 @@ impl Admission {
         Self {
             settings_hash: settings.hash(),
             acting,
-            n_grippers: n_grippers.into(),
+            n_grippers: network.n_grippers.into(),
+            move_head: network.move_head,
             training: split.chain(tasks).collect(),
             generated,
         }
@@ -116,6 +125,7 @@ impl Admission {
         for (t, transition) in trajectory.transitions.iter().enumerate() {
             let at = |reason: String| format!("step {t} {reason}");
             self.check_action(&transition.action).map_err(at)?;
+            self.check_draws(transition, trajectory.driver).map_err(at)?;
             check_scene(&transition.scene).map_err(at)?;
             check_reward(&transition.reward).map_err(at)?;
             transition.label.as_ref().map_or(Ok(()), check_label).map_err(at)?;
@@ -182,6 +192,24 @@ impl Admission {
         }
         check_moves(action.moves.as_flattened())
     }
+
+    /// Checks that an action has draws as the move head makes them. Whether the scene offers them is found out when it
+    /// is learned from.
+    fn check_draws(&self, transition: &Transition, driver: Driver) -> Result<(), String> {
+        let drawn = transition.proposals;
+        if let Some(slot) = drawn.into_iter().flatten().find(|&slot| Slot::from_index(slot).is_none()) {
+            return Err(format!("was drawn from proposal {slot}, and the highest is {}", N_SLOTS - 1));
+        }
+        match self.move_head {
+            MoveHead::Gaussian if drawn != [None; N_GRIPPERS] => {
+                Err("was drawn from a proposal, and there are none with policy.network.move_head = gaussian".to_owned())
+            }
+            MoveHead::Mixture if driver == Driver::Sampled && drawn[0].is_none() => {
+                Err("names no proposal, as each draw does with policy.network.move_head = mixture".to_owned())
+            }
+            MoveHead::Gaussian | MoveHead::Mixture => Ok(()),
+        }
+    }
 }
 
 fn check_label(label: &Label) -> Result<(), String> {
@@ -197,6 +225,14 @@ fn check_scene(scene: &Scene) -> Result<(), String> {
     let coordinates = scene.blocks.iter().flat_map(|block| block.position);
     let odd = coordinates.into_iter().find(|x| !within(*x, MAX_POSITION_M));
     odd.map_or(Ok(()), |x| Err(format!("has a block at {x} m, where no episode goes on")))?;
+    let orientations = scene.blocks.iter().map(|block| block.orientation);
+    let orientations = orientations.chain(scene.grippers.iter().flatten().map(|gripper| gripper.orientation));
+    if let Some(x) = orientations.flatten().find(|x| !within(*x, MAX_ORIENTATION)) {
+        return Err(format!("has an orientation with an entry of {x}, which no unit quaternion has"));
+    }
+    if let Some(x) = scene.speeds_mps.into_iter().find(|x| !x.is_finite()) {
+        return Err(format!("has a block with a speed of {x} m/s"));
+    }
     for gripper in scene.grippers.iter().flatten() {
         let faster = |velocity: [f32; 3], max: f32| velocity.into_iter().find(|x| !within(*x, max));
         if let Some(x) = faster(gripper.linear_velocity, MAX_GRIPPER_MPS) {
@@ -287,14 +323,24 @@ mod tests {
     #[test]
     fn implausible_numbers_are_refused() {
         type Spoil = fn(&mut Trajectory);
-        let cases: [(Spoil, &str); 14] = [
+        let cases: [(Spoil, &str); 18] = [
             (|t| t.transitions[1].reward.connected = 1e5, "step 1 has a reward of 100000, which no world gives"),
             (|t| t.transitions[1].reward.force = f32::NAN, "step 1 has a reward of NaN, which no world gives"),
             (|t| t.transitions[0].behavior_log_prob = -1e5, "a log-probability of -100000, which no action has"),
             (|t| t.transitions[0].behavior_log_prob = f32::INFINITY, "a log-probability of inf, which no action has"),
+            (|t| t.transitions[1].behavior_log_prob = f32::NAN, "a log-probability of NaN, which no action has"),
             (|t| t.transitions[0].action.moves[3][5] = 1e5, "step 0 has a move of 100000"),
             (|t| t.transitions[0].scene.blocks[7].position[2] = -60.0, "step 0 has a block at -60 m"),
             (|t| t.last_scene.blocks[7].position[0] = f32::NAN, "the end has a block at NaN m"),
+            (
+                |t| t.transitions[1].scene.blocks[0].orientation[3] = f32::NAN,
+                "step 1 has an orientation with an entry of NaN",
+            ),
+            (
+                |t| t.last_scene.grippers[1].as_mut().unwrap().orientation[0] = f32::INFINITY,
+                "the end has an orientation with an entry of inf",
+            ),
+            (|t| t.last_scene.speeds_mps[3] = f32::INFINITY, "the end has a block with a speed of inf m/s"),
             (|t| t.transitions[1].action.choices[1] = None, "step 1 uses 1 grippers, the network has 2"),
             (|t| t.status = Status::Diverged, "the episode diverged"),
             (|t| t.transitions.clear(), "a trajectory has at least one step"),
@@ -323,6 +369,35 @@ mod tests {
             let reason = rules.check(&spoilt).unwrap_err();
             assert!(reason.contains(message), "{reason}");
         }
+    }
+
+    #[test]
+    fn draws_that_the_move_head_does_not_make_are_refused() {
+        let hold = Some(Slot::alone(policy::proposals::Kind::Hold).index());
+        let check = |move_head, driver, proposals| {
+            let mut setup = small_setup(1);
+            setup.policy.network.move_head = move_head;
+            let mut drawn = trajectory(2, 5);
+            drawn.driver = driver;
+            drawn.transitions.iter_mut().for_each(|transition| transition.proposals = [hold, None]);
+            drawn.transitions[1].proposals = proposals;
+            setup.admission().check(&drawn)
+        };
+        let (mixture, sampled) = (MoveHead::Mixture, Driver::Sampled);
+        for (proposals, message) in [
+            ([hold, hold], None),
+            ([hold, None], None),
+            ([Some(50), None], None),
+            ([Some(51), None], Some("step 1 was drawn from proposal 51, and the highest is 50")),
+            ([hold, Some(255)], Some("step 1 was drawn from proposal 255, and the highest is 50")),
+            ([None, hold], Some("step 1 names no proposal, as each draw does with policy.network.move_head = mixture")),
+        ] {
+            assert_eq!(check(mixture, sampled, proposals).err().as_deref(), message, "{proposals:?}");
+        }
+        assert_eq!(check(mixture, Driver::Greedy, [None, None]), Ok(()));
+        let error = check(MoveHead::Gaussian, sampled, [None, None]).unwrap_err();
+        let message = "step 0 was drawn from a proposal, and there are none with policy.network.move_head = gaussian";
+        assert_eq!(error, message);
     }
 
     #[test]

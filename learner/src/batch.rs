@@ -25,8 +25,9 @@ pub struct Batch {
     pub actions: Vec<Action>,
     /// Draws from the mixture head, one per sample; `None` for the Gaussian head.
     pub draws: Option<Vec<Draws>>,
-    /// Number of trajectories that were left out because their actions are not among what their scenes offer.
-    pub n_refused: usize,
+    /// [Fingerprints](Trajectory::fingerprint) of the trajectories that were left out: their actions are not among what
+    /// their scenes offer, or [`Self::refuse`] removed them.
+    pub refused: Vec<u64>,
     /// Log-probabilities under the acting weights, one per sample.
     pub behavior_log_probs: Vec<f32>,
     /// Rewards, one per sample.
@@ -61,6 +62,8 @@ pub struct Segment {
     pub policy_lag: u64,
     /// Number of connections in the goal, at least 1.
     pub n_links: usize,
+    /// [Fingerprint](Trajectory::fingerprint) of the trajectory.
+    pub fingerprint: u64,
 }
 
 impl Batch {
@@ -77,7 +80,7 @@ impl Batch {
             features: FeatureBatch::of_policy(policy),
             actions: Vec::new(),
             draws: (policy.network.move_head == MoveHead::Mixture).then(Vec::new),
-            n_refused: 0,
+            refused: Vec::new(),
             behavior_log_probs: Vec::new(),
             rewards: Vec::new(),
             segments: Vec::new(),
@@ -88,7 +91,7 @@ impl Batch {
         for trajectory in trajectories {
             let Some(blueprint) = catalog.find(&trajectory.task.blueprint) else { continue };
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
-            let policy_lag = policy_lag(version, &trajectory);
+            let (policy_lag, fingerprint) = (policy_lag(version, &trajectory), trajectory.fingerprint());
             let first = batch.actions.len();
             let mut n_steps = trajectory.first_step;
             let is_drawn = trajectory.driver == Driver::Sampled;
@@ -108,7 +111,7 @@ impl Batch {
             }
             if !is_offered {
                 batch.truncate(first);
-                batch.n_refused += 1;
+                batch.refused.push(fingerprint);
                 continue;
             }
             if trajectory.status == Status::Success
@@ -118,7 +121,7 @@ impl Batch {
             }
             let samples = first..batch.actions.len();
             let n_links = blueprint.links().len().max(1);
-            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag, n_links });
+            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag, n_links, fingerprint });
             last_scenes.push((trajectory.last_scene, blueprint, n_steps));
         }
         for (scene, blueprint, n_steps) in &last_scenes {
@@ -147,6 +150,40 @@ impl Batch {
         if let Some(draws) = &mut self.draws {
             draws.truncate(n);
         }
+    }
+
+    /// Removes the segments for which the network gives a value or a log-probability that is not finite: a single one
+    /// would spoil every advantage and every gradient of the update. Returns how many there were. If all are such, the
+    /// weights are at fault, and the batch stays as it is.
+    pub fn refuse(&mut self, values: &[f32], log_probs: &[f32]) -> usize {
+        let n_samples = self.n_samples();
+        let is_sound = |at: usize, segment: &Segment| {
+            let own = segment.samples.clone();
+            let numbers = log_probs[own.clone()].iter().chain(&values[own]).chain(&values[n_samples + at..][..1]);
+            numbers.copied().all(f32::is_finite)
+        };
+        let sound: Vec<bool> = self.segments.iter().enumerate().map(|(at, segment)| is_sound(at, segment)).collect();
+        let n_refused = sound.iter().filter(|is_sound| !**is_sound).count();
+        if n_refused == 0 || n_refused == sound.len() {
+            return 0;
+        }
+        let (mut rows, mut last) = (Vec::new(), Vec::new());
+        for (at, (segment, is_sound)) in std::mem::take(&mut self.segments).into_iter().zip(sound).enumerate() {
+            if !is_sound {
+                self.refused.push(segment.fingerprint);
+                continue;
+            }
+            let first = rows.len();
+            rows.extend(segment.samples.clone());
+            last.push(n_samples + at);
+            self.segments.push(Segment { samples: first..rows.len(), ..segment });
+        }
+        self.actions = picked(&self.actions, &rows);
+        self.draws = self.draws.as_ref().map(|draws| picked(draws, &rows));
+        self.behavior_log_probs = picked(&self.behavior_log_probs, &rows);
+        self.rewards = picked(&self.rewards, &rows);
+        self.features = self.features.select(&[rows, last].concat());
+        n_refused
     }
 
     /// Returns the number of samples.
@@ -190,6 +227,10 @@ impl Batch {
         }
         histogram
     }
+}
+
+fn picked<T: Clone>(all: &[T], rows: &[usize]) -> Vec<T> {
+    rows.iter().map(|&row| all[row].clone()).collect()
 }
 
 #[cfg(test)]
@@ -247,6 +288,29 @@ mod tests {
         // No rewards, γ = λ = 1, and a last scene with value 4.
         assert_eq!(batch(false).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [4.0, 4.0]);
         assert_eq!(batch(true).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_segment_with_a_number_that_is_not_finite_is_removed_whole() {
+        let segments = [trajectory(2, 3), trajectory(3, 4), trajectory(1, 5)];
+        let of =
+            |kept: &[usize]| batch_of(kept.iter().map(|&at| segments[at].clone()).collect(), &RewardFactors::default());
+        // Rows are the six samples, and then the three last scenes.
+        for (row, is_value, removed) in [(0, false, 0), (4, false, 1), (4, true, 1), (5, true, 2), (7, true, 1)] {
+            let (mut values, mut log_probs) = (vec![0.5; 9], vec![-1.0; 6]);
+            *(if is_value { &mut values[row] } else { &mut log_probs[row] }) = f32::NAN;
+            let mut batch = of(&[0, 1, 2]);
+            assert_eq!(batch.refuse(&values, &log_probs), 1);
+            assert_eq!(batch.refused, [segments[removed].fingerprint()]);
+            let kept: Vec<usize> = (0..3).filter(|at| *at != removed).collect();
+            let expected = of(&kept);
+            assert_eq!((&batch.segments, &batch.actions), (&expected.segments, &expected.actions));
+            assert_eq!((&batch.rewards, batch.draws.is_none()), (&expected.rewards, true));
+            assert_eq!((batch.features.n, &batch.features.nodes), (expected.features.n, &expected.features.nodes));
+        }
+        let mut batch = of(&[0, 1, 2]);
+        assert_eq!(batch.refuse(&[0.5; 9], &[f32::NAN; 6]), 0, "where all are such, the weights are at fault");
+        assert_eq!((batch.n_samples(), batch.refused.len()), (6, 0));
     }
 
     #[test]

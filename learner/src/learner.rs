@@ -98,7 +98,7 @@ pub struct Learner {
     mailbox: Arc<Mailbox>,
     /// Labeled scenes, if imitation is on.
     replay: Option<Replay>,
-    /// Number of trajectories dropped because of their generated goals.
+    /// Number of accepted trajectories that could not be learned from.
     n_unmade: u64,
     /// Tries the weights of each update.
     tried: Policy,
@@ -115,7 +115,7 @@ impl LearnerSetup {
     /// Returns what a learner with this setup admits.
     pub(crate) fn admission(&self) -> Admission {
         let Self { catalog, tasks, generated, policy, settings, acting, .. } = self;
-        Admission::new(catalog, tasks, generated.clone(), policy.network.n_grippers, settings, *acting)
+        Admission::new(catalog, tasks, generated.clone(), &policy.network, settings, *acting)
     }
 }
 
@@ -288,7 +288,7 @@ impl Learner {
         let tally = EpisodeTally::of(&trajectories);
         let n_steps: usize = trajectories.iter().map(n_env_steps).sum();
         self.record(&trajectories);
-        let trial = Trial::new(&trajectories, &self.setup.catalog);
+        let mut trial = Trial::new(&trajectories, &self.setup.catalog);
         let factors = self.setup.config.rewards.at(self.state.n_env_steps);
         let batch = |trajectories| {
             Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy, &factors)
@@ -300,10 +300,11 @@ impl Learner {
         let moving = self.features_move();
         let next = moving.then(|| self.features_after([&own, &batch(others)]));
         let mut batch = own;
-        self.n_unmade += batch.n_refused as u64;
         normalize(&mut batch.features, &self.state.normalization);
         let before = (self.ppo.trained(), self.state.clone());
-        let mut learned = self.learn(&batch);
+        let mut learned = self.learn(&mut batch);
+        self.n_unmade += batch.refused.len() as u64;
+        trial.leave_out(&batch.refused);
         if let Some((features, n_scenes)) = next {
             self.adopt_features(features, n_scenes);
         }
@@ -341,8 +342,9 @@ impl Learner {
         }
     }
 
-    /// Takes the gradient steps of an update on a batch with normalized features.
-    fn learn(&mut self, batch: &Batch) -> Learned {
+    /// Takes the gradient steps of an update on a batch with normalized features, from which it removes what nothing can
+    /// be learned from.
+    fn learn(&mut self, batch: &mut Batch) -> Learned {
         let config = &self.setup.config;
         let mut progress = Progress {
             rng: &mut self.state.rng,

@@ -33,7 +33,8 @@ pub struct UpdateMetrics {
     pub n_mailbox: u64,
     /// Trajectories so far, by result.
     pub mailbox: MailboxCounts,
-    /// Trajectories dropped because of their generated goals since the start of the process.
+    /// Accepted trajectories that could not be learned from since the start of the process, by
+    /// [`proto::metrics::LearnerMetrics::unmade_total`].
     pub unmade_total: u64,
     /// Updates that were taken back since the start of the process.
     pub refused_total: u64,

@@ -173,10 +173,11 @@ impl Ppo {
         self.workers.engine().table()
     }
 
-    /// Runs one update on a batch with normalized features and on `imitation_source`.
+    /// Runs one update on a batch with normalized features, from which it removes what it [refuses](Batch::refuse), and
+    /// on `imitation_source`.
     pub(crate) fn update(
         &mut self,
-        batch: &Batch,
+        batch: &mut Batch,
         imitation_source: Option<ImitationSource<'_>>,
         config: &LearnerConfig,
         progress: &mut Progress<'_>,
@@ -221,13 +222,17 @@ impl Ppo {
     /// Runs PPO, and adds the imitation gradient to each gradient step while imitation steps are left.
     fn update_with(
         &mut self,
-        batch: &Batch,
+        batch: &mut Batch,
         terms: LossTerms,
         mut imitation_update: Option<&mut ImitationUpdate<'_>>,
         config: &LearnerConfig,
         progress: &mut Progress<'_>,
     ) -> (PpoMetrics, Option<ProposalMetrics>) {
-        let before = self.workers.evaluate(batch, config.forward_size);
+        let mut before = self.workers.evaluate(batch, config.forward_size);
+        if batch.refuse(&before.values, &before.log_probs) > 0 {
+            before = self.workers.evaluate(batch, config.forward_size);
+        }
+        let batch = &*batch;
         let values = in_reward_units(&before.values, progress.values);
         let advantages = batch.advantages(&values, config.gamma, config.lambda);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
@@ -457,4 +462,52 @@ fn in_reward_units(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
 fn normalized(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
     let (mean, std) = (statistics.mean as f32, statistics.std as f32);
     values.iter().map(|v| (v - mean) / std).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use blueprints::Catalog;
+    use policy::MoveHead;
+    use policy::proposals::{Kind, Slot};
+    use proto::{Trajectory, WeightsVersion};
+    use rand::SeedableRng;
+
+    use super::*;
+    use crate::Learner;
+    use crate::tests::learning::{bandit, small_setup};
+
+    #[test]
+    fn a_segment_without_a_finite_log_probability_is_left_out_and_spoils_nothing() {
+        for move_head in [MoveHead::Gaussian, MoveHead::Mixture] {
+            let mut setup = small_setup(1);
+            setup.policy.network.move_head = move_head;
+            let weights = Learner::new(setup.clone()).unwrap().weights();
+            let drawn = bandit(&setup, &weights, 128, &mut ChaCha8Rng::seed_from_u64(2));
+            let update = |drawn: &[Trajectory]| {
+                let factors = setup.config.rewards.at(0);
+                let mut batch =
+                    Batch::new(drawn.to_vec(), WeightsVersion(0), Catalog::builtin(), &setup.policy, &factors);
+                let mut ppo = Ppo::new(&setup.policy, 1, &setup.device.open().unwrap(), 1);
+                let mut progress = Progress {
+                    rng: &mut ChaCha8Rng::seed_from_u64(3),
+                    learning_rate: &mut LearningRate(1e-3),
+                    values: &mut ValueStatistics::default(),
+                    n_env_steps: 0,
+                };
+                let learned = ppo.update(&mut batch, None, &setup.config, &mut progress);
+                (learned, batch.refused, ppo.parameters)
+            };
+            // A move whose density is 0 in f32. Proposals other than this one have no density that depends on weights.
+            let free = Some(Slot::alone(Kind::Free).index());
+            let has_density = |drawn: &Trajectory| drawn.transitions[0].proposals[0] == free;
+            let at = drawn.iter().position(has_density).unwrap_or(0);
+            let (mut spoilt, mut others) = (drawn.clone(), drawn);
+            spoilt[at].transitions[0].action.moves = [[1e30; 6]; 16];
+            let refused = others.remove(at).fingerprint();
+            let (found, expected) = (update(&spoilt), update(&others));
+            assert_eq!((found.1, expected.1), (vec![refused], vec![]), "{move_head:?}");
+            assert_eq!((found.0.ppo, found.0.proposals), (expected.0.ppo, expected.0.proposals));
+            assert!(found.2 == expected.2, "{move_head:?}: as if it had not come");
+        }
+    }
 }

@@ -38,7 +38,7 @@ pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
 
 /// Returns one-step episodes in random scenes with actions from `weights`; the reward is 1 if gripper 0 chooses a goal
 /// block.
-pub(super) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mut ChaCha8Rng) -> Vec<Trajectory> {
+pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mut ChaCha8Rng) -> Vec<Trajectory> {
     let mut policy = Policy::new(&setup.policy).unwrap();
     policy.load(weights).unwrap();
     let mut trajectories: Vec<_> = (0..n).map(|_| random_trajectory(1, weights.version.0, rng)).collect();

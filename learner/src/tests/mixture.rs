@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use blueprints::BlockIdx;
 use policy::MoveHead;
 use policy::proposals::{Kind, Slot};
-use proto::{ActionMode, Agent, Joint, Observation, Status};
+use proto::{ActionMode, Agent, Joint, Observation, Refusal, Status};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -109,16 +110,28 @@ fn actions_that_their_scenes_do_not_offer_are_refused_and_counted() {
     let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2));
     let scene = trajectories[0].transitions[0].scene.clone();
     assert!(scene.joints.is_empty());
-    // There is nothing to detach, no such slot, and no slot at all.
-    let proposals =
-        [Some(Slot::paired(Kind::Detach, blueprints::BlockIdx::all().next().unwrap()).index()), Some(200), None];
+    // There is nothing to detach, and no block comes to itself.
+    let block = trajectories[1].transitions[0].action.choices[0].unwrap();
+    let proposals = [(Kind::Detach, BlockIdx::all().next().unwrap()), (Kind::Join, block)];
+    let proposals = proposals.map(|(kind, partner)| Some(Slot::paired(kind, partner).index()));
     for (trajectory, first) in trajectories.iter_mut().zip(proposals) {
         trajectory.transitions[0].proposals[0] = first;
     }
     feed(&learner, trajectories);
     let update = learner.update().unwrap();
-    assert_eq!((update.n_steps, update.unmade_total), (256, 3));
-    assert_eq!(update.ppo.n_samples, 253);
+    assert_eq!((update.n_steps, update.unmade_total), (256, 2));
+    assert_eq!(update.ppo.n_samples, 254);
+}
+
+#[test]
+fn draws_that_cannot_be_are_refused_and_counted_before_anything_is_learned() {
+    let setup = mixture_setup(1);
+    let learner = Learner::new(setup.clone()).unwrap();
+    let mut drawn = bandit(&setup, &learner.weights(), 1, &mut ChaCha8Rng::seed_from_u64(2)).remove(0);
+    drawn.transitions[0].proposals[0] = Some(200);
+    let refused = learner.ingest(drawn).unwrap_err();
+    assert_eq!(refused, Refusal::Invalid("step 0 was drawn from proposal 200, and the highest is 50".to_owned()));
+    assert_eq!(learner.mailbox().counts().invalid_total, 1);
 }
 
 #[test]

@@ -18,7 +18,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     let mut drops = Drops::default();
     if let Some(learner) = run.learner().map(|heard| &heard.value) {
         drops.add("learner", "expired", learner.expired_total);
-        drops.add("learner", "goal not made", learner.unmade_total);
+        drops.add("learner", "not usable", learner.unmade_total);
         drops.add("learner", "updates taken back", learner.refused_total);
         drops.add("learner", "gradient steps skipped", learner.ppo.n_skipped_steps);
         // Refused segments are sent again; `back_pressure` shows them separately.

@@ -115,7 +115,7 @@ function drawDrops(table, actors, learner, summary) {
       if (!["received_total", "accepted_total", "duplicates_total", "full_total"].includes(reason)) add("learner", words(reason), n);
     }
     add("learner", "expired", learner.expired_total);
-    add("learner", "goal not made", learner.unmade_total);
+    add("learner", "not usable", learner.unmade_total);
     add("learner", "updates taken back", learner.refused_total);
     for (const [reason, n] of Object.entries(learner.bus || {})) add("learner's bus", words(reason), n);
   }
