@@ -280,8 +280,8 @@ pub struct RunArgs {
     /// can use the same command every time.
     #[arg(long, env = "LODESTONE_AUTO_RESUME", requires = "run_dir", conflicts_with = "resume")]
     pub auto_resume: bool,
-    /// Start from this policy, with a fresh optimizer: a file written by `export`, the folder of a run for its newest
-    /// checkpoint, or `pretrained` for the shipped policy. The network must be the same, but the settings of its
+    /// Start from this policy, with a fresh optimizer: a file written by `export`, the folder of a run for its best
+    /// policy, or `pretrained` for the shipped policy. The network must be the same, but the settings of its
     /// standard deviations (policy.network.scale) may differ.
     #[arg(long, value_name = "MODEL", conflicts_with = "resume")]
     pub init_from: Option<PathBuf>,
@@ -340,7 +340,8 @@ pub struct EvaluatorArgs {
 #[derive(Clone, Debug, Default, Args)]
 #[group(required = true, multiple = false)]
 pub struct ModelArgs {
-    /// Folder of a run (for its newest checkpoint) or of one checkpoint, or a file written by `export`.
+    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
+    /// one of them, or a file written by `export`.
     #[arg(long, value_name = "DIR_OR_FILE")]
     pub checkpoint: Option<PathBuf>,
     /// The shipped policy.
@@ -351,7 +352,8 @@ pub struct ModelArgs {
 /// Arguments of `export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
-    /// Folder of a run (for its newest checkpoint) or of one checkpoint.
+    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
+    /// one of them.
     #[arg(long, value_name = "DIR")]
     pub checkpoint: PathBuf,
     /// Output file, which must not exist.
@@ -362,8 +364,8 @@ pub struct ExportArgs {
 /// Arguments of `play`.
 #[derive(Debug, Args)]
 pub struct PlayArgs {
-    /// Folder of a run (for its newest checkpoint) or of one checkpoint, or a file written by `export` [default: the
-    /// shipped policy].
+    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
+    /// one of them, or a file written by `export` [default: the shipped policy].
     #[arg(long, value_name = "DIR_OR_FILE")]
     pub checkpoint: Option<PathBuf>,
     /// The shipped policy, as without --checkpoint.

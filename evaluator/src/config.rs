@@ -21,6 +21,8 @@ settings! {
             where |c| are_distinct(&c.last_splits) => "names of splits, none twice";
         /// How episodes are run.
         pub episodes: EpisodeConfig;
+        /// By which success the best weights of a run are chosen.
+        pub best: BestConfig;
         /// Several goals in a row without a reset, after the episodes. Default: none.
         pub reset_free: Option<ResetFreeConfig>;
         /// Niceness of the evaluation's threads, as for the command `nice`; Linux only. The default keeps evaluations
@@ -59,6 +61,17 @@ settings! {
         pub n_threads: usize = 1, in 1..=64;
         /// Worlds per thread; each step is one forward pass over all of them.
         pub n_worlds: usize = 20, in 1..=1024;
+    }
+
+    /// The success by which the best weights of a run are chosen: the share of episodes on the goals of one split in
+    /// [`EvaluatorConfig::selection`], with one action mode. Of two equal ones, the later one is better.
+    #[derive(Eq)]
+    pub struct BestConfig {
+        /// The split. If the selection has no such goals, its training goals count; if it has none of these either, all
+        /// of its goals.
+        pub split: Split = Split::Validation;
+        /// The action mode. If episodes are not run with it, the other one counts.
+        pub acting: ActionMode = ActionMode::Sampled;
     }
 
     /// Runs of several goals in a world that is never reset. The defaults are from the paper, "Reset-Free Evaluation".

@@ -2,13 +2,15 @@
 //! uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `work_queue` (distribution
-//! of the work) → [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), [`endings`] (how episodes end) → [`table`] (what is printed)
-//! → [`run()`] (the service on the bus), which shares its work through `dispatcher` with processes that call
-//! [`run_worker()`]. [`films`] records films in every evaluation, [`expert`] evaluates the scripted expert in the same
-//! way, [`perform`] plays one episode for display, and [`record()`] records many.
+//! of the work) → [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), [`endings`] (how episodes end)
+//! → [`table`] (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus),
+//! which shares its work through `dispatcher` with processes that call [`run_worker()`]. [`films`] records films in
+//! every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one episode for display,
+//! and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod best;
 pub mod config;
 mod dispatcher;
 pub mod endings;
@@ -34,6 +36,7 @@ mod vetting;
 mod work_queue;
 mod worker;
 
+pub use best::{Judged, Verdict};
 pub use config::{
     EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, FilmsConfig, ResetFreeConfig, Selection, Starts,
 };

@@ -15,6 +15,7 @@ use runlog::{History, Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
+use crate::best::{Judged, Verdict};
 use crate::config::EpisodeConfig;
 use crate::dispatcher::{Dispatcher, UNIT_PATIENCE};
 use crate::episodes::evaluate_in_parts;
@@ -43,6 +44,8 @@ pub struct Listeners {
     pub evaluations: Option<mpsc::UnboundedSender<Pass>>,
     /// Progress of the current evaluation; `None` between evaluations.
     pub progress: Option<watch::Sender<Option<EvaluationProgress>>>,
+    /// The weights of every complete evaluation with the verdict on them.
+    pub judged: Option<mpsc::UnboundedSender<Judged>>,
     /// The newest weights with which a policy can act.
     pub weights: Option<watch::Sender<Option<Arc<Weights>>>>,
 }
@@ -106,6 +109,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
         last: None,
         reports: listeners.reports,
         listener: listeners.evaluations,
+        judged: listeners.judged,
         progress: listeners.progress,
         films: films.as_ref(),
     };
@@ -168,8 +172,8 @@ async fn evaluate_all(
         let queue = Arc::new(WorkQueue::default());
         let mut progress = queue.watch_progress();
         workers.open(queue.clone(), newest.clone());
-        let (selected, signals) = (selected.of(is_last).to_vec(), (&stop.now, bus.pulse()));
-        let evaluation = evaluate_once(setup, selected, newest, queue, selector, parts, signals);
+        let (goals, signals) = (selected.of(is_last).to_vec(), (&stop.now, bus.pulse()));
+        let evaluation = evaluate_once(setup, goals, newest.clone(), queue, selector, parts, signals);
         tokio::pin!(evaluation);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -212,6 +216,11 @@ async fn evaluate_all(
             report => stamp(report?),
         };
         n_evaluations += 1;
+        if let Some(judged) = &outlets.judged {
+            let verdict = Verdict::of(&setup.config.best, &selected.usual, &report);
+            // The receiver may be gone.
+            drop(judged.send(Judged { weights: newest, verdict }));
+        }
         outlets.put(report).await?;
     }
 }
@@ -225,6 +234,7 @@ struct Outlets<'r> {
     last: Option<EvalReport>,
     reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     listener: Option<mpsc::UnboundedSender<Pass>>,
+    judged: Option<mpsc::UnboundedSender<Judged>>,
     progress: Option<watch::Sender<Option<EvaluationProgress>>>,
     films: Option<&'r VideoRecorder>,
 }

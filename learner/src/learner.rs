@@ -459,8 +459,7 @@ impl Learner {
     }
 
     fn table(&self) -> Vec<ParameterInfo> {
-        let specs = self.ppo.table().iter();
-        specs.map(|spec| ParameterInfo { name: spec.name.clone(), shape: spec.shape.clone() }).collect()
+        self.ppo.table().iter().map(ParameterInfo::from).collect()
     }
 
     /// Returns whether the feature statistics are still updated.

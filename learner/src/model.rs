@@ -2,12 +2,14 @@
 //!
 //! The file is a safetensors file with one f32 tensor per parameter, by name. Its metadata has one entry, `lodestone`:
 //! JSON with the policy's configuration, the order of the parameters, the normalization, the settings of policy and
-//! worlds, and a digest of the parameters' names, shapes, and values in their order.
+//! worlds, a digest of the parameters' names, shapes, and values in their order, and in the best policy of a run the
+//! verdict of its evaluation.
 
 use std::path::Path;
 
 use blueprints::outside;
-use policy::PolicyConfig;
+use burn::tensor::Device;
+use policy::{Network, PolicyConfig};
 use proto::codec::MAX_WEIGHTS_BYTES;
 use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
 use safetensors::SafeTensors;
@@ -32,6 +34,8 @@ pub struct Model {
     pub policy: PolicyConfig,
     /// The parameters, without task probabilities.
     pub weights: Weights,
+    /// How well it did, if it was chosen for that; the evaluator's words.
+    pub verdict: Option<Value>,
     /// Names and shapes in the order of the flat parameters.
     table: Vec<ParameterInfo>,
 }
@@ -49,16 +53,27 @@ struct Header {
     table: Vec<ParameterInfo>,
     #[serde(with = "NormalizationFields")]
     normalization: Normalization,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    verdict: Option<Value>,
 }
 
 impl From<&Checkpoint> for Model {
     fn from(checkpoint: &Checkpoint) -> Self {
         let weights = Weights { task_probabilities: Default::default(), ..checkpoint.weights() };
-        Self { policy: checkpoint.model.clone(), weights, table: checkpoint.table.clone() }
+        Self { policy: checkpoint.model.clone(), weights, verdict: None, table: checkpoint.table.clone() }
     }
 }
 
 impl Model {
+    /// Creates the model of a policy from weights as they are published, which must be of its network.
+    pub fn new(policy: &PolicyConfig, weights: &Weights) -> Self {
+        let network = Network::init(&policy.network, &policy.sizes(), 0, &Device::flex());
+        let table = network.table().iter().map(ParameterInfo::from).collect();
+        let weights =
+            Weights { task_probabilities: Default::default(), reverse_reach: Default::default(), ..weights.clone() };
+        Self { policy: policy.clone(), weights, verdict: None, table }
+    }
+
     /// Serializes the model to the file's bytes.
     ///
     /// # Errors
@@ -73,6 +88,7 @@ impl Model {
             digest: Some(tensors::digest(&self.table, &self.weights.parameters)),
             table: self.table.clone(),
             normalization: self.weights.normalization.clone(),
+            verdict: self.verdict.clone(),
         };
         let header = serde_json::to_string(&header).map_err(|error| CheckpointError::Mismatch(error.to_string()))?;
         tensors::write(&self.table, &[("", &self.weights.parameters)], Some((ENTRY, header)))
@@ -120,6 +136,6 @@ impl Model {
             task_probabilities: Default::default(),
             reverse_reach: Default::default(),
         };
-        Ok(Self { policy, weights, table: header.table })
+        Ok(Self { policy, weights, verdict: header.verdict, table: header.table })
     }
 }

@@ -79,6 +79,9 @@ struct Header {
     table: Vec<Parameter>,
     #[serde(with = "Statistics")]
     normalization: Normalization,
+    /// Of the best policy of a run.
+    #[serde(default, rename = "verdict")]
+    _verdict: Option<serde::de::IgnoredAny>,
 }
 
 /// Name and shape of a parameter.

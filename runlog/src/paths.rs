@@ -4,6 +4,9 @@ use std::path::{Path, PathBuf};
 
 use proto::Role;
 
+/// Name of the file in `checkpoints/best/`.
+pub const BEST_POLICY: &str = "policy.safetensors";
+
 /// The folder of a run, `runs/<run>/`, and its file names. Creating one does not access the disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunPaths(PathBuf);
@@ -43,6 +46,11 @@ impl RunPaths {
     /// Returns the folder of checkpoints.
     pub fn checkpoints(&self) -> PathBuf {
         self.0.join("checkpoints")
+    }
+
+    /// Returns the file of the run's best policy so far, in a folder of its own beside the checkpoints.
+    pub fn best(&self) -> PathBuf {
+        self.checkpoints().join("best").join(BEST_POLICY)
     }
 
     /// Returns the file with one line of JSON per update and per evaluation; see

@@ -87,7 +87,7 @@ def saved_steps(run: Path) -> list[int]:
 
 def nothing_is_left_over(run: Path) -> None:
     """Checks that the checkpoints folder holds no partial files."""
-    strange = [entry.name for entry in (run / "checkpoints").iterdir() if not entry.name.startswith("step-")]
+    strange = [entry.name for entry in (run / "checkpoints").iterdir() if not entry.name.startswith(("step-", "best"))]
     require(not strange, f"there are {strange}")
 
 

@@ -36,7 +36,7 @@ def complete(program: Path, folder: Path, episodes: int, args: list[str]) -> Non
     print(f"{folder}: training", flush=True)
     train(program, folder, [*args, "--run-dir", str(folder)])
     print(f"{folder}: evaluating", flush=True)
-    evaluate = [program, "eval", "--checkpoint", folder, "--episodes", str(episodes), "--json"]
+    evaluate = [program, "eval", "--checkpoint", folder / "checkpoints", "--episodes", str(episodes), "--json"]
     told = subprocess.run(evaluate, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True).stdout
     part = report.with_suffix(".part")
     part.write_bytes(told)

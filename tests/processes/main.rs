@@ -8,6 +8,7 @@
 
 mod access;
 mod bench;
+mod best;
 mod browser;
 mod cli;
 mod cluster;

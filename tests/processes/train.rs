@@ -50,7 +50,7 @@ fn a_run_is_saved_judged_and_continued() {
 
     let judged = finished(
         lodestone(folder.path())
-            .args(["eval", "--checkpoint", "run", "--episodes", "2", "--json"])
+            .args(["eval", "--checkpoint", "run/checkpoints", "--episodes", "2", "--json"])
             .args(["--set", "evaluator.episodes.acting=[\"sampled\"]"]),
     );
     let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();

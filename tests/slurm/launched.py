@@ -142,7 +142,7 @@ class Launched:
             raise AssertionError(f"the learner's job is {state}")
 
     def judged(self) -> float:
-        """Returns the success rate of the newest checkpoint according to `lodestone eval`."""
+        """Returns the success rate of the run's policy according to `lodestone eval`."""
         judge = [str(self.binary), "eval", "--checkpoint", str(self.folder / "run"), "--json"]
         report = json.loads(subprocess.run(judge, capture_output=True, check=True).stdout)
         return float(report["summary"]["all"]["mode"]["success"]["rate"])

@@ -54,7 +54,8 @@ pub struct PerformerArgs {
     /// The shipped policy; this is the default.
     #[arg(long, conflicts_with_all = ["checkpoint", "expert"])]
     pub pretrained: bool,
-    /// Folder of a run (for its newest checkpoint) or of one checkpoint, or a file written by `export`.
+    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
+    /// one of them, or a file written by `export`.
     #[arg(long, value_name = "DIR_OR_FILE")]
     pub checkpoint: Option<PathBuf>,
     /// The scripted expert.

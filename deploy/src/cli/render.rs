@@ -38,7 +38,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "FILE|ID", conflicts_with = "path")]
     pub blueprint: Vec<OsString>,
     /// Show what every attention head of a network attends to during the episode, whichever policy acted: the network
-    /// of a run's newest checkpoint, of one checkpoint, or of an exported file.
+    /// of a run's best policy, of one checkpoint, or of an exported file.
     #[arg(long, value_name = "DIR")]
     pub attention: Option<PathBuf>,
     /// Print what each head attends to, averaged over all scenes of all files, and write it to attention.csv; no films.

@@ -1,6 +1,7 @@
 //! Implementations of the subcommands.
 
 mod bench;
+mod best;
 mod blueprints;
 mod completions;
 mod eval;

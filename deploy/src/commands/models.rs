@@ -5,13 +5,16 @@ use std::path::{Path, PathBuf};
 use evaluator::Policy;
 use learner::{Checkpoint, CheckpointError, Model};
 
+use super::best;
 use super::files::write_files;
 use crate::cli::{ExportArgs, ModelArgs};
 use crate::config::{Base, Config, Override, Preset, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_exists, runs_in};
+use crate::shell;
 use runlog::RunPaths;
+use runlog::paths::BEST_POLICY;
 
 /// The shipped policy; `pretrained/README.md` describes how it was trained and what it can do.
 const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
@@ -34,7 +37,7 @@ impl Source {
         Self::of(args.checkpoint.as_deref())
     }
 
-    /// Reads an exported file or the newest checkpoint of a folder, or returns the shipped policy.
+    /// Reads a policy like [`Self::read`], or returns the shipped one.
     ///
     /// # Errors
     /// When a file cannot be read or is damaged.
@@ -57,7 +60,8 @@ impl Source {
         Ok(Self { model: model.map_err(|error| Failure::Checkpoint(error.into()))?, config })
     }
 
-    /// Reads an exported file, or the newest checkpoint of a folder.
+    /// Reads an exported file, a checkpoint, the best policy of a run or else its newest checkpoint, or the newest of a
+    /// folder of checkpoints.
     ///
     /// # Errors
     /// When a file cannot be read or is damaged, or no policy can act with its weights.
@@ -77,12 +81,39 @@ impl Source {
             let model = Model::read(path).map_err(unusable)?;
             return Ok(Self { model, config: (String::new(), "the defaults".to_owned()) });
         }
+        if let Some(best) = Self::best(path) {
+            return best;
+        }
         let found = Checkpoint::read_latest(&checkpoint_folder(path)).map_err(|error| match error {
             CheckpointError::Absent(_) => Failure::Checkpoint(anyhow::anyhow!("{error}{}", runs_in(path))),
             error => unusable(error),
         })?;
         tracing::info!(checkpoint = %found.path.display(), "read");
         Ok(Self { model: Model::from(&found.checkpoint), config: run_config(&found.path)? })
+    }
+
+    /// Reads the best policy of the run in `folder`, or the one in `folder` itself; `None` if there is none that can be
+    /// read, so that the newest checkpoint takes its place.
+    fn best(folder: &Path) -> Option<Result<Self, Failure>> {
+        let of_run = RunPaths::new(folder).best();
+        let itself = folder.join(BEST_POLICY);
+        let path = if folder.ends_with("best") && itself.is_file() { itself } else { of_run.clone() };
+        if !path.is_file() {
+            return None;
+        }
+        let model = Model::read(&path)
+            .inspect_err(|error| tracing::warn!(%error, "the best policy is unusable, trying the newest checkpoint"));
+        let model = model.ok()?;
+        let n_steps = model.weights.n_env_steps;
+        let why = best::verdict_of(&model).map_or_else(String::new, |verdict| format!(", which succeeds in {verdict}"));
+        let newest = if path == of_run {
+            format!("; for the newest: {}", shell::path(&RunPaths::new(folder).checkpoints()))
+        } else {
+            String::new()
+        };
+        tracing::info!("{}: the run's best policy, after {n_steps} environment steps{why}{newest}", path.display());
+        let config = path.parent().map_or_else(|| Ok(Default::default()), run_config);
+        Some(config.map(|config| Self { model, config }))
     }
 
     /// The configuration with `overrides` applied and the policy section of the model.
@@ -102,7 +133,9 @@ impl Source {
 /// # Errors
 /// When there is no complete checkpoint, or the file exists or cannot be written.
 pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let model = Source::read(&args.checkpoint)?.model;
+    let mut model = Source::read(&args.checkpoint)?.model;
+    // Of this run, and nothing that acting needs.
+    model.verdict = None;
     if args.out.exists() {
         return Err(Failure::Usage(format!("{} is there already; choose another --out", args.out.display())));
     }

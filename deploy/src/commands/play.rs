@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
 use dashboard::{About, Farewell, Kind};
-use evaluator::{EvaluatorSetup, Stop};
+use evaluator::{EvaluatorSetup, Listeners, Stop};
 use proto::Weights;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -103,7 +103,8 @@ pub(super) async fn run(
     let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || false));
     let setup = EvaluatorSetup { catalog, ..services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path())) };
     let stop = Stop { now: shutdown, ..Stop::default() };
-    let ended = services::evaluator(setup, reports, progress, page, bus.clone(), stop).await;
+    let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
+    let ended = services::evaluate(setup, listeners, page, bus.clone(), stop).await;
     bus.close().await;
     let panicked = |panic: tokio::task::JoinError| Failure::Service(panic.into());
     counting.await.map_err(panicked)?;

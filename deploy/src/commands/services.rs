@@ -20,7 +20,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::stage::stage;
-use super::{join_bus, models, serve};
+use super::{best, join_bus, models, serve};
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
@@ -233,7 +233,7 @@ pub(super) fn about(settings: &Settings, catalog: &Catalog, farewell: Farewell) 
     }
 }
 
-/// Runs an evaluator, and serves its page if there is one.
+/// Runs an evaluator, and serves its page if there is one. If it keeps records, it keeps the best policy as well.
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
     reports: watch::Sender<Option<Arc<EvalReport>>>,
@@ -243,6 +243,28 @@ pub(super) async fn evaluator(
     stop: Stop,
 ) -> Result<(), Failure> {
     let mut listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
+    let mut keeping = None;
+    if let Some(paths) = setup.records.clone() {
+        let (judged, verdicts) = mpsc::unbounded_channel();
+        listeners.judged = Some(judged);
+        keeping = Some(tokio::spawn(best::keep(verdicts, setup.policy.clone(), paths)));
+    }
+    let ended = evaluate(setup, listeners, page, bus, stop).await;
+    // It ends with the evaluator, and the last verdict may be the best.
+    if let Some(keeping) = keeping {
+        finished(keeping).await?;
+    }
+    ended
+}
+
+/// Runs an evaluator with these listeners, and serves its page if there is one.
+pub(super) async fn evaluate(
+    setup: EvaluatorSetup,
+    mut listeners: Listeners,
+    page: Option<Opened>,
+    bus: Bus,
+    stop: Stop,
+) -> Result<(), Failure> {
     let Some(mut opened) = page else {
         evaluator::run(setup, &bus, listeners, stop).await?;
         return Ok(());

@@ -159,7 +159,8 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
         catalog: Catalog::builtin(),
     };
     let (reports, mut seen) = watch::channel(None);
-    let listeners = Listeners { reports: Some(reports), ..Default::default() };
+    let (judged, mut verdicts) = mpsc::unbounded_channel();
+    let listeners = Listeners { reports: Some(reports), judged: Some(judged), ..Default::default() };
     let (tell, last) = watch::channel(None);
     let stop = Stop { last: Some(last), ..Stop::default() };
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
@@ -178,6 +179,12 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     let report = seen.borrow().clone().unwrap();
     assert_eq!(ids(&report), ["2_000", "validation_7_000"]);
     assert_eq!(report.summary.groups.last().unwrap().name, "validation");
+    // The best weights are chosen by the usual goals alone.
+    for _ in 0..2 {
+        let Judged { weights, verdict } = verdicts.recv().await.unwrap();
+        assert_eq!((weights.version, verdict.goals.as_str(), verdict.n_goals), (untrained.version, "train", 1));
+    }
+    assert!(verdicts.recv().await.is_none());
     bus.close().await;
 }
 
@@ -219,6 +226,7 @@ async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
         last: None,
         reports: None,
         listener: None,
+        judged: None,
         progress: None,
         films: None,
     };

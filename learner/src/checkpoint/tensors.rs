@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use policy::parameters::ParameterSpec;
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 use serde::{Deserialize, Serialize};
@@ -16,6 +17,12 @@ pub struct ParameterInfo {
     pub name: String,
     /// Shape; kernels are `[in, out]`.
     pub shape: Vec<usize>,
+}
+
+impl From<&ParameterSpec> for ParameterInfo {
+    fn from(spec: &ParameterSpec) -> Self {
+        Self { name: spec.name.clone(), shape: spec.shape.clone() }
+    }
 }
 
 impl ParameterInfo {

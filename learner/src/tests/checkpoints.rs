@@ -302,6 +302,12 @@ fn model_round_trips_and_a_damaged_file_is_refused() {
     let path = Path::new("somewhere/model.safetensors");
     assert_eq!(Model::from_bytes(&bytes, path).unwrap(), model);
     policy::Policy::new(&model.policy).unwrap().load(&model.weights).unwrap();
+    // From what is published, with a verdict.
+    let published = Model::new(&checkpoint.model, &checkpoint.weights());
+    assert_eq!(published, model);
+    let mut judged = published;
+    judged.verdict = Some(serde_json::json!({ "goals": "train" }));
+    assert_eq!(Model::from_bytes(&judged.to_bytes().unwrap(), path).unwrap(), judged);
     for broken in [&bytes[..bytes.len() - 1], &bytes[..100], b"", b"no such format"] {
         let error = Model::from_bytes(broken, path).unwrap_err().to_string();
         assert!(error.contains("somewhere/model.safetensors"), "{error}");

@@ -1,0 +1,157 @@
+//! The best policy of a run, `checkpoints/best/`, chosen by the evaluator's verdict.
+
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use evaluator::{Judged, PolicyConfig, Verdict};
+use learner::Model;
+use runlog::RunPaths;
+use tokio::sync::mpsc;
+
+use crate::replace::{PLAIN, replace};
+
+/// Keeps the best of the weights that an evaluator judges until it ends.
+///
+/// A file that cannot be written does not end a run: a warning says so, and the next verdict tries again.
+pub(super) async fn keep(mut judged: mpsc::UnboundedReceiver<Judged>, policy: PolicyConfig, paths: RunPaths) {
+    // Off the async runtime, because it waits for the disk.
+    let keeping = tokio::task::spawn_blocking(move || {
+        let mut keeper = Keeper::new(policy, &paths);
+        while let Some(next) = judged.blocking_recv() {
+            keeper.offer(next);
+        }
+    });
+    if let Err(panic) = keeping.await {
+        tracing::warn!(%panic, "the best policy is not kept any more");
+    }
+}
+
+/// The verdict on a policy that was chosen for it.
+pub(super) fn verdict_of(model: &Model) -> Option<Verdict> {
+    serde_json::from_value(model.verdict.clone()?).ok()
+}
+
+struct Keeper {
+    policy: PolicyConfig,
+    path: PathBuf,
+    /// The verdict on the policy in the file.
+    kept: Option<Verdict>,
+    /// A better policy that could not be written yet.
+    waiting: Option<Judged>,
+}
+
+impl Keeper {
+    fn new(policy: PolicyConfig, paths: &RunPaths) -> Self {
+        let path = paths.best();
+        // What a killed process left of a file that it was writing.
+        let entries = path.parent().and_then(|folder| fs::read_dir(folder).ok()).into_iter().flatten().flatten();
+        for left in entries.filter(|entry| entry.path() != path) {
+            drop(fs::remove_file(left.path()));
+        }
+        // A file that cannot be read is replaced by the next policy.
+        let kept = path.exists().then(|| Model::read(&path)).and_then(|read| match read {
+            Ok(model) => verdict_of(&model),
+            Err(error) => {
+                tracing::warn!(%error, "the best policy so far cannot be read");
+                None
+            }
+        });
+        Self { policy, path, kept, waiting: None }
+    }
+
+    fn offer(&mut self, new: Judged) {
+        // Neither untrained weights nor those that build nothing are better than what comes after them.
+        if new.weights.n_env_steps == 0 || new.verdict.success.n_successes == 0 {
+            return;
+        }
+        let best = self.waiting.as_ref().map(|waiting| &waiting.verdict).or(self.kept.as_ref());
+        if best.is_none_or(|best| new.verdict.beats(best)) {
+            self.waiting = Some(new);
+        }
+        let Some(best) = &self.waiting else { return };
+        match self.write(best) {
+            Ok(()) => self.kept = self.waiting.take().map(|written| written.verdict),
+            Err(error) => tracing::warn!(error = format!("{error:#}"), "the best policy so far cannot be kept yet"),
+        }
+    }
+
+    fn write(&self, Judged { weights, verdict }: &Judged) -> anyhow::Result<()> {
+        let mut model = Model::new(&self.policy, weights);
+        model.verdict = Some(serde_json::to_value(verdict)?);
+        let bytes = model.to_bytes()?;
+        let folder = self.path.parent().context("the file is in a folder")?;
+        fs::create_dir_all(folder)
+            .and_then(|()| replace(&self.path, &bytes, PLAIN))
+            .with_context(|| format!("writing {}", self.path.display()))?;
+        tracing::info!(path = %self.path.display(), n_env_steps = weights.n_env_steps, "the best so far: {verdict}");
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use proto::wilson::SuccessRate;
+    use proto::{ActionMode, Weights, WeightsVersion};
+
+    use super::*;
+
+    fn shipped() -> Model {
+        Model::read(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/pretrained/model.safetensors"))).unwrap()
+    }
+
+    /// Weights after this many steps, and a verdict of this many successes in ten episodes.
+    fn judged(n_env_steps: u64, n_successes: u64) -> Judged {
+        let shipped = shipped().weights;
+        let weights = Weights { n_env_steps, version: WeightsVersion(n_env_steps), ..shipped };
+        let success = SuccessRate::new(n_successes, 10);
+        let verdict = Verdict { goals: "train".to_owned(), n_goals: 2, acting: ActionMode::Sampled, success };
+        Judged { weights: Arc::new(weights), verdict }
+    }
+
+    #[test]
+    fn the_best_of_a_run_is_kept_also_by_a_process_that_continues_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        let policy = shipped().policy;
+        let start = || Keeper::new(policy.clone(), &paths);
+        let kept = || Model::read(&paths.best()).map(|model| model.weights.n_env_steps).ok();
+        let mut keeper = start();
+        for (n_env_steps, n_successes, expected) in
+            [(0, 9, None), (100, 0, None), (200, 5, Some(200)), (300, 7, Some(300)), (400, 6, Some(300))]
+        {
+            keeper.offer(judged(n_env_steps, n_successes));
+            assert_eq!(kept(), expected, "after {n_env_steps}");
+        }
+        // Killed while it wrote another one.
+        fs::write(folder.path().join("checkpoints/best/.X.part"), "half").unwrap();
+        let mut keeper = start();
+        keeper.offer(judged(500, 6));
+        assert_eq!(kept(), Some(300));
+        keeper.offer(judged(600, 7));
+        assert_eq!(kept(), Some(600), "of equal ones the later");
+        assert_eq!(verdict_of(&Model::read(&paths.best()).unwrap()).unwrap(), judged(600, 7).verdict);
+        assert_eq!(fs::read_dir(folder.path().join("checkpoints/best")).unwrap().count(), 1);
+        // A damaged file keeps nothing better away.
+        fs::write(paths.best(), "damaged").unwrap();
+        start().offer(judged(700, 1));
+        assert_eq!(kept(), Some(700));
+    }
+
+    #[test]
+    fn a_best_policy_that_cannot_be_written_waits() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        let policy = shipped().policy;
+        // A file in the place of the folder makes writing fail, as a full disk would.
+        fs::write(paths.checkpoints(), "").unwrap();
+        let mut keeper = Keeper::new(policy, &paths);
+        keeper.offer(judged(100, 5));
+        fs::remove_file(paths.checkpoints()).unwrap();
+        keeper.offer(judged(200, 4));
+        assert_eq!(Model::read(&paths.best()).unwrap().weights.n_env_steps, 100);
+    }
+}

@@ -1,0 +1,95 @@
+//! The best policy of a run, beside its newest checkpoint.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Output, Stdio};
+
+use learner::{Checkpoint, Model};
+use runlog::series::outcome_of;
+use runlog::{History, Pass, RunPaths};
+use serde_json::json;
+
+use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::served::{Process, train};
+
+/// Trains a small run that evaluates its weights all the time.
+fn trained(folder: &Path) -> RunPaths {
+    let mut command = lodestone(folder);
+    let run = train(&mut command).args(["--no-web", "--steps", "4096", "--set", "evaluator.every={versions=1}"]);
+    let run = run.args(["--set", "evaluator.evaluate_last=true"]).output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    RunPaths::new(folder.join("run"))
+}
+
+/// Success of an evaluation with the action mode that counts.
+fn n_successes(pass: &Pass) -> u64 {
+    let acting = [proto::ActionMode::Sampled, proto::ActionMode::Greedy];
+    let of = |acting| pass.blueprints.iter().filter_map(move |score| outcome_of(score, acting));
+    let chosen = acting.into_iter().find(|&acting| of(acting).next().is_some()).unwrap();
+    of(chosen).map(|outcome| outcome.success.n_successes).sum()
+}
+
+#[test]
+fn a_run_keeps_the_best_policy_of_its_evaluations() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = trained(folder.path());
+    let passes = History::read(&run.history()).unwrap();
+    let judged = passes.iter().filter(|pass| pass.n_env_steps > 0 && n_successes(pass) > 0);
+    // Of equal ones, this is the last.
+    let best = judged.max_by_key(|pass| n_successes(pass)).map(|pass| pass.n_env_steps);
+    assert_eq!(Model::read(&run.best()).ok().map(|model| model.weights.n_env_steps), best);
+}
+
+#[test]
+fn the_best_policy_of_a_run_is_evaluated_played_and_exported_and_the_newest_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = trained(folder.path());
+    let newest = n_saved_steps(run.folder());
+    let mut best = Model::from(&Checkpoint::read_latest(&run.checkpoints()).unwrap().checkpoint);
+    best.weights.n_env_steps = 77;
+    let success = proto::wilson::SuccessRate::new(3, 4);
+    best.verdict = Some(json!({ "goals": "train", "n_goals": 2, "acting": "sampled", "success": success }));
+    std::fs::create_dir_all(run.best().parent().unwrap()).unwrap();
+    std::fs::write(run.best(), best.to_bytes().unwrap()).unwrap();
+
+    let export = |checkpoint: &str| -> (Option<u64>, String) {
+        let out = folder.path().join("out");
+        let Output { stderr, .. } =
+            lodestone(folder.path()).args(["export", "--out", "out", "--checkpoint", checkpoint]).output().unwrap();
+        let model = Model::read(&out).ok();
+        assert!(model.iter().all(|model| model.verdict.is_none()));
+        drop(std::fs::remove_file(&out));
+        (model.map(|model| model.weights.n_env_steps), String::from_utf8(stderr).unwrap())
+    };
+    let said = "run/checkpoints/best/policy.safetensors: the run's best policy, after 77 environment steps, which succeeds in \
+                75.0 % of 4 sampled episodes of 2 goals (train)";
+    let (n_env_steps, stderr) = export("run");
+    assert_eq!(n_env_steps, Some(77), "{stderr}");
+    assert!(stderr.contains(&format!("{said}; for the newest: run/checkpoints")), "{stderr}");
+    assert_eq!(export("run/checkpoints/best").0, Some(77));
+    assert_eq!(export("run/checkpoints").0, Some(newest));
+    assert_eq!(export(&format!("run/checkpoints/step-{newest}")).0, Some(newest));
+
+    let eval = ["eval", "--checkpoint", "run", "--episodes", "1", "--blueprint", "2_000", "--json"];
+    let judged = lodestone(folder.path()).args(eval).output().unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+    assert_eq!(report["summary"]["n_env_steps"], 77);
+    assert!(String::from_utf8_lossy(&judged.stderr).contains(said));
+
+    let mut playing = lodestone(folder.path());
+    let playing = playing.args(["play", "--checkpoint", "run", "2_000", "--episodes", "1"]);
+    let mut playing = Process(playing.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(playing.0.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.contains(said)));
+
+    let again = ["train", "--resume", "run", "--steps", &newest.to_string(), "--json", "--no-web"];
+    let resumed = lodestone(folder.path()).args(again).output().unwrap();
+    let summary: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
+    assert_eq!(summary["n_env_steps"], newest);
+
+    // Nothing but a damaged file keeps the newest from taking its place.
+    std::fs::write(run.best(), "damaged").unwrap();
+    let (n_env_steps, stderr) = export("run");
+    assert_eq!(n_env_steps, Some(newest));
+    assert!(stderr.contains("the best policy is unusable, trying the newest checkpoint"), "{stderr}");
+}
