@@ -21,6 +21,7 @@ mod render;
 mod report;
 mod serve;
 mod settings;
+mod sweep;
 mod values;
 mod watch;
 
@@ -33,6 +34,7 @@ pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
 pub use self::report::ReportArgs;
 pub use self::serve::ServeArgs;
 pub use self::settings::{ConfigArgs, Settings};
+pub use self::sweep::SweepArgs;
 pub use self::watch::WatchArgs;
 
 use crate::config::Override;
@@ -130,6 +132,8 @@ fn variable(error: &clap::Error) -> Option<String> {
 pub enum Command {
     /// Train in one process: learner, actors, and evaluator.
     Train(TrainArgs),
+    /// Train all combinations of some settings, or random ones, with several seeds each, and compare them.
+    Sweep(SweepArgs),
     /// Step worlds and send trajectories to the learner of a run.
     Actor(MemberArgs),
     /// Train on the trajectories of a run's actors.
@@ -252,6 +256,9 @@ pub struct TrainArgs {
     /// Do not serve a web page.
     #[arg(long, conflicts_with = "web")]
     pub no_web: bool,
+    /// Save and end when stdin is closed: `sweep` keeps it open for as long as it lives.
+    #[arg(long, hide = true)]
+    pub end_with_stdin: bool,
 }
 
 /// Where the evaluator's web page is served.

@@ -1,5 +1,6 @@
 //! SIGINT, SIGTERM, and SIGHUP: the first signal shuts down gracefully, the second exits at once.
 
+use std::io;
 use std::time::Duration;
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -44,6 +45,15 @@ pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
         std::process::exit(INTERRUPTED.into());
     });
     Ok(())
+}
+
+/// Cancels `shutdown` when stdin is closed, as it is when the process at its other end is gone.
+pub fn cancel_with_stdin(shutdown: CancellationToken) {
+    // The thread ends with the process.
+    std::thread::spawn(move || {
+        drop(io::copy(&mut io::stdin(), &mut io::sink()));
+        shutdown.cancel();
+    });
 }
 
 /// The signals that end a process.

@@ -22,6 +22,7 @@ mod report;
 mod resume;
 mod shutdown;
 mod support;
+mod sweep;
 mod train;
 mod watch;
 mod web;

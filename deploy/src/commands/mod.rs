@@ -20,6 +20,7 @@ mod seeds;
 mod serve;
 mod services;
 mod stage;
+mod sweep;
 mod train;
 mod watch;
 
@@ -111,6 +112,9 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
                 return Ok(());
             };
             on_runtime(async |shutdown| {
+                if args.end_with_stdin {
+                    signals::cancel_with_stdin(shutdown.clone());
+                }
                 if let Some(n_seeds) = args.seeds {
                     let summary = seeds::train(&settings, &args, &goals, n_seeds, &said, shutdown).await?;
                     return if args.json { json(&summary, terminal) } else { Ok(()) };
@@ -120,6 +124,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
                 if args.json { json(&summary, terminal) } else { Ok(()) }
             })
         }
+        Command::Sweep(args) => on_runtime(async |shutdown| sweep::run(&args, terminal, shutdown).await),
         Command::Actor(args) => {
             let flags = args.endpoints.overrides("actor");
             let Some(settings) = configure(&args.config, None, flags, terminal)? else { return Ok(()) };

@@ -1,0 +1,110 @@
+//! A sweep: it trains its points, survives its end at any time, and compares what there is.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use crate::support::program::lodestone;
+use crate::support::served::{Process, interrupt};
+
+/// Settings of a training that takes a moment.
+const SMALL: [&str; 10] = [
+    "learner.steps_per_update=256",
+    "learner.minibatch_size=256",
+    "learner.n_epochs=1",
+    "actor.n_worlds=8",
+    "evaluator.selection.blueprints=[\"2_000\",\"2_001\"]",
+    "evaluator.episodes.n_episodes=2",
+    "evaluator.episodes.acting=[\"mode\"]",
+    "policy.network.width=16",
+    "policy.network.value_hidden=[16]",
+    "evaluator.films.n_of_each=0",
+];
+
+fn sweep(folder: &Path, args: &[&str]) -> Command {
+    let mut command = lodestone(folder);
+    command.args(["sweep", "--out", "s", "--steps", "1024"]).args(args);
+    for setting in SMALL {
+        command.args(["--set", setting]);
+    }
+    command
+}
+
+/// The rows and the notes below them.
+fn table(printed: &str) -> &str {
+    &printed[printed.find("| point |").unwrap_or_else(|| panic!("no table in {printed}"))..]
+}
+
+#[test]
+fn a_sweep_that_is_killed_and_interrupted_goes_on_with_what_is_not_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["--grid", "learner.gamma=0.9,0.95", "--seeds", "2"];
+    // Waits until the first of these runs is done and the second has begun.
+    let until = |done: &str, begun: &str| {
+        let mut command = sweep(folder.path(), &args);
+        let mut running = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+        let mut lines = BufReader::new(running.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+        let mut see = |run: &str, what: &str| {
+            assert!(lines.any(|line| line.starts_with(run) && line.contains(what)), "{run} {what}");
+        };
+        see(done, ": done");
+        see(begun, ": training in");
+        (running, lines)
+    };
+    let (mut killed, _) = until("[1/4] learner.gamma=0.9, seed 1", "[2/4] learner.gamma=0.95, seed 1");
+    killed.0.kill().unwrap();
+    killed.0.wait().unwrap();
+
+    let (mut interrupted, lines) = until("[2/4] ", "[3/4] learner.gamma=0.9, seed 2");
+    interrupt(&interrupted);
+    let rest: Vec<String> = lines.collect();
+    assert!(interrupted.0.wait().unwrap().success());
+    assert!(rest.iter().any(|line| line.contains("[3/4]") && line.contains("interrupted")), "{rest:?}");
+    assert!(rest.iter().any(|line| line.starts_with("2 runs are not finished; go on with")), "{rest:?}");
+
+    let finished = sweep(folder.path(), &args).output().unwrap();
+    let printed = String::from_utf8(finished.stdout).unwrap();
+    assert!(finished.status.success(), "{}", String::from_utf8_lossy(&finished.stderr));
+    let trained: Vec<&str> = printed.lines().filter(|line| line.contains(": training in")).collect();
+    assert!(trained.len() == 2 && trained[0].starts_with("[3/4]") && trained[1].starts_with("[4/4]"), "{printed}");
+    for gamma in ["0.9", "0.95"] {
+        let row = format!("| learner.gamma={gamma} | train 2-6 (2) | greedy | 2 | ");
+        assert!(table(&printed).contains(&row), "{printed}");
+    }
+
+    // Nothing is left to train.
+    for mut again in [sweep(folder.path(), &args), lodestone(folder.path())] {
+        if again.get_args().next().is_none() {
+            again.args(["sweep", "s"]);
+        }
+        let again = String::from_utf8(again.output().unwrap().stdout).unwrap();
+        assert_eq!((table(&again), again.contains("training in")), (table(&printed), false), "{again}");
+    }
+    let other = sweep(folder.path(), &["--grid", "learner.gamma=0.9"]).output().unwrap();
+    assert_eq!(other.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&other.stderr).contains("s holds another sweep, with the seeds [1, 2]"));
+}
+
+#[test]
+fn a_point_that_fails_is_named_with_its_log_and_the_others_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let ended = sweep(folder.path(), &["--grid", "device=gpu,cpu", "--jobs", "2", "--json"]).output().unwrap();
+    let stderr = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("device=gpu, seed 1: failed (exit status: 64); see s/point-1/seed-1.log"), "{stderr}");
+    assert!(stderr.contains("1 of 2 runs failed"), "{stderr}");
+    assert!(fs::read_to_string(folder.path().join("s/point-1/seed-1.log")).unwrap().contains("no GPU backend"));
+    let table: serde_json::Value = serde_json::from_slice(&ended.stdout).unwrap();
+    let [gpu, cpu] = [&table["points"][0], &table["points"][1]];
+    assert_eq!((&gpu["failed"][0]["log"], &gpu["n_done"]), (&"s/point-1/seed-1.log".into(), &0.into()));
+    assert_eq!((cpu["failed"].as_array().unwrap().len(), &cpu["n_done"]), (0, &1.into()));
+    assert_eq!((&cpu["groups"][0]["group"], &cpu["groups"][0]["n_goals"]), (&"train 2-6".into(), &2.into()));
+
+    let wrong = sweep(folder.path(), &["--grid", "learner.gama=0.9"]).output().unwrap();
+    assert_eq!(wrong.status.code(), Some(64));
+    assert!(String::from_utf8_lossy(&wrong.stderr).contains("gamma"));
+    // What Slurm would run.
+    let array = lodestone(folder.path()).args(["sweep", "s", "--only", "1"]).output().unwrap();
+    assert!(array.status.success() && array.stdout.is_empty());
+}
