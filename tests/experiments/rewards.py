@@ -14,16 +14,39 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import statistics
 import subprocess
+import tomllib
 from pathlib import Path
 from typing import Any
 
-from run import ACTING, ROOT, cell, train
-
+ROOT = Path(__file__).resolve().parents[2]
+ACTING = {"greedy": "mode", "sampled": "sampled"}
 LABELED_STEPS, ALL_STEPS = 300_000, 400_000
 # Settings that keep training on labels where the preset would switch to rewards.
 LABELS = {"weight": 1.0, "ppo_weight": 0.0, "kl_weight": 0.0}
 STAGES = ("imitator", "further labels", "rewards")
+
+
+def train(program: Path, folder: Path, args: list[str]) -> None:
+    """Trains a run, with its output in a log file next to the folder.
+
+    An interrupted `train` saves its state and exits with 0, so the steps decide whether the run is complete.
+    """
+    with folder.with_suffix(".log").open("a") as log:
+        subprocess.run([program, "train", *args, "--no-web"], stdout=log, stderr=log, check=True)
+    n_env_steps = tomllib.loads((folder / "config.toml").read_text())["n_env_steps"]
+    steps = [int(path.name.removeprefix("step-")) for path in folder.glob("checkpoints/step-*")]
+    if max(steps, default=0) < n_env_steps:
+        raise SystemExit(f"the training in {folder} was interrupted; run the script again")
+
+
+def cell(found: list[float]) -> str:
+    """Formats the mean in percent, with the extremes if they differ."""
+    if not found:
+        return "–"
+    mean, least, most = (f"{100 * value:.1f}" for value in (statistics.mean(found), min(found), max(found)))
+    return f"{mean}%" if least == most else f"{mean}% ({least}–{most})"
 
 
 def complete(program: Path, folder: Path, episodes: int, args: list[str]) -> None:
