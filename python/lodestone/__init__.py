@@ -14,9 +14,10 @@ import gymnasium
 from lodestone.agents import Expert, Policy
 from lodestone.batch import REWARD_TERMS, blueprints
 from lodestone.env import AssemblyEnv
+from lodestone.proposed import proposals
 from lodestone.vector import AssemblyVectorEnv
 
-__all__ = ["REWARD_TERMS", "AssemblyEnv", "AssemblyVectorEnv", "Expert", "Policy", "blueprints"]
+__all__ = ["REWARD_TERMS", "AssemblyEnv", "AssemblyVectorEnv", "Expert", "Policy", "blueprints", "proposals"]
 
 ENV_ID = "Lodestone/Assembly-v0"
 

@@ -25,7 +25,7 @@ class Expert:
 
     def act(self, env: Any) -> Any:
         """Returns what `env.step` accepts: one action, a batch, or one action per PettingZoo agent."""
-        target = _Target(env)
+        target = Target(env)
         return target.put(target.batch.worlds.expert())
 
 
@@ -77,11 +77,12 @@ class Policy:
     def act(self, env: Any, deterministic: bool = True) -> Any:
         """Returns what `env.step` accepts: one action, a batch, or one action per PettingZoo agent.
 
-        With `deterministic`, picks the most probable block and the mean move. Otherwise samples actions. With the
-        pretrained policy, sampled actions succeed in 95.3% of the evaluation episodes, greedy ones in 96.7%.
+        With `deterministic`, takes the most probable block, and proposal if there are some, and the mean move. Otherwise
+        samples actions. With the pretrained policy, sampled actions succeed in 95.3% of the evaluation episodes, greedy
+        ones in 96.7%.
         """
         deterministic = checks.flag("deterministic", deterministic)
-        target = _Target(env)
+        target = Target(env)
         batch = target.batch
         if self.native.n_grippers != batch.n_grippers:
             raise ValueError(f"env: a policy for {self.native.n_grippers} grippers cannot act with {batch.n_grippers}")
@@ -142,7 +143,7 @@ class Policy:
         return _three([np.ascontiguousarray(part, np.float32).reshape(n, *shape) for part, shape in pairs]), single
 
 
-class _Target:
+class Target:
     """An environment of this package, unwrapped."""
 
     def __init__(self, env: Any) -> None:

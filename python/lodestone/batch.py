@@ -22,11 +22,16 @@ Starts: TypeAlias = str | Mapping[str, float]
 Settings: TypeAlias = Mapping[str, Any] | str | os.PathLike[str] | None
 Features: TypeAlias = Literal["all", "paper"] | Mapping[str, bool]
 Observation: TypeAlias = dict[str, NDArray[np.float32]] | NDArray[np.float32]
-Action: TypeAlias = dict[str, NDArray[Any]] | NDArray[np.float32]
+Action: TypeAlias = dict[str, NDArray[Any]] | NDArray[np.float32] | NDArray[np.int64]
 
 N_BLOCKS, N_EDGES, N_MOVES = 16, 240, 6
 # Flat action entries per gripper: a score for each block, then the move of the block with the highest score.
 N_FLAT = N_BLOCKS + N_MOVES
+# Kinds of proposals with a partner and without; a slot is one of a block's proposals, the last of which is `free`.
+PAIRED, ALONE = ("join", "meet", "detach"), ("hold", "lift", "free")
+N_SLOTS = len(PAIRED) * N_BLOCKS + len(ALONE)
+# Picks of a gripper: block · 50 + slot, for all slots but `free`.
+N_PICKS = N_BLOCKS * (N_SLOTS - 1)
 # Limits of a batch. A world takes up to 0.4 MB, and its part of a vector environment's spaces and observations 0.15 MB.
 MAX_WORLDS, MAX_THREADS = 16_384, 1024
 REWARD_TERMS = ("connected", "wrong", "magnets", "blocks", "force")
@@ -151,10 +156,14 @@ class Batch:
             [16, 6], the linear and angular velocity of each block in its own frame as fractions of the speed limits.
             Only the moves of chosen blocks count. Or `flat` for 22 numbers in [-1, 1] per gripper: a score for each
             block, and the move of the block with the highest score. If two grippers choose the same block, it moves by
-            the mean of their moves.
-        mask: With `blueprint`, the scores of flat actions choose only among the blueprint's blocks and connected
-            blocks, like `mask` in `[policy]`. Where `Expert` or a policy chooses another block, nothing moves. With
-            `none`, they choose among all blocks.
+            the mean of their moves. Or `proposals` for a number from 0 to 799 per gripper, block · 50 + slot: which of
+            its proposals (`lodestone.proposals`) moves which block. A pick that is not offered leaves its block where
+            it is, and of two on the same block the first counts. `action_masks()` tells what is offered. `Expert` and
+            `Policy` cannot act in such an environment.
+        mask: With `blueprint`, the scores of flat actions and the picks among proposals choose only among the
+            blueprint's blocks and connected blocks, like `mask` in `[policy]`. Where `Expert` or a policy chooses
+            another block, nothing moves. With `none`, they choose among all blocks.
+        noise: Whether picked proposals have their noise, drawn from each world's own generator, which `reset` seeds.
         num_threads: Threads that step worlds, up to 1024; by default the number of processors, but at most `n`.
     """
 
@@ -168,17 +177,19 @@ class Batch:
         settings: Settings = None,
         features: Features = "all",
         observation: Literal["features", "flat"] = "features",
-        action: Literal["native", "flat"] = "native",
+        action: Literal["native", "flat", "proposals"] = "native",
         mask: Literal["none", "blueprint"] = "none",
+        noise: bool = True,
         num_threads: int | None = None,
     ) -> None:
         checks.one_of("observation", observation, ("features", "flat"))
-        checks.one_of("action", action, ("native", "flat"))
+        checks.one_of("action", action, ("native", "flat", "proposals"))
         checks.one_of("mask", mask, ("none", "blueprint"))
         if mask == "blueprint" and action == "native":
-            raise ValueError("mask 'blueprint' is for flat actions: a native one names its blocks")
+            raise ValueError("mask 'blueprint' is for flat actions and proposals: a native action names its blocks")
         self.n = n = checks.whole("n", n, 1, MAX_WORLDS)
         self.flat_observation, self.flat_action = observation == "flat", action == "flat"
+        self.picks, self.noise = action == "proposals", checks.flag("noise", noise)
         self.masked = mask == "blueprint"
         self.features = read_features(features)
         threads = min(n, os.cpu_count() or 1)
@@ -206,6 +217,8 @@ class Batch:
             )
         if self.flat_action:
             self.action_space: spaces.Space[Any] = _box(1.0, (self.n_grippers * N_FLAT,))
+        elif self.picks:
+            self.action_space = spaces.MultiDiscrete([N_PICKS] * self.n_grippers)
         else:
             choices = spaces.MultiDiscrete([N_BLOCKS] * self.n_grippers)
             self.action_space = spaces.Dict({"choices": choices, "moves": _box(1.0, (N_BLOCKS, N_MOVES))})
@@ -247,12 +260,21 @@ class Batch:
         `action` is a batch, or with the name `action` that of a single world.
         """
         self.check_open()
-        choices, moves = self.to_native(action, name)
+        choices, moves = self.to_native(action, name, resets)
         return self.worlds.step(choices, moves, resets, arrays(out))
 
-    def to_native(self, action: Action, name: str = "actions") -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Converts a batch of actions, or one named `action`, to choices [n, grippers] and moves [n, 16, 6]."""
+    def to_native(
+        self, action: Action, name: str = "actions", resets: NDArray[np.bool_] | None = None
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Converts a batch of actions, or one named `action`, to choices [n, grippers] and moves [n, 16, 6].
+
+        Worlds of `resets` [n] do not act, so their generators draw no noise.
+        """
         lead = () if name == "action" else (self.n,)
+        if self.picks:
+            picks = checks.picks(name, action, (*lead, self.n_grippers), N_PICKS)
+            resets = np.zeros(self.n, np.bool_) if resets is None else resets
+            return self.worlds.picked(picks.reshape(self.n, -1), resets, self.noise, self.masked)
         if isinstance(action, Mapping):
             if self.flat_action:
                 raise refusal(name, action, "flat numbers")
@@ -273,6 +295,12 @@ class Batch:
         """Returns which block scores of flat actions count [n, 16], or None if all do."""
         return self.worlds.allowed() if self.masked else None
 
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Returns which picks are offered [n, grippers · 800], the same ones to each gripper."""
+        if not self.picks:
+            raise ValueError("action_masks() is for the action 'proposals'")
+        return np.tile(self.worlds.offered(self.masked), self.n_grippers)
+
     def within_mask(self, moves: NDArray[np.float32]) -> NDArray[np.float32]:
         """Returns the moves [n, 16, 6] with zeros for blocks that no flat action can choose.
 
@@ -282,7 +310,9 @@ class Batch:
         return moves if allowed is None else np.where(allowed[:, :, None], moves, np.float32(0.0))
 
     def from_native(self, choices: NDArray[np.int64], moves: NDArray[np.float32]) -> Action:
-        """Converts choices and moves to a batch of actions in the action space."""
+        """Converts choices and moves to a batch of actions in the action space. ValueError if those are proposals."""
+        if self.picks:
+            raise ValueError("env: only picks among proposals act here: expected the action native or flat")
         moves = self.within_mask(moves.clip(-1.0, 1.0))
         return flatten(choices, moves).reshape(self.n, -1) if self.flat_action else {"choices": choices, "moves": moves}
 

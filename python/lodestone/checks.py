@@ -120,6 +120,15 @@ def blocks(name: str, values: Any, shape: Sequence[int]) -> NDArray[np.int64]:
     return np.ascontiguousarray(made, np.int64)
 
 
+def picks(name: str, values: Any, shape: Sequence[int], n: int) -> NDArray[np.int64]:
+    """Returns an array of this shape of whole numbers from 0 to n - 1."""
+    made = blocks(name, values, shape)
+    wrong = (made < 0) | (made >= n)
+    if wrong.any():
+        raise refusal(f"{name}: a pick", int(made[wrong][0]), f"a whole number from 0 to {n - 1}")
+    return made
+
+
 def plain(name: str, value: Any) -> Any:
     """Returns settings as values that JSON has."""
     try:

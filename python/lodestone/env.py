@@ -37,7 +37,7 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
             bytes.
         render_size: Width and height of an image in pixels, 32 to 4096.
         **world: Arguments of `lodestone.batch.Batch`: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
-            `observation`, `action`, `mask`.
+            `observation`, `action`, `mask`, `noise`.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
@@ -95,6 +95,13 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
     def __getstate__(self) -> dict[str, Any]:
         """Returns what a copy or a pickle holds: everything but the window, of which a copy opens its own."""
         return {**self.__dict__, "_window": None}
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Returns which picks among proposals are offered [grippers · 800], as MaskablePPO of sb3-contrib expects.
+
+        Gripper g may take pick p if entry g · 800 + p is true. ValueError if the action is not `proposals`.
+        """
+        return self.batch.action_masks()[0]
 
     def scene(self) -> dict[str, Any]:
         """Returns the state of the world, with z up and lengths in meters.

@@ -70,6 +70,8 @@ class AssemblyParallelEnv(ParallelEnv):
         self.render_mode, self.render_size = render_mode, checks.size_of("render_size", render_size)
         observation = world.pop("observation", "features")
         checks.one_of("observation", observation, ("features", "flat"))
+        # Two agents that pick without knowing of each other are not what proposals are for.
+        checks.one_of("action", world.get("action", "native"), ("native", "flat"))
         self.flat_observation = observation == "flat"
         # The batch keeps dictionary observations because `_views` rearranges the parts for each agent before
         # flattening.

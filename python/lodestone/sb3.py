@@ -27,7 +27,8 @@ class AssemblyVecEnv(VecEnv):
         num_envs: Number of worlds.
         render_mode: `rgb_array` makes `render` return images.
         **world: Arguments of `lodestone.batch.Batch`. Observations and actions are `flat` by default because
-            Stable-Baselines3 does not support dictionary actions.
+            Stable-Baselines3 does not support dictionary actions. With `action="proposals"`, MaskablePPO of
+            sb3-contrib picks only what is offered.
     """
 
     def __init__(self, num_envs: int, render_mode: str | None = None, **world: Any) -> None:
@@ -113,11 +114,11 @@ class AssemblyVecEnv(VecEnv):
         setattr(self.envs, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Calls a method of the batch once and returns its result once per index."""
+        """Calls a method of the batch once and returns its result once per index; of `action_masks`, each world's row."""
         checks.text("method_name", method_name, "the name of a method")
         rows = self._rows(indices)
         result = getattr(self.envs, method_name)(*method_args, **method_kwargs)
-        return [result for _ in rows]
+        return [result[row] if method_name == "action_masks" else result for row in rows]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Returns False per index: worlds are never wrapped."""

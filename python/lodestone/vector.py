@@ -31,7 +31,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         render_mode: `rgb_array` makes `render` return an image of each world. `human` is only for single worlds.
         render_size: Width and height of an image in pixels.
         **world: Arguments of `lodestone.batch.Batch`: `blueprint`, `starts`, `shuffle_blocks`, `settings`, `features`,
-            `observation`, `action`, `mask`, `num_threads`.
+            `observation`, `action`, `mask`, `noise`, `num_threads`.
     """
 
     metadata: dict[str, Any] = {
@@ -129,6 +129,10 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         if self.render_mode is None:
             return None
         return tuple(self.batch.worlds.picture(row, *self.render_size) for row in range(self.num_envs))
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Returns which picks among proposals each world offers [num_envs, grippers · 800], as `AssemblyEnv` does."""
+        return self.batch.action_masks()
 
     def scene(self, row: int) -> dict[str, Any]:
         """Returns the state of a world in the format of `AssemblyEnv.scene`."""

@@ -6,7 +6,7 @@
 //! arguments and results of each method.
 //!
 //! Reading order: `settings` → `goals` and `tasks` (what to build) → `history` → `row` (one world) →
-//! `worlds` (a batch) → `picture` → `model` and `agent` (the policy).
+//! `proposals` → `worlds` (a batch) → `picture` → `model` and `agent` (the policy).
 
 mod agent;
 mod arrays;
@@ -15,6 +15,7 @@ mod goals;
 mod history;
 mod model;
 mod picture;
+mod proposals;
 mod row;
 mod settings;
 mod tasks;

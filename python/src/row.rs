@@ -1,9 +1,11 @@
 //! One world of a batch, with the random generator of its episodes.
 
+use blueprints::{BlockIdx, N_BLOCKS};
 use environment::{Env, EnvironmentConfig, Expert, ResetError, StartError, StepResult, World};
 use policy::FeatureConfig;
 use policy::features::write_features;
-use proto::{Action, RewardTerms, Scene, Start, Status, Task};
+use policy::proposals::Proposals;
+use proto::{Action, Observation, RewardTerms, Scene, Start, Status, Task};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -18,15 +20,18 @@ const MAX_RESETS: usize = 16;
 /// the origin; only a diverged world exceeds it.
 const MAX_FEATURE: f32 = 256.0;
 
-/// The state of the generator (seed, stream, position), the episodes, and the bytes of the last scene.
-pub(crate) type RowState = (Vec<u8>, u64, u128, Vec<EpisodeState>, Vec<u8>);
+/// The state of the generator (seed, stream, position), the episodes, the bytes of the last scene, and the position of
+/// the generator of noise.
+pub(crate) type RowState = (Vec<u8>, u64, u128, Vec<EpisodeState>, Vec<u8>, u128);
 
 /// A world and the state of its episode.
 #[derive(Clone)]
 pub(crate) struct Row {
     pub(crate) world: World,
     /// Generator from which episodes are drawn.
-    pub(crate) rng: ChaCha8Rng,
+    rng: ChaCha8Rng,
+    /// Generator of the noise around proposals: another stream of the same seed.
+    pub(crate) noise: ChaCha8Rng,
     /// Task of the episode; `None` before the first one.
     pub(crate) task: Option<Task>,
     /// Status of the episode.
@@ -37,6 +42,8 @@ pub(crate) struct Row {
     pub(crate) stage: Option<Stage>,
     /// Expert for the episode, created on first use; the inner value is `None` if the blueprint has no assembly order.
     expert: Option<Option<Expert>>,
+    /// Proposals of the present scene, made on first use.
+    proposals: Option<Proposals>,
     history: History,
 }
 
@@ -45,8 +52,15 @@ pub(crate) type Features<'a> = [&'a mut [f32]; 3];
 
 impl Row {
     pub(crate) fn new(world: World, rng: ChaCha8Rng) -> Self {
-        let (opening, history) = (world.scene().clone(), History::default());
-        Self { world, rng, task: None, status: Status::Running, opening, stage: None, expert: None, history }
+        let (opening, history, noise) = (world.scene().clone(), History::default(), noise_beside(&rng));
+        let (task, status) = (None, Status::Running);
+        Self { world, rng, noise, task, status, opening, stage: None, expert: None, proposals: None, history }
+    }
+
+    /// Draws episodes and noise from another seed.
+    pub(crate) fn seed(&mut self, rng: ChaCha8Rng) {
+        self.noise = noise_beside(&rng);
+        self.rng = rng;
     }
 
     /// Draws an episode and starts it. Draws again while the blocks find no room.
@@ -80,11 +94,13 @@ impl Row {
         self.history.begin(&task);
         (self.task, self.status) = (Some(task), Status::Running);
         (self.opening, self.stage, self.expert) = (self.world.scene().clone(), None, None);
+        self.proposals = None;
     }
 
     /// Advances the world by one step.
     pub(crate) fn step(&mut self, action: &Action) -> StepResult {
         let result = self.world.step(action);
+        self.proposals = None;
         self.history.step(action);
         self.status = result.status;
         result
@@ -96,7 +112,8 @@ impl Row {
     /// Returns an error if too much has happened since the last fresh start.
     pub(crate) fn state(&self) -> Result<RowState, HistoryError> {
         let (seed, stream, position) = (self.rng.get_seed(), self.rng.get_stream(), self.rng.get_word_pos());
-        Ok((seed.to_vec(), stream, position, self.history.state()?, fingerprint(self.world.scene())))
+        let (episodes, last) = (self.history.state()?, fingerprint(self.world.scene()));
+        Ok((seed.to_vec(), stream, position, episodes, last, self.noise.get_word_pos()))
     }
 
     /// Brings a new world to a state by replaying its episodes.
@@ -104,11 +121,13 @@ impl Row {
     /// # Errors
     /// Returns an error if the state is damaged or the replay does not lead to it.
     pub(crate) fn restore(&mut self, tasks: &Tasks, state: RowState) -> Result<(), HistoryError> {
-        let (seed, stream, position, episodes, last) = state;
+        let (seed, stream, position, episodes, last, noise) = state;
         let seed: [u8; 32] = seed.try_into().map_err(|_| HistoryError::Damaged)?;
-        self.rng = ChaCha8Rng::from_seed(seed);
-        self.rng.set_stream(stream);
-        self.rng.set_word_pos(position);
+        let mut rng = ChaCha8Rng::from_seed(seed);
+        rng.set_stream(stream);
+        rng.set_word_pos(position);
+        self.seed(rng);
+        self.noise.set_word_pos(noise);
         self.replay(tasks, &episodes)?;
         if fingerprint(self.world.scene()) == last { Ok(()) } else { Err(HistoryError::Different) }
     }
@@ -135,12 +154,39 @@ impl Row {
         }
     }
 
+    /// Returns the proposals of the scene. After a divergence, they are those of the episode's start: the world steps no
+    /// further, and its own would not be finite.
+    pub(crate) fn proposals(&mut self) -> &Proposals {
+        let Self { world, opening, status, proposals, .. } = self;
+        let scene = if *status == Status::Diverged { opening } else { world.scene() };
+        let make = || Proposals::new(&Observation { scene, blueprint: world.blueprint(), n_steps: world.n_steps() });
+        proposals.get_or_insert_with(make)
+    }
+
+    /// Returns the blocks that a masked gripper may choose: those of the blueprint, and connected ones, which may have to
+    /// be taken apart.
+    pub(crate) fn allowed(&self) -> [bool; N_BLOCKS] {
+        let (scene, goal) = (self.world.scene(), self.world.blueprint());
+        let mut allowed = [false; N_BLOCKS];
+        BlockIdx::all().for_each(|block| allowed[block.get()] = goal.contains(block));
+        scene.joints.iter().flat_map(|joint| [joint.a, joint.b]).for_each(|block| allowed[block.get()] = true);
+        allowed
+    }
+
     /// Returns the expert's action; idle if the blueprint has no assembly order.
     pub(crate) fn ask_expert(&mut self, config: &EnvironmentConfig) -> Action {
         let blueprint = self.world.blueprint();
         let expert = self.expert.get_or_insert_with(|| Expert::new(config, blueprint).ok());
         expert.as_mut().map_or(Action::IDLE, |expert| expert.act(self.world.scene()))
     }
+}
+
+/// Returns the generator of noise that goes with a generator of episodes.
+fn noise_beside(rng: &ChaCha8Rng) -> ChaCha8Rng {
+    let mut noise = rng.clone();
+    noise.set_stream(!rng.get_stream());
+    noise.set_word_pos(0);
+    noise
 }
 
 /// Result of stepping or resetting one world.

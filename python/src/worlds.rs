@@ -19,6 +19,7 @@ use crate::arrays::{ActionArrays, action_arrays, actions, hold, rows, share};
 use crate::error::{message, refused};
 use crate::goals::Goals;
 use crate::picture::{Easel, Stage};
+use crate::proposals::{self, N_PICKS, ProposalArrays};
 use crate::row::{Features, Outcome, Row, RowState};
 use crate::settings::parsed;
 use crate::tasks::{Tasks, Wish};
@@ -206,7 +207,7 @@ impl Worlds {
         let parts = all.iter_mut().zip(slices).zip(&mut outcomes).zip(seeds).zip(mask);
         let jobs = parts.filter(|(_, masked)| **masked).map(|((((row, features), outcome), seed), _)| {
             if let Some(seed) = seed {
-                row.rng = generator(seed, 0);
+                row.seed(generator(seed, 0));
             }
             Job { row, action: None, features, outcome }
         });
@@ -277,13 +278,43 @@ impl Worlds {
     /// which may have to be taken apart.
     fn allowed<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
         let all = self.lock(py);
-        let mut allowed = Vec::with_capacity(all.len() * N_BLOCKS);
-        for row in all.iter() {
-            let (scene, goal) = (row.world.scene(), row.world.blueprint());
-            let connected = |block: BlockIdx| scene.joints.iter().any(|joint| joint.a == block || joint.b == block);
-            allowed.extend(BlockIdx::all().map(|block| goal.contains(block) || connected(block)));
-        }
+        let allowed: Vec<bool> = all.iter().flat_map(Row::allowed).collect();
         allowed.into_pyarray(py).reshape([all.len(), N_BLOCKS])
+    }
+
+    /// Returns the proposals of each world.
+    fn proposals<'py>(&self, py: Python<'py>) -> PyResult<ProposalArrays<'py>> {
+        proposals::arrays(py, &mut self.with_proposals(py))
+    }
+
+    /// Returns which picks are offered, `[n, 16 · 50]`: in a masked world, only those of allowed blocks.
+    fn offered<'py>(&self, py: Python<'py>, is_masked: bool) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        let mut rows = self.with_proposals(py);
+        let offered: Vec<bool> = rows.iter_mut().flat_map(|row| proposals::offered(row, is_masked)).collect();
+        offered.into_pyarray(py).reshape([rows.len(), N_PICKS])
+    }
+
+    /// Converts picks `[n, grippers]` to actions; draws no noise where `skipped`.
+    fn picked<'py>(
+        &self,
+        py: Python<'py>,
+        picks: PyReadonlyArray2<'py, i64>,
+        skipped: PyReadonlyArray1<'py, bool>,
+        is_noisy: bool,
+        is_masked: bool,
+    ) -> PyResult<ActionArrays<'py>> {
+        let mut rows = self.with_proposals(py);
+        let skipped = masked(&skipped, rows.len())?;
+        let picks = proposals::picks(&picks, rows.len(), self.n_grippers())?;
+        let parts = rows.iter_mut().zip(&picks).zip(skipped);
+        let actions: Vec<Action> = parts
+            .map(
+                |((row, picks), skipped)| {
+                    if *skipped { Action::IDLE } else { proposals::action(row, picks, is_noisy, is_masked) }
+                },
+            )
+            .collect();
+        action_arrays(py, &actions, self.n_grippers())
     }
 
     /// Returns the scripted expert's action in each world.
@@ -339,6 +370,18 @@ impl Worlds {
 }
 
 impl Worlds {
+    /// Locks the worlds, and makes the proposals of their scenes.
+    pub(crate) fn with_proposals(&self, py: Python<'_>) -> MutexGuard<'_, Vec<Row>> {
+        let mut all = self.lock(py);
+        let jobs: Vec<&mut Row> = all.iter_mut().collect();
+        py.detach(|| {
+            share(self.n_threads, jobs, |row| {
+                row.proposals();
+            });
+        });
+        all
+    }
+
     /// Locks the worlds. Releases the interpreter lock while waiting.
     fn lock(&self, py: Python<'_>) -> MutexGuard<'_, Vec<Row>> {
         self.rows.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)

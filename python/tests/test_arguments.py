@@ -30,6 +30,7 @@ CALLABLES = (
     lodestone.Policy,
     lodestone.Expert,
     lodestone.blueprints,
+    lodestone.proposals,
     parallel_env,
 )
 # What takes anything: ignored, passed on to another method, or Python's own affair.
@@ -106,6 +107,7 @@ WORLD: dict[str, tuple[Any, ...]] = {
     "observation": (None, 3, "pixels", ["flat"], b"flat", np.zeros(2)),
     "action": (None, 3, "joints", ["flat"], b"flat"),
     "mask": (3, "all", ["none"]),
+    "noise": (None, 3, "x", [True]),
     "num_threads": (0, -1, 1.5, "x", True, 1025, 10**9),
 }
 MODES = (3, "ansi", ["human"], b"human")
@@ -285,6 +287,11 @@ def methods() -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
             ),
         )
     yield "blueprints(blueprint)", lodestone.blueprints, NAMES
+    yield "proposals(env)", lodestone.proposals, (None, 3, FOREIGN, lodestone.AssemblyEnv)
+    picks = lodestone.AssemblyEnv(blueprint="2_000", action="proposals")
+    picks.reset(seed=1)
+    wrong = ([0, 800], "800"), ([-1, 0], "-1"), ([0.5, 0], "float64"), ([0], "(1,)"), ([[1], [1, 2]], "[[1], [1, 2]]")
+    yield "AssemblyEnv.step(action)", picks.step, (None, "x", FOREIGN, {"choices": CHOICES}, *wrong)
 
 
 class Arguments(unittest.TestCase):

@@ -175,14 +175,14 @@ pickle.dump((seen, env.scene(), env.reset()), sys.stdout.buffer)
         out, one = batch.empty(), np.ones(1, np.bool_)
         batch.reset(one, [1], {"start": "scattered"}, out)
         make, arguments, states = batch.worlds.__reduce__()
-        seed, stream, position, episodes, last = states[0]
+        seed, stream, position, episodes, last, noise = states[0]
         for state, words in (
-            ((seed, stream, position, episodes, bytes(len(last))), "comes out differently"),
-            ((seed, stream, position, [], last), "comes out differently"),
-            ((seed[1:], stream, position, episodes, last), "damaged"),
-            ((seed, stream, position, [(*episodes[0][:4], bytes(3))], last), "damaged"),
-            ((seed, stream, position, [(*episodes[0][:4], bytes([16] * 50))], last), "damaged"),
-            ((seed, stream, position, [("nowhere_2_999", *episodes[0][1:])], last), "an episode cannot start"),
+            ((seed, stream, position, episodes, bytes(len(last)), noise), "comes out differently"),
+            ((seed, stream, position, [], last, noise), "comes out differently"),
+            ((seed[1:], stream, position, episodes, last, noise), "damaged"),
+            ((seed, stream, position, [(*episodes[0][:4], bytes(3))], last, noise), "damaged"),
+            ((seed, stream, position, [(*episodes[0][:4], bytes([16] * 50))], last, noise), "damaged"),
+            ((seed, stream, position, [("nowhere_2_999", *episodes[0][1:])], last, noise), "an episode cannot start"),
         ):
             with self.subTest(words), self.assertRaisesRegex(ValueError, f"world 0 cannot be restored: .*{words}"):
                 make(*arguments).__setstate__([state])

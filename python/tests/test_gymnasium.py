@@ -169,7 +169,7 @@ class SingleEnvironment(unittest.TestCase):
             ({"features": "none"}, "features is 'none': expected all or paper"),
             ({"features": {"up": True}}, "unknown field `up`"),
             ({"observation": "pixels"}, "observation is 'pixels': expected features or flat"),
-            ({"action": "joints"}, "action is 'joints': expected native or flat"),
+            ({"action": "joints"}, "action is 'joints': expected native, flat or proposals"),
             ({"render_mode": "ansi"}, "render_mode is 'ansi': expected None, human or rgb_array"),
         ]:
             with self.subTest(wrong), self.assertRaises(ValueError) as raised:
