@@ -19,6 +19,23 @@ Shapes for a batch of B scenes, where `nd`, `ed`, and `gd` count the features li
 | locs, scales | [B, 16, 6] | mean and standard deviation of each block's move, in fractions of the speed limits |
 | values | [B] | expected return |
 
+With the mixture head (`policy.network.move_head = "mixture"`), each gripper draws a block, and then one of the block's
+*slots*: the moves that `lodestone.proposals(env)` lists, the last of which stands for the Gaussian of locs and scales.
+The second gripper's logits depend on what the first one drew. There is one more output, and `Proposals` and `Draw` go in:
+
+| tensor | shape | meaning |
+|---|---|---|
+| readouts | [B, 16, 192] | numbers of each block that the logits of slots are sums of |
+| relations | [B, 16, 16, 8] | what the first block is to the second |
+| offered | [B, 16, 51] | whether the block has a proposal in the slot |
+| block, slot | [B] | what a gripper drew |
+
+    output = policy(nodes, edges, globals_)
+    slots = slot_logits(output, proposals)                        # [B, 16, 51]: of the first gripper, for each block
+    first = Draw(block, slot)                                     # drawn from output.logits[:, 0] and slots[block]
+    blocks = second_logits(output, proposals, first)              # [B, 16]: of the second gripper
+    slots = slot_logits(output, proposals, first)                 # [B, 16, 51]: of the second gripper, for each block
+
 Folding does not change the network: all maps between an edge and its attention are linear, so their matrices can be
 multiplied together. They then act on 16 nodes instead of 240 edges (policy/src/network/gat.rs has the algebra).
 """
@@ -29,6 +46,7 @@ import hashlib
 import json
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,15 +63,74 @@ FORMAT_VERSIONS = (2, 3)
 MAX_NORMALIZED = 10.0
 LAYER_NORM_EPSILON = 1e-5
 NO_EDGE = -1e9
+MASKED = -1e9
+# Proposals: kinds with a partner (join, meet, detach) and without (hold, lift, free), and length of a relation.
+N_PAIRED, N_ALONE, N_RELATION = 3, 3, 8
+N_KINDS = N_PAIRED + N_ALONE
+N_SLOTS = N_PAIRED * N_BLOCKS + N_ALONE
+FREE = N_SLOTS - 1
+# Parts of a block's read-outs and their lengths: queries, keys, coefficients, and biases of the logits
+# (policy/src/mixture.rs).
+KEY = 16
+READOUTS = {
+    "slot_query": KEY,
+    "slot_key": KEY,
+    "paired": N_PAIRED * (N_RELATION + 1),
+    "alone": N_ALONE,
+    "after": N_KINDS * N_KINDS,
+    "toward_first": N_KINDS * N_PAIRED,
+    "mutual": N_KINDS * N_PAIRED,
+    "block_query": KEY,
+    "block_key": KEY,
+    "block_relation": N_RELATION,
+    "block_after": N_KINDS * 3,
+}
 
 
 class Output(NamedTuple):
-    """The network's output for a batch. The table above lists the shapes."""
+    """The network's output for a batch. The tables above list the shapes."""
 
     logits: Tensor
     locs: Tensor
     scales: Tensor
     values: Tensor
+
+
+class MixtureOutput(NamedTuple):
+    """The same with the mixture head."""
+
+    logits: Tensor
+    locs: Tensor
+    scales: Tensor
+    values: Tensor
+    readouts: Tensor
+
+
+AnyOutput = Output | MixtureOutput
+
+
+class Proposals(NamedTuple):
+    """What a batch of scenes proposes. The table above lists the shapes."""
+
+    relations: Tensor
+    offered: Tensor
+
+
+class Draw(NamedTuple):
+    """A gripper's block and slot in each scene."""
+
+    block: Tensor
+    slot: Tensor
+
+    def kind(self) -> Tensor:
+        """Returns the kind, 0 to 5 [B]."""
+        return torch.where(self.slot < N_SLOTS - N_ALONE, self.slot // N_BLOCKS, self.slot - N_SLOTS + N_KINDS)
+
+    def partner(self) -> Tensor:
+        """Returns the partner as a one-hot [B, 16], all zeros if the kind has none."""
+        blocks = torch.arange(N_BLOCKS, device=self.slot.device)
+        has_partner = self.slot < N_SLOTS - N_ALONE
+        return (has_partner.unsqueeze(-1) & (blocks == self.slot.unsqueeze(-1) % N_BLOCKS)).float()
 
 
 class Folded(NamedTuple):
@@ -85,6 +162,7 @@ class Config:
     init_std: float | None = None
     max_std: float | None = None
     floor: float = 1e-6
+    mixture: bool = False
 
     @classmethod
     def of(cls, header: dict[str, Any]) -> Config:
@@ -97,6 +175,8 @@ class Config:
         shapes = {entry["name"]: entry["shape"] for entry in header["table"]}
         sizes = {name: shapes[f"embed_{name.rstrip('_')}.w"][0] for name in ("node", "edge", "global_")}
         rest = {"width": network["width"], "n_grippers": network["n_grippers"]}
+        # Files from before there was a choice have no such entry.
+        rest["mixture"] = network.get("move_head", "gaussian") == "mixture"
         return cls(**sizes, **rest, **encoder, **network["scale"], value_hidden=tuple(network["value_hidden"]))
 
     def scale_offset(self) -> float:
@@ -244,6 +324,8 @@ class PolicyHead(nn.Module):
         self.act_scale = Linear(c.width, MOVE)
         self.grip_key = Linear(2 * c.width, c.n_grippers * c.width, bias=False)
         self.block_key = Linear(c.width + c.n_grippers, c.width, bias=False)
+        if c.mixture:
+            self.proposals = Linear(c.width, sum(READOUTS.values()))
 
     def forward(self, nodes: Tensor, scene: Tensor, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """nodes [B, 16, w], scene [B, w], features of the scene [B, gd] -> logits, locs, scales."""
@@ -307,17 +389,18 @@ class GraphNetwork(nn.Module):
         dense = F.pad(edges, (0, 0, 0, 1)).index_select(1, self.listed)
         return dense.reshape(-1, N_BLOCKS, N_BLOCKS, edges.shape[-1])
 
-    def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor, folded: list[Folded] | None = None) -> Output:
+    def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor, folded: list[Folded] | None = None) -> AnyOutput:
         """Normalized features -> output. The values are normalized like the training targets."""
         return self.forward_dense(nodes, self.dense_edges(edges), globals_, folded)
 
-    def forward_dense(self, nodes: Tensor, edges: Tensor, raw: Tensor, folded: list[Folded] | None = None) -> Output:
+    def forward_dense(self, nodes: Tensor, edges: Tensor, raw: Tensor, folded: list[Folded] | None = None) -> AnyOutput:
         """Like `forward`, but takes edges in the format that `dense_edges` returns."""
         n, g = self.embed_node(nodes), self.embed_global(raw)
         for layer, matrices in zip(self.layers(), folded or self.fold()):
             n, g = layer(n, g, edges, self.no_edge, matrices)
         logits, locs, scales = self.head(n, g, raw)
-        return Output(logits, locs, scales, self.value(g, raw, logits))
+        output = Output(logits, locs, scales, self.value(g, raw, logits))
+        return MixtureOutput(*output, self.head.proposals(n)) if self.config.mixture else output
 
 
 def listed(self_edges: bool) -> Tensor:
@@ -336,6 +419,75 @@ def listed(self_edges: bool) -> Tensor:
         return sender * (n - 1) + receiver - (receiver > sender)
 
     return torch.tensor([at(sender, receiver) for receiver in range(n) for sender in range(n)])
+
+
+def parts_of(readouts: Tensor) -> dict[str, Tensor]:
+    """Splits read-outs [..., 192] by `READOUTS`."""
+    return dict(zip(READOUTS, readouts.split(list(READOUTS.values()), -1)))
+
+
+def at_block(values: Tensor, block: Tensor) -> Tensor:
+    """[B, 16, ...], [B] -> [B, ...]."""
+    index = block.reshape(-1, *[1] * (values.dim() - 1)).expand(-1, 1, *values.shape[2:])
+    return values.gather(1, index).squeeze(1)
+
+
+def at_kind(values: Tensor, kind: Tensor) -> Tensor:
+    """[B, ..., 6 · n], [B] -> [B, ..., n]."""
+    values = values.unflatten(-1, (N_KINDS, -1))
+    chosen = F.one_hot(kind, N_KINDS).to(values.dtype)
+    return (values * chosen.reshape(-1, *[1] * (values.dim() - 3), N_KINDS, 1)).sum(-2)
+
+
+def slot_logits(output: MixtureOutput, proposals: Proposals, first: Draw | None = None) -> Tensor:
+    """Returns the logits of each block's slots [B, 16, 51], for the first gripper or, after `first`, for the second.
+
+    What is not offered has the logit -1e9. A second gripper that chose the first one's block draws no slot.
+    """
+    part = parts_of(output.readouts)
+    coefficients = part["paired"].unflatten(-1, (N_PAIRED, N_RELATION + 1))
+    paired = coefficients[..., :-1] @ proposals.relations.transpose(2, 3) + coefficients[..., -1:]
+    paired = paired + (part["slot_query"] @ part["slot_key"].transpose(1, 2) / math.sqrt(KEY)).unsqueeze(2)
+    alone = part["alone"]
+    if first is not None:
+        after, toward, mutual = (at_kind(part[name], first.kind()) for name in ("after", "toward_first", "mutual"))
+        # Toward the first gripper's block, and if that comes here as well.
+        toward = toward + mutual * first.partner().to(mutual.dtype).unsqueeze(-1)
+        is_first = F.one_hot(first.block, N_BLOCKS).to(toward.dtype)
+        paired = paired + after[..., :N_PAIRED, None] + toward.unsqueeze(-1) * is_first[:, None, None]
+        alone = alone + after[..., N_PAIRED:]
+    return torch.cat([paired.flatten(2), alone], -1).masked_fill(~proposals.offered, MASKED)
+
+
+def second_logits(output: MixtureOutput, proposals: Proposals, first: Draw) -> Tensor:
+    """Returns the logits of the second gripper's block [B, 16], after the first gripper's draw."""
+    own = parts_of(at_block(output.readouts, first.block))
+    keys, relations = parts_of(output.readouts)["block_key"], at_block(proposals.relations, first.block)
+    same_block, its_partner, same_piece = at_kind(own["block_after"], first.kind()).split(1, -1)
+    others = (keys @ own["block_query"].unsqueeze(-1)).squeeze(-1) / math.sqrt(KEY)
+    others = others + (relations @ own["block_relation"].unsqueeze(-1)).squeeze(-1)
+    # Entry 1 of a relation: in one piece.
+    others = others + its_partner * first.partner().to(others.dtype) + same_piece * (relations[..., 1] != 0)
+    return output.logits[:, 1] + torch.where(F.one_hot(first.block, N_BLOCKS) == 1, same_block, others)
+
+
+def log_prob(output: MixtureOutput, proposals: Proposals, draws: Sequence[Draw], moves: Tensor) -> Tensor:
+    """Returns the log-probability [B] in nats of each gripper's draw, with moves [B, 16, 6].
+
+    Slot -1 says that the second gripper chose the first one's block. The moves count for `free` only: the noise around
+    other proposals has no parameters and is left out. Logits of blocks that may not be chosen are to be -1e9.
+    """
+    total = moves.new_zeros(len(moves))
+    for gripper, draw in enumerate(draws):
+        first = draws[0] if gripper else None
+        blocks = second_logits(output, proposals, first) if first else output.logits[:, 0]
+        total = total + at_block(torch.log_softmax(blocks, -1), draw.block)
+        slots = torch.log_softmax(at_block(slot_logits(output, proposals, first), draw.block), -1)
+        loc, scale, move = (at_block(values, draw.block) for values in (output.locs, output.scales, moves))
+        density = torch.distributions.Normal(loc, scale, validate_args=False).log_prob(move).sum(-1)
+        of_slot = at_block(slots, draw.slot.clamp(min=0)) + torch.where(draw.slot == FREE, density, 0.0)
+        total = total + torch.where(draw.slot >= 0, of_slot, 0.0)
+    return total
 
 
 class Policy(nn.Module):
@@ -406,7 +558,7 @@ class Policy(nn.Module):
         return [Folded(*(getattr(self, f"folded{n}_{name}") for name in Folded._fields)) for n in layers]
 
     @torch.no_grad()
-    def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor) -> Output:
+    def forward(self, nodes: Tensor, edges: Tensor, globals_: Tensor) -> AnyOutput:
         """Raw features, as listed in policy/src/features.rs -> output."""
         features = []
         for k, x in enumerate((nodes, edges, globals_)):
@@ -416,23 +568,76 @@ class Policy(nn.Module):
         return output._replace(values=output.values * self.value_std + self.value_mean)
 
     def export_onnx(self, path: str | Path) -> None:
-        """Writes an ONNX graph for any batch size. Inputs: nodes, edges, globals. Outputs: the fields of `Output`."""
+        """Writes an ONNX graph for any batch size B. Inputs: nodes, edges, globals. Outputs: the fields of `Output`.
+
+        With the mixture head, the inputs have three more tensors, and the outputs are `MIXTURE_OUTPUTS`:
+
+        | tensor | shape, type | meaning |
+        |---|---|---|
+        | relations (input) | [B, 16, 16, 8] float32 | as in `lodestone.proposals(env)` |
+        | offered (input) | [B, 16, 51] bool | the same |
+        | first (input) | [B, 2] int64 | block and slot that the first gripper drew |
+        | first_slots | [B, 16, 51] | logits of the first gripper's slots, for each block; they do not depend on `first` |
+        | second_blocks | [B, 16] | logits of the second gripper's block, after `first` |
+        | second_slots | [B, 16, 51] | logits of the second gripper's slots, for each block, after `first` |
+
+        So draw the first gripper's block and slot from `logits[:, 0]` and `first_slots`, with any `first`, and run the
+        graph again with them. With one gripper, there are neither `first` nor the outputs of the second.
+        """
         c = self.network.config
         # Any number except 1, which the exporter would treat as a constant.
         b, n_edges = 2, self.network.listed.unique().numel() - (not c.self_edges)
-        example = tuple(torch.zeros(b, *shape) for shape in [(N_BLOCKS, c.node), (n_edges, c.edge), (c.global_,)])
+        example = [torch.zeros(b, *shape) for shape in [(N_BLOCKS, c.node), (n_edges, c.edge), (c.global_,)]]
+        inputs, outputs, graph = ["nodes", "edges", "globals"], list(Output._fields), self
+        if c.mixture:
+            inputs, outputs, graph = [*inputs, "relations", "offered"], MIXTURE_OUTPUTS, MixtureGraph(self)
+            example.append(torch.zeros(b, N_BLOCKS, N_BLOCKS, N_RELATION))
+            example.append(torch.ones(b, N_BLOCKS, N_SLOTS, dtype=torch.bool))
+            if c.n_grippers > 1:
+                inputs.append("first")
+                example.append(torch.zeros(b, 2, dtype=torch.int64))
+            else:
+                outputs = outputs[:-2]
         batch = torch.export.Dim("batch")
         torch.onnx.export(
-            self,
-            example,
+            graph,
+            tuple(example),
             str(path),
-            input_names=["nodes", "edges", "globals"],
-            output_names=list(Output._fields),
-            dynamic_shapes=({0: batch}, {0: batch}, {0: batch}),
+            input_names=inputs,
+            output_names=outputs,
+            dynamic_shapes=tuple({0: batch} for _ in example),
             dynamo=True,
             external_data=False,
             verbose=False,
         )
+
+
+MIXTURE_OUTPUTS = [*Output._fields, "first_slots", "second_blocks", "second_slots"]
+
+
+class MixtureGraph(nn.Module):
+    """What is exported of a policy with the mixture head."""
+
+    def __init__(self, policy: Policy):
+        super().__init__()
+        self.policy = policy
+
+    @torch.no_grad()
+    def forward(
+        self,
+        nodes: Tensor,
+        edges: Tensor,
+        globals_: Tensor,
+        relations: Tensor,
+        offered: Tensor,
+        first: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        output, proposals = self.policy(nodes, edges, globals_), Proposals(relations, offered)
+        found = (*output[:-1], slot_logits(output, proposals))
+        if first is None:
+            return found
+        draw = Draw(*first.unbind(-1))
+        return (*found, second_logits(output, proposals, draw), slot_logits(output, proposals, draw))
 
 
 if __name__ == "__main__":

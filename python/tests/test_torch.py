@@ -16,7 +16,22 @@ import golden
 import numpy as np
 import onnxruntime
 import torch
-from lodestone_torch import Config, GraphLayer, GraphNetwork, Output, Policy, digest
+from lodestone_torch import (
+    MIXTURE_OUTPUTS,
+    N_BLOCKS,
+    N_RELATION,
+    N_SLOTS,
+    Config,
+    Draw,
+    GraphLayer,
+    GraphNetwork,
+    MixtureGraph,
+    Output,
+    Policy,
+    Proposals,
+    digest,
+    log_prob,
+)
 from safetensors.torch import save_file
 
 TOLERANCE = 1e-5
@@ -45,6 +60,14 @@ def plain(policy: Policy) -> Policy:
     header = json.loads(json.dumps(policy.header))
     header["normalization"] = {"feature_mean": [[]] * 3, "feature_std": [[]] * 3, "value_mean": 0.0, "value_std": 1.0}
     return Policy(policy.network, header)
+
+
+def exported(policy: Policy) -> onnxruntime.InferenceSession:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = Path(folder) / "policy.onnx"
+        policy.export_onnx(path)
+        return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
 
 
 class Case(unittest.TestCase):
@@ -166,18 +189,78 @@ class Shipped(Case):
         self.assertFalse(self.policy(*scenes(self.policy, 1)).values.requires_grad)
 
     def test_onnx(self) -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "policy.onnx"
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                self.policy.export_onnx(path)
-            session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+        session = exported(self.policy)
         self.assertEqual([x.name for x in session.get_outputs()], list(Output._fields))
         for b in (1, 2, 5):
             inputs = scenes(self.policy, b)
             feed = dict(zip(("nodes", "edges", "globals"), (x.numpy() for x in inputs)))
             for name, ours, expected in zip(Output._fields, session.run(None, feed), self.policy(*inputs)):
                 self.assert_close(torch.from_numpy(ours), expected, TOLERANCE, f"{name} of onnxruntime at batch {b}")
+
+
+class Mixture(Case):
+    """The mixture head; test_same_policy.py compares it with Rust."""
+
+    def proposals(self, b: int) -> Proposals:
+        relations = np.abs(golden.generate("relations", 1, b * N_BLOCKS * N_BLOCKS * N_RELATION))
+        relations = relations.reshape(b, N_BLOCKS, N_BLOCKS, N_RELATION).round(1)
+        offered = golden.generate("offered", 1, b * N_BLOCKS * N_SLOTS).reshape(b, N_BLOCKS, N_SLOTS) > 0.0
+        offered[..., -3:] = True
+        return Proposals(torch.from_numpy(relations.astype(np.float32)), torch.from_numpy(offered))
+
+    def test_probabilities_of_all_draws_add_up(self) -> None:
+        """Of the first gripper's and then of the second's, which also may choose the same block."""
+        policy, proposals = golden.mixture(), self.proposals(1)
+        output = policy(*scenes(policy, 1))
+        first = proposals.offered[0].nonzero()
+        total = 0.0
+        for block, slot in first[::5]:
+            seconds = [[block, -1], *([b, s] for b, s in first.tolist() if b != block)]
+            second = Draw(*torch.tensor(seconds).T)
+            n = len(second.block)
+            draw = Draw(block.expand(n), slot.expand(n))
+            # At its mean, a free move has a density; it is divided out.
+            density = torch.distributions.Normal(output.locs, output.scales).log_prob(output.locs).sum(-1)[0]
+            of_free = sum(torch.where(d.slot == N_SLOTS - 1, density[d.block], 0.0) for d in (draw, second))
+            many, all_proposals = (type(x)(*(y.expand(n, *y.shape[1:]) for y in x)) for x in (output, proposals))
+            both = log_prob(many, all_proposals, [draw, second], many.locs)
+            alone = log_prob(output, proposals, [Draw(block[None], slot[None])], output.locs)
+            if slot == N_SLOTS - 1:
+                alone = alone - density[block]
+            self.assertAlmostEqual((both - of_free).exp().sum().item(), alone.exp().item(), delta=1e-5)
+            total += alone.exp().item()
+        self.assertGreater(total, 0.1)
+
+    def test_what_was_drawn_has_gradients(self) -> None:
+        policy = golden.mixture()
+        output = policy.network(*scenes(policy, 4))
+        output.readouts.retain_grad()
+        draws = [Draw(torch.tensor([0, 1, 2, 3]), torch.tensor([48, 49, 50, 48]))]
+        draws.append(Draw(torch.tensor([4, 1, 5, 6]), torch.tensor([50, -1, 49, 48])))
+        proposals = Proposals(self.proposals(4).relations, torch.ones(4, N_BLOCKS, N_SLOTS, dtype=torch.bool))
+        log_prob(output, proposals, draws, torch.zeros(4, N_BLOCKS, 6)).sum().backward()
+        self.assertTrue(torch.isfinite(output.readouts.grad).all())
+        reached = output.readouts.grad.abs().amax((0, 1)) > 0.0
+        # All but the biases of what the first gripper did not draw: here it drew hold, lift, and free.
+        self.assertGreater(reached.sum().item(), 120)
+
+    def test_onnx(self) -> None:
+        for n_grippers in (2, 1):
+            policy = golden.mixture(n_grippers)
+            session, graph = exported(policy), MixtureGraph(policy)
+            names = ["nodes", "edges", "globals", "relations", "offered", "first"][: 4 + n_grippers]
+            outputs = MIXTURE_OUTPUTS if n_grippers == 2 else MIXTURE_OUTPUTS[:-2]
+            self.assertEqual([x.name for x in session.get_inputs()], names)
+            self.assertEqual([x.name for x in session.get_outputs()], outputs)
+            for b in (1, 2, 5):
+                first = torch.tensor([[3, 5], [0, 50], [7, 33], [8, 16], [15, 48]])[:b]
+                inputs = [*scenes(policy, b), *self.proposals(b), first][: len(names)]
+                feed = dict(zip(names, (x.numpy() for x in inputs), strict=True))
+                for name, ours, expected in zip(outputs, session.run(None, feed), graph(*inputs), strict=True):
+                    ours, masked = torch.from_numpy(ours), expected < -1e8
+                    self.assertTrue(((ours < -1e8) == masked).all())
+                    what = f"{name} of onnxruntime at batch {b}"
+                    self.assert_close(ours[~masked], expected[~masked], TOLERANCE, what)
 
 
 class Settings(Case):
