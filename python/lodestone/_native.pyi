@@ -159,6 +159,10 @@ class Policy:
         """What it sees: the section `[policy.features]` as JSON."""
 
     @property
+    def is_mixture(self) -> bool:
+        """Whether it draws moves from proposals."""
+
+    @property
     def version(self) -> int:
         """Version of its weights."""
 
@@ -171,8 +175,12 @@ class Policy:
         edges: NDArray[np.float32],
         globals: NDArray[np.float32],
         sampled: bool,
-    ) -> tuple[tuple[NDArray[np.int64], NDArray[np.float32]], NDArray[np.float32], NDArray[np.float32]]:
-        """Acts on features [n, 16, nd], [n, 240, ed], [n, gd].
+        worlds: Worlds | None = None,
+    ) -> tuple[
+        tuple[NDArray[np.int64], NDArray[np.float32]], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]
+    ]:
+        """Acts on features [n, 16, nd], [n, 240, ed], [n, gd]; a mixture also on the proposals of the `n` worlds.
 
-        Returns choices [n, g] and moves [n, 16, 6], their log-probabilities [n] in nats, and values [n] as returns.
+        Returns choices [n, g] and moves [n, 16, 6], their log-probabilities [n] in nats, values [n] as returns, and the
+        slots of the proposals [n, g], -1 where there are none. A mixture without worlds raises ValueError.
         """

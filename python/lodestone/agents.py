@@ -33,7 +33,8 @@ class Policy:
     """A trained policy with frozen weights.
 
     `act` takes an environment of this package, in any observation format. `predict` takes observations only, as
-    Stable-Baselines3 policies do. Copies and pickles continue with the same sampled actions.
+    Stable-Baselines3 policies do; policies that draw moves from proposals (`policy.network.move_head = "mixture"`) refuse
+    it, because an observation does not tell what is proposed. Copies and pickles continue with the same sampled actions.
 
     Args:
         native: The native policy. Use `Policy.pretrained` or `Policy.load` to create it.
@@ -90,7 +91,7 @@ class Policy:
         shapes = ((batch.n, N_BLOCKS, nd), (batch.n, N_EDGES, ed), (batch.n, gd))
         seen = _three([np.empty(shape, np.float32) for shape in shapes])
         batch.worlds.observe(self.native.features, seen)
-        actions, _, _ = self.native.act(*seen, not deterministic)
+        actions, *_ = self.native.act(*seen, not deterministic, batch.worlds)
         return target.put(actions)
 
     def predict(
@@ -104,7 +105,7 @@ class Policy:
         del state, episode_start
         deterministic = checks.flag("deterministic", deterministic)
         parts, single = self._parts(observation)
-        (choices, moves), _, _ = self.native.act(*parts, not deterministic)
+        (choices, moves), *_ = self.native.act(*parts, not deterministic)
         n, moves = len(choices), moves.clip(-1.0, 1.0)
         actions: Action = {"choices": choices, "moves": moves}
         if self.flat_action:

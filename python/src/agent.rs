@@ -6,8 +6,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use blueprints::{N_BLOCKS, outside};
 use environment::vec_env::generator;
-use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use numpy::PyUntypedArrayMethods;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3};
 use policy::features::N_EDGES;
+use policy::proposals::Proposals;
 use policy::{FeatureBatch, FeatureSizes, MoveHead};
 use proto::codec::MAX_WEIGHTS_BYTES;
 use proto::{ActionMode, Decision, N_GRIPPERS};
@@ -20,6 +22,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::arrays::{ActionArrays, action_arrays};
 use crate::error::{message, refused};
 use crate::model::{Model, ModelError};
+use crate::worlds::Worlds;
 
 /// The pretrained policy embedded in the program.
 const PRETRAINED: &[u8] = include_bytes!("../../deploy/pretrained/model.safetensors");
@@ -31,8 +34,9 @@ const MAX_FILE_BYTES: u64 = MAX_WEIGHTS_BYTES as u64 + (4 << 20);
 const CONNECTED: usize = 22;
 const BOTH_BELONG: usize = 23;
 
-/// Actions, log-probabilities `[n]`, and values `[n]`.
-type DecisionArrays<'py> = (ActionArrays<'py>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
+/// Actions, log-probabilities `[n]`, values `[n]`, and slots `[n, grippers]`.
+type DecisionArrays<'py> =
+    (ActionArrays<'py>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<i64>>);
 
 /// The file, the seed, and how far each row's generator has come.
 type Arguments<'py> = (Bound<'py, PyBytes>, u64, Vec<u128>);
@@ -42,6 +46,8 @@ type Arguments<'py> = (Bound<'py, PyBytes>, u64, Vec<u128>);
 pub(crate) struct Policy {
     sizes: FeatureSizes,
     n_grippers: usize,
+    /// Whether it draws from proposals.
+    is_mixture: bool,
     features: String,
     version: u64,
     /// The file that it came from.
@@ -119,6 +125,12 @@ impl Policy {
         &self.features
     }
 
+    /// Whether it draws moves from proposals, so that it needs worlds to act.
+    #[getter]
+    fn is_mixture(&self) -> bool {
+        self.is_mixture
+    }
+
     /// Version of the policy's weights.
     #[getter]
     fn version(&self) -> u64 {
@@ -132,7 +144,9 @@ impl Policy {
         actor.rngs.clear();
     }
 
-    /// Returns choices and moves, log-probabilities and values for each row of features.
+    /// Returns choices and moves, log-probabilities, values, and slots for each row of features. A policy that draws
+    /// from proposals takes those of the worlds, which the features are of.
+    #[pyo3(signature = (nodes, edges, globals, sampled, worlds=None))]
     fn act<'py>(
         &self,
         py: Python<'py>,
@@ -140,6 +154,7 @@ impl Policy {
         edges: PyReadonlyArray3<'py, f32>,
         globals: PyReadonlyArray2<'py, f32>,
         sampled: bool,
+        worlds: Option<&Bound<'py, Worlds>>,
     ) -> PyResult<DecisionArrays<'py>> {
         let n = nodes.shape()[0];
         for (name, shape, wanted) in [
@@ -154,15 +169,19 @@ impl Policy {
         }
         let parts = [nodes.as_slice()?, edges.as_slice()?, globals.as_slice()?];
         let mode = if sampled { ActionMode::Sampled } else { ActionMode::Greedy };
+        let proposals = if self.is_mixture { proposals_of(py, worlds, n)? } else { Vec::new() };
         let mut held = self.lock(py);
         let actor = &mut **held;
-        let decided = py.detach(|| actor.act(parts, n, self.sizes.edge, mode));
+        let decided = py.detach(|| actor.act(parts, n, self.sizes.edge, mode, proposals));
         let decisions = decided.map_err(|error| refused(&error))?;
         let log_probs: Vec<f32> = decisions.iter().map(|decision| decision.log_prob).collect();
         let values: Vec<f32> = decisions.iter().map(|decision| decision.value).collect();
+        let number = |slot: &Option<u8>| slot.map_or(-1, i64::from);
+        let slots = decisions.iter().flat_map(|decision| decision.proposals[..self.n_grippers].iter().map(number));
+        let slots = slots.collect::<Vec<i64>>().into_pyarray(py).reshape([n, self.n_grippers])?;
         let actions: Vec<_> = decisions.into_iter().map(|decision| decision.action).collect();
         let actions = action_arrays(py, &actions, self.n_grippers)?;
-        Ok((actions, log_probs.into_pyarray(py), values.into_pyarray(py)))
+        Ok((actions, log_probs.into_pyarray(py), values.into_pyarray(py), slots))
     }
 }
 
@@ -177,10 +196,6 @@ enum PolicyError {
     Features(#[from] serde_json::Error),
     #[error("it keeps a grip for {0} steps (policy.grip_steps), and features do not tell which step it is")]
     Grip(u16),
-    #[error(
-        "it draws moves from proposals (policy.network.move_head = mixture), and features do not tell what is proposed"
-    )]
-    Mixture,
 }
 
 impl Policy {
@@ -194,14 +209,12 @@ impl Policy {
         if config.grip_steps != 1 {
             return Err(PolicyError::Grip(config.grip_steps));
         }
-        if config.network.move_head == MoveHead::Mixture {
-            return Err(PolicyError::Mixture);
-        }
         let policy = policy::Policy::with_weights(&config, &weights)?;
-        let batch = FeatureBatch::new(&config.features);
+        let batch = FeatureBatch::of_policy(&config);
         Ok(Self {
             sizes: config.sizes(),
             n_grippers: usize::from(config.network.n_grippers),
+            is_mixture: config.network.move_head == MoveHead::Mixture,
             features: serde_json::to_string(&config.features)?,
             version: weights.version.0,
             file,
@@ -224,6 +237,7 @@ impl Actor {
         n: usize,
         edge: usize,
         mode: ActionMode,
+        proposals: Vec<Proposals>,
     ) -> Result<Vec<Decision>, policy::PolicyError> {
         self.batch.clear();
         self.batch.n = n;
@@ -234,9 +248,28 @@ impl Actor {
         // These only matter to a policy with `grip_steps` above 1, which `from_bytes` rejects.
         self.batch.held.resize(n, [None; N_GRIPPERS]);
         self.batch.n_steps.resize(n, 0);
+        self.batch.proposals = proposals;
         self.grow(n);
         self.policy.act_on(&mut self.batch, &vec![mode; n], &mut self.rngs[..n])
     }
+}
+
+/// Returns the proposals of `n` worlds.
+///
+/// # Errors
+/// Returns an error if there are no worlds, or not as many.
+fn proposals_of(py: Python<'_>, worlds: Option<&Bound<'_, Worlds>>, n: usize) -> PyResult<Vec<Proposals>> {
+    let Some(worlds) = worlds else {
+        return Err(PyValueError::new_err(
+            "observation: this policy draws moves from proposals (policy.network.move_head = mixture), and features do \
+             not tell what is proposed: use act(env)",
+        ));
+    };
+    let mut rows = worlds.get().with_proposals(py);
+    if rows.len() != n {
+        return Err(PyValueError::new_err(format!("features of {n} scenes for {} worlds", rows.len())));
+    }
+    Ok(rows.iter_mut().map(|row| row.proposals().clone()).collect())
 }
 
 /// Derives the blocks that a masked policy may choose from a scene's edges: those of the blueprint, which has at least

@@ -7,15 +7,21 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import pickle
+import subprocess
 import tempfile
 import unittest
 from pathlib import Path
+from typing import Any
 
 import golden
 import lodestone
 import lodestone_torch
+import minari
 import numpy as np
 import torch
+from gymnasium.utils.env_checker import data_equivalence
 from numpy.typing import NDArray
 
 # As in the reference tests in Rust. With one build of torch 2.15, the two were 1.7e-5 apart: 1.1e-5 and 1.4e-5 from
@@ -24,6 +30,7 @@ TOLERANCE = 2e-5
 # Goals with few blocks, with many, and one that no policy was trained on.
 BLUEPRINTS = ("2_000", "6_005", "12_000", "test_14_000")
 N_STEPS = 15
+PROGRAM = os.environ.get("LODESTONE_PROGRAM")
 
 
 def seen_while_acting(policy: lodestone.Policy) -> list[NDArray[np.float32]]:
@@ -53,7 +60,7 @@ class SamePolicy(unittest.TestCase):
 
     def assert_same(self, policy: lodestone_torch.Policy, native: lodestone.Policy) -> None:
         """Compares both outputs for the scenes: values, choices, mean moves, and log-probabilities of these actions."""
-        (choices, moves), log_probs, values = native.native.act(*self.seen, False)
+        (choices, moves), log_probs, values, _ = native.native.act(*self.seen, False)
         chosen = torch.from_numpy(choices)
         logits, locs, scales, ours = policy(*(torch.from_numpy(x) for x in self.seen))
         self.assert_close(ours, torch.from_numpy(values), "values")
@@ -102,11 +109,133 @@ class SamePolicy(unittest.TestCase):
             path = Path(folder, "policy.safetensors")
             lodestone_torch.Policy.load(golden.PRETRAINED).save(path)
             saved = lodestone.Policy.load(path)
-        (choices, moves), _, values = saved.native.act(*self.seen, False)
-        (expected_choices, expected_moves), _, expected = lodestone.Policy.pretrained().native.act(*self.seen, False)
+        (choices, moves), _, values, _ = saved.native.act(*self.seen, False)
+        (expected_choices, expected_moves), _, expected, _ = lodestone.Policy.pretrained().native.act(*self.seen, False)
         np.testing.assert_array_equal(choices, expected_choices)
         np.testing.assert_array_equal(moves, expected_moves)
         np.testing.assert_array_equal(values, expected)
+
+
+class SameMixture(unittest.TestCase):
+    """A policy with the mixture head, while it acts."""
+
+    def load(self, policy: lodestone_torch.Policy) -> lodestone.Policy:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "policy.safetensors")
+            policy.save(path)
+            return lodestone.Policy.load(path)
+
+    def test_drawn_and_greedy_actions_have_the_same_log_probabilities(self) -> None:
+        for n_grippers in (1, 2):
+            policy = golden.mixture(n_grippers)
+            native = self.load(policy)
+            envs = lodestone.AssemblyVectorEnv(
+                8, blueprint=BLUEPRINTS, features="paper", settings={"n_grippers": n_grippers}
+            )
+            for sampled in (False, True):
+                seen, _ = envs.reset(seed=1)
+                kinds: set[int] = set()
+                for _ in range(N_STEPS):
+                    with self.subTest(n_grippers=n_grippers, sampled=sampled):
+                        kinds |= self.compare(policy, native, envs, seen, sampled)
+                    seen, *_ = envs.step(native.act(envs, deterministic=not sampled))
+                self.assertLessEqual({0, 1, 3, 4, 5} if sampled else {0}, kinds)
+
+    def compare(
+        self, policy: lodestone_torch.Policy, native: lodestone.Policy, envs: Any, seen: Any, sampled: bool
+    ) -> set[int]:
+        """Compares one batch of actions; returns the kinds of proposals that were drawn."""
+        parts = [seen[name] for name in ("nodes", "edges", "globals")]
+        (choices, moves), log_probs, values, slots = native.native.act(*parts, sampled, envs.batch.worlds)
+        found = lodestone.proposals(envs)
+        proposals = lodestone_torch.Proposals(*(torch.from_numpy(found[name]) for name in ("relations", "offered")))
+        output = policy(*(torch.from_numpy(x) for x in parts))
+        allowed = torch.from_numpy(envs.batch.worlds.allowed()).unsqueeze(1)
+        output = output._replace(logits=output.logits.masked_fill(~allowed, lodestone_torch.MASKED))
+        pairs = zip(torch.from_numpy(choices).unbind(-1), torch.from_numpy(slots).unbind(-1))
+        draws = [lodestone_torch.Draw(*pair) for pair in pairs]
+        ours = lodestone_torch.log_prob(output, proposals, draws, torch.from_numpy(moves))
+        np.testing.assert_allclose(ours, log_probs, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(output.values, values, rtol=1e-4, atol=1e-4)
+        kinds: set[int] = set()
+        for gripper, (blocks, picked) in enumerate(zip(choices.T, slots.T)):
+            first = draws[0] if gripper else None
+            mine = lodestone_torch.second_logits(output, proposals, first) if first else output.logits[:, 0]
+            self.assert_best(mine, draws[gripper].block, sampled)
+            of_block = lodestone_torch.at_block(
+                lodestone_torch.slot_logits(output, proposals, first), draws[gripper].block
+            )
+            self.assert_best(of_block[picked >= 0], draws[gripper].slot[picked >= 0], sampled)
+            np.testing.assert_array_equal(picked < 0, blocks == choices[:, 0] if gripper else False)
+            kinds |= set(found["kinds"][picked[picked >= 0]].tolist())
+            for row in np.flatnonzero(picked >= 0):
+                block, slot = blocks[row], picked[row]
+                self.assertTrue(found["offered"][row, block, slot])
+                free = slot == lodestone_torch.FREE
+                mean = output.locs[row, block].numpy() if free else found["moves"][row, block, slot]
+                std = output.scales[row, block].numpy() if free else found["noise"][row, block, slot]
+                off = np.abs(moves[row, block] - mean)
+                self.assertTrue((off < (6 * std if sampled else 1e-4)).all(), f"{off} from the mean")
+        return kinds
+
+    def assert_best(self, logits: torch.Tensor, chosen: torch.Tensor, sampled: bool) -> None:
+        """Rounding decides between equally good options."""
+        if not sampled and len(chosen):
+            found = logits.gather(-1, chosen.unsqueeze(-1)).squeeze(-1)
+            self.assertLessEqual((logits.amax(-1) - found).max().item(), 1e-4)
+
+    def test_drawn_actions_follow_the_seed_and_greedy_ones_need_none(self) -> None:
+        native = self.load(golden.mixture())
+        for action in ("native", "flat"):
+            envs = lodestone.AssemblyVectorEnv(3, blueprint="4_000", action=action)
+            envs.reset(seed=1)
+            drawn = []
+            for seed in (1, 1, 2):
+                native.seed(seed)
+                drawn.append(native.act(envs, deterministic=False))
+            self.assertTrue(data_equivalence(drawn[0], drawn[1], exact=True))
+            self.assertFalse(data_equivalence(drawn[0], drawn[2], exact=True))
+            self.assertTrue(data_equivalence(native.act(envs), native.act(envs), exact=True))
+            # A copy goes on, and a single world gets what it gets in a batch.
+            again = pickle.loads(pickle.dumps(native))
+            ours, theirs = (one.act(envs, deterministic=False) for one in (native, again))
+            self.assertTrue(data_equivalence(ours, theirs, exact=True))
+        env = lodestone.AssemblyEnv(blueprint="4_000")
+        env.reset(seed=1)
+        envs = lodestone.AssemblyVectorEnv(3, blueprint="4_000")
+        envs.reset(seed=1)
+        one, batch = native.act(env), native.act(envs)
+        np.testing.assert_array_equal(one["choices"], batch["choices"][0])
+        np.testing.assert_allclose(one["moves"], batch["moves"][0], atol=1e-5)
+
+    def test_observations_alone_are_refused(self) -> None:
+        native = self.load(golden.mixture())
+        env = lodestone.AssemblyEnv(blueprint="2_000", features="paper")
+        seen, _ = env.reset(seed=1)
+        for call in (native.predict, native.evaluate):
+            with self.assertRaisesRegex(ValueError, r"do not tell what is proposed: use act\(env\)"):
+                call(seen if call == native.predict else {name: x[None] for name, x in seen.items()})
+
+    @unittest.skipUnless(PROGRAM, "LODESTONE_PROGRAM names no program, so no recording was compared")
+    def test_greedy_actions_are_those_that_the_program_records(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, "policy.safetensors")
+            golden.mixture().save(path)
+            native = lodestone.Policy.load(path)
+            os.environ["MINARI_DATASETS_PATH"] = folder
+            args = ["--checkpoint", str(path), "--blueprint", "3_000", "--episodes", "2", "--out", folder]
+            command = [str(PROGRAM), "record", "--name", "mixture-v0", *args]
+            subprocess.run(command, check=True, capture_output=True)
+            dataset = minari.load_dataset("mixture-v0")
+            env = dataset.recover_environment()
+            metadata = dataset.storage.get_episode_metadata(dataset.episode_indices)
+            for episode, about in zip(dataset.iterate_episodes(), metadata, strict=True):
+                env.reset(seed=about["seed"], options=about["options"])
+                for step in range(len(episode)):
+                    action = native.act(env)
+                    for name, x in action.items():
+                        np.testing.assert_array_equal(x, episode.actions[name][step])
+                    env.step(action)
 
 
 if __name__ == "__main__":
