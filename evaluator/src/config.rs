@@ -257,9 +257,9 @@ mod tests {
         let n = |selection: &Selection| selection.select(Catalog::builtin()).unwrap().len();
         assert_eq!(n(&EvaluatorConfig::default().selection), 142 + 24);
         assert_eq!(n(&EvaluatorConfig::default().last_selection()), 142 + 24);
-        assert_eq!(n(&config.selection), 142 + 24);
+        assert_eq!(n(&config.selection), 142 + 34);
         assert_eq!(config.last_selection().splits, [Split::Train, Split::Validation, Split::Test]);
-        assert_eq!(n(&config.last_selection()), 142 + 24 + 10);
+        assert_eq!(n(&config.last_selection()), 142 + 34 + 10);
     }
 
     #[test]

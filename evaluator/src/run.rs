@@ -32,9 +32,6 @@ use crate::work_queue::{EvaluationProgress, WorkQueue};
 /// to 6 s.
 const NAME_PATIENCE: Duration = Duration::from_secs(15);
 
-/// How long to wait for the last weights to arrive.
-const LAST_WEIGHTS_WAIT: Duration = Duration::from_secs(15);
-
 /// Channels to other parts of this process. Closed receivers are ignored.
 #[derive(Debug, Default)]
 pub struct Listeners {
@@ -62,9 +59,9 @@ pub struct Summary {
 pub struct Stop {
     /// Abandons the current evaluation.
     pub now: CancellationToken,
-    /// The version of the last weights, once known. They are evaluated even if no evaluation is due, unless they
-    /// already were.
-    pub last: Option<watch::Receiver<Option<WeightsVersion>>>,
+    /// The last weights, once known. They are evaluated even if no evaluation is due, unless they already were. They do
+    /// not come over the bus: a learner that has ended answers no pulls.
+    pub last: Option<watch::Receiver<Option<Arc<Weights>>>>,
 }
 
 /// Evaluates the newest weights whenever an evaluation is due, the first weights at once, until `stop`.
@@ -352,19 +349,14 @@ async fn next_due(
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
     last: Option<&Evaluated>,
     selected: &Selected,
-    mut last_version: Option<watch::Receiver<Option<WeightsVersion>>>,
+    mut last_weights: Option<watch::Receiver<Option<Arc<Weights>>>>,
 ) -> anyhow::Result<Option<(Arc<Weights>, bool)>> {
     loop {
-        if let Some(version) = last_version.as_mut().and_then(|last_version| *last_version.borrow_and_update()) {
-            // The last weights may not have arrived yet. If they were lost, the newest received ones are evaluated
-            // instead.
-            let are_there = |weights: &Option<Arc<Weights>>| weights.as_ref().is_some_and(|w| w.version >= version);
-            drop(tokio::time::timeout(LAST_WEIGHTS_WAIT, weights.wait_for(are_there)).await);
+        if let Some(newest) = last_weights.as_mut().and_then(|last| last.borrow_and_update().clone()) {
             let covered = last.filter(|last| selected.is_covered(last));
             let evaluated = covered.map(|last| (last.version, last.n_env_steps));
-            let newest = weights.borrow_and_update().clone();
-            let newest = newest.filter(|newest| evaluated != Some((newest.version, newest.n_env_steps)));
-            return Ok(newest.map(|newest| (newest, true)));
+            let is_new = evaluated != Some((newest.version, newest.n_env_steps));
+            return Ok(is_new.then_some((newest, true)));
         }
         let newest = weights.borrow_and_update().clone();
         let rest = match newest {
@@ -384,16 +376,16 @@ async fn next_due(
         };
         tokio::select! {
             changed = weights.changed() => changed.context("the bus closed")?,
-            () = is_known(&mut last_version) => {}
+            () = is_known(&mut last_weights) => {}
             () = tokio::time::sleep(rest.unwrap_or_default()), if rest.is_some() => {}
         }
     }
 }
 
-/// Waits until the version of the last weights is known, or forever if there is no sender.
-async fn is_known(last_version: &mut Option<watch::Receiver<Option<WeightsVersion>>>) {
-    if let Some(last_version) = last_version
-        && last_version.changed().await.is_ok()
+/// Waits until the last weights are known, or forever if there is no sender.
+async fn is_known(last_weights: &mut Option<watch::Receiver<Option<Arc<Weights>>>>) {
+    if let Some(last_weights) = last_weights
+        && last_weights.changed().await.is_ok()
     {
         return;
     }

@@ -6,10 +6,10 @@ use blueprints::{Blueprint, Catalog};
 use policy::mixture::ActionRows;
 use policy::proposals::Slot;
 use policy::{FeatureBatch, MoveHead, PolicyConfig};
-use proto::{Action, Driver, N_GRIPPERS, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
+use proto::{Action, Driver, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
 
 use crate::config::RewardFactors;
-use crate::draws;
+use crate::draws::{self, Draws};
 use crate::gae;
 use crate::mailbox::policy_lag;
 
@@ -38,17 +38,6 @@ pub struct Batch {
     advantages_per_link: bool,
     /// Whether returns end at the time limit.
     deadline: bool,
-}
-
-/// The draws of one action from the mixture head.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Draws {
-    /// The proposal of each gripper.
-    pub slots: [Option<Slot>; N_GRIPPERS],
-    /// What they were chosen among.
-    pub rows: ActionRows,
-    /// Whether the step did what each proposal is for; `None` if there was nothing to do.
-    pub did: [Option<bool>; N_GRIPPERS],
 }
 
 /// Consecutive samples of one episode.

@@ -3,11 +3,21 @@
 use std::collections::BTreeMap;
 
 use blueprints::{BlockIdx, Blueprint};
+use policy::mixture::ActionRows;
 use policy::proposals::{Kind, Slot};
 use proto::metrics::{KindMetrics, ProposalMetrics};
 use proto::{N_GRIPPERS, Scene, Transition};
 
-use crate::batch::Draws;
+/// The draws of one action from the mixture head.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Draws {
+    /// The proposal of each gripper.
+    pub slots: [Option<Slot>; N_GRIPPERS],
+    /// What they were chosen among.
+    pub rows: ActionRows,
+    /// Whether the step did what each proposal is for; `None` if there was nothing to do.
+    pub did: [Option<bool>; N_GRIPPERS],
+}
 
 /// Returns for each gripper whether the step from `transition` to `after` made or broke the connection that its
 /// proposal is for; `None` if there was none to make or break.

@@ -74,7 +74,7 @@ pub type Feed = Box<dyn FnMut(&Weights, bool) -> anyhow::Result<Vec<Trajectory>>
 /// The result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// The newest weights.
+    /// Version of the newest weights.
     pub weights_version: WeightsVersion,
     /// Updates, including those before a resume.
     pub n_updates: u64,
@@ -87,6 +87,9 @@ pub struct Summary {
     /// The last checkpoint.
     #[serde(serialize_with = "as_text")]
     pub checkpoint: PathBuf,
+    /// The newest weights themselves, for an evaluator in this process.
+    #[serde(skip)]
+    pub weights: Arc<Weights>,
 }
 
 /// A message from the updating thread to the bus.
@@ -314,6 +317,7 @@ impl Worker {
             run_elapsed_s: self.run_elapsed_s(),
             mailbox: mailbox.counts(),
             checkpoint,
+            weights: Arc::new(self.learner.weights()),
         })
     }
 

@@ -45,8 +45,8 @@ const RESULTS: [&[&str]; 26] = [
     &["man", "pages"],
 ];
 
-/// Commands without a result on stdout, or tested beside a run (`watch`).
-const OTHERS: [&str; 4] = ["healthcheck", "play", "router", "watch"];
+/// Commands without a result on stdout, or tested elsewhere (`sweep`, `watch`).
+const OTHERS: [&str; 5] = ["healthcheck", "play", "router", "sweep", "watch"];
 
 /// A folder with a run and a blueprint.
 fn prepared() -> tempfile::TempDir {

@@ -102,12 +102,12 @@ fn rewards_alone_teach_two_blocks_from_scattered_starts() {
     let mut ring = Ring::new(config);
     let untrained = ring.success_rate();
     let mut trained = untrained;
-    // A Gaussian's noise takes a hundred times as many steps.
-    while trained < 0.9 && ring.learner.n_env_steps() < 60_000 {
+    // With a Gaussian head, this takes a hundred times as many steps.
+    while trained < 0.95 && ring.learner.n_env_steps() < 60_000 {
         (0..4).for_each(|_| ring.update());
         trained = ring.success_rate();
     }
-    assert!(untrained < 0.7 && trained >= 0.9, "{untrained} before, {trained} after {}", ring.learner.n_env_steps());
+    assert!(untrained < 0.85 && trained >= 0.95, "{untrained} before, {trained} after {}", ring.learner.n_env_steps());
 }
 
 #[test]

@@ -116,7 +116,7 @@ pub(super) async fn run(
         if let Some(terminal) = told.filter(|_| !interrupted.is_cancelled()) {
             terminal.print("the last weights are evaluated now; Ctrl-C ends without that");
         }
-        tell.send_replace(Some(report.weights_version));
+        tell.send_replace(Some(report.weights.clone()));
         // The receiver may be gone after another service failed.
         drop(learned.send(report));
         Ok(())

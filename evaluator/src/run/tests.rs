@@ -71,8 +71,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     within(seen.wait_for(is_later)).await.unwrap();
     // Not due, but the last weights.
     let last = WeightsVersion(untrained.version.0 + 6);
-    publisher.publish(Arc::new(Weights { version: last, ..untrained.clone() })).await.unwrap();
-    tell.send_replace(Some(last));
+    tell.send_replace(Some(Arc::new(Weights { version: last, ..untrained.clone() })));
     assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 3 });
     assert_eq!(seen.borrow().as_ref().unwrap().summary.weights_version, last);
 
@@ -174,7 +173,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     let report = within(seen.wait_for(Option::is_some)).await.unwrap().clone().unwrap();
     assert_eq!(ids(&report), ["2_000"]);
     // Already evaluated, but not on the last splits.
-    tell.send_replace(Some(untrained.version));
+    tell.send_replace(Some(Arc::new(untrained.clone())));
     assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 2 });
     let report = seen.borrow().clone().unwrap();
     assert_eq!(ids(&report), ["2_000", "validation_7_000"]);
@@ -275,7 +274,7 @@ async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluate
         let bus = Bus::isolated(dir.path()).await.unwrap();
         let publisher = bus.weights_publisher().await.unwrap();
         publisher.publish(Arc::new(weights())).await.unwrap();
-        let (_tell, last) = watch::channel(Some(weights().version));
+        let (_tell, last) = watch::channel(Some(Arc::new(weights())));
         let stop = Stop { last: Some(last), ..Stop::default() };
         let mut setup = one_goal(n_episodes, Some(records.clone()));
         setup.config.reset_free = reset_free;

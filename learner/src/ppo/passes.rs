@@ -13,8 +13,9 @@ use policy::parameters::ParameterError;
 use policy::{Engine, FeatureBatch, NetworkOutput, PolicyConfig};
 use proto::Label;
 
-use crate::batch::{Batch, Draws};
+use crate::batch::Batch;
 use crate::config::{ImitationConfig, LossTerms};
+use crate::draws::Draws;
 use crate::loss::{policy_loss, value_loss};
 
 /// The networks of one thread.
