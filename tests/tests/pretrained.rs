@@ -55,7 +55,8 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
         reset_free: None,
         seed: 1,
     };
-    let goals = catalog.of_split(Split::Validation);
+    let mut goals = catalog.of_split(Split::Validation).to_vec();
+    goals.retain(|goal| goal.n_blocks() >= 7);
     let report = evaluate(&setup, &model.policy, &model.weights, &goals, &|| true).unwrap();
     let found: Vec<(&str, Option<u16>)> = report
         .blueprints

@@ -3,7 +3,8 @@
 use policy::proposals::Kind;
 use proto::metrics::{KindMetrics, LearnerMetrics, ProposalMetrics};
 
-use super::trends::Look;
+/// Returns a number of an update; `None` where it does not apply.
+pub(crate) type Look = fn(&LearnerMetrics) -> Option<f64>;
 
 /// Charted numbers: name in `/api/history`, name for people, and value; `None` where there is nothing to chart.
 pub(crate) const CHARTED: [(&str, &str, Look); 12] = [

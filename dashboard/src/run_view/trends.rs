@@ -4,13 +4,10 @@ use std::collections::VecDeque;
 
 use proto::metrics::{EvalSummary, LearnerMetrics};
 
-use super::proposals::CHARTED;
+use super::proposals::{CHARTED, Look};
 
 /// Number of newest values kept per trend.
 const MAX_VALUES: usize = 200;
-
-/// Returns a number of an update; `None` where it does not apply.
-pub(crate) type Look = fn(&LearnerMetrics) -> Option<f64>;
 
 /// Learner metrics that are tracked, by name; those of [`CHARTED`] follow them.
 const FOLLOWED: [(&str, Look); 12] = [
