@@ -82,7 +82,7 @@ fn play(world: &mut World, rng: &mut ChaCha8Rng, score: &mut Score) {
         }
         let result = world.step(&action);
         let (scene, goal) = (world.scene(), world.blueprint());
-        let is_right = |joint: &&Joint| goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
+        let is_right = |joint: &&Joint| joint.is_right(goal);
         score.n_broken += before.iter().filter(is_right).filter(|joint| !scene.joints.contains(joint)).count();
         if result.status != Status::Running {
             score.n_episodes += 1;
@@ -99,7 +99,7 @@ fn choose(seen: &Observation<'_>, proposals: &Proposals, focus: &mut Focus, rng:
     let size = |block: BlockIdx| pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
     let smaller_first = |a, b| if size(a) <= size(b) { (a, b) } else { (b, a) };
     let hold = |block| (block, Slot::alone(Kind::Hold));
-    let is_wrong = |joint: &&Joint| goal.link(joint.a, joint.b).is_none_or(|link| link.relative != joint.relative);
+    let is_wrong = |joint: &&Joint| !joint.is_right(goal);
     if let Some(wrong) = scene.joints.iter().find(is_wrong) {
         let (i, j) = smaller_first(wrong.a, wrong.b);
         return [(i, Slot::paired(Kind::Detach, j)), hold(j)];

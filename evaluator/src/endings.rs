@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use parking_lot::Mutex;
 use policy::proposals::Slot;
 use proto::unit::End;
-use proto::{ActionMode, Joint, Observation, Scene};
+use proto::{ActionMode, Observation, Scene};
 use serde::{Deserialize, Serialize};
 
 use crate::report::EpisodeResult;
@@ -122,9 +122,9 @@ impl EpisodeRecord {
     fn note(&mut self, step: &Step, Observation { scene, blueprint, .. }: Observation<'_>) {
         let before = &step.scene;
         let new = scene.joints.iter().filter(|joint| !before.joints.contains(joint));
-        self.found.n_wrong += new.filter(|joint| !is_right(blueprint, joint)).count() as u64;
+        self.found.n_wrong += new.filter(|joint| !joint.is_right(blueprint)).count() as u64;
         let lost = before.joints.iter().filter(|joint| !scene.joints.contains(joint));
-        self.found.n_broken += lost.filter(|joint| is_right(blueprint, joint)).count() as u64;
+        self.found.n_broken += lost.filter(|joint| joint.is_right(blueprint)).count() as u64;
         for slot in step.decision.proposals.iter().flatten().filter_map(|&slot| Slot::from_index(slot)) {
             *self.found.draws.entry(slot.kind().name().to_owned()).or_default() += 1;
         }
@@ -168,10 +168,6 @@ impl SizeEndings {
     }
 }
 
-fn is_right(blueprint: &Blueprint, joint: &Joint) -> bool {
-    blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative)
-}
-
 fn n_right(scene: &Scene, blueprint: &Blueprint) -> u32 {
-    scene.joints.iter().filter(|joint| is_right(blueprint, joint)).count() as u32
+    scene.joints.iter().filter(|joint| joint.is_right(blueprint)).count() as u32
 }

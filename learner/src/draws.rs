@@ -46,7 +46,7 @@ pub(crate) fn did(
 /// Returns whether the connection of two blocks is the one that the blueprint wants; `None` if they have none.
 fn connection(scene: &Scene, blueprint: &Blueprint, a: BlockIdx, b: BlockIdx) -> Option<bool> {
     let joint = scene.joints.iter().find(|joint| (joint.a, joint.b) == (a.min(b), a.max(b)))?;
-    Some(blueprint.link(a, b).is_some_and(|link| link.relative == joint.relative))
+    Some(joint.is_right(blueprint))
 }
 
 /// Summarizes the draws of all samples, and the entropies of their choices.

@@ -53,6 +53,13 @@ pub struct Scene {
     pub n_heavy_contacts: u8,
 }
 
+impl Joint {
+    /// Whether the goal, permuted by the episode's assignment, wants this connection.
+    pub fn is_right(&self, goal: &Blueprint) -> bool {
+        goal.link(self.a, self.b).is_some_and(|link| link.relative == self.relative)
+    }
+}
+
 impl Scene {
     /// Returns, for each block, the lowest block index in its component, where connections that `goal` requires join
     /// blocks into components. Blocks of one component have the same value.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use blueprints::{Blueprint, BlueprintId};
+use blueprints::BlueprintId;
 use environment::{Activity, ExpertAgent, Step};
 use parking_lot::Mutex;
 use proto::unit::End;
@@ -141,7 +141,7 @@ impl EpisodeObserver<ExpertAgent> for Diaries {
 
 impl Diary {
     fn new(place: Place, start: Observation<'_>) -> Self {
-        let n_right = count(start.scene, |joint| is_right(start.blueprint, joint));
+        let n_right = count(start.scene, |joint| joint.is_right(start.blueprint));
         let (recording, trouble) = (Recording::default(), Trouble::default());
         Self { place, recording, trouble, has_no_order: false, has_fetched: false, n_right, steps_since_gain: 0 }
     }
@@ -161,9 +161,9 @@ impl Diary {
         }
         let (before, Observation { scene: after, blueprint, .. }) = (&step.scene, after);
         let is_new = |joint: &Joint| !before.joints.contains(joint);
-        trouble.n_wrong_snaps += count(after, |joint| is_new(joint) && !is_right(blueprint, joint));
-        trouble.n_breaks += count(before, |joint| !after.joints.contains(joint) && is_right(blueprint, joint));
-        let n_right = count(after, |joint| is_right(blueprint, joint));
+        trouble.n_wrong_snaps += count(after, |joint| is_new(joint) && !joint.is_right(blueprint));
+        trouble.n_breaks += count(before, |joint| !after.joints.contains(joint) && joint.is_right(blueprint));
+        let n_right = count(after, |joint| joint.is_right(blueprint));
         self.steps_since_gain = if n_right > self.n_right { 0 } else { self.steps_since_gain + 1 };
         self.n_right = n_right;
         trouble.n_wrong_left = after.joints.len() as u32 - n_right;
@@ -205,10 +205,6 @@ impl fmt::Display for Cause {
             Self::Time => "time",
         })
     }
-}
-
-fn is_right(blueprint: &Blueprint, joint: &Joint) -> bool {
-    blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative)
 }
 
 fn count(scene: &Scene, wanted: impl Fn(&Joint) -> bool) -> u32 {
