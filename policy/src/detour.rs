@@ -2,33 +2,27 @@
 
 use nalgebra::Vector3;
 
-use crate::geometry::Frame;
+use crate::solid::{Closed, Solid};
 
-/// Distance that the center of a moving block keeps from the faces of others, m: half of a block's thickness, and a
-/// little more.
-const CLEARANCE_M: f32 = 0.08;
+/// Distance that a moving block keeps from others, m.
+const CLEARANCE_M: f32 = 0.02;
 /// Distances of the points that are tried, m.
 const REACHES_M: [f32; 3] = [0.25, 0.5, 0.8];
 /// Lowest height of such a point, m.
 const LOWEST_M: f32 = 0.15;
 
-/// A box in the world.
-pub(crate) struct Obstacle<'a> {
-    pub(crate) frame: &'a Frame,
-    pub(crate) half_extents_m: Vector3<f32>,
-}
-
-/// Returns where a point at `from` goes first to reach `to` around the obstacles: `to` itself if the straight way is
-/// free, or if no way around was found. It tries points beside `to`: along `normal`, upward, and to all sides.
-///
-/// An obstacle whose neighborhood contains one of the ends is not in the way: the point leaves it, or goes to it.
+/// Returns where a block that starts at `from`, with the axes of `mover`, goes first to reach `to` around the
+/// obstacles: `to` itself if the straight way is free, or if no way around was found. It tries points beside `to`:
+/// along `normal`, upward, and to all sides.
 pub(crate) fn next_stop(
+    mover: &Solid,
     from: &Vector3<f32>,
     to: &Vector3<f32>,
     normal: &Vector3<f32>,
-    obstacles: &[Obstacle<'_>],
+    obstacles: &[Solid],
 ) -> Vector3<f32> {
-    let is_free = |a: &Vector3<f32>, b: &Vector3<f32>| obstacles.iter().all(|obstacle| !obstacle.blocks(a, b));
+    let closed: Vec<Closed> = obstacles.iter().map(|obstacle| obstacle.closed_to(mover, CLEARANCE_M)).collect();
+    let is_free = |a: &Vector3<f32>, b: &Vector3<f32>| closed.iter().all(|space| !space.is_entered(a, b));
     if is_free(from, to) {
         return *to;
     }
@@ -47,57 +41,26 @@ pub(crate) fn next_stop(
     best.map_or(*to, |(_, stop)| stop)
 }
 
-impl Obstacle<'_> {
-    /// Whether the straight way from `a` to `b` comes too near, and neither end is as near.
-    fn blocks(&self, a: &Vector3<f32>, b: &Vector3<f32>) -> bool {
-        let [a, b] = [a, b].map(|end| self.frame.localize(&(end - self.frame.position)));
-        let reach = self.half_extents_m.add_scalar(CLEARANCE_M);
-        let is_inside = |end: &Vector3<f32>| (0..3).all(|k| end[k].abs() < reach[k]);
-        if is_inside(&a) || is_inside(&b) {
-            return false;
-        }
-        // The parts of the way between the two planes of each axis have a common part.
-        let (mut enter, mut leave) = (0.0_f32, 1.0_f32);
-        for k in 0..3 {
-            let step = b[k] - a[k];
-            if step.abs() < 1e-6 {
-                if a[k].abs() >= reach[k] {
-                    return false;
-                }
-                continue;
-            }
-            let (s, t) = ((-reach[k] - a[k]) / step, (reach[k] - a[k]) / step);
-            enter = enter.max(s.min(t));
-            leave = leave.min(s.max(t));
-        }
-        enter < leave
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Frame;
+    use blueprints::BlockIdx;
     use nalgebra::Matrix3;
 
     #[test]
     fn a_free_way_is_straight_and_a_blocked_one_goes_around() {
-        let frame = Frame { position: Vector3::new(0.0, 0.0, 1.0), axes: Matrix3::identity() };
-        let wall = [Obstacle { frame: &frame, half_extents_m: Vector3::new(0.05, 0.2, 0.1) }];
-        let (from, to) = (Vector3::new(-0.5, 0.0, 1.0), Vector3::new(0.3, 0.0, 1.0));
-        let stop = next_stop(&from, &to, &Vector3::x(), &wall);
-        // The nearest way is over or under the wall, whose top with the clearance is at 1.18 m.
-        assert_ne!(stop, to);
-        assert!((stop.z - 1.0).abs() > 0.2 && stop.y == 0.0, "{stop}");
-        assert_eq!(next_stop(&stop, &to, &Vector3::x(), &wall), to);
-        let above = Vector3::new(-0.5, 0.0, 1.4);
-        assert_eq!(next_stop(&above, &(to + Vector3::z() * 0.4), &Vector3::x(), &wall), to + Vector3::z() * 0.4);
-    }
-
-    #[test]
-    fn what_is_touched_already_is_not_in_the_way() {
-        let frame = Frame { position: Vector3::new(0.0, 0.0, 1.0), axes: Matrix3::identity() };
-        let wall = [Obstacle { frame: &frame, half_extents_m: Vector3::new(0.05, 0.2, 0.1) }];
-        let (from, to) = (Vector3::new(-0.1, 0.0, 1.0), Vector3::new(0.3, 0.0, 1.0));
-        assert_eq!(next_stop(&from, &to, &Vector3::x(), &wall), to);
+        let solid = |block: u8, position| {
+            Solid::new(BlockIdx::try_from(block).unwrap(), Frame { position, axes: Matrix3::identity() })
+        };
+        // A bar of 0.4 m across the way of a cube.
+        let (from, to) = (Vector3::new(0.0, -0.5, 1.0), Vector3::new(0.0, 0.3, 1.0));
+        let (cube, bar) = (solid(0, from), [solid(10, Vector3::new(0.0, 0.0, 1.0))]);
+        let stop = next_stop(&cube, &from, &to, &Vector3::y(), &bar);
+        // The nearest way is over or under the bar, whose top with the cube and the clearance is at 1.12 m.
+        assert!((stop.z - 1.0).abs() > 0.2 && stop.x == 0.0, "{stop}");
+        assert_eq!(next_stop(&cube, &stop, &to, &Vector3::y(), &bar), to);
+        let above = Vector3::z() * 0.4;
+        assert_eq!(next_stop(&cube, &(from + above), &(to + above), &Vector3::y(), &bar), to + above);
     }
 }

@@ -25,6 +25,7 @@ mod openings;
 pub mod parameters;
 pub mod policy;
 pub mod proposals;
+mod solid;
 
 pub use batch::FeatureBatch;
 pub use config::{

@@ -18,19 +18,26 @@
 //!
 //! | kind | of | the move of i | proposed if |
 //! |---|---|---|---|
-//! | [`Join`](Kind::Join) | each j | to its place relative to j; through the funnel if the two are to be connected | both belong to the blueprint, and they are in different pieces or their connection is open |
-//! | [`Meet`](Kind::Meet) | each j | a part of that, for when j comes as well: half of the way, or less if more blocks move with i than with j | the blueprint connects the two, and they are not connected |
+//! | [`Join`](Kind::Join) | each j | to its place relative to j; through the funnel if the two are to be connected | both belong to the blueprint, and they move apart from each other or their connection is open |
+//! | [`Meet`](Kind::Meet) | each j | its part of that, for when j comes as well | the same, and the blueprint connects the two, and nothing does yet |
 //! | [`Detach`](Kind::Detach) | each j | away from j, a little up, and turning | the two are connected, but not as the blueprint wants it |
 //! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground; nothing if it is higher | always |
 //! | [`Lift`](Kind::Lift) | i | half a step up | always |
 //! | [`Free`](Kind::Free) | i | drawn from the network's own Gaussian | always |
 //!
 //! **The funnel.** On the way to its place, i stays off j in the direction in which their pieces part most freely (or
-//! along the normal of the connection, if they belong to one piece already): the farther it is from the axis, and the
-//! more it has to turn, the farther off. Once i is aligned, the funnel ends, and the move is exact.
+//! along the normal of the connection, if they belong to one piece already): the farther it will be from the axis after
+//! this step, and the more it will have to turn, the farther off. Once i is aligned, the funnel ends, and the move goes a
+//! little too far: magnets snap before the blocks touch, and they do so in this step instead of the next.
+//!
+//! **Turning.** A block that touches another and has to turn first backs off as far as it needs for that. Otherwise, it
+//! would press against both walls of a corner forever.
 //!
 //! **The detour.** If blocks of other pieces are between i and that point, i goes around them (`detour.rs`): straight
 //! ways through a structure were what broke most of its connections.
+//!
+//! **Meeting.** Of two pieces, the larger one waits above the ground until the smaller one is aligned. Then both come,
+//! and the larger one goes a smaller part of the way. Pieces of one size go half of the way from the start.
 //!
 //! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
 //! more than one step is scaled down, so that shift and turn arrive together.
@@ -38,12 +45,13 @@
 use std::ops::Range;
 
 use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS};
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 use proto::{Move, Observation, Scene};
 
-use crate::detour::{Obstacle, next_stop};
+use crate::detour::next_stop;
 use crate::geometry::{Frame, matrix, rotation_vector};
 use crate::openings::{Cell, opening};
+use crate::solid::Solid;
 
 const N: usize = N_BLOCKS;
 
@@ -72,6 +80,17 @@ const ALIGNED_M: f32 = 0.01;
 const FUNNEL_PER_RAD: f32 = 0.15;
 /// Turn at which two blocks count as aligned, rad.
 const ALIGNED_RAD: f32 = 0.1;
+/// The part of the funnel that no step skips, m, and what it grows by with the radius of the pieces.
+const NEAR_M: f32 = 0.12;
+const NEAR_PER_RADIUS: f32 = 0.5;
+/// How much too far an aligned block goes, m.
+const PRESS_M: f32 = 0.02;
+/// Distance at which blocks touch, m.
+const TOUCH_M: f32 = 0.015;
+/// Steps and end of the search for room to turn, m.
+const BACK_OFF_M: [f32; 2] = [0.05, 0.8];
+/// Entry 5 of a relation from which on both pieces come to a meeting.
+const MEETING: f32 = 0.5;
 
 /// Height to which a held block rises, m: room for other blocks below.
 const HOLD_M: f32 = 0.5;
@@ -204,12 +223,11 @@ impl Proposals {
             joins.clear();
             meets.clear();
             detaches.clear();
-            let obstacles = view.obstacles(i);
+            let around = view.around(i);
             for j in BlockIdx::all().filter(|&j| j != i) {
-                let pair = view.pair(i, j, &obstacles);
+                let pair = view.pair(&around, j);
                 joins.extend(pair.join.map(|join| (j, join.to_move())));
-                let share = view.share(i, j);
-                meets.extend(pair.join.filter(|_| pair.is_open).map(|join| (j, join.part(share).to_move())));
+                meets.extend(pair.join.filter(|_| pair.is_open).map(|join| (j, view.meet(i, j, join, &pair.relation))));
                 detaches.extend(pair.detach.map(|detach| (j, detach)));
                 proposals.relations[i.get() * N + j.get()] = pair.relation;
             }
@@ -217,7 +235,7 @@ impl Proposals {
             joins.iter().for_each(|(j, join)| push(Slot::paired(Kind::Join, *j), *join));
             meets.iter().for_each(|(j, meet)| push(Slot::paired(Kind::Meet, *j), *meet));
             detaches.iter().for_each(|(j, detach)| push(Slot::paired(Kind::Detach, *j), *detach));
-            push(Slot::alone(Kind::Hold), view.rise(i, HOLD_M - view.frames[i.get()].position.z));
+            push(Slot::alone(Kind::Hold), view.hold(i));
             push(Slot::alone(Kind::Lift), view.rise(i, LIFT * STEP_M));
             push(Slot::alone(Kind::Free), [0.0; 6]);
             proposals.ends[i.get()] = proposals.entries.len() as u16;
@@ -263,6 +281,8 @@ struct View<'a> {
     blueprint: &'a Blueprint,
     frames: [Frame; N],
     pieces: [usize; N],
+    /// Blocks with the same value move together: pieces, and what is wrongly connected to them.
+    bodies: [usize; N],
     /// Largest distance from a block's center to the center of another of its piece, m.
     radii: [f32; N],
     /// The cells of each piece, at the index of its name.
@@ -280,6 +300,15 @@ enum Connection {
     Wrong,
 }
 
+/// A block and what is around it.
+struct Around {
+    block: BlockIdx,
+    /// The blocks of all other pieces.
+    obstacles: Vec<Solid>,
+    /// Whether it touches one of them.
+    is_touching: bool,
+}
+
 /// The proposals of an ordered pair.
 struct Pair {
     join: Option<Way>,
@@ -295,8 +324,7 @@ impl<'a> View<'a> {
         let pieces = scene.pieces(blueprint);
         let mut connections = [[Connection::None; N]; N];
         for joint in &scene.joints {
-            let is_right = blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
-            let found = if is_right { Connection::Right } else { Connection::Wrong };
+            let found = if joint.is_right(blueprint) { Connection::Right } else { Connection::Wrong };
             connections[joint.a.get()][joint.b.get()] = found;
             connections[joint.b.get()][joint.a.get()] = found;
         }
@@ -312,14 +340,36 @@ impl<'a> View<'a> {
         scene.grippers.iter().flatten().filter_map(|gripper| gripper.held).for_each(|block| held[block.get()] = true);
         let mut sizes = [0; N];
         pieces.iter().for_each(|&piece| sizes[piece] += 1);
-        Self { radii: std::array::from_fn(radius), blueprint, frames, pieces, cells, connections, held, sizes }
+        let (radii, bodies) = (std::array::from_fn(radius), scene.bodies());
+        Self { radii, blueprint, frames, pieces, bodies, cells, connections, held, sizes }
+    }
+
+    fn size(&self, block: BlockIdx) -> u8 {
+        self.sizes[self.pieces[block.get()]]
+    }
+
+    /// Returns i's part in a meeting with j.
+    fn meet(&self, i: BlockIdx, j: BlockIdx, join: Way, relation: &[f32; N_RELATION]) -> Move {
+        let (own, other) = (self.size(i), self.size(j));
+        let is_aligned = relation[5] > MEETING;
+        if is_aligned || own == other || self.pieces[i.get()] == self.pieces[j.get()] {
+            join.part(self.share(i, j)).to_move()
+        } else if own < other {
+            join.to_move()
+        } else {
+            self.hold(i)
+        }
     }
 
     /// Returns i's part of the way if both come. It falls with the square of the number of blocks that move with i:
     /// large pieces break when they move or turn fast.
     fn share(&self, i: BlockIdx, j: BlockIdx) -> f32 {
-        let [own, other] = [i, j].map(|block| f32::from(self.sizes[self.pieces[block.get()]]).powi(2));
+        let [own, other] = [i, j].map(|block| f32::from(self.size(block)).powi(2));
         if self.pieces[i.get()] == self.pieces[j.get()] { 0.5 } else { other / (own + other) }
+    }
+
+    fn hold(&self, i: BlockIdx) -> Move {
+        self.rise(i, HOLD_M - self.frames[i.get()].position.z)
     }
 
     /// Returns a move straight up by at most `height_m` and one step.
@@ -328,7 +378,8 @@ impl<'a> View<'a> {
         [up.x, up.y, up.z, 0.0, 0.0, 0.0]
     }
 
-    fn pair(&self, i: BlockIdx, j: BlockIdx, obstacles: &[Obstacle<'_>]) -> Pair {
+    fn pair(&self, around: &Around, j: BlockIdx) -> Pair {
+        let i = around.block;
         let connection = self.connections[i.get()][j.get()];
         let is_wrong = connection == Connection::Wrong;
         let bit = |is: bool| f32::from(u8::from(is));
@@ -353,38 +404,74 @@ impl<'a> View<'a> {
             let (lateral_m, turn_rad) = way.off_axis(&normal);
             pair.relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
             if is_possible {
-                let wide = self.radii[i.get()].min(self.radii[j.get()]);
-                let off = FUNNEL_SLOPE * (lateral_m - ALIGNED_M).max(0.0)
-                    + (FUNNEL_PER_RAD + wide) * (turn_rad - ALIGNED_RAD).max(0.0);
-                join.shift += normal * off.min(FUNNEL_M + wide);
-                if !is_joined {
-                    join.shift = self.around(i, join.shift, &normal, obstacles);
+                let off = self.stand_off(around, j, &way, &normal);
+                join.shift += normal * off;
+                // From where it is aligned, the pieces part freely.
+                if !is_joined && off >= 0.0 {
+                    join.shift = self.detour(around, &join, &normal);
                 }
             }
         }
-        // Toward a block of the same piece, both would move, and nothing would change.
-        pair.join = (!is_joined || is_possible).then_some(join);
+        // Toward a block that moves along, both would move, and nothing would change.
+        let moves_along = self.bodies[i.get()] == self.bodies[j.get()];
+        pair.join = (!moves_along || (is_joined && is_possible)).then_some(join);
         pair
     }
 
-    /// Returns the blocks of all other pieces.
-    fn obstacles(&self, i: BlockIdx) -> Vec<Obstacle<'_>> {
-        let others = BlockIdx::all().filter(|k| self.pieces[k.get()] != self.pieces[i.get()]);
-        let extents = |k| Inventory::standard().half_extents_m(k).into();
-        others.map(|k| Obstacle { frame: &self.frames[k.get()], half_extents_m: extents(k) }).collect()
+    fn around(&self, block: BlockIdx) -> Around {
+        let own = self.solid(block);
+        let others = BlockIdx::all().filter(|k| self.pieces[k.get()] != self.pieces[block.get()]);
+        let obstacles: Vec<Solid> = others.map(|k| self.solid(k)).collect();
+        let is_touching = obstacles.iter().any(|obstacle| own.gap(obstacle) < TOUCH_M);
+        Around { block, obstacles, is_touching }
     }
 
-    /// Returns the first straight part of a way of `i` by `shift` that leads around the obstacles; vectors in its frame.
-    fn around(
-        &self,
-        i: BlockIdx,
-        shift: Vector3<f32>,
-        normal: &Vector3<f32>,
-        obstacles: &[Obstacle<'_>],
-    ) -> Vector3<f32> {
-        let own = &self.frames[i.get()];
-        let to = own.position + own.axes * shift;
-        own.localize(&(next_stop(&own.position, &to, &(own.axes * normal), obstacles) - own.position))
+    fn solid(&self, block: BlockIdx) -> Solid {
+        Solid::new(block, self.frames[block.get()])
+    }
+
+    /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned.
+    fn stand_off(&self, around: &Around, j: BlockIdx, way: &Way, normal: &Vector3<f32>) -> f32 {
+        let i = around.block;
+        let wide = self.radii[i.get()].min(self.radii[j.get()]);
+        let (lateral_m, turn_rad) = way.off_axis(normal);
+        let funnel = |left: f32| {
+            let off = FUNNEL_SLOPE * (left * lateral_m - ALIGNED_M).max(0.0)
+                + (FUNNEL_PER_RAD + wide) * (left * turn_rad - ALIGNED_RAD).max(0.0);
+            off.min(FUNNEL_M + wide)
+        };
+        let now = funnel(1.0);
+        if now == 0.0 {
+            return -PRESS_M;
+        }
+        let part = 1.0 / way.n_steps().max(1.0);
+        let off = funnel(1.0 - part).max(now.min(NEAR_M + NEAR_PER_RADIUS * wide));
+        let turns_here = around.is_touching && self.size(i) <= self.size(j);
+        if turns_here { self.room_to_turn(around, way, part, normal, off).unwrap_or(off) } else { off }
+    }
+
+    /// Returns the least distance from its place, from `least` on, at which a block touches nothing after this `part` of
+    /// its turn.
+    fn room_to_turn(&self, around: &Around, way: &Way, part: f32, normal: &Vector3<f32>, least: f32) -> Option<f32> {
+        let own = &self.frames[around.block.get()];
+        let axes = own.axes * Rotation3::new(way.turn * part).matrix();
+        let is_free = |off: &f32| {
+            let position = own.position + own.axes * (way.shift + normal * *off);
+            let there = Solid::new(around.block, Frame { position, axes });
+            around.obstacles.iter().all(|obstacle| there.gap(obstacle) > 0.0)
+        };
+        let [step, most] = BACK_OFF_M;
+        (0..).map(|n| least + step * n as f32).take_while(|&off| off < most).find(is_free)
+    }
+
+    /// Returns the first straight part of a way that leads around the obstacles, in the block's frame, m.
+    fn detour(&self, around: &Around, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
+        let own = &self.frames[around.block.get()];
+        let to = own.position + own.axes * way.shift;
+        let turned = Frame { position: own.position, axes: own.axes * Rotation3::new(way.turn).matrix() };
+        let mover = Solid::new(around.block, turned);
+        let stop = next_stop(&mover, &own.position, &to, &(own.axes * normal), &around.obstacles);
+        own.localize(&(stop - own.position))
     }
 
     /// Returns the exact way of `i` to its place relative to a fixed `j`; `None` if the blueprint lacks one of them.

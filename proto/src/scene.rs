@@ -64,13 +64,20 @@ impl Scene {
     /// Returns, for each block, the lowest block index in its component, where connections that `goal` requires join
     /// blocks into components. Blocks of one component have the same value.
     pub fn pieces(&self, goal: &Blueprint) -> [usize; N_BLOCKS] {
-        let mut pieces: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
-        for joint in &self.joints {
-            if goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative) {
-                let (a, b) = (pieces[joint.a.get()], pieces[joint.b.get()]);
-                pieces.iter_mut().filter(|piece| **piece == a.max(b)).for_each(|piece| *piece = a.min(b));
-            }
+        self.components(|joint| joint.is_right(goal))
+    }
+
+    /// Returns the same for all connections, required or not: blocks of one component move together.
+    pub fn bodies(&self) -> [usize; N_BLOCKS] {
+        self.components(|_| true)
+    }
+
+    fn components(&self, counts: impl Fn(&Joint) -> bool) -> [usize; N_BLOCKS] {
+        let mut components: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
+        for joint in self.joints.iter().filter(|joint| counts(joint)) {
+            let [a, b] = [joint.a, joint.b].map(|block| components[block.get()]);
+            components.iter_mut().filter(|name| **name == a.max(b)).for_each(|name| *name = a.min(b));
         }
-        pieces
+        components
     }
 }
