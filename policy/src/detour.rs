@@ -10,6 +10,8 @@ const CLEARANCE_M: f32 = 0.02;
 const REACHES_M: [f32; 3] = [0.25, 0.5, 0.8];
 /// Lowest height of such a point, m.
 const LOWEST_M: f32 = 0.15;
+/// Distance from which on a stop counts as reached, m. A block that is off by a little would stay there forever.
+const REACHED_M: f32 = 0.1;
 
 /// Returns where a block that starts at `from`, with the axes of `mover`, goes first to reach `to` around the
 /// obstacles: `to` itself if the straight way is free, or if no way around was found. It tries points beside `to`:
@@ -38,7 +40,7 @@ pub(crate) fn next_stop(
             best = Some((length, stop));
         }
     }
-    best.map_or(*to, |(_, stop)| stop)
+    best.map(|(_, stop)| stop).filter(|stop| (stop - from).norm() > REACHED_M).unwrap_or(*to)
 }
 
 #[cfg(test)]
@@ -59,7 +61,11 @@ mod tests {
         let stop = next_stop(&cube, &from, &to, &Vector3::y(), &bar);
         // The nearest way is over or under the bar, whose top with the cube and the clearance is at 1.12 m.
         assert!((stop.z - 1.0).abs() > 0.2 && stop.x == 0.0, "{stop}");
-        assert_eq!(next_stop(&cube, &stop, &to, &Vector3::y(), &bar), to);
+        // From the stop, and from near it, the block goes on.
+        for off in [0.0, 0.05] {
+            let from = stop - Vector3::z() * off * (stop.z - 1.0).signum();
+            assert_eq!(next_stop(&cube, &from, &to, &Vector3::y(), &bar), to);
+        }
         let above = Vector3::z() * 0.4;
         assert_eq!(next_stop(&cube, &(from + above), &(to + above), &Vector3::y(), &bar), to + above);
     }

@@ -36,8 +36,9 @@
 //! **The detour.** If blocks of other pieces are between i and that point, i goes around them (`detour.rs`): straight
 //! ways through a structure were what broke most of its connections.
 //!
-//! **Meeting.** Of two pieces, the larger one waits above the ground until the smaller one is aligned. Then both come,
-//! and the larger one goes a smaller part of the way. Pieces of one size go half of the way from the start.
+//! **Meeting.** Of two pieces, the larger one waits until the smaller one is aligned, so high that there is room below
+//! the place where the other will be. Then both come, and the larger one goes a smaller part of the way. Pieces of one
+//! size go half of the way from the start.
 //!
 //! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
 //! more than one step is scaled down, so that shift and turn arrive together.
@@ -89,10 +90,12 @@ const PRESS_M: f32 = 0.02;
 const TOUCH_M: f32 = 0.015;
 /// Steps and end of the search for room to turn, m.
 const BACK_OFF_M: [f32; 2] = [0.05, 0.8];
+/// Overlap at which a turning block still has room, m.
+const SLACK_M: f32 = 0.003;
 /// Entry 5 of a relation from which on both pieces come to a meeting.
 const MEETING: f32 = 0.5;
 
-/// Height to which a held block rises, m: room for other blocks below.
+/// Height to which a held block, or the place of a block that is to come to it, rises, m: room for other blocks below.
 const HOLD_M: f32 = 0.5;
 /// The part of a step that `Lift` rises.
 const LIFT: f32 = 0.5;
@@ -357,7 +360,7 @@ impl<'a> View<'a> {
         } else if own < other {
             join.to_move()
         } else {
-            self.hold(i)
+            self.wait(i, j)
         }
     }
 
@@ -370,6 +373,14 @@ impl<'a> View<'a> {
 
     fn hold(&self, i: BlockIdx) -> Move {
         self.rise(i, HOLD_M - self.frames[i.get()].position.z)
+    }
+
+    /// Returns a move that holds i until j has come.
+    fn wait(&self, i: BlockIdx, j: BlockIdx) -> Move {
+        let own = &self.frames[i.get()];
+        let place = self.blueprint.relative(i, j).map(|place| own.position + own.axes * place.position_m());
+        let lowest = place.map_or(own.position.z, |place| place.z.min(own.position.z));
+        self.rise(i, HOLD_M - lowest)
     }
 
     /// Returns a move straight up by at most `height_m` and one step.
@@ -410,6 +421,9 @@ impl<'a> View<'a> {
                 if !is_joined && off >= 0.0 {
                     join.shift = self.detour(around, &join, &normal);
                 }
+                if !is_joined && self.size(i) <= self.size(j) {
+                    join.shift += self.lift(i, &join);
+                }
             }
         }
         // Toward a block that moves along, both would move, and nothing would change.
@@ -444,32 +458,40 @@ impl<'a> View<'a> {
         if now == 0.0 {
             return -PRESS_M;
         }
-        let part = 1.0 / way.n_steps().max(1.0);
-        let off = funnel(1.0 - part).max(now.min(NEAR_M + NEAR_PER_RADIUS * wide));
+        let left = 1.0 - 1.0 / way.n_steps().max(1.0);
+        let off = funnel(left).max(now.min(NEAR_M + NEAR_PER_RADIUS * wide));
         let turns_here = around.is_touching && self.size(i) <= self.size(j);
-        if turns_here { self.room_to_turn(around, way, part, normal, off).unwrap_or(off) } else { off }
+        if turns_here { self.room_to_turn(around, way, normal, off).unwrap_or(off) } else { off }
     }
 
-    /// Returns the least distance from its place, from `least` on, at which a block touches nothing after this `part` of
-    /// its turn.
-    fn room_to_turn(&self, around: &Around, way: &Way, part: f32, normal: &Vector3<f32>, least: f32) -> Option<f32> {
+    /// Returns the least distance from its place, from `least` on, toward which a block can go and turn for a step
+    /// without touching anything.
+    fn room_to_turn(&self, around: &Around, way: &Way, normal: &Vector3<f32>, least: f32) -> Option<f32> {
         let own = &self.frames[around.block.get()];
-        let axes = own.axes * Rotation3::new(way.turn * part).matrix();
         let is_free = |off: &f32| {
-            let position = own.position + own.axes * (way.shift + normal * *off);
-            let there = Solid::new(around.block, Frame { position, axes });
-            around.obstacles.iter().all(|obstacle| there.gap(obstacle) > 0.0)
+            let way = Way { shift: way.shift + normal * *off, turn: way.turn };
+            let step = 1.0 / way.n_steps().max(1.0);
+            [0.5 * step, step].into_iter().all(|part| {
+                let there = Solid::new(around.block, way.part(part).moved(own));
+                around.obstacles.iter().all(|obstacle| there.gap(obstacle) > -SLACK_M)
+            })
         };
         let [step, most] = BACK_OFF_M;
         (0..).map(|n| least + step * n as f32).take_while(|&off| off < most).find(is_free)
+    }
+
+    /// Returns what must be added to a way so that its next step does not end in the ground.
+    fn lift(&self, i: BlockIdx, way: &Way) -> Vector3<f32> {
+        let (own, n_steps) = (&self.frames[i.get()], way.n_steps().max(1.0));
+        let lowest = Solid::new(i, way.part(1.0 / n_steps).moved(own)).lowest_m();
+        own.localize(&Vector3::z()) * ((-lowest).max(0.0) * n_steps)
     }
 
     /// Returns the first straight part of a way that leads around the obstacles, in the block's frame, m.
     fn detour(&self, around: &Around, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
         let own = &self.frames[around.block.get()];
         let to = own.position + own.axes * way.shift;
-        let turned = Frame { position: own.position, axes: own.axes * Rotation3::new(way.turn).matrix() };
-        let mover = Solid::new(around.block, turned);
+        let mover = Solid::new(around.block, way.moved(own));
         let stop = next_stop(&mover, &own.position, &to, &(own.axes * normal), &around.obstacles);
         own.localize(&(stop - own.position))
     }
@@ -525,6 +547,12 @@ impl Way {
     /// Returns this part of the motion.
     fn part(self, share: f32) -> Self {
         Self { shift: self.shift * share, turn: self.turn * share }
+    }
+
+    /// Returns where the motion leads.
+    fn moved(&self, own: &Frame) -> Frame {
+        let axes = own.axes * Rotation3::new(self.turn).matrix();
+        Frame { position: own.position + own.axes * self.shift, axes }
     }
 
     /// Returns the number of steps that the motion takes at full speed.

@@ -26,6 +26,11 @@ impl Solid {
         along(own, self.reach(other)).max(along(others, other.reach(self)))
     }
 
+    /// Returns the height of the lowest corner, m.
+    pub(crate) fn lowest_m(&self) -> f32 {
+        self.frame.position.z - self.frame.axes.row(2).abs().transpose().dot(&self.half_extents_m)
+    }
+
     /// Returns half the size of the smallest box with the axes of this one that both fit into, if they touch, m.
     fn reach(&self, other: &Self) -> Vector3<f32> {
         self.half_extents_m + self.frame.axes.tr_mul(&other.frame.axes).abs() * other.half_extents_m
@@ -97,6 +102,14 @@ mod tests {
         // The gap does not depend on the order.
         let other = solid(11, [0.2, 0.5, 0.1], 0.7);
         assert!((bar.gap(&other) - other.gap(&bar)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_bar_on_its_end_reaches_half_its_length_down() {
+        let axes = *Rotation3::from_axis_angle(&Vector3::y_axis(), std::f32::consts::FRAC_PI_2).matrix();
+        let bar = |axes| Solid::new(BlockIdx::try_from(10).unwrap(), Frame { position: Vector3::z() * 0.3, axes });
+        assert!((bar(axes).lowest_m() - 0.1).abs() < 1e-6);
+        assert!((bar(nalgebra::Matrix3::identity()).lowest_m() - 0.25).abs() < 1e-6);
     }
 
     #[test]
