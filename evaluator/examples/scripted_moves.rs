@@ -1,7 +1,7 @@
 //! Builds goals by fixed rules in the policy's own action space: what proposals are worth without learning.
 //!
-//! The rules have no plan. Take a wrong connection apart; else take the nearest open link of the largest piece, bring
-//! its block while the other gripper holds, and let both meet once they are aligned.
+//! The rules have no plan. Take a wrong connection apart; else take the nearest open link of the largest piece, and let
+//! its two blocks meet.
 //!
 //! ```sh
 //! cargo run --release -p evaluator --example scripted_moves -- 12 16 10   # sizes, and episodes for each training goal
@@ -20,8 +20,6 @@ use rand_distr::{Distribution, StandardNormal};
 
 /// Number of steps after which another link is tried.
 const PATIENCE: u32 = 12;
-/// Entry 5 of a relation from which on two blocks count as aligned.
-const ALIGNED: f32 = 0.5;
 
 /// A block and the proposal that moves it.
 type Draw = (BlockIdx, Slot);
@@ -107,7 +105,7 @@ fn choose(seen: &Observation<'_>, proposals: &Proposals, focus: &mut Focus, rng:
     let is_joined = |a, b| scene.joints.iter().any(|joint| [(a, b), (b, a)].contains(&(joint.a, joint.b)));
     let offered = |block: BlockIdx, kind, partner| proposals.get(block.get(), Slot::paired(kind, partner)).is_some();
     let open = goal.links().iter().filter(|link| !is_joined(link.a, link.b)).map(|link| smaller_first(link.a, link.b));
-    let mut open: Vec<(BlockIdx, BlockIdx)> = open.filter(|&(i, j)| offered(i, Kind::Join, j)).collect();
+    let mut open: Vec<(BlockIdx, BlockIdx)> = open.filter(|&(i, j)| offered(i, Kind::Meet, j)).collect();
     // The largest piece first, and of its links the nearest: entry 4 of a relation falls with the steps that are left.
     let nearness = |(i, j): (BlockIdx, BlockIdx)| proposals.relation(i.get(), j.get())[4];
     open.sort_by(|&x, &y| size(y.1).cmp(&size(x.1)).then(nearness(y).total_cmp(&nearness(x))));
@@ -122,9 +120,5 @@ fn choose(seen: &Observation<'_>, proposals: &Proposals, focus: &mut Focus, rng:
         (i, j, 0)
     });
     *focus = Some((i, j, n_steps + 1));
-    let is_aligned = proposals.relation(i.get(), j.get())[5] > ALIGNED;
-    if is_aligned && offered(i, Kind::Meet, j) && offered(j, Kind::Meet, i) {
-        return [(i, Slot::paired(Kind::Meet, j)), (j, Slot::paired(Kind::Meet, i))];
-    }
-    [(i, Slot::paired(Kind::Join, j)), hold(j)]
+    [(i, Slot::paired(Kind::Meet, j)), (j, Slot::paired(Kind::Meet, i))]
 }
