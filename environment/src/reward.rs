@@ -17,7 +17,7 @@ use crate::magnets::magnet_position_m;
 pub fn potential(scene: &Scene, blueprint: &Blueprint, config: &RewardConfig) -> RewardTerms {
     let mut terms = RewardTerms::default();
     for joint in &scene.joints {
-        if blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative) {
+        if joint.is_right(blueprint) {
             terms.connected += config.connected_weight;
         } else {
             terms.wrong -= config.wrong_weight;

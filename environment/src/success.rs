@@ -10,11 +10,8 @@ use crate::reward::Fit;
 pub fn is_success(scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) -> bool {
     let links = blueprint.links();
     // A scene has at most one connection per block pair, so equal counts and no wrong connection make the sets equal.
-    let connections_match = scene.joints.len() == links.len()
-        && scene
-            .joints
-            .iter()
-            .all(|joint| blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative));
+    let connections_match =
+        scene.joints.len() == links.len() && scene.joints.iter().all(|joint| joint.is_right(blueprint));
     let max_angle = config.max_angle_deg.to_radians();
     connections_match
         && links.iter().all(|link| {

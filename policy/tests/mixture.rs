@@ -164,7 +164,7 @@ fn a_turned_block_is_turned_on_the_way_and_stays_off_until_then() {
 /// Returns how deep the deepest of the corners and middles of `i` is in `j`, m; 0 if none is inside.
 fn depth(scene: &Scene, i: BlockIdx, j: BlockIdx) -> f32 {
     let (of_i, of_j) = (&scene.blocks[i.get()], &scene.blocks[j.get()]);
-    let half = |block| Vector3::from(<[f32; 3]>::from(Inventory::standard().half_extents_m(block)));
+    let half = |block| Vector3::from(Inventory::standard().half_extents_m(block));
     let part = |k: usize| (k % 5) as f32 / 2.0 - 1.0;
     let points = (0..125).map(|k| half(i).component_mul(&Vector3::new(part(k), part(k / 5), part(k / 25))));
     let seen = points.map(|point| {

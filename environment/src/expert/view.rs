@@ -40,7 +40,7 @@ impl View {
             let (a, b) = (joint.a.get(), joint.b.get());
             let (keep, drop) = (components[a].min(components[b]), components[a].max(components[b]));
             components.iter_mut().filter(|c| **c == drop).for_each(|c| *c = keep);
-            let right = blueprint.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
+            let right = joint.is_right(blueprint);
             match (part_of[a], part_of[b]) {
                 (Some(a), Some(b)) if right => {
                     let joined = pieces[a].union(pieces[b]);

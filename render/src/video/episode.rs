@@ -138,8 +138,7 @@ impl Episode {
 
     /// Returns the number of the goal's connections that exist after `n_done` steps.
     pub fn n_connected(&self, n_done: usize) -> usize {
-        let is_right =
-            |joint: &&Joint| self.goal.link(joint.a, joint.b).is_some_and(|link| link.relative == joint.relative);
+        let is_right = |joint: &&Joint| joint.is_right(&self.goal);
         self.scenes[n_done].joints.iter().filter(is_right).count()
     }
 
