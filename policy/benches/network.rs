@@ -1,15 +1,22 @@
-//! Forward passes and updates of the paper's network in samples per CPU-second, on one thread.
+//! Forward passes, updates, and decisions of the paper's network in samples per CPU-second, on one thread.
 //!
 //! `cargo bench -p policy`; `tests/benches/peers.py` runs it together with JAX and PyTorch and prints the ratios.
-//! Arguments: `forward` or `update` for one of the two, `burn` to use burn's tensors, `extended` for all features
-//! instead of the paper's.
+//! Arguments: `forward`, `update`, or `decide` for one of the three, `burn` to use burn's tensors, `extended` for all
+//! features instead of the paper's. A decision is everything from a scene to an action; it is made with both heads.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
+use blueprints::{Blueprint, Catalog, N_BLOCKS, Split};
 use burn::tensor::Device;
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
-use policy::{BatchTensors, FeatureBatch, FeatureConfig, FeatureSizes, Network, NetworkConfig, parameters};
+use policy::{
+    BatchTensors, FeatureBatch, FeatureConfig, FeatureSizes, MoveHead, Network, NetworkConfig, Policy, PolicyConfig,
+    parameters,
+};
+use proto::{ActionMode, Agent, Gripper, Joint, Observation, Pose, Scene};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 
 const FORWARD_BATCHES: [usize; 3] = [1, 16, 64];
 const UPDATE_BATCHES: [usize; 4] = [64, 128, 256, 512];
@@ -21,10 +28,13 @@ fn main() {
     let sizes = FeatureSizes::new(&config);
     println!("features {}/{}/{}", sizes.node, sizes.edge, sizes.global);
     let network = Network::init(&NetworkConfig::default(), &sizes, 0, &Device::flex().autodiff());
-    for b in FORWARD_BATCHES.into_iter().filter(|_| !has("update")) {
+    if !has("forward") && !has("update") && !has("burn") {
+        [MoveHead::Gaussian, MoveHead::Mixture].into_iter().for_each(|head| decide(head, &config));
+    }
+    for b in FORWARD_BATCHES.into_iter().filter(|_| !has("update") && !has("decide")) {
         if has("burn") { forward_on_burn(&sizes, b) } else { forward(&network, &config, b) }
     }
-    for b in UPDATE_BATCHES.into_iter().filter(|_| !has("forward")) {
+    for b in UPDATE_BATCHES.into_iter().filter(|_| !has("forward") && !has("decide")) {
         if has("burn") { update_on_burn(&network, &config, b) } else { update(&network, &config, b) }
     }
 }
@@ -86,6 +96,52 @@ fn update_on_burn(network: &Network, config: &FeatureConfig, b: usize) {
         let mut gradients = loss.backward();
         black_box(parameters::flatten_gradients(network, &mut gradients));
     });
+}
+
+/// Decides on a half-built structure of each training goal of 12 to 16 blocks.
+fn decide(head: MoveHead, features: &FeatureConfig) {
+    let network = NetworkConfig { move_head: head, ..NetworkConfig::default() };
+    let config = PolicyConfig { network, features: *features, ..PolicyConfig::default() };
+    let mut policy = Policy::new(&config).expect("a valid configuration");
+    let goals: Vec<&Blueprint> =
+        Catalog::builtin().of_split(Split::Train).into_iter().filter(|goal| goal.n_blocks() >= 12).collect();
+    let scenes: Vec<Scene> = goals.iter().map(|goal| half_built(goal)).collect();
+    let seen: Vec<Observation<'_>> =
+        scenes.iter().zip(goals).map(|(scene, blueprint)| Observation { scene, blueprint, n_steps: 40 }).collect();
+    let modes = vec![ActionMode::Sampled; seen.len()];
+    let mut rngs: Vec<ChaCha8Rng> = (0..seen.len() as u64).map(ChaCha8Rng::seed_from_u64).collect();
+    let name = if head == MoveHead::Mixture { "decide mixture" } else { "decide gaussian" };
+    report(name, seen.len(), || {
+        black_box(policy.act(&seen, &modes, &mut rngs)).expect("a decision");
+    });
+}
+
+/// Half of a goal's blocks are in place half a meter above the ground, and the others lie in a row.
+fn half_built(goal: &Blueprint) -> Scene {
+    let n_placed = goal.n_blocks() / 2;
+    let lying = |i: usize| Pose { position: [0.3 * i as f32 - 2.0, 1.0, 0.05], orientation: [0.0, 0.6, 0.0, 0.8] };
+    let mut blocks: [Pose; N_BLOCKS] = std::array::from_fn(lying);
+    for placement in &goal.placements()[..n_placed] {
+        let position = placement.position_m() + nalgebra::Vector3::z() * 0.5;
+        let orientation = placement.rotation.quaternion().coords.into();
+        blocks[placement.block.get()] = Pose { position: position.into(), orientation };
+    }
+    let placed = &goal.placements()[..n_placed];
+    let is_placed = |block| placed.iter().any(|placement| placement.block == block);
+    let made = goal.links().iter().filter(|link| is_placed(link.a) && is_placed(link.b));
+    let idle = Gripper {
+        held: None,
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        linear_velocity: [0.0; 3],
+        angular_velocity: [0.0; 3],
+    };
+    Scene {
+        blocks,
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: made.map(|link| Joint { a: link.a, b: link.b, relative: link.relative }).collect(),
+        grippers: [Some(idle); 2],
+        n_heavy_contacts: 0,
+    }
 }
 
 fn batch(config: &FeatureConfig, b: usize) -> FeatureBatch {
