@@ -23,11 +23,16 @@ pub(crate) fn next_stop(
     normal: &Vector3<f32>,
     obstacles: &[Solid],
 ) -> Vector3<f32> {
-    let closed: Vec<Closed> = obstacles.iter().map(|obstacle| obstacle.closed_to(mover, CLEARANCE_M)).collect();
-    let is_free = |a: &Vector3<f32>, b: &Vector3<f32>| closed.iter().all(|space| !space.is_entered(a, b));
-    if is_free(from, to) {
+    let closed_by = |obstacle: &Solid| obstacle.closed_to(mover, CLEARANCE_M);
+    let mut near = obstacles.iter().filter(|obstacle| obstacle.may_meet(mover, CLEARANCE_M, from, to));
+    if near.all(|obstacle| !closed_by(obstacle).is_entered(from, to)) {
         return *to;
     }
+    let closed: Vec<(&Solid, Closed)> = obstacles.iter().map(|obstacle| (obstacle, closed_by(obstacle))).collect();
+    let is_free = |a: &Vector3<f32>, b: &Vector3<f32>| {
+        let mut near = closed.iter().filter(|(obstacle, _)| obstacle.may_meet(mover, CLEARANCE_M, a, b));
+        near.all(|(_, space)| !space.is_entered(a, b))
+    };
     let side = normal.cross(&Vector3::z()).try_normalize(0.1).unwrap_or_else(Vector3::x);
     let across = normal.cross(&side);
     let directions = [*normal, Vector3::z(), side, -side, across, -across];

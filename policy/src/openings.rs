@@ -25,17 +25,58 @@ thread_local! {
 ///
 /// Of two directions, the better one has the larger least component along the normals of the common faces, then the
 /// larger sum of them; of equal ones, the shorter. The cells of each piece are in the frame of the blueprint.
-pub(crate) fn opening(a: &[Cell], b: &[Cell]) -> Option<Cell> {
-    KNOWN.with_borrow_mut(|known| *known.get_or_insert([key(a), key(b)], || search(a, b)))
+pub(crate) fn opening(a: &Shape, b: &Shape) -> Option<Cell> {
+    KNOWN.with_borrow_mut(|known| *known.get_or_insert([a.key, b.key], || search(&a.cells, &b.cells)))
 }
 
-/// Hashes the cells of a piece in their order, which is that of the blocks.
-fn key(cells: &[Cell]) -> u64 {
-    fnv1a(cells.iter().flatten().flat_map(|x| x.to_le_bytes()))
+/// The cells of a piece.
+pub(crate) struct Shape {
+    cells: Vec<Cell>,
+    /// A hash of the cells in their order, which is that of the blocks.
+    key: u64,
+}
+
+impl Shape {
+    pub(crate) fn new(cells: Vec<Cell>) -> Self {
+        let key = fnv1a(cells.iter().flatten().flat_map(|x| x.to_le_bytes()));
+        Self { cells, key }
+    }
+}
+
+/// A set of cells.
+struct Grid {
+    low: Cell,
+    size: Cell,
+    filled: Vec<bool>,
+}
+
+impl Grid {
+    fn new(cells: &[Cell]) -> Self {
+        let bound = |k: usize, of: fn(i32, i32) -> i32| cells.iter().map(|cell| cell[k]).reduce(of).unwrap_or(0);
+        let low: Cell = std::array::from_fn(|k| bound(k, i32::min));
+        let size: Cell = std::array::from_fn(|k| bound(k, i32::max) - low[k] + 1);
+        let mut grid = Self { low, size, filled: vec![false; size.iter().product::<i32>() as usize] };
+        for cell in cells {
+            if let Some(index) = grid.index(cell) {
+                grid.filled[index] = true;
+            }
+        }
+        grid
+    }
+
+    fn contains(&self, cell: &Cell) -> bool {
+        self.index(cell).is_some_and(|index| self.filled[index])
+    }
+
+    fn index(&self, cell: &Cell) -> Option<usize> {
+        let [x, y, z] = std::array::from_fn(|k| cell[k] - self.low[k]);
+        let is_inside = [x, y, z].iter().zip(self.size).all(|(x, size)| (0..size).contains(x));
+        is_inside.then_some(((x * self.size[1] + y) * self.size[2] + z) as usize)
+    }
 }
 
 fn search(a: &[Cell], b: &[Cell]) -> Option<Cell> {
-    let other: BTreeSet<Cell> = b.iter().copied().collect();
+    let other = Grid::new(b);
     let normals: BTreeSet<Cell> = a
         .iter()
         .flat_map(|cell| faces().map(move |normal| (cell, normal)))
@@ -67,7 +108,7 @@ fn directions() -> impl Iterator<Item = Cell> {
 }
 
 /// Whether no cell of `a`, moving along `direction`, meets `other`.
-fn is_free(a: &[Cell], other: &BTreeSet<Cell>, direction: Cell) -> bool {
+fn is_free(a: &[Cell], other: &Grid, direction: Cell) -> bool {
     // Between two lattice places, a moving cell overlaps every cell of the box between them.
     let overlapped = || {
         let range = |k: usize| direction[k].min(0)..=direction[k].max(0);

@@ -51,7 +51,7 @@ use proto::{Move, Observation, Scene};
 
 use crate::detour::next_stop;
 use crate::geometry::{Frame, matrix, rotation_vector};
-use crate::openings::{Cell, opening};
+use crate::openings::{Cell, Shape, opening};
 use crate::solid::Solid;
 
 const N: usize = N_BLOCKS;
@@ -288,8 +288,8 @@ struct View<'a> {
     bodies: [usize; N],
     /// Largest distance from a block's center to the center of another of its piece, m.
     radii: [f32; N],
-    /// The cells of each piece, at the index of its name.
-    cells: [Vec<Cell>; N],
+    /// The shape of each piece, at the index of its name.
+    shapes: [Shape; N],
     connections: [[Connection; N]; N],
     held: [bool; N],
     /// Number of blocks of each piece, at the index of its name.
@@ -344,7 +344,7 @@ impl<'a> View<'a> {
         let mut sizes = [0; N];
         pieces.iter().for_each(|&piece| sizes[piece] += 1);
         let (radii, bodies) = (std::array::from_fn(radius), scene.bodies());
-        Self { radii, blueprint, frames, pieces, bodies, cells, connections, held, sizes }
+        Self { radii, blueprint, frames, pieces, bodies, shapes: cells.map(Shape::new), connections, held, sizes }
     }
 
     fn size(&self, block: BlockIdx) -> u8 {
@@ -436,7 +436,9 @@ impl<'a> View<'a> {
         let own = self.solid(block);
         let others = BlockIdx::all().filter(|k| self.pieces[k.get()] != self.pieces[block.get()]);
         let obstacles: Vec<Solid> = others.map(|k| self.solid(k)).collect();
-        let is_touching = obstacles.iter().any(|obstacle| own.gap(obstacle) < TOUCH_M);
+        let at = &own.frame.position;
+        let mut near = obstacles.iter().filter(|obstacle| obstacle.may_meet(&own, TOUCH_M, at, at));
+        let is_touching = near.any(|obstacle| own.gap(obstacle) < TOUCH_M);
         Around { block, obstacles, is_touching }
     }
 
@@ -511,7 +513,7 @@ impl<'a> View<'a> {
     fn normal(&self, i: BlockIdx, j: BlockIdx, link: &Link, is_joined: bool) -> Vector3<f32> {
         let of_j = match self.blueprint.placement(j) {
             Some(place) if !is_joined => {
-                let [a, b] = [i, j].map(|block| &self.cells[self.pieces[block.get()]]);
+                let [a, b] = [i, j].map(|block| &self.shapes[self.pieces[block.get()]]);
                 opening(a, b).map(|direction| place.rotation.inverse().apply(direction))
             }
             _ => None,

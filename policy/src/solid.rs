@@ -36,6 +36,14 @@ impl Solid {
         self.half_extents_m + self.frame.axes.tr_mul(&other.frame.axes).abs() * other.half_extents_m
     }
 
+    /// Whether a `mover`, however it is turned, may come within `margin_m` on the straight way from `a` to `b`.
+    pub(crate) fn may_meet(&self, mover: &Self, margin_m: f32, a: &Vector3<f32>, b: &Vector3<f32>) -> bool {
+        let radii = self.half_extents_m.norm() + mover.half_extents_m.norm() + 2.0 * margin_m;
+        let (way, to) = (b - a, self.frame.position - a);
+        let part = (way.dot(&to) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+        (to - way * part).norm_squared() < radii * radii
+    }
+
     /// Returns the space around this block that the center of a `mover`, which does not turn, must not enter.
     pub(crate) fn closed_to(&self, mover: &Self, margin_m: f32) -> Closed {
         Closed { frame: self.frame, reach_m: self.reach(mover).add_scalar(margin_m) }
