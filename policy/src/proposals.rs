@@ -18,7 +18,7 @@
 //!
 //! | kind | of | the move of i | proposed if |
 //! |---|---|---|---|
-//! | [`Join`](Kind::Join) | each j | to its place relative to j; through the funnel if the two are to be connected | both belong to the blueprint, and they move apart from each other or their connection is open |
+//! | [`Join`](Kind::Join) | each j | to its place relative to j; through the funnel if the two are to be connected | both belong to the blueprint, and no connections make them move together, or theirs is still to be made |
 //! | [`Meet`](Kind::Meet) | each j | its part of that, for when j comes as well | the same, and the blueprint connects the two, and nothing does yet |
 //! | [`Detach`](Kind::Detach) | each j | away from j, a little up, and turning | the two are connected, but not as the blueprint wants it |
 //! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground; nothing if it is higher | always |
@@ -226,7 +226,7 @@ impl Proposals {
             joins.clear();
             meets.clear();
             detaches.clear();
-            let around = view.around(i);
+            let around = view.surroundings(i);
             for j in BlockIdx::all().filter(|&j| j != i) {
                 let pair = view.pair(&around, j);
                 joins.extend(pair.join.map(|join| (j, join.to_move())));
@@ -304,7 +304,7 @@ enum Connection {
 }
 
 /// A block and what is around it.
-struct Around {
+struct Surroundings {
     block: BlockIdx,
     /// The blocks of all other pieces.
     obstacles: Vec<Solid>,
@@ -389,7 +389,7 @@ impl<'a> View<'a> {
         [up.x, up.y, up.z, 0.0, 0.0, 0.0]
     }
 
-    fn pair(&self, around: &Around, j: BlockIdx) -> Pair {
+    fn pair(&self, around: &Surroundings, j: BlockIdx) -> Pair {
         let i = around.block;
         let connection = self.connections[i.get()][j.get()];
         let is_wrong = connection == Connection::Wrong;
@@ -432,14 +432,14 @@ impl<'a> View<'a> {
         pair
     }
 
-    fn around(&self, block: BlockIdx) -> Around {
+    fn surroundings(&self, block: BlockIdx) -> Surroundings {
         let own = self.solid(block);
         let others = BlockIdx::all().filter(|k| self.pieces[k.get()] != self.pieces[block.get()]);
         let obstacles: Vec<Solid> = others.map(|k| self.solid(k)).collect();
         let at = &own.frame.position;
         let mut near = obstacles.iter().filter(|obstacle| obstacle.may_meet(&own, TOUCH_M, at, at));
         let is_touching = near.any(|obstacle| own.gap(obstacle) < TOUCH_M);
-        Around { block, obstacles, is_touching }
+        Surroundings { block, obstacles, is_touching }
     }
 
     fn solid(&self, block: BlockIdx) -> Solid {
@@ -447,7 +447,7 @@ impl<'a> View<'a> {
     }
 
     /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned.
-    fn stand_off(&self, around: &Around, j: BlockIdx, way: &Way, normal: &Vector3<f32>) -> f32 {
+    fn stand_off(&self, around: &Surroundings, j: BlockIdx, way: &Way, normal: &Vector3<f32>) -> f32 {
         let i = around.block;
         let wide = self.radii[i.get()].min(self.radii[j.get()]);
         let (lateral_m, turn_rad) = way.off_axis(normal);
@@ -468,7 +468,7 @@ impl<'a> View<'a> {
 
     /// Returns the least distance from its place, from `least` on, toward which a block can go and turn for a step
     /// without touching anything.
-    fn room_to_turn(&self, around: &Around, way: &Way, normal: &Vector3<f32>, least: f32) -> Option<f32> {
+    fn room_to_turn(&self, around: &Surroundings, way: &Way, normal: &Vector3<f32>, least: f32) -> Option<f32> {
         let own = &self.frames[around.block.get()];
         let is_free = |off: &f32| {
             let way = Way { shift: way.shift + normal * *off, turn: way.turn };
@@ -490,7 +490,7 @@ impl<'a> View<'a> {
     }
 
     /// Returns the first straight part of a way that leads around the obstacles, in the block's frame, m.
-    fn detour(&self, around: &Around, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
+    fn detour(&self, around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
         let own = &self.frames[around.block.get()];
         let to = own.position + own.axes * way.shift;
         let mover = Solid::new(around.block, way.moved(own));

@@ -5,6 +5,9 @@ use nalgebra::Vector3;
 
 use crate::geometry::Frame;
 
+/// What rounding may add to a depth, m.
+const EDGE_M: f32 = 1e-3;
+
 /// A block in the world.
 #[derive(Clone, Copy)]
 pub(crate) struct Solid {
@@ -38,6 +41,7 @@ impl Solid {
 
     /// Whether a `mover`, however it is turned, may come within `margin_m` on the straight way from `a` to `b`.
     pub(crate) fn may_meet(&self, mover: &Self, margin_m: f32, a: &Vector3<f32>, b: &Vector3<f32>) -> bool {
+        // The corners of a margin are √3 times as far out as its faces.
         let radii = self.half_extents_m.norm() + mover.half_extents_m.norm() + 2.0 * margin_m;
         let (way, to) = (b - a, self.frame.position - a);
         let part = (way.dot(&to) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
@@ -84,9 +88,6 @@ impl Closed {
         enter < leave
     }
 }
-
-/// What rounding may add to a depth, m.
-const EDGE_M: f32 = 1e-3;
 
 #[cfg(test)]
 mod tests {

@@ -133,7 +133,7 @@ fn a_join_along_the_axis_presses_the_block_into_its_place() {
         after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join.movement);
         let (distance, angle) = error(&after, &goal, link.a, link.b);
         // It is meant to go 2 cm too far.
-        let beyond = Vector3::from(join.movement.first_chunk::<3>().copied().unwrap_or_default()) * STEP_M;
+        let beyond = Vector3::from_column_slice(&join.movement[..3]) * STEP_M;
         if (distance - 0.02).abs() < 1e-4 && (beyond.norm() - 0.12).abs() < 1e-4 {
             assert!(angle < 1e-3);
             return;
@@ -161,7 +161,7 @@ fn a_turned_block_is_turned_on_the_way_and_stays_off_until_then() {
     assert_eq!(meet, join.movement.map(|x| 0.5 * x));
 }
 
-/// Returns how deep the deepest of the corners and middles of `i` is in `j`, m; 0 if none is inside.
+/// Returns how deep the deepest point of a 5 × 5 × 5 grid on `i` is in `j`, m; 0 if none is inside.
 fn depth(scene: &Scene, i: BlockIdx, j: BlockIdx) -> f32 {
     let (of_i, of_j) = (&scene.blocks[i.get()], &scene.blocks[j.get()]);
     let half = |block| Vector3::from(Inventory::standard().half_extents_m(block));

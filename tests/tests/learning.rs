@@ -102,7 +102,7 @@ fn rewards_alone_teach_three_blocks_from_scattered_starts() {
     let mut ring = Ring::new(config);
     let untrained = ring.success_rate();
     let mut trained = untrained;
-    // With a Gaussian head, this takes a hundred times as many steps.
+    // With a Gaussian head, two blocks alone take a hundred times as many steps.
     while trained < 0.95 && ring.learner.n_env_steps() < 60_000 {
         (0..4).for_each(|_| ring.update());
         trained = ring.success_rate();
