@@ -66,17 +66,11 @@ pub(crate) fn id(name: &str) -> BlueprintId {
 
 /// Returns a scene with the blocks in a row, one meter apart.
 pub(crate) fn scene() -> Scene {
-    let gripper = Gripper {
-        held: None,
-        orientation: [0.0, 0.0, 0.0, 1.0],
-        linear_velocity: [0.0; 3],
-        angular_velocity: [0.0; 3],
-    };
     Scene {
         blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] }),
         speeds_mps: [0.0; N_BLOCKS],
         joints: Vec::new(),
-        grippers: [Some(gripper), Some(gripper)],
+        grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
         n_heavy_contacts: 0,
     }
 }

@@ -1,5 +1,7 @@
 //! The integer lattice of blueprints, with a spacing of one unit (0.1 m), and its 24 proper rotations.
 
+use std::sync::LazyLock;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Placement, UNIT_M};
@@ -33,79 +35,45 @@ impl From<CubeRotation> for u8 {
 
 type Matrix = [[i32; 3]; 3];
 
-/// The matrices, inverses, and products of all rotations, by index: scenes need hundreds of them in every step.
-static MATRICES: [Matrix; 24] = matrices();
-static INVERSES: [u8; 24] = inverses();
-static PRODUCTS: [[u8; 24]; 24] = products();
+/// Scenes need hundreds of these in every step.
+static TABLES: LazyLock<Tables> = LazyLock::new(Tables::new);
 
-const fn matrices() -> [Matrix; 24] {
-    const fn axis(k: usize) -> [i32; 3] {
+/// The matrices, inverses, and products of all rotations, by index.
+struct Tables {
+    matrices: [Matrix; 24],
+    inverses: [CubeRotation; 24],
+    products: [[CubeRotation; 24]; 24],
+}
+
+impl Tables {
+    fn new() -> Self {
+        let matrices: [Matrix; 24] = std::array::from_fn(matrix);
+        let quotient = |a: usize, b: usize| {
+            let (a, b) = (&matrices[a], &matrices[b]);
+            let wanted: Matrix =
+                std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[k][i] * b[k][j]).sum()));
+            let index = matrices.iter().position(|found| *found == wanted);
+            CubeRotation(index.expect("rotations are a group") as u8)
+        };
+        let inverses = std::array::from_fn(|a| quotient(a, 0));
+        let product = |a: usize, b: usize| quotient(usize::from(inverses[a].0), b);
+        Self { matrices, inverses, products: std::array::from_fn(|a| std::array::from_fn(|b| product(a, b))) }
+    }
+}
+
+/// Computes the matrix of a rotation.
+fn matrix(index: usize) -> Matrix {
+    let axis = |k: usize| {
         let mut v = [0; 3];
         v[k / 2] = 1 - 2 * (k % 2) as i32;
         v
-    }
-    let mut all = [[[0; 3]; 3]; 24];
-    let mut n = 0;
-    let mut kx = 0;
-    while kx < 6 {
-        let mut ky = 0;
-        while ky < 6 {
-            // Four choices of y remain for each image of x: the axes that are not ±x.
-            if kx / 2 != ky / 2 {
-                let (x, y) = (axis(kx), axis(ky));
-                let z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
-                all[n] = [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]];
-                n += 1;
-            }
-            ky += 1;
-        }
-        kx += 1;
-    }
-    all
-}
-
-/// Returns the index of `aᵀ · b`.
-const fn index_of_quotient(all: &[Matrix; 24], a: usize, b: usize) -> u8 {
-    let mut index = 0;
-    while index < 24 {
-        let mut k = 0;
-        while k < 9 {
-            let (i, j) = (k / 3, k % 3);
-            let (a, b) = (&all[a], &all[b]);
-            if all[index][i][j] != a[0][i] * b[0][j] + a[1][i] * b[1][j] + a[2][i] * b[2][j] {
-                break;
-            }
-            k += 1;
-        }
-        if k == 9 {
-            break;
-        }
-        index += 1;
-    }
-    index as u8
-}
-
-const fn inverses() -> [u8; 24] {
-    let all = matrices();
-    let mut found = [0; 24];
-    let mut a = 0;
-    while a < 24 {
-        found[a] = index_of_quotient(&all, a, 0);
-        a += 1;
-    }
-    found
-}
-
-const fn products() -> [[u8; 24]; 24] {
-    let (all, inverses) = (matrices(), inverses());
-    let mut found = [[0; 24]; 24];
-    let mut k = 0;
-    while k < 24 * 24 {
-        let (a, b) = (k / 24, k % 24);
-        found[a][b] = index_of_quotient(&all, inverses[a] as usize, b);
-        k += 1;
-    }
-    found
+    };
+    // Four choices of y remain for each image of x: the axes that are not ±x.
+    let kx = index / 4;
+    let ky = (0..6).filter(|k| k / 2 != kx / 2).nth(index % 4).unwrap_or(0);
+    let (x, y) = (axis(kx), axis(ky));
+    let z = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+    [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]]
 }
 
 impl CubeRotation {
@@ -127,7 +95,7 @@ impl CubeRotation {
 
     /// Returns the rotation as a row-major matrix of −1, 0, and 1; column `j` is the image of axis `j`.
     pub fn matrix(self) -> [[i32; 3]; 3] {
-        MATRICES[usize::from(self.0)]
+        TABLES.matrices[usize::from(self.0)]
     }
 
     /// Applies the rotation to an integer vector.
@@ -137,12 +105,12 @@ impl CubeRotation {
 
     /// Returns the inverse rotation.
     pub fn inverse(self) -> Self {
-        Self(INVERSES[usize::from(self.0)])
+        TABLES.inverses[usize::from(self.0)]
     }
 
     /// Returns `self ∘ other`: first `other`, then `self`.
     pub fn compose(self, other: Self) -> Self {
-        Self(PRODUCTS[usize::from(self.0)][usize::from(other.0)])
+        TABLES.products[usize::from(self.0)][usize::from(other.0)]
     }
 
     /// Returns the directions of the rotated x and y axes, as written in a blueprint's file: `+x +y` for the identity.

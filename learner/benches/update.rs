@@ -90,12 +90,6 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
 }
 
 fn scene(rng: &mut ChaCha8Rng) -> Scene {
-    let gripper = Gripper {
-        held: None,
-        orientation: [0.0, 0.0, 0.0, 1.0],
-        linear_velocity: [0.0; 3],
-        angular_velocity: [0.0; 3],
-    };
     Scene {
         blocks: std::array::from_fn(|_| Pose {
             position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
@@ -103,7 +97,7 @@ fn scene(rng: &mut ChaCha8Rng) -> Scene {
         }),
         speeds_mps: [0.0; N_BLOCKS],
         joints: Vec::new(),
-        grippers: [Some(gripper); 2],
+        grippers: [Some(Gripper::IDLE); 2],
         n_heavy_contacts: 0,
     }
 }

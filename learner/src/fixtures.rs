@@ -55,12 +55,6 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
 
 /// Returns a scene with blocks at random positions on the ground, none of them held.
 pub(crate) fn scene(rng: &mut ChaCha8Rng) -> Scene {
-    let gripper = Gripper {
-        held: None,
-        orientation: [0.0, 0.0, 0.0, 1.0],
-        linear_velocity: [0.0; 3],
-        angular_velocity: [0.0; 3],
-    };
     Scene {
         blocks: std::array::from_fn(|_| Pose {
             position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
@@ -68,7 +62,7 @@ pub(crate) fn scene(rng: &mut ChaCha8Rng) -> Scene {
         }),
         speeds_mps: [0.0; N_BLOCKS],
         joints: Vec::new(),
-        grippers: [Some(gripper); 2],
+        grippers: [Some(Gripper::IDLE); 2],
         n_heavy_contacts: 0,
     }
 }

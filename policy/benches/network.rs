@@ -129,17 +129,11 @@ fn half_built(goal: &Blueprint) -> Scene {
     let placed = &goal.placements()[..n_placed];
     let is_placed = |block| placed.iter().any(|placement| placement.block == block);
     let made = goal.links().iter().filter(|link| is_placed(link.a) && is_placed(link.b));
-    let idle = Gripper {
-        held: None,
-        orientation: [0.0, 0.0, 0.0, 1.0],
-        linear_velocity: [0.0; 3],
-        angular_velocity: [0.0; 3],
-    };
     Scene {
         blocks,
         speeds_mps: [0.0; N_BLOCKS],
         joints: made.map(|link| Joint { a: link.a, b: link.b, relative: link.relative }).collect(),
-        grippers: [Some(idle); 2],
+        grippers: [Some(Gripper::IDLE); 2],
         n_heavy_contacts: 0,
     }
 }

@@ -355,7 +355,7 @@ impl<'a> View<'a> {
     fn meet(&self, i: BlockIdx, j: BlockIdx, join: Way, relation: &[f32; N_RELATION]) -> Move {
         let (own, other) = (self.size(i), self.size(j));
         let is_aligned = relation[5] > MEETING;
-        if is_aligned || own == other || self.pieces[i.get()] == self.pieces[j.get()] {
+        if is_aligned || own == other {
             join.part(self.share(i, j)).to_move()
         } else if own < other {
             join.to_move()
@@ -368,7 +368,7 @@ impl<'a> View<'a> {
     /// large pieces break when they move or turn fast.
     fn share(&self, i: BlockIdx, j: BlockIdx) -> f32 {
         let [own, other] = [i, j].map(|block| f32::from(self.size(block)).powi(2));
-        if self.pieces[i.get()] == self.pieces[j.get()] { 0.5 } else { other / (own + other) }
+        other / (own + other)
     }
 
     fn hold(&self, i: BlockIdx) -> Move {
@@ -408,14 +408,17 @@ impl<'a> View<'a> {
         pair.relation[4] = (-0.5 * way.n_steps()).exp();
         pair.relation[6] = bit(is_linked && is_joined && connection == Connection::None);
         pair.is_open = is_linked && connection == Connection::None;
-        let is_possible = is_linked && connection != Connection::Right;
+        // Toward a block that moves along, both would move, and nothing would change.
+        let moves_along = self.bodies[i.get()] == self.bodies[j.get()];
+        let is_possible = is_linked && connection != Connection::Right && (is_joined || !moves_along);
         let mut join = way;
         if let Some(link) = link {
             let normal = self.normal(i, j, link, is_joined);
-            let (lateral_m, turn_rad) = way.off_axis(&normal);
+            let off_axis = way.off_axis(&normal);
+            let (lateral_m, turn_rad) = off_axis;
             pair.relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
             if is_possible {
-                let off = self.stand_off(around, j, &way, &normal);
+                let off = self.stand_off(around, j, &way, &normal, off_axis);
                 join.shift += normal * off;
                 // From where it is aligned, the pieces part freely.
                 if !is_joined && off >= 0.0 {
@@ -426,8 +429,6 @@ impl<'a> View<'a> {
                 }
             }
         }
-        // Toward a block that moves along, both would move, and nothing would change.
-        let moves_along = self.bodies[i.get()] == self.bodies[j.get()];
         pair.join = (!moves_along || (is_joined && is_possible)).then_some(join);
         pair
     }
@@ -446,11 +447,18 @@ impl<'a> View<'a> {
         Solid::new(block, self.frames[block.get()])
     }
 
-    /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned.
-    fn stand_off(&self, around: &Surroundings, j: BlockIdx, way: &Way, normal: &Vector3<f32>) -> f32 {
+    /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned. The last
+    /// argument is the way's [distance](Way::off_axis) from the axis.
+    fn stand_off(
+        &self,
+        around: &Surroundings,
+        j: BlockIdx,
+        way: &Way,
+        normal: &Vector3<f32>,
+        (lateral_m, turn_rad): (f32, f32),
+    ) -> f32 {
         let i = around.block;
         let wide = self.radii[i.get()].min(self.radii[j.get()]);
-        let (lateral_m, turn_rad) = way.off_axis(normal);
         let funnel = |left: f32| {
             let off = FUNNEL_SLOPE * (left * lateral_m - ALIGNED_M).max(0.0)
                 + (FUNNEL_PER_RAD + wide) * (left * turn_rad - ALIGNED_RAD).max(0.0);

@@ -26,12 +26,11 @@ fn quaternion(coordinates: [f32; 4]) -> UnitQuaternion<f32> {
 
 /// Blocks far apart in a row, with idle grippers.
 fn row_scene() -> Scene {
-    let gripper = Gripper { held: None, orientation: IDENTITY, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
     Scene {
         blocks: std::array::from_fn(|b| Pose { position: [b as f32, 0.0, 0.05], orientation: IDENTITY }),
         speeds_mps: [0.0; N_BLOCKS],
         joints: Vec::new(),
-        grippers: [Some(gripper), Some(gripper)],
+        grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
         n_heavy_contacts: 0,
     }
 }

@@ -43,17 +43,11 @@ fn scattered() -> Scene {
             orientation: turned.coords.into(),
         }
     };
-    let gripper = Gripper {
-        held: None,
-        orientation: [0.0, 0.0, 0.0, 1.0],
-        linear_velocity: [0.0; 3],
-        angular_velocity: [0.0; 3],
-    };
     Scene {
         blocks: std::array::from_fn(place),
         speeds_mps: [0.0; N_BLOCKS],
         joints: Vec::new(),
-        grippers: [Some(gripper), Some(gripper)],
+        grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
         n_heavy_contacts: 0,
     }
 }

@@ -38,6 +38,12 @@ pub struct Gripper {
     pub angular_velocity: [f32; 3],
 }
 
+impl Gripper {
+    /// A gripper that has not held a block yet.
+    pub const IDLE: Self =
+        Self { held: None, orientation: [0.0, 0.0, 0.0, 1.0], linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
+}
+
 /// A snapshot of a world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {

@@ -21,7 +21,7 @@ pub(super) struct View {
     pub(super) joints: Vec<Joint>,
     pub(super) held: [Option<BlockIdx>; N_GRIPPERS],
     /// Lowest block index in each block's component, over all connections.
-    components: [usize; N_BLOCKS],
+    bodies: [usize; N_BLOCKS],
 }
 
 impl View {
@@ -35,14 +35,9 @@ impl View {
         }
         let mut pieces: Vec<Parts> = (0..blocks.len()).map(Parts::one).collect();
         let mut wrong = Vec::new();
-        let mut components: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
         for joint in &scene.joints {
-            let (a, b) = (joint.a.get(), joint.b.get());
-            let (keep, drop) = (components[a].min(components[b]), components[a].max(components[b]));
-            components.iter_mut().filter(|c| **c == drop).for_each(|c| *c = keep);
-            let right = joint.is_right(blueprint);
-            match (part_of[a], part_of[b]) {
-                (Some(a), Some(b)) if right => {
+            match (part_of[joint.a.get()], part_of[joint.b.get()]) {
+                (Some(a), Some(b)) if joint.is_right(blueprint) => {
                     let joined = pieces[a].union(pieces[b]);
                     joined.iter().for_each(|part| pieces[part] = joined);
                 }
@@ -57,7 +52,7 @@ impl View {
             wrong,
             joints: scene.joints.clone(),
             held: scene.grippers.map(|gripper| gripper.and_then(|g| g.held)),
-            components,
+            bodies: scene.bodies(),
         }
     }
 
@@ -73,7 +68,7 @@ impl View {
 
     /// Returns whether any connections join the two blocks, directly or through others.
     pub(super) fn together(&self, a: BlockIdx, b: BlockIdx) -> bool {
-        self.components[a.get()] == self.components[b.get()]
+        self.bodies[a.get()] == self.bodies[b.get()]
     }
 
     pub(super) fn pose(&self, block: BlockIdx) -> &Isometry3<f32> {

@@ -54,12 +54,11 @@ fn goal() -> &'static Blueprint {
 
 fn toy(ends: &[Status]) -> Toy {
     let orientation = [0.0, 0.0, 0.0, 1.0];
-    let gripper = Gripper { held: None, orientation, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
     let scene = Scene {
         blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation }),
         speeds_mps: [0.0; blueprints::N_BLOCKS],
         joints: Vec::new(),
-        grippers: [Some(gripper), Some(gripper)],
+        grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
         n_heavy_contacts: 0,
     };
     Toy { ends: ends.to_vec(), n_steps: 0, diverged: false, scene, blueprint: goal().clone() }
