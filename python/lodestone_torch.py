@@ -20,21 +20,21 @@ Shapes for a batch of B scenes, where `nd`, `ed`, and `gd` count the features li
 | values | [B] | expected return |
 
 With the mixture head (`policy.network.move_head = "mixture"`), each gripper draws a block, and then one of the block's
-*slots*: the moves that `lodestone.proposals(env)` lists, the last of which stands for the Gaussian of locs and scales.
-The second gripper's logits depend on what the first one drew. There is one more output, and `Proposals` and `Draw` go in:
+*slots*: the moves that `lodestone.proposals(env)` lists. The second gripper's logits depend on what the first one drew.
+The outputs are logits, values, and readouts, and `Proposals` and `Draw` go in:
 
 | tensor | shape | meaning |
 |---|---|---|
-| readouts | [B, 16, 192] | numbers of each block that the logits of slots are sums of |
+| readouts | [B, 16, 121] | numbers of each block that the logits of slots are sums of |
 | relations | [B, 16, 16, 8] | what the first block is to the second |
-| offered | [B, 16, 51] | whether the block has a proposal in the slot |
+| offered | [B, 16, 33] | whether the block has a proposal in the slot |
 | block, slot | [B] | what a gripper drew |
 
     output = policy(nodes, edges, globals_)
-    slots = slot_logits(output, proposals)                        # [B, 16, 51]: of the first gripper, for each block
+    slots = slot_logits(output, proposals)                        # [B, 16, 33]: of the first gripper, for each block
     first = Draw(block, slot)                                     # drawn from output.logits[:, 0] and slots[block]
     blocks = second_logits(output, proposals, first)              # [B, 16]: of the second gripper
-    slots = slot_logits(output, proposals, first)                 # [B, 16, 51]: of the second gripper, for each block
+    slots = slot_logits(output, proposals, first)                 # [B, 16, 33]: of the second gripper, for each block
 
 Folding does not change the network: all maps between an edge and its attention are linear, so their matrices can be
 multiplied together. They then act on 16 nodes instead of 240 edges (policy/src/network/gat.rs has the algebra).
@@ -64,11 +64,10 @@ MAX_NORMALIZED = 10.0
 LAYER_NORM_EPSILON = 1e-5
 NO_EDGE = -1e9
 MASKED = -1e9
-# Proposals: kinds with a partner (join, meet, detach) and without (hold, lift, free), and length of a relation.
-N_PAIRED, N_ALONE, N_RELATION = 3, 3, 8
-N_KINDS = N_PAIRED + N_ALONE
-N_SLOTS = N_PAIRED * N_BLOCKS + N_ALONE
-FREE = N_SLOTS - 1
+# Proposals: kinds with a partner (join, detach), all kinds (hold too), and length of a relation. Hold is the last slot.
+N_PAIRED, N_KINDS, N_RELATION = 2, 3, 8
+HOLD = N_PAIRED * N_BLOCKS
+N_SLOTS = HOLD + 1
 # Parts of a block's read-outs and their lengths: queries, keys, coefficients, and biases of the logits
 # (policy/src/mixture.rs).
 KEY = 16
@@ -76,7 +75,7 @@ READOUTS = {
     "slot_query": KEY,
     "slot_key": KEY,
     "paired": N_PAIRED * (N_RELATION + 1),
-    "alone": N_ALONE,
+    "alone": N_KINDS - N_PAIRED,
     "after": N_KINDS * N_KINDS,
     "toward_first": N_KINDS * N_PAIRED,
     "mutual": N_KINDS * N_PAIRED,
@@ -97,11 +96,9 @@ class Output(NamedTuple):
 
 
 class MixtureOutput(NamedTuple):
-    """The same with the mixture head."""
+    """The output with the mixture head."""
 
     logits: Tensor
-    locs: Tensor
-    scales: Tensor
     values: Tensor
     readouts: Tensor
 
@@ -123,14 +120,12 @@ class Draw(NamedTuple):
     slot: Tensor
 
     def kind(self) -> Tensor:
-        """Returns the kind, 0 to 5 [B]."""
-        return torch.where(self.slot < N_SLOTS - N_ALONE, self.slot // N_BLOCKS, self.slot - N_SLOTS + N_KINDS)
+        """Returns the kind, 0 to 2 [B]."""
+        return self.slot // N_BLOCKS
 
     def partner(self) -> Tensor:
         """Returns the partner as a one-hot [B, 16], all zeros if the kind has none."""
-        blocks = torch.arange(N_BLOCKS, device=self.slot.device)
-        has_partner = self.slot < N_SLOTS - N_ALONE
-        return (has_partner.unsqueeze(-1) & (blocks == self.slot.unsqueeze(-1) % N_BLOCKS)).float()
+        return F.one_hot(self.slot, N_SLOTS)[:, :HOLD].unflatten(-1, (N_PAIRED, N_BLOCKS)).sum(1).float()
 
 
 class Folded(NamedTuple):
@@ -314,30 +309,35 @@ class GraphLayer(nn.Module):
 
 
 class PolicyHead(nn.Module):
-    """Maps nodes and scene to the action distribution."""
+    """Maps nodes and scene to what actions are drawn from."""
 
     def __init__(self, c: Config):
         super().__init__()
         self.config = c
         self.input_global = Linear(c.global_, c.width, bias=False)
-        self.act_loc = Linear(c.width, MOVE)
-        self.act_scale = Linear(c.width, MOVE)
+        if not c.mixture:
+            self.act_loc = Linear(c.width, MOVE)
+            self.act_scale = Linear(c.width, MOVE)
         self.grip_key = Linear(2 * c.width, c.n_grippers * c.width, bias=False)
         self.block_key = Linear(c.width + c.n_grippers, c.width, bias=False)
         if c.mixture:
             self.proposals = Linear(c.width, sum(READOUTS.values()))
 
-    def forward(self, nodes: Tensor, scene: Tensor, raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """nodes [B, 16, w], scene [B, w], features of the scene [B, gd] -> logits, locs, scales."""
+    def forward(self, nodes: Tensor, scene: Tensor, raw: Tensor) -> Tensor:
+        """nodes [B, 16, w], scene [B, w], features of the scene [B, gd] -> logits."""
         c = self.config
         grip = self.grip_key(torch.cat([self.input_global(raw), scene], -1)).reshape(-1, c.n_grippers, c.width)
         held = raw.reshape(-1, c.n_grippers, c.global_ // c.n_grippers)[:, :, -N_BLOCKS:].transpose(1, 2)
         keys = self.block_key(torch.cat([nodes, held], -1))
-        logits = grip @ keys.transpose(1, 2) / math.sqrt(c.width)
+        return grip @ keys.transpose(1, 2) / math.sqrt(c.width)
+
+    def moves(self, nodes: Tensor) -> tuple[Tensor, Tensor]:
+        """nodes [B, 16, w] -> locs, scales."""
+        c = self.config
         scales = F.softplus(self.act_scale(nodes) + c.scale_offset()) + c.floor
         if c.max_std is not None:
             scales = (torch.tanh(scales / c.max_std) * c.max_std).clamp(min=c.floor)
-        return logits, self.act_loc(nodes), scales
+        return self.act_loc(nodes), scales
 
 
 class ValueHead(nn.Module):
@@ -398,9 +398,11 @@ class GraphNetwork(nn.Module):
         n, g = self.embed_node(nodes), self.embed_global(raw)
         for layer, matrices in zip(self.layers(), folded or self.fold()):
             n, g = layer(n, g, edges, self.no_edge, matrices)
-        logits, locs, scales = self.head(n, g, raw)
-        output = Output(logits, locs, scales, self.value(g, raw, logits))
-        return MixtureOutput(*output, self.head.proposals(n)) if self.config.mixture else output
+        logits = self.head(n, g, raw)
+        values = self.value(g, raw, logits)
+        if self.config.mixture:
+            return MixtureOutput(logits, values, self.head.proposals(n))
+        return Output(logits, *self.head.moves(n), values)
 
 
 def listed(self_edges: bool) -> Tensor:
@@ -422,7 +424,7 @@ def listed(self_edges: bool) -> Tensor:
 
 
 def parts_of(readouts: Tensor) -> dict[str, Tensor]:
-    """Splits read-outs [..., 192] by `READOUTS`."""
+    """Splits read-outs [..., 121] by `READOUTS`."""
     return dict(zip(READOUTS, readouts.split(list(READOUTS.values()), -1)))
 
 
@@ -433,14 +435,14 @@ def at_block(values: Tensor, block: Tensor) -> Tensor:
 
 
 def at_kind(values: Tensor, kind: Tensor) -> Tensor:
-    """[B, ..., 6 · n], [B] -> [B, ..., n]."""
+    """[B, ..., 3 · n], [B] -> [B, ..., n]."""
     values = values.unflatten(-1, (N_KINDS, -1))
     chosen = F.one_hot(kind, N_KINDS).to(values.dtype)
     return (values * chosen.reshape(-1, *[1] * (values.dim() - 3), N_KINDS, 1)).sum(-2)
 
 
 def slot_logits(output: MixtureOutput, proposals: Proposals, first: Draw | None = None) -> Tensor:
-    """Returns the logits of each block's slots [B, 16, 51], for the first gripper or, after `first`, for the second.
+    """Returns the logits of each block's slots [B, 16, 33], for the first gripper or, after `first`, for the second.
 
     What is not offered has the logit -1e9. A second gripper that chose the first one's block draws no slot.
     """
@@ -471,22 +473,19 @@ def second_logits(output: MixtureOutput, proposals: Proposals, first: Draw) -> T
     return output.logits[:, 1] + torch.where(F.one_hot(first.block, N_BLOCKS) == 1, same_block, others)
 
 
-def log_prob(output: MixtureOutput, proposals: Proposals, draws: Sequence[Draw], moves: Tensor) -> Tensor:
-    """Returns the log-probability [B] in nats of each gripper's draw, with moves [B, 16, 6].
+def log_prob(output: MixtureOutput, proposals: Proposals, draws: Sequence[Draw]) -> Tensor:
+    """Returns the log-probability [B] in nats of all grippers' draws.
 
-    Slot -1 says that the second gripper chose the first one's block. The moves count for `free` only: the noise around
-    other proposals has no parameters and is left out. Logits of blocks that may not be chosen are to be -1e9.
+    Slot -1 says that the second gripper chose the first one's block. The noise around a proposal has no parameters and
+    is left out. Logits of blocks that may not be chosen are to be -1e9.
     """
-    total = moves.new_zeros(len(moves))
+    total = torch.zeros_like(output.values)
     for gripper, draw in enumerate(draws):
         first = draws[0] if gripper else None
         blocks = second_logits(output, proposals, first) if first else output.logits[:, 0]
         total = total + at_block(torch.log_softmax(blocks, -1), draw.block)
         slots = torch.log_softmax(at_block(slot_logits(output, proposals, first), draw.block), -1)
-        loc, scale, move = (at_block(values, draw.block) for values in (output.locs, output.scales, moves))
-        density = torch.distributions.Normal(loc, scale, validate_args=False).log_prob(move).sum(-1)
-        of_slot = at_block(slots, draw.slot.clamp(min=0)) + torch.where(draw.slot == FREE, density, 0.0)
-        total = total + torch.where(draw.slot >= 0, of_slot, 0.0)
+        total = total + torch.where(draw.slot >= 0, at_block(slots, draw.slot.clamp(min=0)), 0.0)
     return total
 
 
@@ -570,16 +569,16 @@ class Policy(nn.Module):
     def export_onnx(self, path: str | Path) -> None:
         """Writes an ONNX graph for any batch size B. Inputs: nodes, edges, globals. Outputs: the fields of `Output`.
 
-        With the mixture head, the inputs have three more tensors, and the outputs are `MIXTURE_OUTPUTS`:
+        With the mixture head, there are three more inputs. The outputs are logits, values, and three more:
 
         | tensor | shape, type | meaning |
         |---|---|---|
         | relations (input) | [B, 16, 16, 8] float32 | as in `lodestone.proposals(env)` |
-        | offered (input) | [B, 16, 51] bool | the same |
+        | offered (input) | [B, 16, 33] bool | the same |
         | first (input) | [B, 2] int64 | block and slot that the first gripper drew |
-        | first_slots | [B, 16, 51] | logits of the first gripper's slots, for each block; they do not depend on `first` |
+        | first_slots | [B, 16, 33] | logits of the first gripper's slots, for each block; they do not depend on `first` |
         | second_blocks | [B, 16] | logits of the second gripper's block, after `first` |
-        | second_slots | [B, 16, 51] | logits of the second gripper's slots, for each block, after `first` |
+        | second_slots | [B, 16, 33] | logits of the second gripper's slots, for each block, after `first` |
 
         So draw the first gripper's block and slot from `logits[:, 0]` and `first_slots`, with any `first`, and run the
         graph again with them. With one gripper, there are neither `first` nor the outputs of the second.
@@ -612,7 +611,7 @@ class Policy(nn.Module):
         )
 
 
-MIXTURE_OUTPUTS = [*Output._fields, "first_slots", "second_blocks", "second_slots"]
+MIXTURE_OUTPUTS = ["logits", "values", "first_slots", "second_blocks", "second_slots"]
 
 
 class MixtureGraph(nn.Module):

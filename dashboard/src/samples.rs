@@ -17,8 +17,7 @@ pub(crate) fn mixture_learner() -> MetricsSample {
     learner.value["proposals"] = serde_json::json!({
         "first_proposal_entropy": 1.5, "second_block_entropy": 1.25, "second_proposal_entropy": 0.75,
         "kinds": {
-            "join": kind(100, 80, Some(0.125)), "meet": kind(50, 50, Some(0.04)), "detach": kind(0, 0, None),
-            "hold": kind(26, 0, None), "lift": kind(14, 0, None), "free": kind(10, 0, None),
+            "join": kind(150, 80, Some(0.125)), "detach": kind(10, 10, Some(0.4)), "hold": kind(40, 0, None),
             "of a later version": kind(0, 0, None),
         },
     });

@@ -1,7 +1,7 @@
 //! Builds goals by fixed rules in the policy's own action space: what proposals are worth without learning.
 //!
 //! The rules have no plan. Take a wrong connection apart; else take the nearest open link of the largest piece, and let
-//! its two blocks meet.
+//! its two blocks join.
 //!
 //! ```sh
 //! cargo run --release -p evaluator --example scripted_moves -- 12 16 10   # sizes, and episodes for each training goal
@@ -105,7 +105,7 @@ fn choose(seen: &Observation<'_>, proposals: &Proposals, focus: &mut Focus, rng:
     let is_joined = |a, b| scene.joints.iter().any(|joint| [(a, b), (b, a)].contains(&(joint.a, joint.b)));
     let offered = |block: BlockIdx, kind, partner| proposals.get(block.get(), Slot::paired(kind, partner)).is_some();
     let open = goal.links().iter().filter(|link| !is_joined(link.a, link.b)).map(|link| smaller_first(link.a, link.b));
-    let mut open: Vec<(BlockIdx, BlockIdx)> = open.filter(|&(i, j)| offered(i, Kind::Meet, j)).collect();
+    let mut open: Vec<(BlockIdx, BlockIdx)> = open.filter(|&(i, j)| offered(i, Kind::Join, j)).collect();
     // The largest piece first, and of its links the nearest: entry 4 of a relation falls with the steps that are left.
     let nearness = |(i, j): (BlockIdx, BlockIdx)| proposals.relation(i.get(), j.get())[4];
     open.sort_by(|&x, &y| size(y.1).cmp(&size(x.1)).then(nearness(y).total_cmp(&nearness(x))));
@@ -120,5 +120,5 @@ fn choose(seen: &Observation<'_>, proposals: &Proposals, focus: &mut Focus, rng:
         (i, j, 0)
     });
     *focus = Some((i, j, n_steps + 1));
-    [(i, Slot::paired(Kind::Meet, j)), (j, Slot::paired(Kind::Meet, i))]
+    [(i, Slot::paired(Kind::Join, j)), (j, Slot::paired(Kind::Join, i))]
 }

@@ -387,9 +387,9 @@ mod tests {
         for (proposals, message) in [
             ([hold, hold], None),
             ([hold, None], None),
-            ([Some(50), None], None),
-            ([Some(51), None], Some("step 1 was drawn from proposal 51, and the highest is 50")),
-            ([hold, Some(255)], Some("step 1 was drawn from proposal 255, and the highest is 50")),
+            ([Some(32), None], None),
+            ([Some(33), None], Some("step 1 was drawn from proposal 33, and the highest is 32")),
+            ([hold, Some(255)], Some("step 1 was drawn from proposal 255, and the highest is 32")),
             ([None, hold], Some("step 1 names no proposal, as each draw does with policy.network.move_head = mixture")),
         ] {
             assert_eq!(check(mixture, sampled, proposals).err().as_deref(), message, "{proposals:?}");

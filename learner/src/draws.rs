@@ -33,12 +33,12 @@ pub(crate) fn did(
         let [before, after] = [&transition.scene, after].map(|scene| connection(scene, blueprint, block, partner));
         let wanted = Some(true);
         match slot.kind() {
-            Kind::Join | Kind::Meet => {
+            Kind::Join => {
                 let is_open = blueprint.link(block, partner).is_some() && before != wanted;
                 is_open.then_some(after == wanted)
             }
             Kind::Detach => (before == Some(false)).then_some(after != Some(false)),
-            Kind::Hold | Kind::Lift | Kind::Free => None,
+            Kind::Hold => None,
         }
     })
 }
@@ -96,10 +96,9 @@ mod tests {
         let (done, not, nothing) = (Some(true), Some(false), None);
         for (slot, before, after, expected) in [
             (of(Kind::Join, b), None, Some(right), done),
-            (of(Kind::Meet, b), None, Some(right), done),
             (of(Kind::Join, b), Some(wrong), Some(right), done),
             (of(Kind::Join, b), None, None, not),
-            (of(Kind::Meet, b), None, Some(wrong), not),
+            (of(Kind::Join, b), None, Some(wrong), not),
             (of(Kind::Join, b), Some(right), Some(right), nothing),
             (of(Kind::Join, other), None, None, nothing),
             (of(Kind::Detach, b), Some(wrong), None, done),
@@ -107,7 +106,6 @@ mod tests {
             (of(Kind::Detach, b), Some(wrong), Some(wrong), not),
             (of(Kind::Detach, b), Some(right), None, nothing),
             (Slot::alone(Kind::Hold), None, Some(right), nothing),
-            (Slot::alone(Kind::Free), None, Some(right), nothing),
         ] {
             let mut segment = trajectory(1, 1);
             segment.transitions[0].scene.joints.extend(before);

@@ -468,7 +468,6 @@ fn normalized(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
 mod tests {
     use blueprints::Catalog;
     use policy::MoveHead;
-    use policy::proposals::{Kind, Slot};
     use proto::{Trajectory, WeightsVersion};
     use rand::SeedableRng;
 
@@ -497,13 +496,15 @@ mod tests {
                 let learned = ppo.update(&mut batch, None, &setup.config, &mut progress);
                 (learned, batch.refused, ppo.parameters)
             };
-            // A move whose density is 0 in f32. Proposals other than this one have no density that depends on weights.
-            let free = Some(Slot::alone(Kind::Free).index());
-            let has_density = |drawn: &Trajectory| drawn.transitions[0].proposals[0] == free;
-            let at = drawn.iter().position(has_density).unwrap_or(0);
             let (mut spoilt, mut others) = (drawn.clone(), drawn);
-            spoilt[at].transitions[0].action.moves = [[1e30; 6]; 16];
-            let refused = others.remove(at).fingerprint();
+            let transition = &mut spoilt[0].transitions[0];
+            match move_head {
+                // Its density is 0 in f32.
+                MoveHead::Gaussian => transition.action.moves = [[1e30; 6]; 16],
+                // The moves of the mixture have no density that depends on weights, but its choices do.
+                MoveHead::Mixture => transition.scene.blocks[15].position[0] = f32::NAN,
+            }
+            let refused = others.remove(0).fingerprint();
             let (found, expected) = (update(&spoilt), update(&others));
             assert_eq!((found.1, expected.1), (vec![refused], vec![]), "{move_head:?}");
             assert_eq!((found.0.ppo, found.0.proposals), (expected.0.ppo, expected.0.proposals));

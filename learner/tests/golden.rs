@@ -12,7 +12,7 @@ use learner::gae;
 use learner::loss::{RatioStatistics, policy_loss, value_loss};
 use policy::JointForm;
 use policy::loss_terms::{self, ActionTensors};
-use policy::network::NetworkOutput;
+use policy::network::{MoveTensors, NetworkOutput};
 use proto::{Action, Status};
 use serde_json::Value;
 
@@ -97,8 +97,10 @@ impl Ppo {
     fn output(&self, which: &str) -> NetworkOutput {
         let heads = &self.golden[which];
         NetworkOutput {
-            locs: self.cube(&heads["locs"]).require_grad(),
-            scales: self.cube(&heads["scales"]).require_grad(),
+            moves: Some(MoveTensors {
+                locs: self.cube(&heads["locs"]).require_grad(),
+                scales: self.cube(&heads["scales"]).require_grad(),
+            }),
             logits: self.cube(&heads["grip_logits"]).require_grad(),
             values: self.vector(&heads["value"]).require_grad(),
             readouts: None,
@@ -149,8 +151,13 @@ fn policy_loss_and_gradients_match_in_forms_with_a_shared_move() {
         close(name, &to_vec(loss.clone()), &flat(&expected["policy_loss_per_item"]), 1e-4);
         let gradients = loss.mean().backward();
         close(name, &to_vec(output.logits.grad(&gradients).unwrap()), &flat(&expected["grad_logits"]), 1e-4);
-        close(name, &to_vec(output.locs.grad(&gradients).unwrap()), &flat(&expected["grad_locs"]), 1e-4);
-        close(name, &to_vec(output.scales.grad(&gradients).unwrap()), &flat(&expected["grad_scales"]), 1e-4);
+        close(name, &to_vec(output.gaussians().locs.grad(&gradients).unwrap()), &flat(&expected["grad_locs"]), 1e-4);
+        close(
+            name,
+            &to_vec(output.gaussians().scales.grad(&gradients).unwrap()),
+            &flat(&expected["grad_scales"]),
+            1e-4,
+        );
     }
 }
 

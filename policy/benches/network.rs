@@ -89,10 +89,11 @@ fn update_on_burn(network: &Network, config: &FeatureConfig, b: usize) {
     let batch = BatchTensors::new(&batch(config, b), network.edge_layout(), &Device::flex().autodiff());
     report("burn update", b, || {
         let output = network.forward(&batch);
+        let moves = output.gaussians().clone();
         let loss = output.values.sum()
             + output.logits.powi_scalar(2).sum()
-            + output.locs.powi_scalar(2).sum()
-            + output.scales.log().sum();
+            + moves.locs.clone().powi_scalar(2).sum()
+            + moves.scales.clone().log().sum();
         let mut gradients = loss.backward();
         black_box(parameters::flatten_gradients(network, &mut gradients));
     });

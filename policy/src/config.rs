@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 /// versions of checkpoints and policies with it, so that programs refuse parameters that were trained on other features.
 pub const FEATURE_LAYOUT: u32 = 2;
 
+/// Version of the [slots](crate::proposals::Slot) and of the read-outs in `mixture.rs`, incremented likewise.
+pub const MIXTURE_LAYOUT: u32 = 2;
+
 settings! {
     /// Everything that determines the meaning of a set of parameters. All services of a run use the same configuration.
     pub struct PolicyConfig in "policy", check consistency {
@@ -66,7 +69,7 @@ settings! {
         /// Hidden layers of the value head.
         pub value_hidden: Vec<usize> = vec![512; 3], in 1..=4096,
             where |c| c.value_hidden.len() <= 8 => "at most 8 layers";
-        /// Standard deviations of moves.
+        /// Standard deviations of moves; for the Gaussian head.
         pub scale: ScaleConfig;
         /// How moves are drawn.
         #[serde(skip_serializing_if = "MoveHead::is_gaussian")]
@@ -172,12 +175,16 @@ impl PolicyConfig {
         InvalidSetting::check(format_args!("{path}.features.n_grippers"), own, own == network, expected)
     }
 
-    /// Hashes everything that gives parameters their meaning, for `Weights::network_hash`: the configuration and
-    /// [`FEATURE_LAYOUT`].
+    /// Hashes everything that gives parameters their meaning, for `Weights::network_hash`: the configuration,
+    /// [`FEATURE_LAYOUT`], and for the mixture head [`MIXTURE_LAYOUT`].
     ///
     /// The mask, `grip_steps`, and the joint form are left out, because the same parameters are valid with any of them.
     pub fn hash(&self) -> u64 {
-        config_hash(&(&self.network, &self.features, FEATURE_LAYOUT))
+        let common = (&self.network, &self.features, FEATURE_LAYOUT);
+        match self.network.move_head {
+            MoveHead::Gaussian => config_hash(&common),
+            MoveHead::Mixture => config_hash(&(common, MIXTURE_LAYOUT)),
+        }
     }
 
     /// Returns the first setting of those in the [hash](Self::hash) that `theirs` has otherwise.

@@ -7,7 +7,7 @@ use crate::FeatureBatch;
 use crate::config::PolicyConfig;
 use crate::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use crate::mixture::{ActionRows, DrawLogits, DrawNumbers};
-use crate::network::{BatchTensors, Folded, Network, NetworkOutput};
+use crate::network::{BatchTensors, Folded, MoveTensors, Network, NetworkOutput};
 use crate::parameters::{self, ParameterError, ParameterSpec};
 
 /// A network with parameters.
@@ -131,8 +131,10 @@ impl Engine {
                 let draws = (!draws.is_empty())
                     .then(|| DrawNumbers::new(draws, &outputs.readouts).to_tensors(draws.len(), &device));
                 let leaves = NetworkOutput {
-                    locs: leaves.locs.require_grad(),
-                    scales: leaves.scales.require_grad(),
+                    moves: leaves.moves.map(|MoveTensors { locs, scales }| MoveTensors {
+                        locs: locs.require_grad(),
+                        scales: scales.require_grad(),
+                    }),
                     logits: leaves.logits.require_grad(),
                     values: leaves.values.require_grad(),
                     readouts: None,
@@ -177,9 +179,12 @@ impl Engine {
                     }
                     None => vec![0.0; readouts.len()],
                 };
+                let [locs, scales] = leaves.moves.as_ref().map_or_else(Default::default, |moves| {
+                    [&moves.locs, &moves.scales].map(|leaf| leaf_gradient(leaf, &mut gradients))
+                });
                 let by_output = Outputs {
-                    locs: leaf_gradient(&leaves.locs, &mut gradients),
-                    scales: leaf_gradient(&leaves.scales, &mut gradients),
+                    locs,
+                    scales,
                     logits: leaf_gradient(&leaves.logits, &mut gradients),
                     values: leaf_gradient(&leaves.values, &mut gradients),
                     readouts: by_readouts,
@@ -208,10 +213,11 @@ impl Engine {
 
 fn run_on_burn(network: &Network, folded: &Folded, batch: &FeatureBatch, device: &Device) -> Outputs {
     let batch = BatchTensors::new(batch, network.edge_layout(), device);
-    let NetworkOutput { locs, scales, logits, values, readouts, .. } = network.forward_folded(folded, &batch);
+    let NetworkOutput { moves, logits, values, readouts, .. } = network.forward_folded(folded, &batch);
+    let (locs, scales) = moves.map(|moves| (to_vec(moves.locs), to_vec(moves.scales))).unwrap_or_default();
     Outputs {
-        locs: to_vec(locs),
-        scales: to_vec(scales),
+        locs,
+        scales,
         logits: to_vec(logits),
         values: to_vec(values),
         readouts: readouts.map(to_vec).unwrap_or_default(),
@@ -225,8 +231,8 @@ impl Outputs {
         let cube =
             |values: &[f32], shape: [usize; 3]| Tensor::from_data(TensorData::new(values.to_vec(), shape), device);
         NetworkOutput {
-            locs: cube(&self.locs, [n, 16, 6]),
-            scales: cube(&self.scales, [n, 16, 6]),
+            moves: (!self.locs.is_empty())
+                .then(|| MoveTensors { locs: cube(&self.locs, [n, 16, 6]), scales: cube(&self.scales, [n, 16, 6]) }),
             logits: cube(&self.logits, [n, n_grippers, 16]),
             values: Tensor::from_data(TensorData::new(self.values.clone(), [n]), device),
             readouts: None,

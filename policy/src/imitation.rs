@@ -4,7 +4,7 @@ use blueprints::N_BLOCKS;
 use burn::tensor::{Device, Tensor, TensorData, activation};
 use proto::Label;
 
-use crate::network::NetworkOutput;
+use crate::network::{MoveTensors, NetworkOutput};
 
 /// Entries of a move.
 const MOVE: usize = 6;
@@ -62,7 +62,8 @@ impl LabelTensors {
 pub fn imitation(output: &NetworkOutput, labels: &LabelTensors, delta: f32) -> ImitationTensors {
     let log_probs = activation::log_softmax(output.logits.clone(), 2) * labels.choices.clone();
     let blocks = log_probs.flatten::<2>(1, 2).sum_dim(1).squeeze_dim(1).neg();
-    let error = (output.locs.clone() - labels.moves.clone()).abs();
+    let MoveTensors { locs, scales } = output.gaussians();
+    let error = (locs.clone() - labels.moves.clone()).abs();
     // With c = min(|e|, δ): c²/(2δ) + |e| − c is e²/(2δ) inside and |e| − δ/2 outside, without a branch.
     let inside = error.clone().clamp_max(delta);
     let smooth = inside.clone().powi_scalar(2).div_scalar(2.0 * delta) + error - inside;
@@ -70,8 +71,8 @@ pub fn imitation(output: &NetworkOutput, labels: &LabelTensors, delta: f32) -> I
         let by_block = entries.mean_dim(2).squeeze_dim::<2>(2) * labels.labeled.clone();
         by_block.sum_dim(1).squeeze_dim(1)
     };
-    let z = (output.locs.clone().detach() - labels.moves.clone()) / output.scales.clone();
-    let likelihood = z.powi_scalar(2).mul_scalar(0.5) + output.scales.clone().log();
+    let z = (locs.clone().detach() - labels.moves.clone()) / scales.clone();
+    let likelihood = z.powi_scalar(2).mul_scalar(0.5) + scales.clone().log();
     ImitationTensors { blocks, moves: by_block(smooth), scales: by_block(likelihood) }
 }
 
@@ -91,9 +92,10 @@ pub fn divergence(reference: &NetworkOutput, output: &NetworkOutput) -> Tensor<1
         .reduce(|a, b| a * b)
         .expect("there is at least one gripper");
     let chosen = nobody.neg().add_scalar(1.0);
-    let (s, t) = (reference.scales.clone(), output.scales.clone());
+    let (p, q) = (reference.gaussians(), output.gaussians());
+    let (s, t) = (p.scales.clone(), q.scales.clone());
     // ln(t/s) + (s² + (μ − ν)²) / 2t² − ½ per entry.
-    let distance = (s.clone().powi_scalar(2) + (reference.locs.clone() - output.locs.clone()).powi_scalar(2))
+    let distance = (s.clone().powi_scalar(2) + (p.locs.clone() - q.locs.clone()).powi_scalar(2))
         / t.clone().powi_scalar(2).mul_scalar(2.0);
     let by_block = (t.log() - s.log() + distance).sub_scalar(0.5).sum_dim(2).squeeze_dim::<2>(2);
     choice.flatten::<2>(1, 2).sum_dim(1).squeeze_dim(1) + (by_block * chosen).sum_dim(1).squeeze_dim(1)
@@ -121,8 +123,10 @@ mod tests {
         locs[(N_BLOCKS + 2) * MOVE] = 0.3;
         let output = NetworkOutput {
             logits: tensor(logits, [2, 2, N_BLOCKS]),
-            locs: tensor(locs, [2, N_BLOCKS, MOVE]),
-            scales: tensor(vec![1.0; 2 * N_BLOCKS * MOVE], [2, N_BLOCKS, MOVE]),
+            moves: Some(MoveTensors {
+                locs: tensor(locs, [2, N_BLOCKS, MOVE]),
+                scales: tensor(vec![1.0; 2 * N_BLOCKS * MOVE], [2, N_BLOCKS, MOVE]),
+            }),
             values: Tensor::from_data(TensorData::new(vec![0.0_f32; 2], [2]), &device),
             readouts: None,
             draws: None,
@@ -161,8 +165,10 @@ mod tests {
             locs[3 * MOVE] = loc;
             NetworkOutput {
                 logits: tensor(logits, [1, 1, N_BLOCKS]),
-                locs: tensor(locs, [1, N_BLOCKS, MOVE]),
-                scales: tensor(vec![scale; N_BLOCKS * MOVE], [1, N_BLOCKS, MOVE]),
+                moves: Some(MoveTensors {
+                    locs: tensor(locs, [1, N_BLOCKS, MOVE]),
+                    scales: tensor(vec![scale; N_BLOCKS * MOVE], [1, N_BLOCKS, MOVE]),
+                }),
                 values: Tensor::from_data(TensorData::new(vec![0.0_f32], [1]), &device),
                 readouts: None,
                 draws: None,

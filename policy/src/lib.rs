@@ -35,5 +35,5 @@ pub use config::{
 pub use device::{DeviceError, DeviceKind};
 pub use engine::{Engine, Leaves};
 pub use features::FeatureSizes;
-pub use network::{BatchTensors, Network, NetworkOutput};
+pub use network::{BatchTensors, MoveTensors, Network, NetworkOutput};
 pub use policy::{Attention, Policy, PolicyError, check_settings};

@@ -7,8 +7,8 @@ use proto::{Action, N_GRIPPERS};
 use crate::config::JointForm;
 use crate::distribution::{HALF_LN_2PI, MASKED_LOGIT};
 use crate::mixture::{ActionRows, Row};
-use crate::network::NetworkOutput;
-use crate::proposals::{Kind, Slot};
+use crate::network::{MoveTensors, NetworkOutput};
+use crate::proposals::Slot;
 
 /// Entries of a move.
 const MOVE: usize = 6;
@@ -31,8 +31,6 @@ pub struct DrawTensors {
     pub first: Tensor<2>,
     /// One-hot of the second gripper's proposal `[B, K]`; zeros where it moved nothing of its own.
     pub second: Tensor<2>,
-    /// 1 for the blocks that were moved by [`Kind::Free`] `[B, 16]`.
-    pub free: Tensor<2>,
 }
 
 /// Entropy by part, in nats, one value per step.
@@ -68,32 +66,22 @@ impl ActionTensors {
     /// Adds the draws: the slots of each action's proposals, and the rows that offer them.
     pub fn with_draws<'a>(
         self,
-        actions: impl ExactSizeIterator<Item = (&'a Action, &'a [Option<Slot>; N_GRIPPERS], &'a ActionRows)>,
+        actions: impl ExactSizeIterator<Item = (&'a [Option<Slot>; N_GRIPPERS], &'a ActionRows)>,
         device: &Device,
     ) -> Self {
         let b = actions.len();
         let all: Vec<_> = actions.collect();
         let one_hot = |gripper: usize, row: fn(&ActionRows) -> &Row| {
-            let width = all.iter().map(|(_, _, rows)| row(rows).len()).max().unwrap_or(0).max(1);
+            let width = all.iter().map(|(_, rows)| row(rows).len()).max().unwrap_or(0).max(1);
             let mut values = vec![0.0_f32; b * width];
-            for ((_, slots, rows), values) in all.iter().zip(values.chunks_exact_mut(width)) {
+            for ((slots, rows), values) in all.iter().zip(values.chunks_exact_mut(width)) {
                 if let Some(at) = slots[gripper].and_then(|slot| row(rows).position(slot.index())) {
                     values[at] = 1.0;
                 }
             }
             Tensor::<2>::from_data(TensorData::new(values, [b, width]), device)
         };
-        let mut free = vec![0.0_f32; b * N_BLOCKS];
-        for ((action, slots, _), free) in all.iter().zip(free.chunks_exact_mut(N_BLOCKS)) {
-            for (choice, slot) in action.choices.iter().zip(*slots) {
-                if let (Some(block), Some(Kind::Free)) = (choice, slot.map(Slot::kind)) {
-                    free[block.get()] = 1.0;
-                }
-            }
-        }
-        let free = Tensor::from_data(TensorData::new(free, [b, N_BLOCKS]), device);
-        let draws =
-            DrawTensors { first: one_hot(0, |rows| &rows.first), second: one_hot(1, |rows| &rows.second), free };
+        let draws = DrawTensors { first: one_hot(0, |rows| &rows.first), second: one_hot(1, |rows| &rows.second) };
         Self { draws: Some(draws), ..self }
     }
 }
@@ -123,16 +111,17 @@ pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[[bool; N_BLOCKS]; N_GRI
 /// → `[B]`
 pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm) -> Tensor<1> {
     let choice = per_row(activation::log_softmax(block_logits(output), 2) * actions.choices.clone());
-    let z = (actions.moves.clone() - output.locs.clone()) / output.scales.clone();
-    let density = (z.powi_scalar(2).mul_scalar(-0.5) - output.scales.clone().log()).sub_scalar(HALF_LN_2PI);
-    let by_block = density.sum_dim(2).squeeze_dim::<2>(2);
     if let (Some(logits), Some(drawn)) = (&output.draws, &actions.draws) {
         let of_draw = |logits: &Tensor<2>, drawn: &Tensor<2>| {
             (activation::log_softmax(logits.clone(), 1) * drawn.clone()).sum_dim(1).squeeze_dim::<1>(1)
         };
         let draws = of_draw(&logits.first, &drawn.first) + of_draw(&logits.second, &drawn.second);
-        return choice + draws + (by_block * drawn.free.clone()).sum_dim(1).squeeze_dim(1);
+        return choice + draws;
     }
+    let MoveTensors { locs, scales } = output.gaussians();
+    let z = (actions.moves.clone() - locs.clone()) / scales.clone();
+    let density = (z.powi_scalar(2).mul_scalar(-0.5) - scales.clone().log()).sub_scalar(HALF_LN_2PI);
+    let by_block = density.sum_dim(2).squeeze_dim::<2>(2);
     let weighted = match form {
         JointForm::Matrix => by_block,
         JointForm::ChosenPerGripper => by_block * counts(&actions.choices),
@@ -164,7 +153,7 @@ pub fn entropy(output: &NetworkOutput, draws: Option<&DrawTensors>, form: JointF
             moves: of_draw(&logits.first, &drawn.first) + of_draw(&logits.second, &drawn.second),
         };
     }
-    let of_move = output.scales.clone().log().add_scalar(0.5 + HALF_LN_2PI).sum_dim(2).squeeze_dim::<2>(2);
+    let of_move = output.gaussians().scales.clone().log().add_scalar(0.5 + HALF_LN_2PI).sum_dim(2).squeeze_dim::<2>(2);
     let weighted = match form {
         JointForm::Matrix => of_move,
         JointForm::ChosenPerGripper => of_move * counts(&probs),

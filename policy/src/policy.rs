@@ -230,15 +230,14 @@ impl Policy {
             if let Some(allowed) = self.config.choosable(batch, row) {
                 mask_logits(logits, &allowed);
             }
-            let moves = row * 96..(row + 1) * 96;
-            let (locs, scales) = (&output.locs[moves.clone()], &output.scales[moves]);
             let no_choice = || self.no_distribution("a logit", f32::NAN);
             let (action, proposals, log_prob) = if let Some(proposals) = batch.proposals.get(row) {
                 let readouts = &output.readouts[row * N_BLOCKS * N_READOUTS..][..N_BLOCKS * N_READOUTS];
-                let distribution = MixtureDistribution { logits, locs, scales, readouts, proposals };
+                let distribution = MixtureDistribution { logits, readouts, proposals };
                 let drawn = distribution.act(*mode, rng).ok_or_else(no_choice)?;
                 (drawn.action, drawn.slots.map(|slot| slot.map(Slot::index)), drawn.log_prob)
             } else {
+                let [locs, scales] = [&output.locs, &output.scales].map(|of| &of[row * 96..(row + 1) * 96]);
                 let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
                 let action = match mode {
                     ActionMode::Sampled => distribution.sample(rng).ok_or_else(no_choice)?,

@@ -4,26 +4,23 @@
 //! around it with noise that grows with the move. What is proposed is a function of scene and blueprint.
 //!
 //! ```text
-//!  join j, not aligned          join j, aligned        meet j                    detach j
+//!  join j, not aligned          join j, aligned               detach j
 //!
-//!       ┌───┐ → ╮                    ┌───┐             ┌───┐   half of          ┌───┐ ↗  pull, lift,
-//!       │ i │    ╲ the funnel        │ i │             │ i │ ↘ the way          │ i │↻   bend, twist
-//!       └───┘     ↓                  └─↓─┘             └───┘                    └───┘
-//!              ┌─────┐              ┌─────┐               ↖ ┌─────┐              ┌─────┐
-//!              │  j  │              │  j  │                 │  j  │              │  j  │
-//!              └─────┘              └─────┘                 └─────┘              └─────┘
+//!       ┌───┐ → ╮                  ┌───┐  both come,          ┌───┐ ↗  pull, lift,
+//!       │ i │    ╲ the funnel      │ i │ ↘ each its           │ i │↻   bend, twist
+//!       └───┘     ↓                └───┘   part               └───┘
+//!              ┌─────┐                 ↖ ┌─────┐              ┌─────┐
+//!              │  j  │ waits             │  j  │              │  j  │
+//!              └─────┘                   └─────┘              └─────┘
 //!
-//!  hold: rise to half a meter     lift: half a step up     free: the Gaussian of the network
+//!  hold: rise to half a meter
 //! ```
 //!
 //! | kind | of | the move of i | proposed if |
 //! |---|---|---|---|
-//! | [`Join`](Kind::Join) | each j | to its place relative to j; through the funnel if the two are to be connected | both belong to the blueprint, and no connections make them move together, or theirs is still to be made |
-//! | [`Meet`](Kind::Meet) | each j | its part of that, for when j comes as well | the same, and the blueprint connects the two, and nothing does yet |
+//! | [`Join`](Kind::Join) | each j | its part of the way to its place relative to j; through the funnel until it is aligned | the blueprint connects the two, nothing does yet, and no wrong connection makes them move together |
 //! | [`Detach`](Kind::Detach) | each j | away from j, a little up, and turning | the two are connected, but not as the blueprint wants it |
 //! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground; nothing if it is higher | always |
-//! | [`Lift`](Kind::Lift) | i | half a step up | always |
-//! | [`Free`](Kind::Free) | i | drawn from the network's own Gaussian | always |
 //!
 //! **The funnel.** On the way to its place, i stays off j in the direction in which their pieces part most freely (or
 //! along the normal of the connection, if they belong to one piece already): the farther it will be from the axis after
@@ -36,13 +33,14 @@
 //! **The detour.** If blocks of other pieces are between i and that point, i goes around them (`detour.rs`): straight
 //! ways through a structure were what broke most of its connections.
 //!
-//! **Meeting.** Of two pieces, the larger one waits until the smaller one is aligned, so high that there is room below
-//! the place where the other will be. Then both come, and the larger one goes a smaller part of the way. Pieces of one
-//! size go half of the way from the start.
+//! **Parts of the way.** Of two pieces, the larger one waits until the smaller one is aligned, so high that there is room
+//! below the place where the other will be. Then both come, and the larger one goes a smaller part of the way. Pieces of
+//! one size go half of the way from the start. Where there is only one gripper, its block goes all the way.
 //!
 //! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
 //! more than one step is scaled down, so that shift and turn arrive together.
 
+use std::cell::OnceCell;
 use std::ops::Range;
 
 use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS};
@@ -92,13 +90,11 @@ const TOUCH_M: f32 = 0.015;
 const BACK_OFF_M: [f32; 2] = [0.05, 0.8];
 /// Overlap at which a turning block still has room, m.
 const SLACK_M: f32 = 0.003;
-/// Entry 5 of a relation from which on both pieces come to a meeting.
-const MEETING: f32 = 0.5;
+/// Entry 5 of a relation from which on both pieces come.
+const BOTH_COME: f32 = 0.5;
 
 /// Height to which a held block, or the place of a block that is to come to it, rises, m: room for other blocks below.
 const HOLD_M: f32 = 0.5;
-/// The part of a step that `Lift` rises.
-const LIFT: f32 = 0.5;
 /// Pull and lift of `Detach`, as fractions of the speed limit.
 const PULL: f32 = 0.4;
 const PULL_UP: f32 = 0.06;
@@ -106,37 +102,28 @@ const PULL_UP: f32 = 0.06;
 /// What a proposal does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// Goes to its place relative to a partner.
+    /// Comes to its place relative to a partner.
     Join,
-    /// Goes a part of the way.
-    Meet,
     /// Breaks a wrong connection with a partner.
     Detach,
     /// Stays, above the ground.
     Hold,
-    /// Rises.
-    Lift,
-    /// Draws from the network's own Gaussian.
-    Free,
 }
 
 impl Kind {
     /// The kinds with a partner, in the order of their slots.
-    pub const PAIRED: [Self; 3] = [Self::Join, Self::Meet, Self::Detach];
+    pub const PAIRED: [Self; 2] = [Self::Join, Self::Detach];
     /// The kinds without a partner, in the order of their slots.
-    pub const ALONE: [Self; 3] = [Self::Hold, Self::Lift, Self::Free];
+    pub const ALONE: [Self; 1] = [Self::Hold];
     /// All kinds.
-    pub const ALL: [Self; 6] = [Self::Join, Self::Meet, Self::Detach, Self::Hold, Self::Lift, Self::Free];
+    pub const ALL: [Self; 3] = [Self::Join, Self::Detach, Self::Hold];
 
-    /// Returns the name, as in metrics: `join`, `meet`, `detach`, `hold`, `lift`, or `free`.
+    /// Returns the name, as in metrics: `join`, `detach`, or `hold`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Join => "join",
-            Self::Meet => "meet",
             Self::Detach => "detach",
             Self::Hold => "hold",
-            Self::Lift => "lift",
-            Self::Free => "free",
         }
     }
 }
@@ -192,7 +179,7 @@ impl Slot {
 pub struct Proposal {
     /// Its place.
     pub slot: Slot,
-    /// The mean of the move; zeros for [`Kind::Free`].
+    /// The mean of the move.
     pub movement: Move,
 }
 
@@ -220,27 +207,19 @@ impl Proposals {
         let view = View::new(observation.scene, observation.blueprint);
         let mut proposals =
             Self { entries: Vec::with_capacity(4 * N), ends: [0; N], relations: vec![[0.0; N_RELATION]; N * N] };
-        let [mut joins, mut meets] = [Vec::with_capacity(N), Vec::with_capacity(N)];
         let mut detaches = Vec::with_capacity(N);
         for i in BlockIdx::all() {
-            joins.clear();
-            meets.clear();
             detaches.clear();
-            let around = view.surroundings(i);
+            let around = OnceCell::new();
+            let mut push = |slot, movement| proposals.entries.push(Proposal { slot, movement });
             for j in BlockIdx::all().filter(|&j| j != i) {
-                let pair = view.pair(&around, j);
-                joins.extend(pair.join.map(|join| (j, join.to_move())));
-                meets.extend(pair.join.filter(|_| pair.is_open).map(|join| (j, view.meet(i, j, join, &pair.relation))));
-                detaches.extend(pair.detach.map(|detach| (j, detach)));
+                let pair = view.pair(i, j, &around);
+                pair.join.into_iter().for_each(|join| push(Slot::paired(Kind::Join, j), join));
+                detaches.extend(pair.detach.map(|detach| (Slot::paired(Kind::Detach, j), detach)));
                 proposals.relations[i.get() * N + j.get()] = pair.relation;
             }
-            let mut push = |slot, movement| proposals.entries.push(Proposal { slot, movement });
-            joins.iter().for_each(|(j, join)| push(Slot::paired(Kind::Join, *j), *join));
-            meets.iter().for_each(|(j, meet)| push(Slot::paired(Kind::Meet, *j), *meet));
-            detaches.iter().for_each(|(j, detach)| push(Slot::paired(Kind::Detach, *j), *detach));
+            detaches.iter().for_each(|&(slot, detach)| push(slot, detach));
             push(Slot::alone(Kind::Hold), view.hold(i));
-            push(Slot::alone(Kind::Lift), view.rise(i, LIFT * STEP_M));
-            push(Slot::alone(Kind::Free), [0.0; 6]);
             proposals.ends[i.get()] = proposals.entries.len() as u16;
         }
         proposals
@@ -265,8 +244,8 @@ impl Proposals {
     /// | 1 | in one piece | 0 or 1 |
     /// | 2 | connected, correctly or not | 0 or 1 |
     /// | 3 | a gripper holds j | 0 or 1 |
-    /// | 4 | exp(−n / 2), with the n steps that the join takes | 0 to 1 |
-    /// | 5 | exp(−3 d), with the larger of the lateral distance and the turn, in steps | 0 to 1 |
+    /// | 4 | if to be connected, and not correctly connected: exp(−n / 2), with the n steps to i's place | 0 to 1 |
+    /// | 5 | the same with exp(−3 d), with the larger of the lateral distance and the turn, in steps | 0 to 1 |
     /// | 6 | to be connected, in one piece, and not connected | 0 or 1 |
     /// | 7 | connected, but not as the blueprint wants it | 0 or 1 |
     pub fn relation(&self, i: usize, j: usize) -> &[f32; N_RELATION] {
@@ -294,6 +273,9 @@ struct View<'a> {
     held: [bool; N],
     /// Number of blocks of each piece, at the index of its name.
     sizes: [u8; N],
+    solids: [Solid; N],
+    /// Whether two blocks can move at once.
+    has_two_grippers: bool,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -303,9 +285,8 @@ enum Connection {
     Wrong,
 }
 
-/// A block and what is around it.
+/// What is around a block.
 struct Surroundings {
-    block: BlockIdx,
     /// The blocks of all other pieces.
     obstacles: Vec<Solid>,
     /// Whether it touches one of them.
@@ -314,9 +295,7 @@ struct Surroundings {
 
 /// The proposals of an ordered pair.
 struct Pair {
-    join: Option<Way>,
-    /// Whether the blueprint connects the two, and nothing does yet.
-    is_open: bool,
+    join: Option<Move>,
     detach: Option<Move>,
     relation: [f32; N_RELATION],
 }
@@ -343,25 +322,24 @@ impl<'a> View<'a> {
         scene.grippers.iter().flatten().filter_map(|gripper| gripper.held).for_each(|block| held[block.get()] = true);
         let mut sizes = [0; N];
         pieces.iter().for_each(|&piece| sizes[piece] += 1);
-        let (radii, bodies) = (std::array::from_fn(radius), scene.bodies());
-        Self { radii, blueprint, frames, pieces, bodies, shapes: cells.map(Shape::new), connections, held, sizes }
+        let solid = |i: usize| Solid::new(BlockIdx::try_from(i as u8).expect("below 16"), frames[i]);
+        Self {
+            blueprint,
+            radii: std::array::from_fn(radius),
+            solids: std::array::from_fn(solid),
+            frames,
+            pieces,
+            bodies: scene.bodies(),
+            shapes: cells.map(Shape::new),
+            connections,
+            held,
+            sizes,
+            has_two_grippers: scene.grippers.iter().all(Option::is_some),
+        }
     }
 
     fn size(&self, block: BlockIdx) -> u8 {
         self.sizes[self.pieces[block.get()]]
-    }
-
-    /// Returns i's part in a meeting with j.
-    fn meet(&self, i: BlockIdx, j: BlockIdx, join: Way, relation: &[f32; N_RELATION]) -> Move {
-        let (own, other) = (self.size(i), self.size(j));
-        let is_aligned = relation[5] > MEETING;
-        if is_aligned || own == other {
-            join.part(self.share(i, j)).to_move()
-        } else if own < other {
-            join.to_move()
-        } else {
-            self.wait(i, j)
-        }
     }
 
     /// Returns i's part of the way if both come. It falls with the square of the number of blocks that move with i:
@@ -389,75 +367,81 @@ impl<'a> View<'a> {
         [up.x, up.y, up.z, 0.0, 0.0, 0.0]
     }
 
-    fn pair(&self, around: &Surroundings, j: BlockIdx) -> Pair {
-        let i = around.block;
+    fn pair(&self, i: BlockIdx, j: BlockIdx, around: &OnceCell<Surroundings>) -> Pair {
         let connection = self.connections[i.get()][j.get()];
-        let is_wrong = connection == Connection::Wrong;
-        let bit = |is: bool| f32::from(u8::from(is));
-        let mut relation = [0.0; N_RELATION];
-        relation[2] = bit(connection != Connection::None);
-        relation[3] = bit(self.held[j.get()]);
-        relation[7] = bit(is_wrong);
-        let mut pair = Pair { join: None, is_open: false, detach: is_wrong.then(|| self.detach(i, j)), relation };
-        let Some(way) = self.way(i, j) else { return pair };
+        let (is_none, is_wrong) = (connection == Connection::None, connection == Connection::Wrong);
         let is_joined = self.pieces[i.get()] == self.pieces[j.get()];
         let link = self.blueprint.link(i, j);
         let is_linked = link.is_some();
-        pair.relation[0] = bit(is_linked && !is_joined);
-        pair.relation[1] = bit(is_joined);
-        pair.relation[4] = (-0.5 * way.n_steps()).exp();
-        pair.relation[6] = bit(is_linked && is_joined && connection == Connection::None);
-        pair.is_open = is_linked && connection == Connection::None;
-        // Toward a block that moves along, both would move, and nothing would change.
-        let moves_along = self.bodies[i.get()] == self.bodies[j.get()];
-        let is_possible = is_linked && connection != Connection::Right && (is_joined || !moves_along);
-        let mut join = way;
-        if let Some(link) = link {
+        let bits = [
+            is_linked && !is_joined,
+            is_joined,
+            !is_none,
+            self.held[j.get()],
+            false,
+            false,
+            is_linked && is_joined && is_none,
+            is_wrong,
+        ];
+        let mut relation = bits.map(|bit| f32::from(u8::from(bit)));
+        let mut join = None;
+        let open = link.filter(|_| connection != Connection::Right);
+        if let Some((link, way)) = open.zip(self.way(i, j)) {
             let normal = self.normal(i, j, link, is_joined);
-            let off_axis = way.off_axis(&normal);
-            let (lateral_m, turn_rad) = off_axis;
-            pair.relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
-            if is_possible {
-                let off = self.stand_off(around, j, &way, &normal, off_axis);
-                join.shift += normal * off;
-                // From where it is aligned, the pieces part freely.
-                if !is_joined && off >= 0.0 {
-                    join.shift = self.detour(around, &join, &normal);
-                }
-                if !is_joined && self.size(i) <= self.size(j) {
-                    join.shift += self.lift(i, &join);
-                }
+            let (lateral_m, turn_rad) = way.off_axis(&normal);
+            relation[4] = (-0.5 * way.n_steps()).exp();
+            relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
+            // Toward a block that moves along, both would move, and nothing would change.
+            if is_none && (is_joined || self.bodies[i.get()] != self.bodies[j.get()]) {
+                let both_come = relation[5] > BOTH_COME;
+                join = Some(self.join([i, j], around, way, &normal, both_come));
             }
         }
-        pair.join = (!moves_along || (is_joined && is_possible)).then_some(join);
-        pair
+        Pair { join, detach: is_wrong.then(|| self.detach(i, j)), relation }
     }
 
-    fn surroundings(&self, block: BlockIdx) -> Surroundings {
-        let own = self.solid(block);
-        let others = BlockIdx::all().filter(|k| self.pieces[k.get()] != self.pieces[block.get()]);
-        let obstacles: Vec<Solid> = others.map(|k| self.solid(k)).collect();
-        let at = &own.frame.position;
-        let mut near = obstacles.iter().filter(|obstacle| obstacle.may_meet(&own, TOUCH_M, at, at));
-        let is_touching = near.any(|obstacle| own.gap(obstacle) < TOUCH_M);
-        Surroundings { block, obstacles, is_touching }
-    }
-
-    fn solid(&self, block: BlockIdx) -> Solid {
-        Solid::new(block, self.frames[block.get()])
-    }
-
-    /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned. The last
-    /// argument is the way's [distance](Way::off_axis) from the axis.
-    fn stand_off(
+    /// Returns i's part in joining j.
+    fn join(
         &self,
-        around: &Surroundings,
-        j: BlockIdx,
-        way: &Way,
+        [i, j]: [BlockIdx; 2],
+        around: &OnceCell<Surroundings>,
+        mut way: Way,
         normal: &Vector3<f32>,
-        (lateral_m, turn_rad): (f32, f32),
-    ) -> f32 {
-        let i = around.block;
+        is_aligned: bool,
+    ) -> Move {
+        let (own, other) = (self.size(i), self.size(j));
+        let both_come = self.has_two_grippers && (is_aligned || own == other);
+        if self.has_two_grippers && own > other && !both_come {
+            return self.wait(i, j);
+        }
+        let around = around.get_or_init(|| self.surroundings(i));
+        let off = self.stand_off([i, j], around, &way, normal);
+        way.shift += normal * off;
+        if self.pieces[i.get()] != self.pieces[j.get()] {
+            // From where it is aligned, the pieces part freely.
+            if off >= 0.0 {
+                way.shift = self.detour(i, around, &way, normal);
+            }
+            if own <= other {
+                way.shift += self.lift(i, &way);
+            }
+        }
+        if both_come { way.part(self.share(i, j)).to_move() } else { way.to_move() }
+    }
+
+    fn surroundings(&self, i: BlockIdx) -> Surroundings {
+        let own = &self.solids[i.get()];
+        let others = (0..N).filter(|&k| self.pieces[k] != self.pieces[i.get()]);
+        let obstacles: Vec<Solid> = others.map(|k| self.solids[k]).collect();
+        let at = &own.frame.position;
+        let mut near = obstacles.iter().filter(|obstacle| obstacle.may_meet(own, TOUCH_M, at, at));
+        let is_touching = near.any(|obstacle| own.gap(obstacle) < TOUCH_M);
+        Surroundings { obstacles, is_touching }
+    }
+
+    /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned.
+    fn stand_off(&self, [i, j]: [BlockIdx; 2], around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> f32 {
+        let (lateral_m, turn_rad) = way.off_axis(normal);
         let wide = self.radii[i.get()].min(self.radii[j.get()]);
         let funnel = |left: f32| {
             let off = FUNNEL_SLOPE * (left * lateral_m - ALIGNED_M).max(0.0)
@@ -471,18 +455,25 @@ impl<'a> View<'a> {
         let left = 1.0 - 1.0 / way.n_steps().max(1.0);
         let off = funnel(left).max(now.min(NEAR_M + NEAR_PER_RADIUS * wide));
         let turns_here = around.is_touching && self.size(i) <= self.size(j);
-        if turns_here { self.room_to_turn(around, way, normal, off).unwrap_or(off) } else { off }
+        if turns_here { self.room_to_turn(i, around, way, normal, off).unwrap_or(off) } else { off }
     }
 
     /// Returns the least distance from its place, from `least` on, toward which a block can go and turn for a step
     /// without touching anything.
-    fn room_to_turn(&self, around: &Surroundings, way: &Way, normal: &Vector3<f32>, least: f32) -> Option<f32> {
-        let own = &self.frames[around.block.get()];
+    fn room_to_turn(
+        &self,
+        i: BlockIdx,
+        around: &Surroundings,
+        way: &Way,
+        normal: &Vector3<f32>,
+        least: f32,
+    ) -> Option<f32> {
+        let own = &self.frames[i.get()];
         let is_free = |off: &f32| {
             let way = Way { shift: way.shift + normal * *off, turn: way.turn };
             let step = 1.0 / way.n_steps().max(1.0);
             [0.5 * step, step].into_iter().all(|part| {
-                let there = Solid::new(around.block, way.part(part).moved(own));
+                let there = Solid::new(i, way.part(part).moved(own));
                 around.obstacles.iter().all(|obstacle| there.gap(obstacle) > -SLACK_M)
             })
         };
@@ -498,10 +489,10 @@ impl<'a> View<'a> {
     }
 
     /// Returns the first straight part of a way that leads around the obstacles, in the block's frame, m.
-    fn detour(&self, around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
-        let own = &self.frames[around.block.get()];
+    fn detour(&self, i: BlockIdx, around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
+        let own = &self.frames[i.get()];
         let to = own.position + own.axes * way.shift;
-        let mover = Solid::new(around.block, way.moved(own));
+        let mover = Solid::new(i, way.moved(own));
         let stop = next_stop(&mover, &own.position, &to, &(own.axes * normal), &around.obstacles);
         own.localize(&(stop - own.position))
     }

@@ -52,6 +52,11 @@ fn scattered() -> Scene {
     }
 }
 
+/// With one gripper, joins go all the way.
+fn with_one_gripper(scene: Scene) -> Scene {
+    Scene { grippers: [scene.grippers[0], None], ..scene }
+}
+
 /// Puts `i` where the goal wants it relative to `j`, and then `off_m` and `turn` away in its own frame.
 fn place(scene: &mut Scene, goal: &Blueprint, i: BlockIdx, j: BlockIdx, off_m: Vector3<f32>, turn: Vector3<f32>) {
     let wanted = goal.relative(j, i).unwrap();
@@ -93,10 +98,10 @@ fn error(scene: &Scene, goal: &Blueprint, i: BlockIdx, j: BlockIdx) -> (f32, f32
 #[test]
 fn slots_are_numbered_by_kind_and_partner() {
     assert_eq!(Slot::paired(Kind::Join, block(3)).index(), 3);
-    assert_eq!(Slot::paired(Kind::Detach, block(15)).index(), 47);
-    assert_eq!(Slot::alone(Kind::Free).index(), 50);
-    assert_eq!(Slot::from_index(51), None);
-    for index in 0..51 {
+    assert_eq!(Slot::paired(Kind::Detach, block(15)).index(), 31);
+    assert_eq!(Slot::alone(Kind::Hold).index(), 32);
+    assert_eq!(Slot::from_index(33), None);
+    for index in 0..33 {
         let slot = Slot::from_index(index).unwrap();
         let again = slot
             .partner()
@@ -109,7 +114,7 @@ fn slots_are_numbered_by_kind_and_partner() {
 fn a_join_along_the_axis_presses_the_block_into_its_place() {
     let goal = goal("2_000");
     let link = goal.links()[0];
-    let mut scene = scattered();
+    let mut scene = with_one_gripper(scattered());
     // 10 cm off along the normal of the connection, not turned: the funnel is over.
     let found = proposals(&scene, &goal);
     assert!(found.get(link.a.get(), Slot::paired(Kind::Join, link.b)).is_some());
@@ -142,17 +147,18 @@ fn a_turned_block_is_turned_on_the_way_and_stays_off_until_then() {
     let link = goal.links()[0];
     let mut scene = scattered();
     place(&mut scene, &goal, link.a, link.b, Vector3::zeros(), Vector3::new(0.0, 0.3, 0.2));
-    let join = *proposals(&scene, &goal).get(link.a.get(), Slot::paired(Kind::Join, link.b)).unwrap();
+    let join_of =
+        |scene: &Scene| proposals(scene, &goal).get(link.a.get(), Slot::paired(Kind::Join, link.b)).unwrap().movement;
+    let join = join_of(&with_one_gripper(scene.clone()));
     let mut after = scene.clone();
-    after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join.movement);
+    after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join);
     let (distance, angle) = error(&after, &goal, link.a, link.b);
     assert!(angle < 1e-3, "{angle}");
     // 0.15 m/rad of the turn of 0.36 rad beyond 0.1 rad.
     let turn = Vector3::new(0.0_f32, 0.3, 0.2).norm();
     assert!((distance - 0.15 * (turn - 0.1)).abs() < 1e-3, "{distance}");
-    // Half of it, for when the partner comes too.
-    let meet = proposals(&scene, &goal).get(link.a.get(), Slot::paired(Kind::Meet, link.b)).unwrap().movement;
-    assert_eq!(meet, join.movement.map(|x| 0.5 * x));
+    // Half of it, where the partner can come too.
+    assert_eq!(join_of(&scene), join.map(|x| 0.5 * x));
 }
 
 /// Returns how deep the deepest point of a 5 × 5 × 5 grid on `i` is in `j`, m; 0 if none is inside.
@@ -175,7 +181,7 @@ fn a_block_that_must_turn_where_it_touches_its_partner_backs_off() {
     for goal in Catalog::builtin().of_split(Split::Train).iter().filter(|goal| goal.n_blocks() == 2) {
         let link = goal.links()[0];
         for turn in [[0.0, 0.0, 0.5], [0.0, 0.5, 0.0], [0.5, 0.0, 0.0], [0.4, -0.3, 0.2]] {
-            let mut scene = scattered();
+            let mut scene = with_one_gripper(scattered());
             scene.blocks[link.b.get()].position[2] = 2.0;
             // In its place but for the turn, so a corner is in the partner.
             place(&mut scene, goal, link.a, link.b, Vector3::zeros(), Vector3::from(turn));
@@ -200,15 +206,17 @@ fn the_larger_of_two_pieces_waits_above_the_ground_until_the_smaller_one_is_alig
     scene.joints = vec![Joint { a: made.a, b: made.b, relative: made.relative }];
     let is_made = |block: BlockIdx| block == made.a || block == made.b;
     let (large, small) = if is_made(open.a) { (open.a, open.b) } else { (open.b, open.a) };
-    let meets = |scene: &Scene| {
-        let found = proposals(scene, &goal);
-        let get = |block: BlockIdx, slot| found.get(block.get(), slot).unwrap().movement;
-        let meet = |own, partner| get(own, Slot::paired(Kind::Meet, partner));
-        (meet(large, small), meet(small, large) == get(small, Slot::paired(Kind::Join, large)))
+    let join = |scene: &Scene, block: BlockIdx, partner| {
+        proposals(scene, &goal).get(block.get(), Slot::paired(Kind::Join, partner)).unwrap().movement
+    };
+    // The smaller one comes if its move is the same without the other gripper.
+    let joins = |scene: &Scene| {
+        let comes = join(scene, small, large) == join(&with_one_gripper(scene.clone()), small, large);
+        (join(scene, large, small), comes)
     };
     // Once the block and the place beside it are higher than half a meter, it stays.
     for _ in 0..3 {
-        let (waits, comes) = meets(&scene);
+        let (waits, comes) = joins(&scene);
         assert!(comes && waits[3..] == [0.0; 3]);
         let before = scene.blocks[large.get()].position;
         scene.blocks[large.get()] = moved(&scene.blocks[large.get()], &waits);
@@ -221,20 +229,23 @@ fn the_larger_of_two_pieces_waits_above_the_ground_until_the_smaller_one_is_alig
     };
     assert!((lowest - 0.5).abs() < 1e-4, "{lowest}");
     place(&mut scene, &goal, small, large, Vector3::zeros(), Vector3::zeros());
-    let (meet, comes) = meets(&scene);
-    assert!(!comes && meet.iter().all(|x| x.abs() < 0.1));
+    let (join, comes) = joins(&scene);
+    assert!(!comes && join.iter().all(|x| x.abs() < 0.1));
 }
 
 #[test]
 fn far_moves_are_scaled_so_that_shift_and_turn_arrive_together_and_noise_grows_with_the_move() {
-    let (goal, scene) = (goal("2_000"), scattered());
+    let (goal, mut scene) = (goal("2_000"), with_one_gripper(scattered()));
     let link = goal.links()[0];
+    let high = BlockIdx::all().find(|&block| block != link.a && block != link.b).unwrap();
+    scene.blocks[high.get()].position[2] = 1.0;
     let found = proposals(&scene, &goal);
     let join = found.get(link.a.get(), Slot::paired(Kind::Join, link.b)).unwrap();
     let most = join.movement.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
     assert!((most - 1.0).abs() < 1e-6);
     assert!((join.noise() - 0.03).abs() < 1e-6);
-    assert!((found.get(link.a.get(), Slot::alone(Kind::Free)).unwrap().noise() - 0.01).abs() < 1e-6);
+    let still = found.get(high.get(), Slot::alone(Kind::Hold)).unwrap();
+    assert!(still.movement == [0.0; 6] && (still.noise() - 0.01).abs() < 1e-6);
 }
 
 #[test]
@@ -243,13 +254,13 @@ fn what_does_nothing_is_not_proposed_and_wrong_connections_can_be_broken() {
     let link = goal.links()[0];
     let mut scene = scattered();
     let outside = BlockIdx::all().find(|&block| !goal.contains(block)).unwrap();
-    assert_eq!(kinds(&proposals(&scene, &goal), outside), [Kind::Hold, Kind::Lift, Kind::Free]);
+    assert_eq!(kinds(&proposals(&scene, &goal), outside), [Kind::Hold]);
     let before = kinds(&proposals(&scene, &goal), link.a);
-    assert!(before.contains(&Kind::Join) && before.contains(&Kind::Meet) && !before.contains(&Kind::Detach));
+    assert!(before.contains(&Kind::Join) && !before.contains(&Kind::Detach));
 
     scene.joints = vec![Joint { a: link.a, b: link.b, relative: link.relative }];
     let joined = proposals(&scene, &goal);
-    let gone = [Kind::Join, Kind::Meet, Kind::Detach].map(|kind| Slot::paired(kind, link.b));
+    let gone = Kind::PAIRED.map(|kind| Slot::paired(kind, link.b));
     assert!(gone.iter().all(|&slot| joined.get(link.a.get(), slot).is_none()));
 
     let wrong =
@@ -258,7 +269,6 @@ fn what_does_nothing_is_not_proposed_and_wrong_connections_can_be_broken() {
     let wrong = proposals(&scene, &goal);
     assert!(wrong.get(link.a.get(), Slot::paired(Kind::Detach, link.b)).is_some());
     // It would pull at the connection, and move the partner along.
-    assert!(wrong.get(link.a.get(), Slot::paired(Kind::Meet, link.b)).is_none());
     assert!(wrong.get(link.a.get(), Slot::paired(Kind::Join, link.b)).is_none());
     assert_eq!(wrong.relation(link.a.get(), link.b.get())[7], 1.0);
 }
@@ -315,10 +325,8 @@ fn draws_are_as_frequent_as_their_log_probability_says() {
     // Four blocks are left to choose, so that every combination is drawn often enough.
     let allowed: Vec<usize> = goal.placements().iter().map(|placement| placement.block.get()).collect();
     (0..32).filter(|k| !allowed.contains(&(k % 16))).for_each(|k| logits[k] = -1e9);
-    let (locs, scales) = (numbers(96, 1.0, &mut rng), vec![0.3; 96]);
     let readouts = numbers(16 * N_READOUTS, 1.0, &mut rng);
-    let distribution =
-        MixtureDistribution { logits: &logits, locs: &locs, scales: &scales, readouts: &readouts, proposals: &found };
+    let distribution = MixtureDistribution { logits: &logits, readouts: &readouts, proposals: &found };
     let n = 200_000;
     let mut counts = std::collections::BTreeMap::new();
     for _ in 0..n {
@@ -326,29 +334,20 @@ fn draws_are_as_frequent_as_their_log_probability_says() {
         let rows = ActionRows::new(&found, &drawn.action.choices, &drawn.slots).unwrap();
         let again = distribution.log_prob(&drawn.action, &drawn.slots, &rows);
         assert!((drawn.log_prob - again).abs() < 1e-4, "{} {again}", drawn.log_prob);
-        let is_free = drawn.slots.iter().flatten().any(|slot| slot.kind() == Kind::Free);
         let entry = counts.entry((drawn.action.choices.map(|b| b.map(u8::from)), drawn.slots)).or_insert((0, again));
         entry.0 += 1;
-        assert!(is_free || entry.1 == again, "the noise of other proposals does not count");
+        assert_eq!(entry.1, again, "the noise does not count");
     }
     let mut total = 0.0;
     for ((_, slots), (count, log_prob)) in &counts {
-        if slots.iter().flatten().any(|slot| slot.kind() == Kind::Free) {
-            continue;
-        }
         let p = f64::from(*log_prob).exp();
         total += p;
         let found = f64::from(*count) / f64::from(n);
         // Five standard errors, and a little for those that are hardly ever drawn.
         assert!((found - p).abs() < 5.0 * (p / f64::from(n)).sqrt() + 2e-5, "{slots:?}: {found} of {p}");
     }
-    let of_free: i32 = counts
-        .iter()
-        .filter(|((_, slots), _)| slots.iter().flatten().any(|slot| slot.kind() == Kind::Free))
-        .map(|(_, (count, _))| count)
-        .sum();
-    let left = f64::from(of_free) / f64::from(n);
-    assert!((total + left - 1.0).abs() < 0.02, "{total} and {left} of free draws");
+    // Hardly any combination is too rare to be drawn.
+    assert!((total - 1.0).abs() < 1e-3, "{total}");
 }
 
 #[test]
@@ -356,10 +355,9 @@ fn the_greedy_action_is_the_most_probable_at_every_draw() {
     let (goal, scene) = busy();
     let found = proposals(&scene, &goal);
     let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let (logits, locs, scales) = (numbers(32, 2.0, &mut rng), numbers(96, 1.0, &mut rng), vec![0.3; 96]);
+    let logits = numbers(32, 2.0, &mut rng);
     let readouts = numbers(16 * N_READOUTS, 1.0, &mut rng);
-    let distribution =
-        MixtureDistribution { logits: &logits, locs: &locs, scales: &scales, readouts: &readouts, proposals: &found };
+    let distribution = MixtureDistribution { logits: &logits, readouts: &readouts, proposals: &found };
     let greedy = distribution.act(ActionMode::Greedy, &mut rng).unwrap();
     let best = (0..16).max_by(|&a, &b| logits[a].total_cmp(&logits[b])).unwrap();
     assert_eq!(greedy.action.choices[0], Some(block(best)));
@@ -369,9 +367,7 @@ fn the_greedy_action_is_the_most_probable_at_every_draw() {
     row.logits(&readouts, &mut of_slots);
     let best_slot = (0..row.len()).max_by(|&a, &b| of_slots[a].total_cmp(&of_slots[b])).unwrap();
     assert_eq!(greedy.slots[0].map(Slot::index), Some(row.index(best_slot)));
-    let is_free = greedy.slots[0].unwrap().kind() == Kind::Free;
-    let expected = found.get(best, greedy.slots[0].unwrap()).unwrap().movement;
-    assert!(is_free || greedy.action.moves[best] == expected);
+    assert_eq!(greedy.action.moves[best], found.get(best, greedy.slots[0].unwrap()).unwrap().movement);
 }
 
 #[test]
@@ -454,8 +450,6 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
         let outputs = engine.run(&batch, &[usize::from(n_steps)]);
         let distribution = MixtureDistribution {
             logits: &outputs.logits,
-            locs: &outputs.locs,
-            scales: &outputs.scales,
             readouts: &outputs.readouts,
             proposals: &batch.proposals[usize::from(n_steps)],
         };
@@ -476,7 +470,7 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
     let draws: Vec<&ActionRows> = order.iter().map(|&k| &actions[k].2).collect();
     let tensors = |device: &Device| {
         let plain: Vec<&Action> = order.iter().map(|&k| &actions[k].0).collect();
-        let drawn = order.iter().map(|&k| (&actions[k].0, &actions[k].1, &actions[k].2));
+        let drawn = order.iter().map(|&k| (&actions[k].1, &actions[k].2));
         ActionTensors::new(plain.into_iter(), 2, device).with_draws(drawn, device)
     };
     let actions_of = &actions;

@@ -145,7 +145,7 @@ pub struct ProposalMetrics {
     pub second_block_entropy: f64,
     /// Entropy of the second gripper's choice among the proposals of its block, nats.
     pub second_proposal_entropy: f64,
-    /// Draws of both grippers by kind of proposal: `join`, `meet`, `detach`, `hold`, `lift`, `free`.
+    /// Draws of both grippers by kind of proposal: `join`, `detach`, `hold`.
     pub kinds: BTreeMap<String, KindMetrics>,
 }
 
@@ -156,12 +156,12 @@ pub struct KindMetrics {
     pub n_draws: u64,
     /// Part of all draws, 0 to 1.
     pub share: f64,
-    /// Draws that had a connection to change. For `join` and `meet`, the blueprint connects the block and its partner,
-    /// and they were not connected correctly; for `detach`, they were connected wrongly. Other kinds have none.
+    /// Draws that had a connection to change. For `join`, the blueprint connects the block and its partner, and
+    /// they were not connected correctly; for `detach`, they were connected wrongly. `hold` has none.
     pub n_tries: u64,
-    /// Part of the tries whose step changed it, 0 to 1: afterwards the two were connected correctly (`join`, `meet`),
-    /// or no longer connected wrongly (`detach`). A way of several steps counts as one success in as many tries. `null`
-    /// without tries.
+    /// Part of the tries whose step changed it, 0 to 1: afterwards the two were connected correctly (`join`), or no
+    /// longer connected wrongly (`detach`). A way of several steps counts as one success in as many tries. `null` without
+    /// tries.
     pub success: Option<f64>,
 }
 

@@ -60,8 +60,8 @@ class Agent(nn.Module):
         space, about = envs.single_observation_space, lodestone.proposals(envs)
         nd, ed, gd = (space[name].shape[-1] for name in ("nodes", "edges", "globals"))
         self.n_grippers = len(envs.single_action_space.nvec)
-        # All slots but the last, `free`, can be picked: pick = block · n_slots + slot.
-        kinds, partners = (torch.from_numpy(about[name][:-1]) for name in ("kinds", "partners"))
+        # A pick is block · n_slots + slot.
+        kinds, partners = (torch.from_numpy(about[name]) for name in ("kinds", "partners"))
         self.n_slots, self.n_kinds = len(kinds), len(kinds.unique())
         self.register_buffer("kinds", nn.functional.one_hot(kinds, self.n_kinds).float())
         self.register_buffer("partners", partners)
@@ -94,7 +94,7 @@ class Agent(nn.Module):
     def choices(self, seen: dict[str, Tensor], blocks: Tensor, offered: Tensor, before: list[Tensor]) -> Categorical:
         """Returns the distribution of a gripper's picks, after the picks [n] of those before it.
 
-        Computes the logits only of what is `offered` [n, picks]: a goal of two blocks offers 36 of 800.
+        Computes the logits only of what is `offered` [n, picks]: a goal of two blocks offers 18 of 528.
         """
         rows, picks = offered.nonzero(as_tuple=True)
         block, partner, kinds = self.about(picks)
@@ -114,7 +114,7 @@ class Agent(nn.Module):
         return Categorical(logits=torch.full(offered.shape, -1e9).index_put((rows, picks), logits))
 
     def about(self, picks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns the blocks of picks [k], their partners, -1 for none, and their kinds [k, 5]."""
+        """Returns the blocks of picks [k], their partners, -1 for none, and their kinds [k, 3]."""
         slots = picks % self.n_slots
         return picks // self.n_slots, self.partners[slots], self.kinds[slots]
 
@@ -142,7 +142,7 @@ def tensors(seen: dict[str, np.ndarray]) -> dict[str, Tensor]:
 
 
 def offers(envs: Any) -> Tensor:
-    """Returns what each world offers to any gripper [n, 800]."""
+    """Returns what each world offers to any gripper [n, 528]."""
     masks = envs.unwrapped.action_masks()
     return torch.from_numpy(masks[:, : masks.shape[1] // len(envs.single_action_space.nvec)])
 

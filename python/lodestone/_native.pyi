@@ -106,13 +106,13 @@ class Worlds:
         """Whether a masked gripper may choose a block [n, 16]: those of the blueprint and those with a connection."""
 
     def proposals(self) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """The proposals of each world: offered [n, 16, 51], moves [n, 16, 51, 6], noise [n, 16, 51], relations [n, 16, 16, 8].
+        """The proposals of each world: offered [n, 16, 33], moves [n, 16, 33, 6], noise [n, 16, 33], relations [n, 16, 16, 8].
 
         After a divergence, those of the episode's start.
         """
 
     def offered(self, is_masked: bool) -> NDArray[np.bool_]:
-        """Whether a pick is offered [n, 800]: with `is_masked`, only those of allowed blocks."""
+        """Whether a pick is offered [n, 528]: with `is_masked`, only those of allowed blocks."""
 
     def picked(
         self, picks: NDArray[np.int64], skipped: NDArray[np.bool_], is_noisy: bool, is_masked: bool

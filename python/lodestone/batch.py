@@ -27,11 +27,10 @@ Action: TypeAlias = dict[str, NDArray[Any]] | NDArray[np.float32] | NDArray[np.i
 N_BLOCKS, N_EDGES, N_MOVES = 16, 240, 6
 # Flat action entries per gripper: a score for each block, then the move of the block with the highest score.
 N_FLAT = N_BLOCKS + N_MOVES
-# Kinds of proposals with a partner and without; a slot is one of a block's proposals, the last of which is `free`.
-PAIRED, ALONE = ("join", "meet", "detach"), ("hold", "lift", "free")
-N_SLOTS = len(PAIRED) * N_BLOCKS + len(ALONE)
-# Picks of a gripper: block · 50 + slot, for all slots but `free`.
-N_PICKS = N_BLOCKS * (N_SLOTS - 1)
+# Slots of a block's proposals: 16 joins and 16 detachments, by partner, and a hold.
+N_SLOTS = 2 * N_BLOCKS + 1
+# Picks of a gripper: block · 33 + slot.
+N_PICKS = N_BLOCKS * N_SLOTS
 # Limits of a batch. A world takes up to 0.4 MB, and its part of a vector environment's spaces and observations 0.15 MB.
 MAX_WORLDS, MAX_THREADS = 16_384, 1024
 REWARD_TERMS = ("connected", "wrong", "magnets", "blocks", "force")
@@ -156,7 +155,7 @@ class Batch:
             [16, 6], the linear and angular velocity of each block in its own frame as fractions of the speed limits.
             Only the moves of chosen blocks count. Or `flat` for 22 numbers in [-1, 1] per gripper: a score for each
             block, and the move of the block with the highest score. If two grippers choose the same block, it moves by
-            the mean of their moves. Or `proposals` for a number from 0 to 799 per gripper, block · 50 + slot: which of
+            the mean of their moves. Or `proposals` for a number from 0 to 527 per gripper, block · 33 + slot: which of
             its proposals (`lodestone.proposals`) moves which block. A pick that is not offered leaves its block where
             it is, and of two on the same block the first counts. `action_masks()` tells what is offered. `Expert` and
             `Policy` cannot act in such an environment.
@@ -296,7 +295,7 @@ class Batch:
         return self.worlds.allowed() if self.masked else None
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Returns which picks are offered [n, grippers · 800], the same ones to each gripper."""
+        """Returns which picks are offered [n, grippers · 528], the same ones to each gripper."""
         if not self.picks:
             raise ValueError("action_masks() is for the action 'proposals'")
         return np.tile(self.worlds.offered(self.masked), self.n_grippers)

@@ -97,9 +97,9 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         return {**self.__dict__, "_window": None}
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Returns which picks among proposals are offered [grippers · 800], as MaskablePPO of sb3-contrib expects.
+        """Returns which picks among proposals are offered [grippers · 528], as MaskablePPO of sb3-contrib expects.
 
-        Gripper g may take pick p if entry g · 800 + p is true. ValueError if the action is not `proposals`.
+        Gripper g may take pick p if entry g · 528 + p is true. ValueError if the action is not `proposals`.
         """
         return self.batch.action_masks()[0]
 

@@ -131,7 +131,7 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         return tuple(self.batch.worlds.picture(row, *self.render_size) for row in range(self.num_envs))
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Returns which picks among proposals each world offers [num_envs, grippers · 800], as `AssemblyEnv` does."""
+        """Returns which picks among proposals each world offers [num_envs, grippers · 528], as `AssemblyEnv` does."""
         return self.batch.action_masks()
 
     def scene(self, row: int) -> dict[str, Any]:

@@ -1,11 +1,10 @@
 //! Proposals as arrays, and actions that pick among them.
 //!
-//! A *pick* is the number of a block's proposal among all of a world: block · [`N_SLOTS`] − 1 + slot. The last slot,
-//! `free`, is not among them, because it draws from a network's own Gaussian.
+//! A *pick* is the number of a block's proposal among all of a world: block · [`N_SLOTS`] + slot.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use numpy::{IntoPyArray, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
-use policy::proposals::{Kind, N_RELATION, N_SLOTS, Slot};
+use policy::proposals::{N_RELATION, N_SLOTS, Slot};
 use proto::{Action, N_GRIPPERS};
 use pyo3::exceptions::PyValueError;
 use pyo3::{Bound, PyResult, Python};
@@ -13,13 +12,10 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::row::Row;
 
-/// Slots of a block that can be picked.
-const N_FIXED: usize = N_SLOTS - 1;
-
 /// Number of picks of a world.
-pub(crate) const N_PICKS: usize = N_BLOCKS * N_FIXED;
+pub(crate) const N_PICKS: usize = N_BLOCKS * N_SLOTS;
 
-/// Whether a slot is offered `[n, 16, 51]`, the moves `[n, 16, 51, 6]`, their noise `[n, 16, 51]`, and the relations
+/// Whether a slot is offered `[n, 16, 33]`, the moves `[n, 16, 33, 6]`, their noise `[n, 16, 33]`, and the relations
 /// `[n, 16, 16, 8]`.
 pub(crate) type ProposalArrays<'py> =
     (Bound<'py, PyArray3<bool>>, Bound<'py, PyArray4<f32>>, Bound<'py, PyArray3<f32>>, Bound<'py, PyArray4<f32>>);
@@ -45,9 +41,7 @@ pub(crate) fn arrays<'py>(py: Python<'py>, rows: &mut [Row]) -> PyResult<Proposa
                 let at = (row * N_BLOCKS + block) * N_SLOTS + usize::from(proposal.slot.index());
                 offered[at] = true;
                 moves[at * 6..(at + 1) * 6].copy_from_slice(&proposal.movement);
-                if proposal.slot.kind() != Kind::Free {
-                    noise[at] = proposal.noise();
-                }
+                noise[at] = proposal.noise();
             }
             (0..N_BLOCKS).for_each(|other| relations.extend(proposals.relation(block, other)));
         }
@@ -66,8 +60,9 @@ pub(crate) fn offered(row: &mut Row, is_masked: bool) -> [bool; N_PICKS] {
     let proposals = row.proposals();
     let mut offered = [false; N_PICKS];
     for block in (0..N_BLOCKS).filter(|&block| allowed[block]) {
-        let fixed = proposals.of(block).iter().filter(|proposal| proposal.slot.kind() != Kind::Free);
-        fixed.for_each(|proposal| offered[block * N_FIXED + usize::from(proposal.slot.index())] = true);
+        for proposal in proposals.of(block) {
+            offered[block * N_SLOTS + usize::from(proposal.slot.index())] = true;
+        }
     }
     offered
 }
@@ -102,8 +97,8 @@ pub(crate) fn picks(
 
 fn pick(number: i64) -> Option<Pick> {
     let number = usize::try_from(number).ok()?;
-    let block = BlockIdx::try_from(u8::try_from(number / N_FIXED).ok()?).ok()?;
-    Some(Pick { block, slot: Slot::from_index((number % N_FIXED) as u8)? })
+    let block = BlockIdx::try_from(u8::try_from(number / N_SLOTS).ok()?).ok()?;
+    Some(Pick { block, slot: Slot::from_index((number % N_SLOTS) as u8)? })
 }
 
 /// Returns the action of picks, with noise from the world's generator. What is not offered leaves its block where it is,

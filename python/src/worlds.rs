@@ -287,7 +287,7 @@ impl Worlds {
         proposals::arrays(py, &mut self.with_proposals(py))
     }
 
-    /// Returns which picks are offered, `[n, 16 · 50]`: in a masked world, only those of allowed blocks.
+    /// Returns which picks are offered, `[n, 16 · 33]`: in a masked world, only those of allowed blocks.
     fn offered<'py>(&self, py: Python<'py>, is_masked: bool) -> PyResult<Bound<'py, PyArray2<bool>>> {
         let mut rows = self.with_proposals(py);
         let offered: Vec<bool> = rows.iter_mut().flat_map(|row| proposals::offered(row, is_masked)).collect();

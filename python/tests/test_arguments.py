@@ -290,7 +290,7 @@ def methods() -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
     yield "proposals(env)", lodestone.proposals, (None, 3, FOREIGN, lodestone.AssemblyEnv)
     picks = lodestone.AssemblyEnv(blueprint="2_000", action="proposals")
     picks.reset(seed=1)
-    wrong = ([0, 800], "800"), ([-1, 0], "-1"), ([0.5, 0], "float64"), ([0], "(1,)"), ([[1], [1, 2]], "[[1], [1, 2]]")
+    wrong = ([0, 528], "528"), ([-1, 0], "-1"), ([0.5, 0], "float64"), ([0], "(1,)"), ([[1], [1, 2]], "[[1], [1, 2]]")
     yield "AssemblyEnv.step(action)", picks.step, (None, "x", FOREIGN, {"choices": CHOICES}, *wrong)
 
 

@@ -7,15 +7,11 @@ use proto::metrics::{KindMetrics, LearnerMetrics, ProposalMetrics};
 pub(crate) type Look = fn(&LearnerMetrics) -> Option<f64>;
 
 /// Charted numbers: name in `/api/history`, name for people, and value; `None` where there is nothing to chart.
-pub(crate) const CHARTED: [(&str, &str, Look); 12] = [
+pub(crate) const CHARTED: [(&str, &str, Look); 8] = [
     ("share_join", "share of join", |l| share(l, Kind::Join)),
-    ("share_meet", "share of meet", |l| share(l, Kind::Meet)),
     ("share_detach", "share of detach", |l| share(l, Kind::Detach)),
     ("share_hold", "share of hold", |l| share(l, Kind::Hold)),
-    ("share_lift", "share of lift", |l| share(l, Kind::Lift)),
-    ("share_free", "share of free", |l| share(l, Kind::Free)),
     ("success_join", "success of join", |l| success(l, Kind::Join)),
-    ("success_meet", "success of meet", |l| success(l, Kind::Meet)),
     ("success_detach", "success of detach", |l| success(l, Kind::Detach)),
     ("first_proposal_entropy", "entropy 1st proposal", |l| l.proposals.as_ref().map(|p| p.first_proposal_entropy)),
     ("second_block_entropy", "entropy 2nd block", |l| l.proposals.as_ref().map(|p| p.second_block_entropy)),

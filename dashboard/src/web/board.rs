@@ -318,10 +318,10 @@ mod tests {
         board.told(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
         let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
         let point = &history["learner"][0];
-        for (name, value) in [("share_hold", 0.13), ("success_join", 0.125), ("second_proposal_entropy", 0.75)] {
+        for (name, value) in [("share_hold", 0.2), ("success_join", 0.125), ("second_proposal_entropy", 0.75)] {
             assert_eq!(point[name], json!(value), "{point}");
         }
-        assert_eq!(point.get("success_detach"), None);
+        assert_eq!(point.get("success_hold"), None);
     }
 
     #[test]

@@ -357,15 +357,15 @@ mod tests {
         board.told(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         for (sample, value) in [
-            ("share_ratio{kind=\"join\"}", 0.5),
-            ("share_ratio{kind=\"detach\"}", 0.0),
-            ("success_ratio{kind=\"meet\"}", 0.04),
+            ("share_ratio{kind=\"join\"}", 0.75),
+            ("share_ratio{kind=\"detach\"}", 0.05),
+            ("success_ratio{kind=\"detach\"}", 0.4),
             ("entropy_nats{choice=\"second_block\"}", 1.25),
         ] {
             assert_eq!(samples.get(&format!("lodestone_learner_proposal_{sample}")), Some(&value), "{samples:#?}");
         }
         let n = |name: &str| samples.keys().filter(|sample| sample.contains(name)).count();
-        assert_eq!((n("proposal_share"), n("proposal_success")), (6, 2), "{samples:#?}");
+        assert_eq!((n("proposal_share"), n("proposal_success")), (3, 2), "{samples:#?}");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use policy::imitation::{self, LabelTensors};
 use policy::loss_terms::{self, ActionTensors};
 use policy::mixture::{ActionRows, MixtureDistribution, N_READOUTS};
 use policy::parameters::ParameterError;
-use policy::{Engine, FeatureBatch, NetworkOutput, PolicyConfig};
+use policy::{Engine, FeatureBatch, MoveTensors, NetworkOutput, PolicyConfig};
 use proto::Label;
 
 use crate::batch::Batch;
@@ -287,7 +287,7 @@ impl Passes {
         let n_grippers = usize::from(self.policy.network.n_grippers);
         let actions = ActionTensors::new(samples.iter().map(|&sample| &batch.actions[sample]), n_grippers, device);
         let Some(draws) = &batch.draws else { return actions };
-        let drawn = samples.iter().map(|&sample| (&batch.actions[sample], &draws[sample].slots, &draws[sample].rows));
+        let drawn = samples.iter().map(|&sample| (&draws[sample].slots, &draws[sample].rows));
         actions.with_draws(drawn, device)
     }
 
@@ -306,11 +306,8 @@ impl Passes {
             if let Some(allowed) = self.policy.choosable(&batch.features, sample) {
                 mask_logits(&mut logits, &allowed);
             }
-            let moves = at * N_BLOCKS * 6..(at + 1) * N_BLOCKS * 6;
             let distribution = MixtureDistribution {
                 logits: &logits,
-                locs: &outputs.locs[moves.clone()],
-                scales: &outputs.scales[moves],
                 readouts: &outputs.readouts[at * N_BLOCKS * N_READOUTS..][..N_BLOCKS * N_READOUTS],
                 proposals: &batch.features.proposals[sample],
             };
@@ -325,8 +322,10 @@ impl Passes {
 fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
     let rows = |tensor: &Tensor<3>| tensor.clone().narrow(0, 0, n);
     NetworkOutput {
-        locs: rows(&output.locs),
-        scales: rows(&output.scales),
+        moves: output
+            .moves
+            .as_ref()
+            .map(|MoveTensors { locs, scales }| MoveTensors { locs: rows(locs), scales: rows(scales) }),
         logits: rows(&output.logits),
         values: output.values.clone().narrow(0, 0, n),
         readouts: None,

@@ -16,9 +16,9 @@ const MOVE: usize = 6;
 /// Network output for B scenes with G grippers; see [`crate::NetworkOutput`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outputs {
-    /// Means of the moves `[B, 16, 6]`.
+    /// Means of the moves `[B, 16, 6]`; empty for the mixture head.
     pub locs: Vec<f32>,
-    /// Standard deviations of the moves `[B, 16, 6]`.
+    /// Standard deviations of the moves `[B, 16, 6]`; empty for the mixture head.
     pub scales: Vec<f32>,
     /// Logits of each gripper's choice `[B, G, 16]`, not masked.
     pub logits: Vec<f32>,
@@ -31,7 +31,8 @@ pub struct Outputs {
 /// Kernels of the policy head, or their transposes.
 #[derive(Clone, Debug)]
 pub(super) struct PolicyKernels {
-    act: [Packed; 2],
+    /// Of means and deviations; `None` for the mixture head.
+    act: Option<[Packed; 2]>,
     input_global: Packed,
     grip_key: Packed,
     /// The rows of the block key kernel that act on nodes.
@@ -62,7 +63,7 @@ impl PolicyKernels {
         let Context { shape, spans, .. } = net;
         let (w, g) = (shape.width, shape.n_grippers);
         Self {
-            act: [pack(net.of(&spans.act_loc.w), [w, MOVE]), pack(net.of(&spans.act_scale.w), [w, MOVE])],
+            act: spans.act.as_ref().map(|act| act.each_ref().map(|linear| pack(net.of(&linear.w), [w, MOVE]))),
             input_global: pack(net.of(&spans.input_global), [shape.sizes.global, w]),
             grip_key: pack(net.of(&spans.grip_key), [2 * w, g * w]),
             block_key: pack(&net.of(&spans.block_key)[..w * w], [w, w]),
@@ -76,19 +77,20 @@ impl PolicyKernels {
         let (w, g) = (shape.width, shape.n_grippers);
         let rows = x.n * N;
         let (nodes, global) = x.layers.last().map_or((&x.embedded, &x.embedded_global), |l| (&l.nodes, &l.global));
-        let acts = [(&spans.act_loc, &mut out.locs), (&spans.act_scale, &mut out.scales)];
-        for ((linear, to), kernel) in acts.into_iter().zip(&self.act) {
-            let at = to.len();
-            to.resize(at + rows * MOVE, 0.0);
-            product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut to[at..]);
+        if let (Some(act), Some(kernels)) = (&spans.act, &self.act) {
+            for ((linear, kernel), to) in act.iter().zip(kernels).zip([&mut out.locs, &mut out.scales]) {
+                let at = to.len();
+                to.resize(at + rows * MOVE, 0.0);
+                product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut to[at..]);
+            }
+            let at = out.scales.len() - rows * MOVE;
+            out.scales[at..].iter_mut().for_each(|s| *s = scale(&shape.scale, *s));
         }
         if let (Some(linear), Some(kernel)) = (&spans.proposals, &self.proposals) {
             let at = out.readouts.len();
             out.readouts.resize(at + rows * linear.n_out, 0.0);
             product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut out.readouts[at..]);
         }
-        let at = out.scales.len() - rows * MOVE;
-        out.scales[at..].iter_mut().for_each(|s| *s = scale(&shape.scale, *s));
 
         let mut own = vec![0.0; x.n * w];
         product(arch, &x.raw_global, &self.input_global, Base::Zero, false, &mut own);
@@ -133,17 +135,14 @@ impl PolicyKernels {
         let rows = x.n * N;
         let nodes = x.layers.last().map_or(&x.embedded, |layer| &layer.nodes);
         flow.nodes.resize(rows * w, 0.0);
+        let act = spans.act.iter().flatten().zip(self.act.iter().flatten()).zip([locs, scales]);
+        let proposals = spans.proposals.iter().zip(&self.proposals).zip([readouts]);
         let mut base = Base::Zero;
-        for (part, (linear, of_act)) in [(&spans.act_loc, locs), (&spans.act_scale, scales)].into_iter().enumerate() {
-            add_rows(arch, of_act, &mut gradient[linear.b.clone()]);
-            add_transposed(arch, nodes, w, of_act, MOVE, &mut gradient[linear.w.clone()]);
-            product(arch, of_act, &self.act[part], base, false, &mut flow.nodes);
+        for ((linear, kernel), by_output) in act.chain(proposals) {
+            add_rows(arch, by_output, &mut gradient[linear.b.clone()]);
+            add_transposed(arch, nodes, w, by_output, linear.n_out, &mut gradient[linear.w.clone()]);
+            product(arch, by_output, kernel, base, false, &mut flow.nodes);
             base = Base::Kept;
-        }
-        if let (Some(linear), Some(kernel)) = (&spans.proposals, &self.proposals) {
-            add_rows(arch, readouts, &mut gradient[linear.b.clone()]);
-            add_transposed(arch, nodes, w, readouts, linear.n_out, &mut gradient[linear.w.clone()]);
-            product(arch, readouts, kernel, Base::Kept, false, &mut flow.nodes);
         }
 
         let mut of_grip = vec![0.0; x.n * g * w];

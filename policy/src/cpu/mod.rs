@@ -190,18 +190,17 @@ impl CpuNetwork {
         let global = value.backward(net, of_value, &by_output.values, gradient);
         let scales = unscale(&shape.scale, &outputs.scales, &by_output.scales);
         let n_readouts = spans.proposals.as_ref().map_or(0, |linear| linear.n_out);
-        let (mut moves, mut choices) = (0, 0);
+        let n_moves = if spans.act.is_some() { 6 } else { 0 };
+        let mut done = 0;
         for (x, global) in parts[..*n_parts].iter_mut().zip(global.chunks(GRAPHS * shape.width)) {
-            let (n_moves, n_choices) = (x.n * 96, x.n * shape.n_grippers * 16);
-            let of_moves = moves..moves + n_moves;
-            let of_readouts = moves / 6 * n_readouts..(moves + n_moves) / 6 * n_readouts;
+            let rows = |per_block: usize| done * 16 * per_block..(done + x.n) * 16 * per_block;
             let by_head = [
-                &by_output.locs[of_moves.clone()],
-                &scales[of_moves],
-                &by_output.logits[choices..choices + n_choices],
-                &by_output.readouts[of_readouts],
+                &by_output.locs[rows(n_moves)],
+                &scales[rows(n_moves)],
+                &by_output.logits[rows(shape.n_grippers)],
+                &by_output.readouts[rows(n_readouts)],
             ];
-            (moves, choices) = (moves + n_moves, choices + n_choices);
+            done += x.n;
             flow.global.clear();
             flow.global.extend_from_slice(global);
             policy.backward(net, x, by_head, flow, gradient);

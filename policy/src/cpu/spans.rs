@@ -71,8 +71,8 @@ pub(super) struct Spans {
     pub(super) embed_global: Linear,
     pub(super) layers: Vec<LayerSpans>,
     pub(super) input_global: Span,
-    pub(super) act_loc: Linear,
-    pub(super) act_scale: Linear,
+    /// Of means and deviations; absent with the mixture head.
+    pub(super) act: Option<[Linear; 2]>,
     pub(super) grip_key: Span,
     pub(super) block_key: Span,
     /// Absent with the Gaussian head.
@@ -125,6 +125,7 @@ impl Spans {
             }
             panic!("the network has no parameter {name}")
         };
+        let has = |name: &str| table.iter().any(|spec| spec.name == name);
         let span = |name: &str| find(name).0;
         let linear = |name: &str| {
             let (w, n_out) = find(&format!("{name}.w"));
@@ -156,11 +157,10 @@ impl Spans {
             embed_global: linear("embed_global"),
             layers: (0..shape.gat.n_layers).map(layer).collect(),
             input_global: span("head.input_global.w"),
-            act_loc: linear("head.act_loc"),
-            act_scale: linear("head.act_scale"),
+            act: has("head.act_loc.w").then(|| ["head.act_loc", "head.act_scale"].map(linear)),
             grip_key: span("head.grip_key.w"),
             block_key: span("head.block_key.w"),
-            proposals: table.iter().any(|spec| spec.name == "head.proposals.w").then(|| linear("head.proposals")),
+            proposals: has("head.proposals.w").then(|| linear("head.proposals")),
             value_input_global: span("value.input_global.w"),
             value_graph_global: span("value.graph_global.w"),
             value_mlp: (0..n_value).map(|j| linear(&format!("value.mlp.{j}"))).collect(),

@@ -7,18 +7,13 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 use super::{ActionRows, Draw, Row};
-use crate::distribution::HALF_LN_2PI;
-use crate::proposals::{Kind, Proposals, Slot};
+use crate::proposals::{Proposals, Slot};
 
 /// The distribution for one scene with G grippers; borrows one row of the network's output.
 #[derive(Clone, Copy, Debug)]
 pub struct MixtureDistribution<'a> {
     /// Logits of the grippers' blocks `[G, 16]`, masked.
     pub logits: &'a [f32],
-    /// Means of [`Kind::Free`] `[16, 6]`.
-    pub locs: &'a [f32],
-    /// Standard deviations of [`Kind::Free`] `[16, 6]`, above 0.
-    pub scales: &'a [f32],
     /// Read-outs `[16, N_READOUTS]`.
     pub readouts: &'a [f32],
     /// Proposals of the scene.
@@ -74,15 +69,13 @@ impl MixtureDistribution<'_> {
             }
         }
         for draw in [Some(first), second].into_iter().flatten() {
-            let movement = self.movement(draw, mode, rng)?;
-            action.moves[draw.block.get()] = movement;
-            log_prob += self.free_log_density(draw, &movement);
+            action.moves[draw.block.get()] = self.movement(draw, mode, rng)?;
         }
         Some(DrawnAction { action, slots, log_prob })
     }
 
-    /// Returns the joint log-probability of an action whose draws `rows` describes, nats. For [`Kind::Free`], it
-    /// includes the log-density of the move. The noise around other proposals has no parameters and is left out.
+    /// Returns the joint log-probability of an action whose draws `rows` describes, nats. The noise around a proposal has
+    /// no parameters and is left out.
     pub fn log_prob(&self, action: &Action, slots: &[Option<Slot>], rows: &ActionRows) -> f32 {
         let mut logits = Vec::new();
         let mut total = 0.0;
@@ -98,13 +91,7 @@ impl MixtureDistribution<'_> {
         of_row(&rows.blocks, &self.logits[N_BLOCKS..], action.choices[1].map(u8::from));
         of_row(&rows.second, &[], slot(1).map(Slot::index));
         let Some(first) = action.choices[0] else { return f32::NEG_INFINITY };
-        total += log_softmax_at(&self.logits[..N_BLOCKS], first.get());
-        for (gripper, choice) in action.choices.iter().enumerate() {
-            if let (Some(block), Some(slot)) = (*choice, slot(gripper)) {
-                total += self.free_log_density(Draw { block, slot }, &action.moves[block.get()]);
-            }
-        }
-        total
+        total + log_softmax_at(&self.logits[..N_BLOCKS], first.get())
     }
 
     /// Returns the entropies of the choices that `rows` describes, nats: of the first gripper's proposal, and, given
@@ -127,26 +114,9 @@ impl MixtureDistribution<'_> {
                 ActionMode::Sampled => StandardNormal.sample(rng),
             }
         };
-        if draw.slot.kind() == Kind::Free {
-            let at = draw.block.get() * 6;
-            return Some(std::array::from_fn(|k| self.locs[at + k] + self.scales[at + k] * normal()));
-        }
         let proposal = self.proposals.get(draw.block.get(), draw.slot)?;
         let noise = proposal.noise();
         Some(proposal.movement.map(|mean| mean + noise * normal()))
-    }
-
-    fn free_log_density(&self, draw: Draw, movement: &Move) -> f32 {
-        if draw.slot.kind() != Kind::Free {
-            return 0.0;
-        }
-        let at = draw.block.get() * 6;
-        let entry = |k: usize| {
-            let scale = self.scales[at + k];
-            let z = (movement[k] - self.locs[at + k]) / scale;
-            -0.5 * z * z - scale.ln() - HALF_LN_2PI
-        };
-        (0..6).map(entry).sum()
     }
 }
 

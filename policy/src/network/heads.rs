@@ -3,6 +3,7 @@
 use burn::module::Module;
 use burn::tensor::{Tensor, activation};
 
+use super::MoveTensors;
 use super::layers::{Builder, Linear, Projection};
 use crate::config::{MoveHead, NetworkConfig, ScaleConfig};
 use crate::features::FeatureSizes;
@@ -19,8 +20,8 @@ const MOVE: usize = 6;
 #[derive(Module, Debug)]
 pub struct PolicyHead {
     input_global: Projection,
-    act_loc: Linear,
-    act_scale: Linear,
+    act_loc: Option<Linear>,
+    act_scale: Option<Linear>,
     grip_key: Projection,
     block_key: Projection,
     proposals: Option<Linear>,
@@ -39,11 +40,15 @@ pub struct ValueHead {
 impl PolicyHead {
     pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
         let (width, grippers) = (config.width, usize::from(config.n_grippers));
-        let (init, small) = (Initializer::HaikuLinear, Initializer::FanIn(1e-4));
+        let init = Initializer::HaikuLinear;
+        let gaussian = |builder: &mut Builder<'_>, name| {
+            let is_gaussian = config.move_head == MoveHead::Gaussian;
+            is_gaussian.then(|| builder.linear(name, [width, MOVE], Initializer::FanIn(1e-4)))
+        };
         Self {
             input_global: builder.projection("head.input_global", [sizes.global, width], init),
-            act_loc: builder.linear("head.act_loc", [width, MOVE], small),
-            act_scale: builder.linear("head.act_scale", [width, MOVE], small),
+            act_loc: gaussian(builder, "head.act_loc"),
+            act_scale: gaussian(builder, "head.act_scale"),
             grip_key: builder.projection("head.grip_key", [2 * width, grippers * width], init),
             block_key: builder.projection("head.block_key", [width + grippers, width], init),
             proposals: (config.move_head == MoveHead::Mixture)
@@ -52,22 +57,29 @@ impl PolicyHead {
         }
     }
 
-    /// Computes the action distribution.
+    /// Computes the logits of the choices of blocks.
     ///
     /// # Shapes
-    /// nodes `[B·16, w]`, global `[B, w]`, raw globals `[B, gd]` → locs and scales `[B, 16, 6]`, logits `[B, G, 16]`
-    pub fn forward(&self, nodes: &Tensor<2>, global: &Tensor<2>, raw: &Tensor<2>) -> (Tensor<3>, Tensor<3>, Tensor<3>) {
+    /// nodes `[B·16, w]`, global `[B, w]`, raw globals `[B, gd]` → `[B, G, 16]`
+    pub fn logits(&self, nodes: &Tensor<2>, global: &Tensor<2>, raw: &Tensor<2>) -> Tensor<3> {
         let [b, width] = global.dims();
         let grippers = self.block_key.w.dims()[0] - width;
-        let locs = self.act_loc.forward(nodes.clone()).reshape([b, N, MOVE]);
-        let scales = self.scales(self.act_scale.forward(nodes.clone())).reshape([b, N, MOVE]);
-
         let own = raw.clone().matmul(self.input_global.w.val());
         let grip = Tensor::cat(vec![own, global.clone()], 1).matmul(self.grip_key.w.val());
         let held = held_bits(raw, grippers).reshape([b * N, grippers]);
         let keys = Tensor::cat(vec![nodes.clone(), held], 1).matmul(self.block_key.w.val()).reshape([b, N, width]);
-        let logits = grip.reshape([b, grippers, width]).matmul(keys.swap_dims(1, 2)).div_scalar((width as f32).sqrt());
-        (locs, scales, logits)
+        grip.reshape([b, grippers, width]).matmul(keys.swap_dims(1, 2)).div_scalar((width as f32).sqrt())
+    }
+
+    /// Computes the Gaussians of the moves; `None` for the mixture head.
+    ///
+    /// # Shapes
+    /// nodes `[B·16, w]` → `[B, 16, 6]`
+    pub fn moves(&self, nodes: &Tensor<2>) -> Option<MoveTensors> {
+        let shape = [nodes.dims()[0] / N, N, MOVE];
+        let locs = self.act_loc.as_ref()?.forward(nodes.clone()).reshape(shape);
+        let scales = self.scales(self.act_scale.as_ref()?.forward(nodes.clone())).reshape(shape);
+        Some(MoveTensors { locs, scales })
     }
 
     /// Reads out what the mixture head's logits are sums of; `None` for the Gaussian head.

@@ -47,10 +47,8 @@ pub enum Encoder {
 /// Network output for a batch of B scenes with G grippers.
 #[derive(Clone, Debug)]
 pub struct NetworkOutput {
-    /// Means of the moves `[B, 16, 6]`, fractions of the speed limits.
-    pub locs: Tensor<3>,
-    /// Standard deviations of the moves `[B, 16, 6]`, above 0.
-    pub scales: Tensor<3>,
+    /// Gaussians of the moves; `None` for the mixture head.
+    pub moves: Option<MoveTensors>,
     /// Logits of each gripper's choice `[B, G, 16]`, not masked.
     pub logits: Tensor<3>,
     /// Values `[B]`, in the unit of the value targets used in training (normalized, see `Normalization`).
@@ -59,6 +57,25 @@ pub struct NetworkOutput {
     pub readouts: Option<Tensor<3>>,
     /// Logits of recorded draws from the mixture head; `None` for the Gaussian head, or if no draws were given.
     pub draws: Option<DrawLogits>,
+}
+
+/// Gaussians of the moves of B scenes.
+#[derive(Clone, Debug)]
+pub struct MoveTensors {
+    /// Means `[B, 16, 6]`, fractions of the speed limits.
+    pub locs: Tensor<3>,
+    /// Standard deviations `[B, 16, 6]`, above 0.
+    pub scales: Tensor<3>,
+}
+
+impl NetworkOutput {
+    /// Returns the Gaussians of the moves.
+    ///
+    /// # Panics
+    /// If the network has the mixture head.
+    pub fn gaussians(&self) -> &MoveTensors {
+        self.moves.as_ref().expect("the Gaussian head")
+    }
 }
 
 /// The part of a forward pass that depends only on parameters; valid until they change.
@@ -132,9 +149,9 @@ impl Network {
             (Encoder::Resnet(resnet), None) => resnet.forward(batch),
             _ => panic!("folded weights of another encoder"),
         };
-        let (locs, scales, logits) = self.head.forward(&nodes, &global, &batch.globals);
+        let logits = self.head.logits(&nodes, &global, &batch.globals);
         let values = self.value.forward(&global, &batch.globals, &logits);
-        let readouts = self.head.readouts(&nodes);
-        NetworkOutput { locs, scales, logits, values, readouts, draws: None }
+        let (moves, readouts) = (self.head.moves(&nodes), self.head.readouts(&nodes));
+        NetworkOutput { moves, logits, values, readouts, draws: None }
     }
 }

@@ -5,7 +5,7 @@ use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::features::N_EDGES;
 use policy::parameters;
 use policy::{
-    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, Network,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, MoveTensors, Network,
     NetworkConfig, ScaleConfig,
 };
 
@@ -49,14 +49,17 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
     let mut tape = Tape::default();
     let found = cpu.forward(&batch, &rows, &mut tape).clone();
     assert_eq!(cpu.infer(&batch, &rows, &mut Tape::default()), &found, "{name}: both ways forward");
+    let moves = expected.moves.as_ref();
     let parts = [
-        ("locs", &found.locs, expected.locs.to_data()),
-        ("scales", &found.scales, expected.scales.to_data()),
-        ("logits", &found.logits, expected.logits.to_data()),
-        ("values", &found.values, expected.values.to_data()),
+        ("locs", &found.locs, moves.map(|moves| moves.locs.to_data())),
+        ("scales", &found.scales, moves.map(|moves| moves.scales.to_data())),
+        ("logits", &found.logits, Some(expected.logits.to_data())),
+        ("values", &found.values, Some(expected.values.to_data())),
+        ("readouts", &found.readouts, expected.readouts.as_ref().map(|readouts| readouts.to_data())),
     ];
-    let readouts = expected.readouts.as_ref().map(|readouts| ("readouts", &found.readouts, readouts.to_data()));
-    for (part, found, expected) in parts.into_iter().chain(readouts) {
+    for (part, found, expected) in parts {
+        assert_eq!(found.is_empty(), expected.is_none(), "{name}: {part}");
+        let Some(expected) = expected else { continue };
         let error = relative_error(found, &widened(expected.as_slice().unwrap()));
         assert!(error < TOLERANCE, "{name}: {part} off by {error:e}");
     }
@@ -72,13 +75,14 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
         Tensor::<3>::from_data(TensorData::new(values.to_vec(), like.dims()), &device)
     };
     let weights = Tensor::<1>::from_data(TensorData::new(by_output.values.clone(), [rows.len()]), &device);
-    let loss = (expected.locs.clone() * cube(&by_output.locs, &expected.locs)).sum()
-        + (expected.scales.clone() * cube(&by_output.scales, &expected.scales)).sum()
-        + (expected.logits.clone() * cube(&by_output.logits, &expected.logits)).sum()
-        + (expected.values * weights).sum();
-    let loss = match &expected.readouts {
-        Some(readouts) => loss + (readouts.clone() * cube(&by_output.readouts, readouts)).sum(),
-        None => loss,
+    let product = |output: &Tensor<3>, by_output: &[f32]| (output.clone() * cube(by_output, output)).sum();
+    let loss = product(&expected.logits, &by_output.logits) + (expected.values * weights).sum();
+    let loss = match (&expected.moves, &expected.readouts) {
+        (Some(MoveTensors { locs, scales }), None) => {
+            loss + product(locs, &by_output.locs) + product(scales, &by_output.scales)
+        }
+        (None, Some(readouts)) => loss + product(readouts, &by_output.readouts),
+        heads => panic!("{name}: one of the heads, not {heads:?}"),
     };
     let wanted = parameters::flatten_gradients(&network, &mut loss.backward());
     let mut gradient = vec![f32::NAN; 3];

@@ -5,7 +5,7 @@ use blueprints::{BlockIdx, N_BLOCKS};
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::distribution::{ActionDistribution, MASKED_LOGIT, mask_logits};
 use policy::loss_terms::{self, ActionTensors};
-use policy::{JointForm, NetworkOutput};
+use policy::{JointForm, MoveTensors, NetworkOutput};
 use proptest::prelude::*;
 use proto::Action;
 use rand::SeedableRng;
@@ -74,8 +74,7 @@ impl Heads {
             if device.is_autodiff() { tensor.require_grad() } else { tensor }
         };
         NetworkOutput {
-            locs: leaf(&self.locs, [b, 16, 6]),
-            scales: leaf(&self.scales, [b, 16, 6]),
+            moves: Some(MoveTensors { locs: leaf(&self.locs, [b, 16, 6]), scales: leaf(&self.scales, [b, 16, 6]) }),
             logits: leaf(&self.logits, [b, 2, 16]),
             values: Tensor::zeros([b], device),
             readouts: None,
@@ -127,8 +126,8 @@ fn gradients_of_the_clipped_loss_match_in_all_forms() {
         let gradients = loss.backward();
         for (key, ours) in [
             ("grad_logits", values(output.logits.grad(&gradients).unwrap())),
-            ("grad_locs", values(output.locs.grad(&gradients).unwrap())),
-            ("grad_scales", values(output.scales.grad(&gradients).unwrap())),
+            ("grad_locs", values(output.gaussians().locs.grad(&gradients).unwrap())),
+            ("grad_scales", values(output.gaussians().scales.grad(&gradients).unwrap())),
         ] {
             let error = relative_error(&ours, &numbers(&variant[key]));
             assert!(error <= TOLERANCE, "{name} {key} is off by {error:e}");
@@ -169,7 +168,7 @@ fn entropy_gradients_match_in_the_per_gripper_form() {
     let expected = &golden["entropy_grad_of_mean_per_gripper_form"];
     let logits = values(output.logits.grad(&gradients).unwrap());
     assert!(relative_error(&logits, &numbers(&expected["grad_logits"])) <= TOLERANCE);
-    let scales = values(output.scales.grad(&gradients).unwrap());
+    let scales = values(output.gaussians().scales.grad(&gradients).unwrap());
     assert!(relative_error(&scales, &numbers(&expected["grad_scales"])) <= TOLERANCE);
 }
 

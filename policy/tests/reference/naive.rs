@@ -203,8 +203,8 @@ fn check(gat: GatConfig, n_grippers: u8) {
     let rows: Vec<_> = nodes.chunks(sizes.node).map(wide).collect();
     let expected = oracle.run(&rows, &listed, &wide(&raw));
     let ours = [
-        output.locs.into_data().try_to_vec::<f32>().unwrap(),
-        output.scales.into_data().try_to_vec().unwrap(),
+        output.gaussians().locs.to_data().try_to_vec::<f32>().unwrap(),
+        output.gaussians().scales.to_data().try_to_vec().unwrap(),
         output.logits.into_data().try_to_vec().unwrap(),
         output.values.into_data().try_to_vec().unwrap(),
     ];

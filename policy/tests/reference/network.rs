@@ -14,8 +14,8 @@ use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters::{self, ParameterSpec};
 use policy::{
-    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, Network, NetworkConfig,
-    NetworkOutput, ResnetConfig,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveTensors, Network,
+    NetworkConfig, NetworkOutput, ResnetConfig,
 };
 use serde_json::Value;
 
@@ -249,8 +249,8 @@ fn check_on(device: &Device, path: &Path, tolerance: f64) {
     let inputs = golden.inputs(network.edge_layout(), device);
     let output = network.forward(&inputs);
     golden.check_outputs(&Outputs {
-        locs: values(&output.locs),
-        scales: values(&output.scales),
+        locs: values(&output.gaussians().locs),
+        scales: values(&output.gaussians().scales),
         logits: values(&output.logits),
         values: values(&output.values),
         readouts: Vec::new(),
@@ -258,7 +258,8 @@ fn check_on(device: &Device, path: &Path, tolerance: f64) {
     if *device == Device::flex().autodiff() {
         check_cpu(&golden, network.table(), &parameters);
     }
-    let NetworkOutput { locs, scales, logits, values, .. } = output;
+    let MoveTensors { locs, scales } = output.gaussians().clone();
+    let NetworkOutput { logits, values, .. } = output;
     let loss = values.sum() + logits.powi_scalar(2).sum() + locs.powi_scalar(2).sum() + scales.log().sum();
     golden.check_gradients(&network, &golden.json["grads"], &inputs, &loss);
 

@@ -24,8 +24,8 @@ const HEALTH = [
   ["entropy", "entropy, nats", (learner) => learner.ppo.entropy],
   ["approx_kl", "KL of an update, nats", (learner) => learner.ppo.approx_kl],
   ["explained_variance", "explained variance", (learner) => learner.ppo.explained_variance],
-  ...["join", "meet", "detach", "hold", "lift", "free"].map((kind) => [`share_${kind}`, `share of ${kind}`, (learner) => drawn(learner, kind).share]),
-  ...["join", "meet", "detach"].map((kind) => [`success_${kind}`, `success of ${kind}`, (learner) => drawn(learner, kind).success]),
+  ...["join", "detach", "hold"].map((kind) => [`share_${kind}`, `share of ${kind}`, (learner) => drawn(learner, kind).share]),
+  ...["join", "detach"].map((kind) => [`success_${kind}`, `success of ${kind}`, (learner) => drawn(learner, kind).success]),
   ...CHOICES.map(([name, title]) => [name, title, ({ proposals }) => proposals?.[name]]),
 ];
 
