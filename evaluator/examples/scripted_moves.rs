@@ -71,7 +71,7 @@ fn play(world: &mut World, rng: &mut ChaCha8Rng, score: &mut Score) {
         let mut action = Action::IDLE;
         for (choice, (block, slot)) in action.choices.iter_mut().zip(draws) {
             *choice = Some(block);
-            let Some(proposal) = proposals.get(block.get(), slot) else { continue };
+            let Some(proposal) = proposals.get(block, slot) else { continue };
             let noisy = |x: f32, rng: &mut ChaCha8Rng| {
                 let z: f32 = StandardNormal.sample(rng);
                 x + proposal.noise() * z
@@ -103,11 +103,11 @@ fn choose(seen: &Observation<'_>, proposals: &Proposals, focus: &mut Focus, rng:
         return [(i, Slot::paired(Kind::Detach, j)), hold(j)];
     }
     let is_joined = |a, b| scene.joints.iter().any(|joint| [(a, b), (b, a)].contains(&(joint.a, joint.b)));
-    let offered = |block: BlockIdx, kind, partner| proposals.get(block.get(), Slot::paired(kind, partner)).is_some();
+    let offered = |block: BlockIdx, kind, partner| proposals.slots(block).contains(&Slot::paired(kind, partner));
     let open = goal.links().iter().filter(|link| !is_joined(link.a, link.b)).map(|link| smaller_first(link.a, link.b));
     let mut open: Vec<(BlockIdx, BlockIdx)> = open.filter(|&(i, j)| offered(i, Kind::Join, j)).collect();
     // The largest piece first, and of its links the nearest: entry 4 of a relation falls with the steps that are left.
-    let nearness = |(i, j): (BlockIdx, BlockIdx)| proposals.relation(i.get(), j.get())[4];
+    let nearness = |(i, j): (BlockIdx, BlockIdx)| proposals.relation(i, j)[4];
     open.sort_by(|&x, &y| size(y.1).cmp(&size(x.1)).then(nearness(y).total_cmp(&nearness(x))));
     let Some(&first) = open.first() else {
         let block = goal.placements()[0].block;

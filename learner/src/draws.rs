@@ -29,7 +29,7 @@ pub(crate) fn did(
 ) -> [Option<bool>; N_GRIPPERS] {
     std::array::from_fn(|gripper| {
         let (block, slot) = (transition.action.choices[gripper]?, slots[gripper]?);
-        let partner = BlockIdx::try_from(slot.partner()? as u8).ok()?;
+        let partner = slot.partner()?;
         let [before, after] = [&transition.scene, after].map(|scene| connection(scene, blueprint, block, partner));
         let wanted = Some(true);
         match slot.kind() {
@@ -114,7 +114,7 @@ mod tests {
             let found = did(&segment.transitions[0], &[Some(slot), None], &segment.last_scene, blueprint);
             assert_eq!(found, [expected, None], "{slot:?}: {before:?} {after:?}");
             // The same pair from the other side.
-            if slot.partner() == Some(b.get()) {
+            if slot.partner() == Some(b) {
                 segment.transitions[0].action.choices = [None, Some(b)];
                 let mirrored = [None, Some(Slot::paired(slot.kind(), a))];
                 let found = did(&segment.transitions[0], &mirrored, &segment.last_scene, blueprint);

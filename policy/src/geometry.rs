@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use proto::Pose;
 
 /// Position and rotation of a block, with the rotation as a matrix.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Frame {
     /// Center, m.
     pub(crate) position: Vector3<f32>,

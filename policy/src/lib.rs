@@ -10,7 +10,6 @@
 pub mod batch;
 pub mod config;
 pub mod cpu;
-mod detour;
 pub mod device;
 pub mod distribution;
 pub mod engine;
@@ -21,11 +20,9 @@ pub mod loss_terms;
 pub mod mixture;
 pub mod network;
 pub mod normalization;
-mod openings;
 pub mod parameters;
 pub mod policy;
 pub mod proposals;
-mod solid;
 
 pub use batch::FeatureBatch;
 pub use config::{

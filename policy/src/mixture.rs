@@ -100,24 +100,23 @@ impl Row {
     /// Describes the proposals of the first gripper's block.
     pub fn first_proposal(&mut self, proposals: &Proposals, block: BlockIdx) {
         self.begin(block, at::PROPOSAL_QUERY);
-        for proposal in proposals.of(block.get()) {
-            self.proposal(proposals, block, proposal.slot);
-            self.end(proposal.slot.index(), proposal.slot.partner());
+        for &slot in proposals.slots(block) {
+            self.proposal(proposals, block, slot);
+            self.end(slot.index(), slot.partner());
         }
     }
 
     /// Describes what is added to the logits of the second gripper's block, for all 16.
     pub fn second_block(&mut self, proposals: &Proposals, first: Draw) {
         self.begin(first.block, at::BLOCK_QUERY);
-        let own = first.block.get();
         let after = at::BLOCK_AFTER + first.slot.kind() as usize * 3;
-        for block in 0..N {
-            if block == own {
+        for block in BlockIdx::all() {
+            if block == first.block {
                 self.term(after, 1.0);
-                self.end(block as u8, None);
+                self.end(block.into(), None);
                 continue;
             }
-            let relation = proposals.relation(own, block);
+            let relation = proposals.relation(first.block, block);
             self.relation(at::BLOCK_RELATION, relation);
             if first.slot.partner() == Some(block) {
                 self.term(after + 1, 1.0);
@@ -126,7 +125,7 @@ impl Row {
             if relation[1] != 0.0 {
                 self.term(after + 2, 1.0);
             }
-            self.end(block as u8, Some(block));
+            self.end(block.into(), Some(block));
         }
     }
 
@@ -134,14 +133,13 @@ impl Row {
     pub fn second_proposal(&mut self, proposals: &Proposals, first: Draw, block: BlockIdx) {
         self.begin(block, at::PROPOSAL_QUERY);
         let kind = first.slot.kind() as usize;
-        for proposal in proposals.of(block.get()) {
-            let slot = proposal.slot;
+        for &slot in proposals.slots(block) {
             self.proposal(proposals, block, slot);
             self.term(at::AFTER + kind * N_KINDS + slot.kind() as usize, 1.0);
-            if slot.partner() == Some(first.block.get()) {
+            if slot.partner() == Some(first.block) {
                 let at = kind * N_PAIRED + slot.kind() as usize;
                 self.term(at::TOWARD_FIRST + at, 1.0);
-                if first.slot.partner() == Some(block.get()) {
+                if first.slot.partner() == Some(block) {
                     self.term(at::MUTUAL + at, 1.0);
                 }
             }
@@ -237,9 +235,8 @@ impl Row {
         }
     }
 
-    fn end(&mut self, index: u8, partner: Option<usize>) {
-        let partner = partner.map(|partner| partner as u8);
-        self.options.push(RowOption { index, partner, end: self.terms.len() as u32 });
+    fn end(&mut self, index: u8, partner: Option<BlockIdx>) {
+        self.options.push(RowOption { index, partner: partner.map(u8::from), end: self.terms.len() as u32 });
     }
 
     /// The terms of a proposal that do not depend on the other gripper.
@@ -248,7 +245,7 @@ impl Row {
         match slot.partner() {
             Some(partner) => {
                 let start = at::PAIRED + kind * (N_RELATION + 1);
-                self.relation(start, proposals.relation(block.get(), partner));
+                self.relation(start, proposals.relation(block, partner));
                 self.term(start + N_RELATION, 1.0);
             }
             None => self.term(at::ALONE + kind - N_PAIRED, 1.0),
@@ -275,7 +272,10 @@ impl ActionRows {
     pub fn new(proposals: &Proposals, blocks: &[Option<BlockIdx>], slots: &[Option<Slot>]) -> Option<Self> {
         let mut rows = Self::default();
         let first = Draw { block: blocks.first().copied()??, slot: slots.first().copied()?? };
-        proposals.get(first.block.get(), first.slot)?;
+        let is_offered = |draw: Draw| proposals.slots(draw.block).contains(&draw.slot);
+        if !is_offered(first) {
+            return None;
+        }
         rows.first.first_proposal(proposals, first.block);
         let Some(block) = blocks.get(1).copied().flatten() else {
             return slots[1..].iter().all(Option::is_none).then_some(rows);
@@ -285,7 +285,9 @@ impl ActionRows {
             None => (block == first.block).then_some(rows),
             Some(_) if block == first.block => None,
             Some(slot) => {
-                proposals.get(block.get(), slot)?;
+                if !is_offered(Draw { block, slot }) {
+                    return None;
+                }
                 rows.second.second_proposal(proposals, first, block);
                 Some(rows)
             }

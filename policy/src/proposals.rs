@@ -40,17 +40,22 @@
 //! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
 //! more than one step is scaled down, so that shift and turn arrive together.
 
-use std::cell::OnceCell;
+mod detour;
+mod moves;
+mod openings;
+mod solid;
+mod way;
+
 use std::ops::Range;
 
 use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS};
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Vector3;
 use proto::{Move, Observation, Scene};
 
-use crate::detour::next_stop;
-use crate::geometry::{Frame, matrix, rotation_vector};
-use crate::openings::{Cell, Shape, opening};
-use crate::solid::Solid;
+use self::moves::{Joining, Layout};
+use self::openings::{Cell, Shape, opening};
+use self::way::{STEP_M, STEP_RAD, Way};
+use crate::geometry::{matrix, rotation_vector};
 
 const N: usize = N_BLOCKS;
 
@@ -60,44 +65,12 @@ pub const N_SLOTS: usize = Kind::PAIRED.len() * N + Kind::ALONE.len();
 /// Number of entries of a [relation](Proposals::relation).
 pub const N_RELATION: usize = 8;
 
-/// Reach of one step at full speed, m: 3 m/s for 0.1 s.
-const STEP_M: f32 = 0.3;
-/// Reach of one step at full speed, rad: 2π rad/s for 0.1 s.
-const STEP_RAD: f32 = 0.2 * std::f32::consts::PI;
-
 /// Standard deviation of a move, as a fraction of the limits: constant part, and factor of its largest entry. The sum
 /// at full speed is 9 mm; magnets snap within 3 cm.
 const NOISE: [f32; 2] = [0.01, 0.02];
 
-/// Longest distance from the place in the funnel of two single blocks, m.
-const FUNNEL_M: f32 = 0.2;
-/// Distance per lateral distance beyond 1 cm.
-const FUNNEL_SLOPE: f32 = 2.0;
-/// Distance from the axis at which two blocks count as aligned, m.
-const ALIGNED_M: f32 = 0.01;
-/// Distance in the funnel per radian of turn, m, for single blocks; larger pieces need their radius more.
-const FUNNEL_PER_RAD: f32 = 0.15;
-/// Turn at which two blocks count as aligned, rad.
-const ALIGNED_RAD: f32 = 0.1;
-/// The part of the funnel that no step skips, m, and what it grows by with the radius of the pieces.
-const NEAR_M: f32 = 0.12;
-const NEAR_PER_RADIUS: f32 = 0.5;
-/// How much too far an aligned block goes, m.
-const PRESS_M: f32 = 0.02;
-/// Distance at which blocks touch, m.
-const TOUCH_M: f32 = 0.015;
-/// Steps and end of the search for room to turn, m.
-const BACK_OFF_M: [f32; 2] = [0.05, 0.8];
-/// Overlap at which a turning block still has room, m.
-const SLACK_M: f32 = 0.003;
 /// Entry 5 of a relation from which on both pieces come.
 const BOTH_COME: f32 = 0.5;
-
-/// Height to which a held block, or the place of a block that is to come to it, rises, m: room for other blocks below.
-const HOLD_M: f32 = 0.5;
-/// Pull and lift of `Detach`, as fractions of the speed limit.
-const PULL: f32 = 0.4;
-const PULL_UP: f32 = 0.06;
 
 /// What a proposal does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -167,10 +140,10 @@ impl Slot {
         if at < Kind::PAIRED.len() * N { Kind::PAIRED[at / N] } else { Kind::ALONE[at - Kind::PAIRED.len() * N] }
     }
 
-    /// Returns the partner, 0 to 15; `None` if the kind has none.
-    pub fn partner(self) -> Option<usize> {
+    /// Returns the partner; `None` if the kind has none.
+    pub fn partner(self) -> Option<BlockIdx> {
         let at = usize::from(self.0);
-        (at < Kind::PAIRED.len() * N).then_some(at % N)
+        if at < Kind::PAIRED.len() * N { BlockIdx::try_from((at % N) as u8).ok() } else { None }
     }
 }
 
@@ -191,49 +164,63 @@ impl Proposal {
 }
 
 /// The proposals of one scene, and what the choice among them depends on.
+///
+/// Moves are computed when they are asked for: a choice needs only the relations, and few of the moves are made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proposals {
+    layout: Layout,
     /// By block, then by slot.
-    entries: Vec<Proposal>,
-    /// The last entry of each block, exclusive.
+    slots: Vec<Slot>,
+    /// The last slot of each block, exclusive.
     ends: [u16; N],
+    /// By block, then by partner: one for each join.
+    joinings: Vec<(BlockIdx, BlockIdx, Joining)>,
     /// `[receivers, senders]`
     relations: Vec<[f32; N_RELATION]>,
 }
 
 impl Proposals {
-    /// Proposes moves for all blocks of a scene.
+    /// Finds what is proposed for all blocks of a scene.
     pub fn new(observation: &Observation<'_>) -> Self {
         let view = View::new(observation.scene, observation.blueprint);
-        let mut proposals =
-            Self { entries: Vec::with_capacity(4 * N), ends: [0; N], relations: vec![[0.0; N_RELATION]; N * N] };
-        let mut detaches = Vec::with_capacity(N);
+        let (mut slots, mut ends, mut joinings) = (Vec::with_capacity(4 * N), [0; N], Vec::with_capacity(2 * N));
+        let mut relations = vec![[0.0; N_RELATION]; N * N];
         for i in BlockIdx::all() {
-            detaches.clear();
-            let around = OnceCell::new();
-            let mut push = |slot, movement| proposals.entries.push(Proposal { slot, movement });
-            for j in BlockIdx::all().filter(|&j| j != i) {
-                let pair = view.pair(i, j, &around);
-                pair.join.into_iter().for_each(|join| push(Slot::paired(Kind::Join, j), join));
-                detaches.extend(pair.detach.map(|detach| (Slot::paired(Kind::Detach, j), detach)));
-                proposals.relations[i.get() * N + j.get()] = pair.relation;
+            let others = || BlockIdx::all().filter(|&j| j != i);
+            for j in others() {
+                let (relation, joining) = view.pair(i, j);
+                relations[i.get() * N + j.get()] = relation;
+                if let Some(joining) = joining {
+                    slots.push(Slot::paired(Kind::Join, j));
+                    joinings.push((i, j, joining));
+                }
             }
-            detaches.iter().for_each(|&(slot, detach)| push(slot, detach));
-            push(Slot::alone(Kind::Hold), view.hold(i));
-            proposals.ends[i.get()] = proposals.entries.len() as u16;
+            let wrong = others().filter(|&j| view.connections[i.get()][j.get()] == Connection::Wrong);
+            slots.extend(wrong.map(|j| Slot::paired(Kind::Detach, j)));
+            slots.push(Slot::alone(Kind::Hold));
+            ends[i.get()] = slots.len() as u16;
         }
-        proposals
+        Self { layout: view.layout, slots, ends, joinings, relations }
     }
 
-    /// Returns the proposals of a block, by slot; never empty.
-    pub fn of(&self, block: usize) -> &[Proposal] {
-        &self.entries[self.range(block)]
+    /// Returns the slots of a block that have a proposal, in order; never empty.
+    pub fn slots(&self, block: BlockIdx) -> &[Slot] {
+        &self.slots[self.range(block)]
     }
 
     /// Returns the proposal of a block in a slot; `None` if there is none in this scene.
-    pub fn get(&self, block: usize, slot: Slot) -> Option<&Proposal> {
-        let own = self.of(block);
-        own.binary_search_by_key(&slot, |proposal| proposal.slot).ok().map(|at| &own[at])
+    pub fn get(&self, block: BlockIdx, slot: Slot) -> Option<Proposal> {
+        self.slots(block).binary_search(&slot).ok()?;
+        let movement = match (slot.kind(), slot.partner()) {
+            (Kind::Join, Some(partner)) => {
+                let key = |joining: &(BlockIdx, BlockIdx, Joining)| (joining.0, joining.1);
+                let at = self.joinings.binary_search_by_key(&(block, partner), key).ok()?;
+                self.layout.join([block, partner], &self.joinings[at].2)
+            }
+            (Kind::Detach, Some(partner)) => self.layout.detach(block, partner),
+            _ => self.layout.hold(block),
+        };
+        Some(Proposal { slot, movement })
     }
 
     /// Returns what block `i` is to block `j`, zeros if they are the same:
@@ -248,34 +235,27 @@ impl Proposals {
     /// | 5 | the same with exp(−3 d), with the larger of the lateral distance and the turn, in steps | 0 to 1 |
     /// | 6 | to be connected, in one piece, and not connected | 0 or 1 |
     /// | 7 | connected, but not as the blueprint wants it | 0 or 1 |
-    pub fn relation(&self, i: usize, j: usize) -> &[f32; N_RELATION] {
-        &self.relations[i * N + j]
+    pub fn relation(&self, i: BlockIdx, j: BlockIdx) -> &[f32; N_RELATION] {
+        &self.relations[i.get() * N + j.get()]
     }
 
-    fn range(&self, block: usize) -> Range<usize> {
-        let start = if block == 0 { 0 } else { self.ends[block - 1] };
-        start.into()..self.ends[block].into()
+    fn range(&self, block: BlockIdx) -> Range<usize> {
+        let start = if block.get() == 0 { 0 } else { self.ends[block.get() - 1] };
+        start.into()..self.ends[block.get()].into()
     }
 }
 
-/// A scene with everything that proposals need of it.
+/// A scene with everything that relations need of it.
 struct View<'a> {
     blueprint: &'a Blueprint,
-    frames: [Frame; N],
-    pieces: [usize; N],
+    layout: Layout,
     /// Blocks with the same value move together: pieces, and what is wrongly connected to them.
     bodies: [usize; N],
-    /// Largest distance from a block's center to the center of another of its piece, m.
-    radii: [f32; N],
     /// The shape of each piece, at the index of its name.
     shapes: [Shape; N],
+    links: [[Option<&'a Link>; N]; N],
     connections: [[Connection; N]; N],
     held: [bool; N],
-    /// Number of blocks of each piece, at the index of its name.
-    sizes: [u8; N],
-    solids: [Solid; N],
-    /// Whether two blocks can move at once.
-    has_two_grippers: bool,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -285,25 +265,13 @@ enum Connection {
     Wrong,
 }
 
-/// What is around a block.
-struct Surroundings {
-    /// The blocks of all other pieces.
-    obstacles: Vec<Solid>,
-    /// Whether it touches one of them.
-    is_touching: bool,
-}
-
-/// The proposals of an ordered pair.
-struct Pair {
-    join: Option<Move>,
-    detach: Option<Move>,
-    relation: [f32; N_RELATION],
-}
-
 impl<'a> View<'a> {
     fn new(scene: &Scene, blueprint: &'a Blueprint) -> Self {
-        let frames = scene.blocks.each_ref().map(Frame::new);
         let pieces = scene.pieces(blueprint);
+        let mut links = [[None; N]; N];
+        for link in blueprint.links() {
+            (links[link.a.get()][link.b.get()], links[link.b.get()][link.a.get()]) = (Some(link), Some(link));
+        }
         let mut connections = [[Connection::None; N]; N];
         for joint in &scene.joints {
             let found = if joint.is_right(blueprint) { Connection::Right } else { Connection::Wrong };
@@ -314,64 +282,18 @@ impl<'a> View<'a> {
         for placement in blueprint.placements() {
             cells[pieces[placement.block.get()]].extend(placement.filled_cells(Inventory::standard()));
         }
-        let radius = |i: usize| {
-            let same = (0..N).filter(|&k| pieces[k] == pieces[i]);
-            same.map(|k| (frames[k].position - frames[i].position).norm()).fold(0.0, f32::max)
-        };
         let mut held = [false; N];
         scene.grippers.iter().flatten().filter_map(|gripper| gripper.held).for_each(|block| held[block.get()] = true);
-        let mut sizes = [0; N];
-        pieces.iter().for_each(|&piece| sizes[piece] += 1);
-        let solid = |i: usize| Solid::new(BlockIdx::try_from(i as u8).expect("below 16"), frames[i]);
-        Self {
-            blueprint,
-            radii: std::array::from_fn(radius),
-            solids: std::array::from_fn(solid),
-            frames,
-            pieces,
-            bodies: scene.bodies(),
-            shapes: cells.map(Shape::new),
-            connections,
-            held,
-            sizes,
-            has_two_grippers: scene.grippers.iter().all(Option::is_some),
-        }
+        let (layout, shapes) = (Layout::new(scene, pieces), cells.map(Shape::new));
+        Self { blueprint, layout, bodies: scene.bodies(), shapes, links, connections, held }
     }
 
-    fn size(&self, block: BlockIdx) -> u8 {
-        self.sizes[self.pieces[block.get()]]
-    }
-
-    /// Returns i's part of the way if both come. It falls with the square of the number of blocks that move with i:
-    /// large pieces break when they move or turn fast.
-    fn share(&self, i: BlockIdx, j: BlockIdx) -> f32 {
-        let [own, other] = [i, j].map(|block| f32::from(self.size(block)).powi(2));
-        other / (own + other)
-    }
-
-    fn hold(&self, i: BlockIdx) -> Move {
-        self.rise(i, HOLD_M - self.frames[i.get()].position.z)
-    }
-
-    /// Returns a move that holds i until j has come.
-    fn wait(&self, i: BlockIdx, j: BlockIdx) -> Move {
-        let own = &self.frames[i.get()];
-        let place = self.blueprint.relative(i, j).map(|place| own.position + own.axes * place.position_m());
-        let lowest = place.map_or(own.position.z, |place| place.z.min(own.position.z));
-        self.rise(i, HOLD_M - lowest)
-    }
-
-    /// Returns a move straight up by at most `height_m` and one step.
-    fn rise(&self, i: BlockIdx, height_m: f32) -> Move {
-        let up = self.frames[i.get()].localize(&Vector3::z()) * (height_m / STEP_M).clamp(0.0, 1.0);
-        [up.x, up.y, up.z, 0.0, 0.0, 0.0]
-    }
-
-    fn pair(&self, i: BlockIdx, j: BlockIdx, around: &OnceCell<Surroundings>) -> Pair {
+    /// Returns what i is to j, and how to join it if that is proposed.
+    fn pair(&self, i: BlockIdx, j: BlockIdx) -> ([f32; N_RELATION], Option<Joining>) {
         let connection = self.connections[i.get()][j.get()];
         let (is_none, is_wrong) = (connection == Connection::None, connection == Connection::Wrong);
-        let is_joined = self.pieces[i.get()] == self.pieces[j.get()];
-        let link = self.blueprint.link(i, j);
+        let is_joined = self.layout.pieces[i.get()] == self.layout.pieces[j.get()];
+        let link = self.links[i.get()][j.get()];
         let is_linked = link.is_some();
         let bits = [
             is_linked && !is_joined,
@@ -384,193 +306,41 @@ impl<'a> View<'a> {
             is_wrong,
         ];
         let mut relation = bits.map(|bit| f32::from(u8::from(bit)));
-        let mut join = None;
-        let open = link.filter(|_| connection != Connection::Right);
-        if let Some((link, way)) = open.zip(self.way(i, j)) {
-            let normal = self.normal(i, j, link, is_joined);
-            let (lateral_m, turn_rad) = way.off_axis(&normal);
-            relation[4] = (-0.5 * way.n_steps()).exp();
-            relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
-            // Toward a block that moves along, both would move, and nothing would change.
-            if is_none && (is_joined || self.bodies[i.get()] != self.bodies[j.get()]) {
-                let both_come = relation[5] > BOTH_COME;
-                join = Some(self.join([i, j], around, way, &normal, both_come));
-            }
-        }
-        Pair { join, detach: is_wrong.then(|| self.detach(i, j)), relation }
+        let Some(link) = link.filter(|_| connection != Connection::Right) else { return (relation, None) };
+        let (way, place_m) = self.way(i, j, link);
+        let normal = self.normal(i, j, link, is_joined);
+        let (lateral_m, turn_rad) = way.off_axis(&normal);
+        relation[4] = (-0.5 * way.n_steps()).exp();
+        relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
+        // Toward a block that moves along, both would move, and nothing would change.
+        let is_open = is_none && (is_joined || self.bodies[i.get()] != self.bodies[j.get()]);
+        (relation, is_open.then_some(Joining { way, normal, place_m, is_aligned: relation[5] > BOTH_COME }))
     }
 
-    /// Returns i's part in joining j.
-    fn join(
-        &self,
-        [i, j]: [BlockIdx; 2],
-        around: &OnceCell<Surroundings>,
-        mut way: Way,
-        normal: &Vector3<f32>,
-        is_aligned: bool,
-    ) -> Move {
-        let (own, other) = (self.size(i), self.size(j));
-        let both_come = self.has_two_grippers && (is_aligned || own == other);
-        if self.has_two_grippers && own > other && !both_come {
-            return self.wait(i, j);
-        }
-        let around = around.get_or_init(|| self.surroundings(i));
-        let off = self.stand_off([i, j], around, &way, normal);
-        way.shift += normal * off;
-        if self.pieces[i.get()] != self.pieces[j.get()] {
-            // From where it is aligned, the pieces part freely.
-            if off >= 0.0 {
-                way.shift = self.detour(i, around, &way, normal);
-            }
-            if own <= other {
-                way.shift += self.lift(i, &way);
-            }
-        }
-        if both_come { way.part(self.share(i, j)).to_move() } else { way.to_move() }
-    }
-
-    fn surroundings(&self, i: BlockIdx) -> Surroundings {
-        let own = &self.solids[i.get()];
-        let others = (0..N).filter(|&k| self.pieces[k] != self.pieces[i.get()]);
-        let obstacles: Vec<Solid> = others.map(|k| self.solids[k]).collect();
-        let at = &own.frame.position;
-        let mut near = obstacles.iter().filter(|obstacle| obstacle.may_meet(own, TOUCH_M, at, at));
-        let is_touching = near.any(|obstacle| own.gap(obstacle) < TOUCH_M);
-        Surroundings { obstacles, is_touching }
-    }
-
-    /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned.
-    fn stand_off(&self, [i, j]: [BlockIdx; 2], around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> f32 {
-        let (lateral_m, turn_rad) = way.off_axis(normal);
-        let wide = self.radii[i.get()].min(self.radii[j.get()]);
-        let funnel = |left: f32| {
-            let off = FUNNEL_SLOPE * (left * lateral_m - ALIGNED_M).max(0.0)
-                + (FUNNEL_PER_RAD + wide) * (left * turn_rad - ALIGNED_RAD).max(0.0);
-            off.min(FUNNEL_M + wide)
-        };
-        let now = funnel(1.0);
-        if now == 0.0 {
-            return -PRESS_M;
-        }
-        let left = 1.0 - 1.0 / way.n_steps().max(1.0);
-        let off = funnel(left).max(now.min(NEAR_M + NEAR_PER_RADIUS * wide));
-        let turns_here = around.is_touching && self.size(i) <= self.size(j);
-        if turns_here { self.room_to_turn(i, around, way, normal, off).unwrap_or(off) } else { off }
-    }
-
-    /// Returns the least distance from its place, from `least` on, toward which a block can go and turn for a step
-    /// without touching anything.
-    fn room_to_turn(
-        &self,
-        i: BlockIdx,
-        around: &Surroundings,
-        way: &Way,
-        normal: &Vector3<f32>,
-        least: f32,
-    ) -> Option<f32> {
-        let own = &self.frames[i.get()];
-        let is_free = |off: &f32| {
-            let way = Way { shift: way.shift + normal * *off, turn: way.turn };
-            let step = 1.0 / way.n_steps().max(1.0);
-            [0.5 * step, step].into_iter().all(|part| {
-                let there = Solid::new(i, way.part(part).moved(own));
-                around.obstacles.iter().all(|obstacle| there.gap(obstacle) > -SLACK_M)
-            })
-        };
-        let [step, most] = BACK_OFF_M;
-        (0..).map(|n| least + step * n as f32).take_while(|&off| off < most).find(is_free)
-    }
-
-    /// Returns what must be added to a way so that its next step does not end in the ground.
-    fn lift(&self, i: BlockIdx, way: &Way) -> Vector3<f32> {
-        let (own, n_steps) = (&self.frames[i.get()], way.n_steps().max(1.0));
-        let lowest = Solid::new(i, way.part(1.0 / n_steps).moved(own)).lowest_m();
-        own.localize(&Vector3::z()) * ((-lowest).max(0.0) * n_steps)
-    }
-
-    /// Returns the first straight part of a way that leads around the obstacles, in the block's frame, m.
-    fn detour(&self, i: BlockIdx, around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
-        let own = &self.frames[i.get()];
-        let to = own.position + own.axes * way.shift;
-        let mover = Solid::new(i, way.moved(own));
-        let stop = next_stop(&mover, &own.position, &to, &(own.axes * normal), &around.obstacles);
-        own.localize(&(stop - own.position))
-    }
-
-    /// Returns the exact way of `i` to its place relative to a fixed `j`; `None` if the blueprint lacks one of them.
-    fn way(&self, i: BlockIdx, j: BlockIdx) -> Option<Way> {
-        let wanted = self.blueprint.relative(i, j)?;
-        let (own, other) = (&self.frames[i.get()], &self.frames[j.get()]);
+    /// Returns the exact way of `i` to its place relative to a fixed `j`, and the place of `j` in i's frame, m.
+    fn way(&self, i: BlockIdx, j: BlockIdx, link: &Link) -> (Way, Vector3<f32>) {
+        let wanted = if link.a == i { link.relative } else { link.relative.inverse() };
+        let [own, other] = [i, j].map(|block| &self.layout.frames[block.get()]);
         let offset = own.localize(&(other.position - own.position));
         let current = own.axes.tr_mul(&other.axes);
         // With j at (offset, C) in i's frame, the place (m, T) of i satisfies offset = m + T · wanted and C = T · D.
         let turn = current * matrix(wanted.rotation.matrix()).transpose();
-        Some(Way { shift: offset - turn * wanted.position_m(), turn: rotation_vector(&turn) })
+        let place_m = wanted.position_m();
+        (Way { shift: offset - turn * place_m, turn: rotation_vector(&turn) }, place_m)
     }
 
     /// Returns the unit vector in i's frame along which i comes to j from outside.
     fn normal(&self, i: BlockIdx, j: BlockIdx, link: &Link, is_joined: bool) -> Vector3<f32> {
         let of_j = match self.blueprint.placement(j) {
             Some(place) if !is_joined => {
-                let [a, b] = [i, j].map(|block| &self.shapes[self.pieces[block.get()]]);
+                let [a, b] = [i, j].map(|block| &self.shapes[self.layout.pieces[block.get()]]);
                 opening(a, b).map(|direction| place.rotation.inverse().apply(direction))
             }
             _ => None,
         };
         let of_j = of_j.unwrap_or_else(|| contact_normal(j, link));
-        let current = self.frames[i.get()].axes.tr_mul(&self.frames[j.get()].axes);
-        current * Vector3::from(of_j.map(|x| x as f32)).normalize()
-    }
-
-    /// Returns a move that pulls, lifts, bends, and twists.
-    fn detach(&self, i: BlockIdx, j: BlockIdx) -> Move {
-        let (own, other) = (&self.frames[i.get()], &self.frames[j.get()]);
-        let away = (own.position - other.position).try_normalize(1e-6).unwrap_or_else(Vector3::z);
-        let hinge = away.cross(&Vector3::z()).try_normalize(0.1).unwrap_or_else(Vector3::x);
-        let share = 2.0 * self.share(i, j);
-        let linear = own.localize(&(away * PULL + Vector3::z() * PULL_UP)) * share.min(1.0);
-        let angular = own.localize(&(hinge + away));
-        let angular = angular * (share.min(1.0) / angular.amax().max(1.0));
-        [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
-    }
-}
-
-/// A rigid motion of a block, in its own frame.
-#[derive(Clone, Copy)]
-struct Way {
-    /// m
-    shift: Vector3<f32>,
-    /// Axis times angle, rad.
-    turn: Vector3<f32>,
-}
-
-impl Way {
-    /// Returns this part of the motion.
-    fn part(self, share: f32) -> Self {
-        Self { shift: self.shift * share, turn: self.turn * share }
-    }
-
-    /// Returns where the motion leads.
-    fn moved(&self, own: &Frame) -> Frame {
-        let axes = own.axes * Rotation3::new(self.turn).matrix();
-        Frame { position: own.position + own.axes * self.shift, axes }
-    }
-
-    /// Returns the number of steps that the motion takes at full speed.
-    fn n_steps(&self) -> f32 {
-        (self.shift.amax() / STEP_M).max(self.turn.amax() / STEP_RAD)
-    }
-
-    /// Returns the distance from the line through the place along `normal`, m, and the angle to turn, rad.
-    fn off_axis(&self, normal: &Vector3<f32>) -> (f32, f32) {
-        ((self.shift - normal * normal.dot(&self.shift)).norm(), self.turn.norm())
-    }
-
-    /// Returns the velocities of one step.
-    fn to_move(self) -> Move {
-        let n_steps = self.n_steps().max(1.0);
-        let (linear, angular) = (self.shift / (STEP_M * n_steps), self.turn / (STEP_RAD * n_steps));
-        [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+        let [own, other] = [i, j].map(|block| &self.layout.frames[block.get()]);
+        own.axes.tr_mul(&other.axes) * Vector3::from(of_j.map(|x| x as f32)).normalize()
     }
 }
 

@@ -36,14 +36,14 @@ pub(crate) fn arrays<'py>(py: Python<'py>, rows: &mut [Row]) -> PyResult<Proposa
     let mut relations = Vec::with_capacity(n * N_BLOCKS * N_BLOCKS * N_RELATION);
     for (row, world) in rows.iter_mut().enumerate() {
         let proposals = world.proposals();
-        for block in 0..N_BLOCKS {
-            for proposal in proposals.of(block) {
-                let at = (row * N_BLOCKS + block) * N_SLOTS + usize::from(proposal.slot.index());
+        for block in BlockIdx::all() {
+            for proposal in proposals.slots(block).iter().filter_map(|&slot| proposals.get(block, slot)) {
+                let at = (row * N_BLOCKS + block.get()) * N_SLOTS + usize::from(proposal.slot.index());
                 offered[at] = true;
                 moves[at * 6..(at + 1) * 6].copy_from_slice(&proposal.movement);
                 noise[at] = proposal.noise();
             }
-            (0..N_BLOCKS).for_each(|other| relations.extend(proposals.relation(block, other)));
+            BlockIdx::all().for_each(|other| relations.extend(proposals.relation(block, other)));
         }
     }
     Ok((
@@ -59,10 +59,8 @@ pub(crate) fn offered(row: &mut Row, is_masked: bool) -> [bool; N_PICKS] {
     let allowed = if is_masked { row.allowed() } else { [true; N_BLOCKS] };
     let proposals = row.proposals();
     let mut offered = [false; N_PICKS];
-    for block in (0..N_BLOCKS).filter(|&block| allowed[block]) {
-        for proposal in proposals.of(block) {
-            offered[block * N_SLOTS + usize::from(proposal.slot.index())] = true;
-        }
+    for block in BlockIdx::all().filter(|block| allowed[block.get()]) {
+        proposals.slots(block).iter().for_each(|slot| offered[block.get() * N_SLOTS + usize::from(slot.index())] = true);
     }
     offered
 }
@@ -113,7 +111,7 @@ pub(crate) fn action(row: &mut Row, picks: &[Option<Pick>; N_GRIPPERS], is_noisy
         if is_taken || !allowed[block.get()] {
             continue;
         }
-        let Some(proposal) = row.proposals().get(block.get(), slot).copied() else { continue };
+        let Some(proposal) = row.proposals().get(block, slot) else { continue };
         let noise = if is_noisy { proposal.noise() } else { 0.0 };
         action.moves[block.get()] = proposal.movement.map(|mean| {
             let normal: f32 = if is_noisy { StandardNormal.sample(&mut row.noise) } else { 0.0 };

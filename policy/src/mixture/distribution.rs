@@ -114,7 +114,7 @@ impl MixtureDistribution<'_> {
                 ActionMode::Sampled => StandardNormal.sample(rng),
             }
         };
-        let proposal = self.proposals.get(draw.block.get(), draw.slot)?;
+        let proposal = self.proposals.get(draw.block, draw.slot)?;
         let noise = proposal.noise();
         Some(proposal.movement.map(|mean| mean + noise * normal()))
     }

@@ -10,19 +10,19 @@ const EDGE_M: f32 = 1e-3;
 
 /// A block in the world.
 #[derive(Clone, Copy)]
-pub(crate) struct Solid {
-    pub(crate) frame: Frame,
+pub(super) struct Solid {
+    pub(super) frame: Frame,
     half_extents_m: Vector3<f32>,
 }
 
 impl Solid {
-    pub(crate) fn new(block: BlockIdx, frame: Frame) -> Self {
+    pub(super) fn new(block: BlockIdx, frame: Frame) -> Self {
         Self { frame, half_extents_m: Inventory::standard().half_extents_m(block).into() }
     }
 
     /// Returns the largest distance of the two along a face normal of either, m: negative if they overlap, and never
     /// more than their true distance.
-    pub(crate) fn gap(&self, other: &Self) -> f32 {
+    pub(super) fn gap(&self, other: &Self) -> f32 {
         let (own, others) = (&self.frame, &other.frame);
         let between = others.position - own.position;
         let along = |frame: &Frame, reach: Vector3<f32>| (frame.localize(&between).abs() - reach).max();
@@ -30,7 +30,7 @@ impl Solid {
     }
 
     /// Returns the height of the lowest corner, m.
-    pub(crate) fn lowest_m(&self) -> f32 {
+    pub(super) fn lowest_m(&self) -> f32 {
         self.frame.position.z - self.frame.axes.row(2).abs().transpose().dot(&self.half_extents_m)
     }
 
@@ -40,7 +40,7 @@ impl Solid {
     }
 
     /// Whether a `mover`, however it is turned, may come within `margin_m` on the straight way from `a` to `b`.
-    pub(crate) fn may_meet(&self, mover: &Self, margin_m: f32, a: &Vector3<f32>, b: &Vector3<f32>) -> bool {
+    pub(super) fn may_meet(&self, mover: &Self, margin_m: f32, a: &Vector3<f32>, b: &Vector3<f32>) -> bool {
         // The corners of a margin are √3 times as far out as its faces.
         let radii = self.half_extents_m.norm() + mover.half_extents_m.norm() + 2.0 * margin_m;
         let (way, to) = (b - a, self.frame.position - a);
@@ -49,13 +49,13 @@ impl Solid {
     }
 
     /// Returns the space around this block that the center of a `mover`, which does not turn, must not enter.
-    pub(crate) fn closed_to(&self, mover: &Self, margin_m: f32) -> Closed {
+    pub(super) fn closed_to(&self, mover: &Self, margin_m: f32) -> Closed {
         Closed { frame: self.frame, reach_m: self.reach(mover).add_scalar(margin_m) }
     }
 }
 
 /// A box that a point must not enter.
-pub(crate) struct Closed {
+pub(super) struct Closed {
     frame: Frame,
     reach_m: Vector3<f32>,
 }
@@ -63,7 +63,7 @@ pub(crate) struct Closed {
 impl Closed {
     /// Whether the straight way from `a` to `b` enters the box. If one of them is inside, the box counts only as far as
     /// that: the point leaves it, or goes to it, but no deeper.
-    pub(crate) fn is_entered(&self, a: &Vector3<f32>, b: &Vector3<f32>) -> bool {
+    pub(super) fn is_entered(&self, a: &Vector3<f32>, b: &Vector3<f32>) -> bool {
         let [a, b] = [a, b].map(|end| self.frame.localize(&(end - self.frame.position)));
         let outside = |end: &Vector3<f32>| (end.abs() - self.reach_m).max();
         let least = outside(&a).min(outside(&b));

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::solid::{Closed, Solid};
+use super::solid::{Closed, Solid};
 
 /// Distance that a moving block keeps from others, m.
 const CLEARANCE_M: f32 = 0.02;
@@ -16,7 +16,7 @@ const REACHED_M: f32 = 0.1;
 /// Returns where a block that starts at `from`, with the axes of `mover`, goes first to reach `to` around the
 /// obstacles: `to` itself if the straight way is free, or if no way around was found. It tries points beside `to`:
 /// along `normal`, upward, and to all sides.
-pub(crate) fn next_stop(
+pub(super) fn next_stop(
     mover: &Solid,
     from: &Vector3<f32>,
     to: &Vector3<f32>,

@@ -1,6 +1,7 @@
 //! The direction in which one piece of a structure leaves another.
 
 use std::cell::RefCell;
+use std::cmp::Ordering;
 use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
 
@@ -8,10 +9,7 @@ use blueprints::hash::fnv1a;
 use lru::LruCache;
 
 /// A unit cell, by its lowest corner, in units (0.1 m).
-pub(crate) type Cell = [i32; 3];
-
-/// Steps of one unit after which two pieces are apart: no blueprint is longer.
-const FAR_UNITS: i32 = 14;
+pub(super) type Cell = [i32; 3];
 
 /// Pairs of pieces that a thread remembers. An episode meets a few dozen, and a search takes up to a millisecond.
 const REMEMBERED: NonZeroUsize = NonZeroUsize::new(8192).expect("above 0");
@@ -25,19 +23,19 @@ thread_local! {
 ///
 /// Of two directions, the better one has the larger least component along the normals of the common faces, then the
 /// larger sum of them; of equal ones, the shorter. The cells of each piece are in the frame of the blueprint.
-pub(crate) fn opening(a: &Shape, b: &Shape) -> Option<Cell> {
+pub(super) fn opening(a: &Shape, b: &Shape) -> Option<Cell> {
     KNOWN.with_borrow_mut(|known| *known.get_or_insert([a.key, b.key], || search(&a.cells, &b.cells)))
 }
 
 /// The cells of a piece.
-pub(crate) struct Shape {
+pub(super) struct Shape {
     cells: Vec<Cell>,
     /// A hash of the cells in their order, which is that of the blocks.
     key: u64,
 }
 
 impl Shape {
-    pub(crate) fn new(cells: Vec<Cell>) -> Self {
+    pub(super) fn new(cells: Vec<Cell>) -> Self {
         let key = fnv1a(cells.iter().flatten().flat_map(|x| x.to_le_bytes()));
         Self { cells, key }
     }
@@ -84,17 +82,17 @@ fn search(a: &[Cell], b: &[Cell]) -> Option<Cell> {
         .filter(|(cell, normal)| other.contains(&std::array::from_fn(|k| cell[k] - normal[k])))
         .map(|(_, normal)| normal)
         .collect();
-    let mut best: Option<([f32; 3], Cell)> = None;
-    for direction in directions() {
+    let score = |direction: Cell| {
         let length = (dot(direction, direction) as f32).sqrt();
         let along = || normals.iter().map(|&normal| dot(normal, direction));
         let (least, sum) = (along().min().unwrap_or(0), along().sum::<i32>());
-        let score = [least as f32 / length, sum as f32 / length, -length];
-        if least >= 0 && best.is_none_or(|(best, _)| score > best) && is_free(a, &other, direction) {
-            best = Some((score, direction));
-        }
-    }
-    best.map(|(_, direction)| direction)
+        [least as f32 / length, sum as f32 / length, -length]
+    };
+    let mut scored: Vec<([f32; 3], Cell)> = directions().map(|direction| (score(direction), direction)).collect();
+    scored.retain(|([least, ..], _)| *least >= 0.0);
+    // Of equal scores, the first direction stays the first.
+    scored.sort_by(|(a, _), (b, _)| b.iter().zip(a).map(|(b, a)| b.total_cmp(a)).fold(Ordering::Equal, Ordering::then));
+    scored.into_iter().map(|(_, direction)| direction).find(|&direction| is_free(a, &other, direction))
 }
 
 fn faces() -> impl Iterator<Item = Cell> {
@@ -115,7 +113,14 @@ fn is_free(a: &[Cell], other: &Grid, direction: Cell) -> bool {
         range(0).flat_map(move |x| range(1).flat_map(move |y| range(2).map(move |z| [x, y, z])))
     };
     let at = |cell: &Cell, t: i32, shift: Cell| std::array::from_fn(|k| cell[k] + direction[k] * t + shift[k]);
-    (0..FAR_UNITS).all(|t| a.iter().all(|cell| overlapped().all(|shift| !other.contains(&at(cell, t, shift)))))
+    // Along each axis, after so many steps the last cell has passed the other piece.
+    let n_steps = |k: usize| match direction[k] {
+        1 => a.iter().map(|cell| other.low[k] + other.size[k] - cell[k]).max(),
+        -1 => a.iter().map(|cell| cell[k] + 1 - other.low[k]).max(),
+        _ => None,
+    };
+    (0..(0..3).filter_map(n_steps).min().unwrap_or(0))
+        .all(|t| a.iter().all(|cell| overlapped().all(|shift| !other.contains(&at(cell, t, shift)))))
 }
 
 fn dot(a: Cell, b: Cell) -> i32 {

@@ -1,0 +1,221 @@
+//! The moves of proposals.
+
+use blueprints::{BlockIdx, N_BLOCKS};
+use nalgebra::Vector3;
+use proto::{Move, Scene};
+
+use super::detour::next_stop;
+use super::solid::Solid;
+use super::way::{STEP_M, Way};
+use crate::geometry::Frame;
+
+const N: usize = N_BLOCKS;
+
+/// Longest distance from the place in the funnel of two single blocks, m.
+const FUNNEL_M: f32 = 0.2;
+/// Distance per lateral distance beyond 1 cm.
+const FUNNEL_SLOPE: f32 = 2.0;
+/// Distance from the axis at which two blocks count as aligned, m.
+const ALIGNED_M: f32 = 0.01;
+/// Distance in the funnel per radian of turn, m, for single blocks; larger pieces need their radius more.
+const FUNNEL_PER_RAD: f32 = 0.15;
+/// Turn at which two blocks count as aligned, rad.
+const ALIGNED_RAD: f32 = 0.1;
+/// The part of the funnel that no step skips, m, and what it grows by with the radius of the pieces.
+const NEAR_M: f32 = 0.12;
+const NEAR_PER_RADIUS: f32 = 0.5;
+/// How much too far an aligned block goes, m.
+const PRESS_M: f32 = 0.02;
+/// Distance at which blocks touch, m.
+const TOUCH_M: f32 = 0.015;
+/// Steps and end of the search for room to turn, m.
+const BACK_OFF_M: [f32; 2] = [0.05, 0.8];
+/// Overlap at which a turning block still has room, m.
+const SLACK_M: f32 = 0.003;
+
+/// Height to which a held block, or the place of a block that is to come to it, rises, m: room for other blocks below.
+const HOLD_M: f32 = 0.5;
+/// Pull and lift of a detachment, as fractions of the speed limit.
+const PULL: f32 = 0.4;
+const PULL_UP: f32 = 0.06;
+
+/// Where the blocks are, and what moves together.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Layout {
+    pub(super) frames: [Frame; N],
+    /// Blocks with the same value are correctly connected, directly or through others.
+    pub(super) pieces: [usize; N],
+    /// Number of blocks of each piece, at the index of its name.
+    sizes: [u8; N],
+    /// Largest distance from a block's center to the center of another of its piece, m.
+    radii: [f32; N],
+    /// Whether two blocks can move at once.
+    has_two_grippers: bool,
+}
+
+/// A connection that i is to make with j.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Joining {
+    /// To the place of i.
+    pub(super) way: Way,
+    /// Unit vector in i's frame along which i comes to j from outside.
+    pub(super) normal: Vector3<f32>,
+    /// The place of j in i's frame, m.
+    pub(super) place_m: Vector3<f32>,
+    /// Whether i is so near the axis that both come.
+    pub(super) is_aligned: bool,
+}
+
+/// What is around a block.
+struct Surroundings {
+    /// The blocks of all other pieces.
+    obstacles: Vec<Solid>,
+    /// Whether it touches one of them.
+    is_touching: bool,
+}
+
+impl Layout {
+    pub(super) fn new(scene: &Scene, pieces: [usize; N]) -> Self {
+        let frames = scene.blocks.each_ref().map(Frame::new);
+        let radius = |i: usize| {
+            let same = (0..N).filter(|&k| pieces[k] == pieces[i]);
+            same.map(|k| (frames[k].position - frames[i].position).norm_squared()).fold(0.0, f32::max).sqrt()
+        };
+        let mut sizes = [0; N];
+        pieces.iter().for_each(|&piece| sizes[piece] += 1);
+        let has_two_grippers = scene.grippers.iter().all(Option::is_some);
+        Self { frames, pieces, sizes, radii: std::array::from_fn(radius), has_two_grippers }
+    }
+
+    /// Returns i's part in joining j.
+    pub(super) fn join(&self, [i, j]: [BlockIdx; 2], joining: &Joining) -> Move {
+        let Joining { mut way, normal, place_m, is_aligned } = *joining;
+        let (own, other) = (self.size(i), self.size(j));
+        let both_come = self.has_two_grippers && (is_aligned || own == other);
+        if self.has_two_grippers && own > other && !both_come {
+            return self.wait(i, &place_m);
+        }
+        let around = self.surroundings(i);
+        let off = self.stand_off([i, j], &around, &way, &normal);
+        way.shift += normal * off;
+        if self.pieces[i.get()] != self.pieces[j.get()] {
+            // From where it is aligned, the pieces part freely.
+            if off >= 0.0 {
+                way.shift = self.detour(i, &around, &way, &normal);
+            }
+            if own <= other {
+                way.shift += self.lift(i, &way);
+            }
+        }
+        if both_come { way.part(self.share(i, j)).to_move() } else { way.to_move() }
+    }
+
+    /// Returns a move of i away from j that pulls, lifts, bends, and twists.
+    pub(super) fn detach(&self, i: BlockIdx, j: BlockIdx) -> Move {
+        let (own, other) = (&self.frames[i.get()], &self.frames[j.get()]);
+        let away = (own.position - other.position).try_normalize(1e-6).unwrap_or_else(Vector3::z);
+        let hinge = away.cross(&Vector3::z()).try_normalize(0.1).unwrap_or_else(Vector3::x);
+        let share = 2.0 * self.share(i, j);
+        let linear = own.localize(&(away * PULL + Vector3::z() * PULL_UP)) * share.min(1.0);
+        let angular = own.localize(&(hinge + away));
+        let angular = angular * (share.min(1.0) / angular.amax().max(1.0));
+        [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+    }
+
+    /// Returns a move of i up to half a meter.
+    pub(super) fn hold(&self, i: BlockIdx) -> Move {
+        self.rise(i, HOLD_M - self.frames[i.get()].position.z)
+    }
+
+    /// Returns a move that holds i until the block that is to be at `place_m` has come.
+    fn wait(&self, i: BlockIdx, place_m: &Vector3<f32>) -> Move {
+        let own = &self.frames[i.get()];
+        let lowest = own.position.z.min((own.position + own.axes * place_m).z);
+        self.rise(i, HOLD_M - lowest)
+    }
+
+    /// Returns a move straight up by at most `height_m` and one step.
+    fn rise(&self, i: BlockIdx, height_m: f32) -> Move {
+        let up = self.frames[i.get()].localize(&Vector3::z()) * (height_m / STEP_M).clamp(0.0, 1.0);
+        [up.x, up.y, up.z, 0.0, 0.0, 0.0]
+    }
+
+    fn size(&self, block: BlockIdx) -> u8 {
+        self.sizes[self.pieces[block.get()]]
+    }
+
+    /// Returns i's part of the way if both come. It falls with the square of the number of blocks that move with i:
+    /// large pieces break when they move or turn fast.
+    fn share(&self, i: BlockIdx, j: BlockIdx) -> f32 {
+        let [own, other] = [i, j].map(|block| f32::from(self.size(block)).powi(2));
+        other / (own + other)
+    }
+
+    fn surroundings(&self, i: BlockIdx) -> Surroundings {
+        let solid = |block: BlockIdx| Solid::new(block, self.frames[block.get()]);
+        let others = BlockIdx::all().filter(|k| self.pieces[k.get()] != self.pieces[i.get()]);
+        let (own, obstacles): (Solid, Vec<Solid>) = (solid(i), others.map(solid).collect());
+        let at = &own.frame.position;
+        let mut near = obstacles.iter().filter(|obstacle| obstacle.may_meet(&own, TOUCH_M, at, at));
+        let is_touching = near.any(|obstacle| own.gap(obstacle) < TOUCH_M);
+        Surroundings { obstacles, is_touching }
+    }
+
+    /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned.
+    fn stand_off(&self, [i, j]: [BlockIdx; 2], around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> f32 {
+        let (lateral_m, turn_rad) = way.off_axis(normal);
+        let wide = self.radii[i.get()].min(self.radii[j.get()]);
+        let funnel = |left: f32| {
+            let off = FUNNEL_SLOPE * (left * lateral_m - ALIGNED_M).max(0.0)
+                + (FUNNEL_PER_RAD + wide) * (left * turn_rad - ALIGNED_RAD).max(0.0);
+            off.min(FUNNEL_M + wide)
+        };
+        let now = funnel(1.0);
+        if now == 0.0 {
+            return -PRESS_M;
+        }
+        let left = 1.0 - 1.0 / way.n_steps().max(1.0);
+        let off = funnel(left).max(now.min(NEAR_M + NEAR_PER_RADIUS * wide));
+        let turns_here = around.is_touching && self.size(i) <= self.size(j);
+        if turns_here { self.room_to_turn(i, around, way, normal, off).unwrap_or(off) } else { off }
+    }
+
+    /// Returns the least distance from its place, from `least` on, toward which a block can go and turn for a step
+    /// without touching anything.
+    fn room_to_turn(
+        &self,
+        i: BlockIdx,
+        around: &Surroundings,
+        way: &Way,
+        normal: &Vector3<f32>,
+        least: f32,
+    ) -> Option<f32> {
+        let own = &self.frames[i.get()];
+        let is_free = |off: &f32| {
+            let way = Way { shift: way.shift + normal * *off, turn: way.turn };
+            let step = 1.0 / way.n_steps().max(1.0);
+            [0.5 * step, step].into_iter().all(|part| {
+                let there = Solid::new(i, way.part(part).moved(own));
+                around.obstacles.iter().all(|obstacle| there.gap(obstacle) > -SLACK_M)
+            })
+        };
+        let [step, most] = BACK_OFF_M;
+        (0..).map(|n| least + step * n as f32).take_while(|&off| off < most).find(is_free)
+    }
+
+    /// Returns what must be added to a way so that its next step does not end in the ground.
+    fn lift(&self, i: BlockIdx, way: &Way) -> Vector3<f32> {
+        let (own, n_steps) = (&self.frames[i.get()], way.n_steps().max(1.0));
+        let lowest = Solid::new(i, way.part(1.0 / n_steps).moved(own)).lowest_m();
+        own.localize(&Vector3::z()) * ((-lowest).max(0.0) * n_steps)
+    }
+
+    /// Returns the first straight part of a way that leads around the obstacles, in the block's frame, m.
+    fn detour(&self, i: BlockIdx, around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> Vector3<f32> {
+        let own = &self.frames[i.get()];
+        let to = own.position + own.axes * way.shift;
+        let mover = Solid::new(i, way.moved(own));
+        let stop = next_stop(&mover, &own.position, &to, &(own.axes * normal), &around.obstacles);
+        own.localize(&(stop - own.position))
+    }
+}
