@@ -441,10 +441,11 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
     let mut engine = Engine::new(&config, 0, &device, true);
     engine.load(&values).unwrap();
 
+    const N_DRAWS: u16 = 30;
     let (goal, scene) = busy();
     let mut batch = FeatureBatch::of_policy(&config);
     let mut actions = Vec::new();
-    for n_steps in 0..7 {
+    for n_steps in 0..N_DRAWS {
         batch.push(&Observation { scene: &scene, blueprint: &goal, n_steps });
         let outputs = engine.run(&batch, &[usize::from(n_steps)]);
         let distribution = MixtureDistribution {
@@ -454,7 +455,7 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
         };
         // With one more draw each time, and the last on one block.
         let mut drawn = distribution.act(ActionMode::Sampled, &mut rng).unwrap();
-        if n_steps == 6 {
+        if n_steps == N_DRAWS - 1 {
             drawn.action.choices[1] = drawn.action.choices[0];
             drawn.slots[1] = None;
         }
@@ -466,7 +467,7 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
         actions.push((drawn.action, drawn.slots, rows, log_prob, entropy));
     }
     assert!(actions.iter().any(|(_, _, rows, ..)| rows.second.len() > 1));
-    let order: Vec<usize> = (0..7).rev().collect();
+    let order: Vec<usize> = (0..usize::from(N_DRAWS)).rev().collect();
     let draws: Vec<&ActionRows> = order.iter().map(|&k| &actions[k].2).collect();
     let tensors = |device: &Device| {
         let plain: Vec<&Action> = order.iter().map(|&k| &actions[k].0).collect();

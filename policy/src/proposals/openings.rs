@@ -19,7 +19,8 @@ thread_local! {
 }
 
 /// Returns the direction, with entries −1, 0, and 1, in which piece `a` leaves piece `b` without touching it and which
-/// opens all their common faces best; `None` if every direction is blocked.
+/// opens all their common faces best; `None` if every direction is blocked. A direction that passes beside no block of
+/// `b`, whose magnets would catch `a`, comes before all that do.
 ///
 /// Of two directions, the better one has the larger least component along the normals of the common faces, then the
 /// larger sum of them; of equal ones, the shorter. The cells of each piece are in the frame of the blueprint.
@@ -92,7 +93,11 @@ fn search(a: &[Cell], b: &[Cell]) -> Option<Cell> {
     scored.retain(|([least, ..], _)| *least >= 0.0);
     // Of equal scores, the first direction stays the first.
     scored.sort_by(|(a, _), (b, _)| b.iter().zip(a).map(|(b, a)| b.total_cmp(a)).fold(Ordering::Equal, Ordering::then));
-    scored.into_iter().map(|(_, direction)| direction).find(|&direction| is_free(a, &other, direction))
+    let mut free = scored.into_iter().filter(|&(_, way)| is_free(a, &other, way)).peekable();
+    let ([most, ..], best) = *free.peek()?;
+    // Along a common face, it would pass beside that.
+    let opens = |least: f32| least > 0.0 || most == 0.0;
+    free.find(|&([least, ..], way)| opens(least) && !grazes(a, &other, way)).map(|(_, way)| way).or(Some(best))
 }
 
 fn faces() -> impl Iterator<Item = Cell> {
@@ -112,15 +117,29 @@ fn is_free(a: &[Cell], other: &Grid, direction: Cell) -> bool {
         let range = |k: usize| direction[k].min(0)..=direction[k].max(0);
         range(0).flat_map(move |x| range(1).flat_map(move |y| range(2).map(move |z| [x, y, z])))
     };
-    let at = |cell: &Cell, t: i32, shift: Cell| std::array::from_fn(|k| cell[k] + direction[k] * t + shift[k]);
-    // Along each axis, after so many steps the last cell has passed the other piece.
-    let n_steps = |k: usize| match direction[k] {
+    let n = n_steps(a, other, direction);
+    (0..n).all(|t| a.iter().all(|cell| overlapped().all(|shift| !other.contains(&moved(cell, direction, t, shift)))))
+}
+
+/// Whether a cell of `a`, moving along `direction`, comes to lie beside one of `other`, where magnets may catch it.
+fn grazes(a: &[Cell], other: &Grid, direction: Cell) -> bool {
+    let n = n_steps(a, other, direction);
+    (1..=n).any(|t| a.iter().any(|cell| faces().any(|face| other.contains(&moved(cell, direction, t, face)))))
+}
+
+/// Returns the number of steps of one unit after which the last cell of `a` has passed `other`.
+fn n_steps(a: &[Cell], other: &Grid, direction: Cell) -> i32 {
+    let along = |k: usize| match direction[k] {
         1 => a.iter().map(|cell| other.low[k] + other.size[k] - cell[k]).max(),
         -1 => a.iter().map(|cell| cell[k] + 1 - other.low[k]).max(),
         _ => None,
     };
-    (0..(0..3).filter_map(n_steps).min().unwrap_or(0))
-        .all(|t| a.iter().all(|cell| overlapped().all(|shift| !other.contains(&at(cell, t, shift)))))
+    (0..3).filter_map(along).min().unwrap_or(0)
+}
+
+/// Returns a cell after `n` steps, and then `shift`.
+fn moved(cell: &Cell, direction: Cell, n: i32, shift: Cell) -> Cell {
+    std::array::from_fn(|k| cell[k] + direction[k] * n + shift[k])
 }
 
 fn dot(a: Cell, b: Cell) -> i32 {
@@ -141,6 +160,17 @@ mod tests {
     fn a_block_in_a_corner_leaves_diagonally() {
         // Neighbors below and on the left: straight up would graze the left one.
         assert_eq!(search(&[[1, 0, 1]], &[[1, 0, 0], [0, 0, 1]]), Some([1, 0, 1]));
+    }
+
+    #[test]
+    fn a_block_keeps_away_from_what_it_would_pass() {
+        // It hangs, and straight down it would come to lie beside another one.
+        assert_eq!(search(&[[0, 0, 0]], &[[0, 0, 1], [1, 0, -1]]), Some([-1, 0, -1]));
+        // In a shaft, there is no other way.
+        assert_eq!(
+            search(&[[0, 0, 0]], &[[0, 0, 1], [1, 0, -1], [-1, 0, -1], [0, 1, -1], [0, -1, -1]]),
+            Some([0, 0, -1])
+        );
     }
 
     #[test]
