@@ -22,10 +22,11 @@
 //! | [`Detach`](Kind::Detach) | each j | away from j, a little up, and turning | the two are connected, but not as the blueprint wants it |
 //! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground; nothing if it is higher | always |
 //!
-//! **The funnel.** On the way to its place, i stays off j in the direction in which their pieces part most freely (or
-//! along the normal of the connection, if they belong to one piece already): the farther it will be from the axis after
-//! this step, and the more it will have to turn, the farther off. Once i is aligned, the funnel ends, and the move goes a
-//! little too far: magnets snap before the blocks touch, and they do so in this step instead of the next.
+//! **The funnel.** On the way to its place, i stays off j in the direction in which their pieces part most freely, if
+//! possible without passing beside other blocks, whose magnets would catch it (`openings.rs`). If i and j belong to one
+//! piece already, the direction is the normal of the connection. The farther i will be from the axis after this step, and
+//! the more it will have to turn, the farther off it stays. Once i is aligned, the funnel ends, and the move goes a little
+//! too far: magnets snap before the blocks touch, and they do so in this step instead of the next.
 //!
 //! **Turning.** A block that touches another and has to turn first backs off as far as it needs for that. Otherwise, it
 //! would press against both walls of a corner forever.
