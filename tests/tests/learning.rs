@@ -91,12 +91,12 @@ fn ppo_learns_to_finish_a_blueprint() {
 }
 
 #[test]
-fn rewards_alone_teach_three_blocks_from_scattered_starts() {
+fn rewards_alone_teach_five_blocks_from_scattered_starts() {
     let mut config = Ring::config("quickstart");
-    let ids = ["3_001", "3_007"].map(|id| id.parse().unwrap()).to_vec();
+    let ids = ["5_001", "5_003"].map(|id| id.parse().unwrap()).to_vec();
     config.actor.tasks.filter = TaskFilter::Blueprints(ids.clone());
     config.evaluator.selection.splits = vec![blueprints::Split::Train];
-    config.evaluator.selection.sizes = [3, 3];
+    config.evaluator.selection.sizes = [5, 5];
     config.evaluator.selection.blueprints = ids;
     config.evaluator.episodes.n_episodes = 20;
     let mut ring = Ring::new(config);
