@@ -49,7 +49,7 @@ mod way;
 
 use std::ops::Range;
 
-use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS, RelativePlacement};
 use nalgebra::Vector3;
 use proto::{Move, Observation, Scene};
 
@@ -308,8 +308,9 @@ impl<'a> View<'a> {
         ];
         let mut relation = bits.map(|bit| f32::from(u8::from(bit)));
         let Some(link) = link.filter(|_| connection != Connection::Right) else { return (relation, None) };
-        let (way, place_m) = self.way(i, j, link);
-        let normal = self.normal(i, j, link, is_joined);
+        let wanted = if link.a == i { link.relative } else { link.relative.inverse() };
+        let (way, place_m) = (self.way(i, j, &wanted), wanted.position_m());
+        let normal = self.normal(i, j, &wanted, is_joined);
         let (lateral_m, turn_rad) = way.off_axis(&normal);
         relation[4] = (-0.5 * way.n_steps()).exp();
         relation[5] = (-3.0 * (lateral_m / STEP_M).max(turn_rad / STEP_RAD)).exp();
@@ -318,20 +319,18 @@ impl<'a> View<'a> {
         (relation, is_open.then_some(Joining { way, normal, place_m, is_aligned: relation[5] > BOTH_COME }))
     }
 
-    /// Returns the exact way of `i` to its place relative to a fixed `j`, and the place of `j` in i's frame, m.
-    fn way(&self, i: BlockIdx, j: BlockIdx, link: &Link) -> (Way, Vector3<f32>) {
-        let wanted = if link.a == i { link.relative } else { link.relative.inverse() };
+    /// Returns the exact way of `i` to its place relative to a fixed `j`, which is `wanted` relative to `i`.
+    fn way(&self, i: BlockIdx, j: BlockIdx, wanted: &RelativePlacement) -> Way {
         let [own, other] = [i, j].map(|block| &self.layout.frames[block.get()]);
         let offset = own.localize(&(other.position - own.position));
         let current = own.axes.tr_mul(&other.axes);
         // With j at (offset, C) in i's frame, the place (m, T) of i satisfies offset = m + T · wanted and C = T · D.
         let turn = current * matrix(wanted.rotation.matrix()).transpose();
-        let place_m = wanted.position_m();
-        (Way { shift: offset - turn * place_m, turn: rotation_vector(&turn) }, place_m)
+        Way { shift: offset - turn * wanted.position_m(), turn: rotation_vector(&turn) }
     }
 
     /// Returns the unit vector in i's frame along which i comes to j from outside.
-    fn normal(&self, i: BlockIdx, j: BlockIdx, link: &Link, is_joined: bool) -> Vector3<f32> {
+    fn normal(&self, i: BlockIdx, j: BlockIdx, wanted: &RelativePlacement, is_joined: bool) -> Vector3<f32> {
         let of_j = match self.blueprint.placement(j) {
             Some(place) if !is_joined => {
                 let [a, b] = [i, j].map(|block| &self.shapes[self.layout.pieces[block.get()]]);
@@ -339,19 +338,18 @@ impl<'a> View<'a> {
             }
             _ => None,
         };
-        let of_j = of_j.unwrap_or_else(|| contact_normal(j, link));
+        let of_j = of_j.unwrap_or_else(|| contact_normal(i, j, wanted));
         let [own, other] = [i, j].map(|block| &self.layout.frames[block.get()]);
         own.axes.tr_mul(&other.axes) * Vector3::from(of_j.map(|x| x as f32)).normalize()
     }
 }
 
-/// Returns the outward normal, in j's frame, of j's face at a connection.
-fn contact_normal(j: BlockIdx, link: &Link) -> [i32; 3] {
+/// Returns the outward normal, in j's frame, of j's face at its connection with i, relative to which j is `wanted`.
+fn contact_normal(i: BlockIdx, j: BlockIdx, wanted: &RelativePlacement) -> [i32; 3] {
     let inventory = Inventory::standard();
-    let other = if link.a == j { link.b } else { link.a };
-    let relative = if link.a == j { link.relative } else { link.relative.inverse() };
+    let relative = wanted.inverse();
     let own = inventory.cells(j).map(i32::from);
-    let other = relative.rotation.apply(inventory.cells(other).map(i32::from)).map(i32::abs);
+    let other = relative.rotation.apply(inventory.cells(i).map(i32::from)).map(i32::abs);
     // The boxes touch where their centers are half of both sizes apart, in half units: the sum of their cells.
     let touches = |k: usize| relative.offset_half_units[k].abs() == own[k] + other[k];
     std::array::from_fn(|k| if touches(k) { relative.offset_half_units[k].signum() } else { 0 })
