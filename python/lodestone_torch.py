@@ -59,7 +59,7 @@ from torch.nn import functional as F
 
 N_BLOCKS = 16
 MOVE = 6
-FORMAT_VERSIONS = (2, 3)
+FORMAT_VERSION = 4
 MAX_NORMALIZED = 10.0
 LAYER_NORM_EPSILON = 1e-5
 NO_EDGE = -1e9
@@ -528,15 +528,13 @@ class Policy(nn.Module):
             if entry is None:
                 raise ValueError("its metadata has no entry `lodestone`; write one with `lodestone export`")
             header = json.loads(entry)
-            if header["format_version"] not in FORMAT_VERSIONS:
-                known = " and ".join(map(str, FORMAT_VERSIONS))
-                raise ValueError(f"its format version is {header['format_version']}, this module reads {known}")
+            if header["format_version"] != FORMAT_VERSION:
+                raise ValueError(f"its format version is {header['format_version']}, this module reads {FORMAT_VERSION}")
             network = GraphNetwork(Config.of(header))
             for name, value in network.state_dict().items():
                 if name not in tensors or tensors[name].shape != value.shape:
                     raise ValueError(f"it has no tensor {name} of shape {list(value.shape)}")
-            # Files of format version 2 have no digest.
-            if header["format_version"] > 2 and header["digest"] != digest(header["table"], tensors):
+            if header["digest"] != digest(header["table"], tensors):
                 raise ValueError("its tensors are not those that were exported: their digest is another")
             network.load_state_dict(tensors)
         except (OSError, SafetensorError, KeyError, TypeError, RuntimeError, ValueError) as error:
@@ -546,9 +544,7 @@ class Policy(nn.Module):
     def save(self, path: str | Path) -> None:
         """Writes a file that Lodestone can read, for example with `lodestone eval --checkpoint FILE`."""
         tensors = {name: value.float().contiguous() for name, value in self.network.state_dict().items()}
-        header = self.header
-        if "digest" in header:
-            header = {**header, "digest": digest(header["table"], tensors)}
+        header = {**self.header, "digest": digest(self.header["table"], tensors)}
         save_file(tensors, str(path), metadata={"lodestone": json.dumps(header, separators=(",", ":"))})
 
     def folded(self) -> list[Folded]:

@@ -1,17 +1,17 @@
 //! CPU time of an actor's step and of its parts, in microseconds per environment step.
 //!
-//! `cargo bench -p actor` rolls out 64 worlds on one thread with the default network, untrained. The expert acts, so
-//! that structures get built. The parts are then timed individually on the scenes of that rollout. The world's time is
-//! what remains of the whole, and the forward pass is what remains of the policy.
+//! `cargo bench -p actor` rolls out 64 worlds on one thread with the default network, untrained. The parts
+//! are then timed individually on the scenes of that rollout. The world's time is what remains of the whole, and the
+//! forward pass is what remains of the policy.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use std::collections::BTreeMap;
 use std::hint::black_box;
 
-use actor::{DaggerConfig, DaggerMixture, Identity, Rollout, RolloutSetup, TaskConfig};
+use actor::{Identity, Rollout, RolloutSetup, TaskConfig};
 use blueprints::{Blueprint, Catalog};
-use environment::{EnvironmentConfig, Expert, World};
+use environment::{EnvironmentConfig, World};
 use policy::cpu::Outputs;
 use policy::distribution::ActionDistribution;
 use policy::{DeviceKind, Engine, FeatureBatch, Policy, PolicyConfig};
@@ -77,27 +77,16 @@ fn main() {
             }
         }
     });
-    let mut experts: Vec<Option<Expert>> =
-        blueprints.iter().map(|blueprint| Expert::new(&environment, blueprint).ok()).collect();
     let n_scenes: usize = segments.iter().map(|segment| segment.transitions.len()).sum();
-    let expert = best_of(n_scenes, || {
-        for (segment, expert) in segments.iter().zip(&mut experts) {
-            let Some(expert) = expert else { continue };
-            for step in &segment.transitions {
-                black_box(expert.act(&step.scene));
-            }
-        }
-    });
     let sending = best_of(n_scenes, || segments.iter().for_each(|segment| drop(black_box(encode_trajectory(segment)))));
 
-    let world = whole - act - expert;
+    let world = whole - act;
     println!("microseconds of CPU time per environment step, {N_WORLDS} worlds on one thread");
     for (part, cost) in [
         ("world", world),
         ("features", features),
         ("forward pass", act - features - sampling),
         ("sampling", sampling),
-        ("expert's label", expert),
         ("encoding", sending),
         ("all", whole + sending),
     ] {
@@ -106,7 +95,6 @@ fn main() {
 }
 
 fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Weights) -> Rollout<'static, World> {
-    let dagger = DaggerConfig { expert_share: [1.0, 1.0], ..DaggerConfig::default() };
     let setup = RolloutSetup {
         catalog: Catalog::builtin(),
         policy: policy.clone(),
@@ -114,7 +102,6 @@ fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Wei
         tasks: TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() },
         segment_len: 32,
         burn_in: actor::BurnInConfig::default(),
-        dagger: Some(DaggerMixture::new(dagger, environment.clone())),
         identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0 },
         seed: 0,
     };

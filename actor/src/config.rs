@@ -3,7 +3,7 @@
 use proto::settings;
 use serde::{Deserialize, Serialize};
 
-use crate::{DaggerConfig, TaskConfig};
+use crate::TaskConfig;
 
 settings! {
     /// How many worlds an actor steps, how it cuts episodes, and how it deals with a slow or absent learner.
@@ -18,8 +18,6 @@ settings! {
         pub tasks: TaskConfig;
         /// Burn-in: first steps of an episode that are not learned from.
         pub burn_in: BurnInConfig;
-        /// The expert, which labels every scene and acts in some episodes; none by default.
-        pub dagger: Option<DaggerConfig>;
         /// Maximum number of segments that wait for the learner's answer at once.
         pub n_outstanding: usize = 2, in 1..=16;
         /// Maximum number of segments kept while the learner does not accept them.

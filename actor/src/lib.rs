@@ -1,14 +1,13 @@
 //! From tasks to trajectories: steps many worlds with the newest weights and sends segments to the learner.
 //!
-//! Reading order: [`config`] → [`task`] (what to build next) → [`dagger`] (whether expert or policy acts) → [`segment`]
-//! (episodes cut into segments) → [`rollout`] (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`]
+//! Reading order: [`config`] → [`task`] (what to build next) → [`segment`] (episodes cut
+//! into segments) → [`rollout`] (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`]
 //! and [`streams`] → [`run()`] (threads and the bus). [`load`] measures the bus with actors that step no worlds.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod backlog;
 pub mod config;
-pub mod dagger;
 pub mod load;
 pub mod lockstep;
 pub mod rollout;
@@ -22,7 +21,6 @@ mod toy;
 
 pub use backlog::Backlog;
 pub use config::{ActorConfig, BurnInConfig, FullBacklog};
-pub use dagger::{DaggerConfig, DaggerMixture, NoiseConfig};
 pub use environment::EnvironmentConfig;
 pub use lockstep::Lockstep;
 pub use policy::PolicyConfig;

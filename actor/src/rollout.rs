@@ -5,7 +5,7 @@ use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, Step, VecEnv};
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, Driver, Label, Observation, Status, Task, Trajectory, Transition,
+    ActionMode, CanonicalSettings, Driver, Status, Task, Trajectory, Transition,
     Weights, WeightsVersion,
 };
 use rand::RngExt;
@@ -13,7 +13,6 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use crate::config::BurnInConfig;
-use crate::dagger::{DaggerEpisode, DaggerMixture};
 use crate::segment::{Cut, Identity, SegmentBuilder};
 use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskConfig, TaskSampler};
@@ -33,8 +32,6 @@ pub struct RolloutSetup<'c> {
     pub segment_len: usize,
     /// First steps of an episode, which are not learned from.
     pub burn_in: BurnInConfig,
-    /// The DAgger mixture, if there is an expert.
-    pub dagger: Option<DaggerMixture>,
     /// Origin of the segments.
     pub identity: Identity,
     /// Seed of tasks and actions.
@@ -54,7 +51,7 @@ impl RolloutSetup<'_> {
 impl RolloutSetup<'static> {
     /// Creates the setup for an actor's rollout.
     pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
-        let ActorSetup { config, policy, environment, seed, catalog, .. } = setup;
+        let ActorSetup { config, policy, seed, catalog, .. } = setup;
         Self {
             catalog,
             policy: policy.clone(),
@@ -62,7 +59,6 @@ impl RolloutSetup<'static> {
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
             burn_in: config.burn_in,
-            dagger: config.dagger.clone().map(|dagger| DaggerMixture::new(dagger, environment.clone())),
             identity,
             seed: *seed,
         }
@@ -124,9 +120,6 @@ pub enum RolloutError {
 struct EnvSlot {
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
-    dagger: Option<DaggerEpisode>,
-    /// Expert's label of the last step.
-    label: Option<Label>,
     /// Remaining burn-in steps, in which the policy acts greedily and which are not learned from.
     n_burn_in: u16,
 }
@@ -134,39 +127,7 @@ struct EnvSlot {
 impl EnvSlot {
     /// Returns how the policy acts in the next step.
     fn mode(&self) -> ActionMode {
-        match driver(self.dagger.as_ref()) {
-            Driver::Sampled if self.n_burn_in == 0 => ActionMode::Sampled,
-            _ => ActionMode::Greedy,
-        }
-    }
-}
-
-/// The policy, mixed with the expert if there is one and the burn-in is over.
-struct Mixture<'a> {
-    policy: &'a mut Policy,
-    slots: &'a mut [EnvSlot],
-}
-
-impl Agent for Mixture<'_> {
-    type Error = PolicyError;
-
-    fn act(
-        &mut self,
-        observations: &[Observation<'_>],
-        modes: &[ActionMode],
-        rngs: &mut [ChaCha8Rng],
-    ) -> Result<Vec<Decision>, PolicyError> {
-        let decisions = self.policy.act(observations, modes, rngs)?.into_iter();
-        let rows = self.slots.iter_mut().zip(observations).zip(rngs);
-        let mix = |(decision, ((slot, seen), rng)): (Decision, ((&mut EnvSlot, &Observation<'_>), &mut ChaCha8Rng))| {
-            let Some(dagger) = slot.dagger.as_mut().filter(|_| slot.n_burn_in == 0) else { return decision };
-            let (action, label) = dagger.step(seen.scene, decision.action, rng);
-            slot.label = label;
-            // Noisy actions and the expert's have no useful probability under the policy.
-            let log_prob = if dagger.driver() == Driver::Sampled { decision.log_prob } else { 0.0 };
-            Decision { action, log_prob, ..decision }
-        };
-        Ok(decisions.zip(rows).map(mix).collect())
+        if self.n_burn_in == 0 { ActionMode::Sampled } else { ActionMode::Greedy }
     }
 }
 
@@ -227,12 +188,9 @@ impl<'c, E: Env> Rollout<'c, E> {
             true
         };
         let task = self.envs.reset(row, task, setup.catalog, retry)?;
-        let begin =
-            |mixture: &DaggerMixture| mixture.begin(self.envs.env(row).blueprint(), self.version, &mut task_rng);
-        let dagger = setup.dagger.as_ref().map(begin);
-        let segment = SegmentBuilder::new(setup.segment_len, task, driver(dagger.as_ref()));
+        let segment = SegmentBuilder::new(setup.segment_len, task, Driver::Sampled);
         let n_burn_in = draw_burn_in(&setup.burn_in, &mut task_rng);
-        Ok(EnvSlot { task_rng, segment, dagger, label: None, n_burn_in })
+        Ok(EnvSlot { task_rng, segment, n_burn_in })
     }
 
     /// Advances every world by one step and returns the segments that this finished, in the order of the worlds and
@@ -243,8 +201,7 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// case, the rollout can continue with other weights.
     pub fn step(&mut self) -> Result<Vec<Trajectory>, RolloutError> {
         let modes: Vec<ActionMode> = self.slots.iter().map(EnvSlot::mode).collect();
-        let mut mixture = Mixture { policy: &mut self.policy, slots: &mut self.slots };
-        let steps = self.envs.step(&mut mixture, &modes)?;
+        let steps = self.envs.step(&mut self.policy, &modes)?;
         let mut finished: Vec<Trajectory> = Vec::new();
         let mut ended: Vec<usize> = Vec::new();
         for (row, Step { scene, decision, result }) in steps.into_iter().enumerate() {
@@ -273,7 +230,6 @@ impl<'c, E: Env> Rollout<'c, E> {
                 proposals: decision.proposals,
                 behavior_log_prob,
                 reward: result.reward,
-                label: slot.label,
             };
             let (identity, after) = (&self.setup.identity, self.envs.env(row).scene());
             match slot.segment.push(transition, self.version, after, result.status, identity) {
@@ -334,11 +290,6 @@ fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
     } else {
         0
     }
-}
-
-/// Returns the driver of an episode.
-fn driver(dagger: Option<&DaggerEpisode>) -> Driver {
-    dagger.map_or(Driver::Sampled, DaggerEpisode::driver)
 }
 
 #[cfg(test)]

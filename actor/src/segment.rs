@@ -142,7 +142,6 @@ mod tests {
             proposals: [None; 2],
             behavior_log_prob: -1.0,
             reward: RewardTerms { connected, ..RewardTerms::default() },
-            label: None,
         }
     }
 

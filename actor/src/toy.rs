@@ -89,7 +89,6 @@ pub(crate) fn trajectory() -> Trajectory {
         proposals: [None; 2],
         behavior_log_prob: -1.0,
         reward: RewardTerms::default(),
-        label: None,
     };
     Trajectory {
         actor: identity().actor,

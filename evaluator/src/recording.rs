@@ -16,7 +16,7 @@ impl Recording {
     /// Adds a step.
     pub(crate) fn push(&mut self, step: Step) {
         let Step { scene, decision: Decision { action, proposals, .. }, result: StepResult { reward, .. } } = step;
-        self.transitions.push(Transition { scene, action, proposals, behavior_log_prob: 0.0, reward, label: None });
+        self.transitions.push(Transition { scene, action, proposals, behavior_log_prob: 0.0, reward });
     }
 
     /// Returns the episode as a trajectory, without log-probabilities, because it is not used for learning.

@@ -8,7 +8,7 @@ use blueprints::{BlueprintId, Catalog, Split};
 use policy::proposals::{N_SLOTS, Slot};
 use policy::{MoveHead, NetworkConfig};
 use proto::{
-    Action, CanonicalSettings, Driver, Label, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition,
+    Action, CanonicalSettings, Driver, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition,
 };
 
 /// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
@@ -40,8 +40,6 @@ pub struct ActingLimits {
     pub episode_steps: u16,
     /// Longest burn-in in steps, 0 without burn-ins. Its steps count for the run's schedules and for its end.
     pub burn_in_steps: u16,
-    /// Whether an expert acts and labels.
-    pub has_expert: bool,
     /// Whether episodes begin with another blueprint built.
     pub has_prebuilt_starts: bool,
     /// Whether episodes begin near the goal.
@@ -54,7 +52,6 @@ impl Default for ActingLimits {
         Self {
             episode_steps: 1000,
             burn_in_steps: 1000,
-            has_expert: true,
             has_prebuilt_starts: true,
             has_near_goal_starts: true,
         }
@@ -118,17 +115,12 @@ impl Admission {
         {
             return Err("its outcome contradicts the status of its last step".to_owned());
         }
-        let n_labels = trajectory.transitions.iter().filter(|transition| transition.label.is_some()).count();
-        if n_labels != 0 && n_labels != trajectory.transitions.len() {
-            return Err("labels are for all steps of a segment or for none".to_owned());
-        }
         for (t, transition) in trajectory.transitions.iter().enumerate() {
             let at = |reason: String| format!("step {t} {reason}");
             self.check_action(&transition.action).map_err(at)?;
             self.check_draws(transition, trajectory.driver).map_err(at)?;
             check_scene(&transition.scene).map_err(at)?;
             check_reward(&transition.reward).map_err(at)?;
-            transition.label.as_ref().map_or(Ok(()), check_label).map_err(at)?;
             let log_prob = transition.behavior_log_prob;
             if !LOG_PROBS.contains(&log_prob) {
                 return Err(at(format!("has a log-probability of {log_prob}, which no action has")));
@@ -162,9 +154,9 @@ impl Admission {
         }
     }
 
-    /// Checks what the run's actors do: how long episodes and burn-ins are, and who acts and labels.
+    /// Checks what the run's actors do: how long episodes and burn-ins are, and who acts.
     fn check_acting(&self, trajectory: &Trajectory) -> Result<(), String> {
-        let ActingLimits { episode_steps, burn_in_steps, has_expert, .. } = self.acting;
+        let ActingLimits { episode_steps, burn_in_steps, .. } = self.acting;
         let n_steps = usize::from(trajectory.first_step) + trajectory.transitions.len();
         if n_steps > usize::from(episode_steps) {
             return Err(format!("{n_steps} steps are more than an episode of this run has, {episode_steps}"));
@@ -175,14 +167,12 @@ impl Admission {
                 "a burn-in of {n_burn_in_steps} steps is longer than any of this run, {burn_in_steps}"
             ));
         }
-        let is_by_expert =
-            trajectory.driver == Driver::Expert || trajectory.transitions.iter().any(|t| t.label.is_some());
-        // A greedy policy acts beside an expert and in burn-ins.
-        let is_greedy = trajectory.driver == Driver::Greedy && burn_in_steps == 0;
-        if !has_expert && (is_by_expert || is_greedy) {
-            return Err("no expert acts or labels in this run".to_owned());
+        match trajectory.driver {
+            Driver::Sampled => Ok(()),
+            Driver::Greedy if burn_in_steps > 0 => Ok(()),
+            Driver::Greedy => Err("no greedy policy acts in this run, because it has no burn-ins".to_owned()),
+            Driver::Expert => Err("no expert acts in a training run".to_owned()),
         }
-        Ok(())
     }
 
     fn check_action(&self, action: &Action) -> Result<(), String> {
@@ -210,10 +200,6 @@ impl Admission {
             MoveHead::Gaussian | MoveHead::Mixture => Ok(()),
         }
     }
-}
-
-fn check_label(label: &Label) -> Result<(), String> {
-    check_moves(label.moves.as_flattened())
 }
 
 fn check_moves(moves: &[f32]) -> Result<(), String> {
@@ -406,7 +392,6 @@ mod tests {
         let acting = ActingLimits {
             episode_steps: 100,
             burn_in_steps: 60,
-            has_expert: false,
             has_prebuilt_starts: false,
             has_near_goal_starts: false,
         };
@@ -416,19 +401,14 @@ mod tests {
             setup.admission()
         };
         let rules = rules_of(acting);
-        let label = |t: &mut Trajectory| {
-            let label = Label { choices: t.transitions[0].action.choices, moves: [[0.0; 6]; 2] };
-            t.transitions.iter_mut().for_each(|transition| transition.label = Some(label));
-        };
-        let cases: [(Spoil, &str); 7] = [
+        let cases: [(Spoil, &str); 6] = [
             (|t| t.first_step = 99, "101 steps are more than an episode of this run has, 100"),
             (
                 |t| (t.first_step, t.n_burn_in_steps) = (61, 61),
                 "a burn-in of 61 steps is longer than any of this run, 60",
             ),
             (|t| t.n_burn_in_steps = 999, "a burn-in of 999 steps is longer than any of this run, 60"),
-            (|t| t.driver = Driver::Expert, "no expert acts or labels in this run"),
-            (label, "no expert acts or labels in this run"),
+            (|t| t.driver = Driver::Expert, "no expert acts in a training run"),
             (
                 |t| t.task.start = Start::Prebuilt("2_001".parse().unwrap()),
                 "no episode of this run begins with another blueprint built",
@@ -447,17 +427,7 @@ mod tests {
         let rules = rules_of(without);
         let mut greedy = trajectory(2, 5);
         greedy.driver = Driver::Greedy;
-        assert!(rules.check(&greedy).is_err());
-    }
-
-    #[test]
-    fn labels_are_for_all_steps_or_for_none() {
-        let rules = admission(None);
-        let mut labeled = trajectory(2, 5);
-        let label = Label { choices: labeled.transitions[0].action.choices, moves: [[0.0; 6]; 2] };
-        labeled.transitions[0].label = Some(label);
-        assert!(rules.check(&labeled).unwrap_err().contains("labels"));
-        labeled.transitions[1].label = Some(label);
-        assert_eq!(rules.check(&labeled), Ok(()));
+        let reason = "no greedy policy acts in this run, because it has no burn-ins";
+        assert_eq!(rules.check(&greedy), Err(reason.to_owned()));
     }
 }

@@ -3,10 +3,7 @@
 //! A checkpoint is a folder `step-<environment steps>` that contains
 //! - `parameters.safetensors`: the network, one f32 tensor per parameter, by name;
 //! - `adam.safetensors`: Adam's moments, `first.<name>` and `second.<name>`;
-//! - `critic.safetensors`: the moments of the critic's own optimizer in the same form, once it has taken a step;
 //! - `mailbox.bin`: waiting trajectories, each as a little-endian u64 length and a recording;
-//! - `replay.bin`: labeled segments in the same form, only with imitation;
-//! - `imitator.safetensors`: the frozen imitator, only with imitation;
 //! - `model.json`: the policy's configuration, enough to act with the parameters;
 //! - `state.json`: the rest, the length and FNV-1a hash of each file above, and a digest of the parameters' names, shapes,
 //!   and values in their order.
@@ -20,10 +17,8 @@ pub(crate) mod tensors;
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use policy::PolicyConfig;
-use policy::parameters::VALUE_HEAD;
 use proto::codec::{decode_recording, encode_recording};
 use proto::{CanonicalSettings, Trajectory, Weights};
 use serde::{Deserialize, Serialize};
@@ -39,10 +34,7 @@ pub(crate) type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str, &[u8]) -> Result<
 
 const PARAMETERS: &str = "parameters.safetensors";
 const ADAM: &str = "adam.safetensors";
-const CRITIC: &str = "critic.safetensors";
 const MAILBOX: &str = "mailbox.bin";
-const REPLAY: &str = "replay.bin";
-const IMITATOR: &str = "imitator.safetensors";
 const MODEL: &str = "model.json";
 const STATE: &str = "state.json";
 
@@ -51,10 +43,7 @@ const MAX_STATE_BYTES: u64 = 64 << 20;
 
 /// Format version of checkpoints and policies, incremented when older readers cannot read the files, or when the policy
 /// would read other features ([`policy::config::FEATURE_LAYOUT`]).
-pub(crate) const FORMAT_VERSION: u32 = 3;
-
-/// Oldest format version that is read. Version 2 has no settings, no digest, and recordings without checksums.
-pub(crate) const OLDEST_VERSION: u32 = 2;
+pub(crate) const FORMAT_VERSION: u32 = 4;
 
 /// The complete state of a learner.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,7 +52,7 @@ pub struct Checkpoint {
     pub state: LearnerState,
     /// The policy's configuration.
     pub model: PolicyConfig,
-    /// Settings of policy and worlds; empty in checkpoints of format version 2.
+    /// Settings of policy and worlds.
     pub settings: CanonicalSettings,
     /// Names and shapes of the parameters in the order of `parameters`.
     pub table: Vec<ParameterInfo>,
@@ -71,14 +60,8 @@ pub struct Checkpoint {
     pub parameters: Vec<f32>,
     /// The optimizer.
     pub adam: Adam,
-    /// The optimizer of the critic alone, once it has taken a step. It has the parameters of the value head.
-    pub critic_adam: Option<Adam>,
-    /// The frozen parameters of the imitator, once it exists, flat like `parameters`.
-    pub imitator: Option<Vec<f32>>,
     /// Waiting trajectories, oldest first.
     pub mailbox: Vec<Trajectory>,
-    /// Labeled segments.
-    pub replay: Vec<Arc<Trajectory>>,
 }
 
 /// Errors from writing or reading a checkpoint.
@@ -104,8 +87,8 @@ pub enum CheckpointError {
     },
     /// Another version of the program wrote it.
     #[error(
-        "{path} has format version {found}, and this program reads versions {OLDEST_VERSION} to {FORMAT_VERSION}; use the \
-         version of Lodestone that wrote it, or train anew"
+        "{path} has format version {found}, and this program reads version {FORMAT_VERSION}; use the version of \
+         Lodestone that wrote it, or train anew"
     )]
     Version {
         /// The file.
@@ -151,13 +134,11 @@ pub(crate) struct FormatVersion {
 struct StateFile {
     format_version: u32,
     files: Vec<FileInfo>,
-    #[serde(default)]
     settings: CanonicalSettings,
     /// Of the parameters.
-    digest: Option<String>,
+    digest: String,
     table: Vec<ParameterInfo>,
     adam_steps: u64,
-    critic_adam_steps: u64,
     state: LearnerState,
 }
 
@@ -165,7 +146,7 @@ impl FormatVersion {
     /// Checks that this program reads the version of the file at `path`.
     pub(crate) fn check(&self, path: &Path) -> Result<(), CheckpointError> {
         match self.format_version {
-            OLDEST_VERSION..=FORMAT_VERSION => Ok(()),
+            FORMAT_VERSION => Ok(()),
             found => Err(CheckpointError::Version { path: path.into(), found }),
         }
     }
@@ -203,22 +184,12 @@ impl Checkpoint {
     fn write_files(&self, temporary: &Path, write: WriteFile<'_>) -> Result<(), CheckpointError> {
         fs::create_dir(temporary).map_err(io("creating", temporary))?;
         let mut files = Vec::new();
-        let mut contents = vec![
+        let contents = [
             (PARAMETERS, tensors::write(&self.table, &[("", &self.parameters)], None)?),
             (ADAM, tensors::write(&self.table, &[("first.", &self.adam.first), ("second.", &self.adam.second)], None)?),
             (MAILBOX, pack(&self.mailbox)),
             (MODEL, json(&self.model)?),
         ];
-        if let Some(critic) = &self.critic_adam {
-            let vectors = [("first.", critic.first.as_slice()), ("second.", &critic.second)];
-            contents.push((CRITIC, tensors::write(&value_head(&self.table), &vectors, None)?));
-        }
-        if let Some(imitator) = &self.imitator {
-            contents.push((IMITATOR, tensors::write(&self.table, &[("", imitator)], None)?));
-        }
-        if !self.replay.is_empty() {
-            contents.push((REPLAY, pack(self.replay.iter().map(Arc::as_ref))));
-        }
         for (name, bytes) in contents {
             files.push(write(temporary, name, &bytes)?);
         }
@@ -226,10 +197,9 @@ impl Checkpoint {
             format_version: FORMAT_VERSION,
             files,
             settings: self.settings.clone(),
-            digest: Some(tensors::digest(&self.table, &self.parameters)),
+            digest: tensors::digest(&self.table, &self.parameters),
             table: self.table.clone(),
             adam_steps: self.adam.n_steps,
-            critic_adam_steps: self.critic_adam.as_ref().map_or(0, |adam| adam.n_steps),
             state: self.state.clone(),
         };
         write(temporary, STATE, &json(&state)?)?;
@@ -247,32 +217,14 @@ impl Checkpoint {
         let state: StateFile = parse(path, STATE, &bytes)?;
         let verified = |name| files::read_verified(path, name, &state.files);
         let [parameters] = tensors::read(&path.join(PARAMETERS), &verified(PARAMETERS)?, &state.table, [""])?;
-        let StateFile { format_version, table, digest, .. } = &state;
-        tensors::check_digest(&path.join(STATE), *format_version, table, &parameters, digest.as_deref())?;
+        tensors::check_digest(&path.join(STATE), &state.table, &parameters, &state.digest)?;
         let [first, second] = tensors::read(&path.join(ADAM), &verified(ADAM)?, &state.table, ["first.", "second."])?;
         let mailbox = unpack(path, MAILBOX, &verified(MAILBOX)?)?;
-        let has = |name: &str| state.files.iter().any(|file| file.name == name);
-        let critic_adam = if has(CRITIC) {
-            let table = value_head(&state.table);
-            let bytes = verified(CRITIC)?;
-            let [first, second] = tensors::read(&path.join(CRITIC), &bytes, &table, ["first.", "second."])?;
-            Some(Adam { first, second, n_steps: state.critic_adam_steps })
-        } else {
-            None
-        };
-        let imitator = if has(IMITATOR) {
-            let [imitator] = tensors::read(&path.join(IMITATOR), &verified(IMITATOR)?, &state.table, [""])?;
-            Some(imitator)
-        } else {
-            None
-        };
-        let replay = if has(REPLAY) { unpack(path, REPLAY, &verified(REPLAY)?)? } else { Vec::new() };
-        let replay = replay.into_iter().map(Arc::new).collect();
         let model = parse_policy(&path.join(MODEL), parse(path, MODEL, &verified(MODEL)?)?)?;
         state.state.check(&model).map_err(|error| damaged(path, STATE, error.to_string()))?;
         let adam = Adam { first, second, n_steps: state.adam_steps };
         let StateFile { table, settings, state, .. } = state;
-        Ok(Self { state, model, settings, table, parameters, adam, critic_adam, imitator, mailbox, replay })
+        Ok(Self { state, model, settings, table, parameters, adam, mailbox })
     }
 
     /// Reads the newest valid checkpoint in `dir`, or `dir` itself if it is a checkpoint.
@@ -300,11 +252,6 @@ impl Checkpoint {
     pub fn weights(&self) -> Weights {
         self.state.weights(self.model.hash(), self.settings.clone(), self.parameters.clone())
     }
-}
-
-/// Returns the parameters of the value head.
-fn value_head(table: &[ParameterInfo]) -> Vec<ParameterInfo> {
-    table.iter().filter(|info| info.name.starts_with(VALUE_HEAD)).cloned().collect()
 }
 
 /// Returns whether `dir` contains a checkpoint, valid or not.

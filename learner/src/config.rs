@@ -1,7 +1,6 @@
 //! All settings of the learner, with units, defaults and valid ranges.
 
 mod curriculum;
-mod imitation;
 mod loss;
 mod reward;
 mod schedule;
@@ -11,7 +10,6 @@ use proto::settings;
 use serde::{Deserialize, Serialize};
 
 pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, ReverseConfig, UniformConfig, WideningConfig};
-pub use imitation::{ImitationConfig, ReplayConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
 pub use reward::{RewardFactors, RewardsConfig};
 pub use schedule::Schedule;
@@ -42,8 +40,6 @@ settings! {
         pub rewards: RewardsConfig;
         /// PPO loss.
         pub loss: LossConfig;
-        /// Imitation of the expert's labels; absent by default, as in the paper.
-        pub imitation: Option<ImitationConfig>;
         /// Adam and its learning rate.
         pub optimizer: OptimizerConfig;
         /// Normalization of features and value targets.
@@ -155,19 +151,6 @@ impl Section for RateLine {
 }
 
 impl LearnerConfig {
-    /// Returns the loss coefficients after `n_env_steps` environment steps.
-    pub fn loss_at(&self, n_env_steps: u64) -> LossTerms {
-        let terms = self.loss.at(n_env_steps);
-        let Some(imitation) = &self.imitation else { return terms };
-        let at = |schedule: &Schedule| schedule.at(n_env_steps);
-        LossTerms {
-            policy: at(&imitation.ppo_weight),
-            imitator_kl: at(&imitation.kl_weight),
-            value_coefficient: terms.value_coefficient * at(&imitation.value_weight),
-            ..terms
-        }
-    }
-
     fn mailbox_holds_an_update(&self, path: &str) -> Result<(), InvalidSetting> {
         let capacity = self.mailbox.capacity_steps;
         let key = format_args!("{path}.mailbox.capacity_steps");

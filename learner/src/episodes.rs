@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::BlueprintId;
 use proto::metrics::EpisodeMetrics;
 use proto::wilson::SuccessRate;
-use proto::{Driver, Outcome, RewardTerms, Trajectory};
+use proto::{Outcome, RewardTerms, Trajectory};
 
 /// Sums over finished episodes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,7 +19,7 @@ impl EpisodeTally {
     /// Counts the episodes that end in these segments, except the expert's.
     pub fn of(trajectories: &[Trajectory]) -> Self {
         let mut tally = Self::default();
-        for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
+        for trajectory in trajectories {
             if let Some(outcome) = &trajectory.outcome {
                 tally.add(&trajectory.task.blueprint, outcome);
             }

@@ -8,7 +8,7 @@ use blueprints::generator::{Draws, MADE_CAPACITY};
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::{FeatureMoments, normalize};
-use policy::{MoveHead, Policy, PolicyConfig, PolicyError};
+use policy::{Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
 use proto::metrics::PpoMetrics;
 use proto::{CanonicalSettings, Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
@@ -26,8 +26,7 @@ use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::metrics::UpdateMetrics;
 use crate::model::Model;
 use crate::normalization::ValueStatistics;
-use crate::ppo::{ImitationSource, Learned, Ppo, Progress, Trained};
-use crate::replay::Replay;
+use crate::ppo::{Learned, Ppo, Progress, Trained};
 use crate::reverse::ReverseCurriculum;
 use crate::state::LearnerState;
 use crate::trial::Trial;
@@ -96,8 +95,6 @@ pub struct Learner {
     ppo: Ppo,
     state: LearnerState,
     mailbox: Arc<Mailbox>,
-    /// Labeled scenes, if imitation is on.
-    replay: Option<Replay>,
     /// Number of accepted trajectories that could not be learned from.
     n_unmade: u64,
     /// Tries the weights of each update.
@@ -128,10 +125,6 @@ impl Learner {
     pub fn new(setup: LearnerSetup) -> Result<Self, LearnerError> {
         setup.config.validate()?;
         setup.policy.validate()?;
-        let imitates_a_mixture =
-            setup.policy.network.move_head == MoveHead::Mixture && setup.config.imitation.is_some();
-        let expected = "gaussian, because labels for learner.imitation name no proposals";
-        InvalidSetting::check("policy.network.move_head", "mixture", !imitates_a_mixture, expected)?;
         if setup.tasks.is_empty() {
             return Err(LearnerError::NoTasks);
         }
@@ -165,7 +158,6 @@ impl Learner {
             DeviceKind::Cpu => n_cores(),
             DeviceKind::Gpu => 1,
         });
-        let replay = setup.config.imitation.as_ref().map(|imitation| Replay::new(imitation.replay.clone()));
         let ppo = Ppo::new(&setup.policy, setup.seed, &device, n_threads);
         let n_parameters = ppo.parameters().len();
         if n_parameters > MAX_PARAMETERS {
@@ -174,7 +166,7 @@ impl Learner {
         let init = setup.init.clone();
         // The configuration is valid, so this cannot fail.
         let tried = Policy::new(&setup.policy)?;
-        let mut learner = Self { ppo, state, mailbox, replay, n_unmade: 0, tried, n_refused: 0, setup };
+        let mut learner = Self { ppo, state, mailbox, n_unmade: 0, tried, n_refused: 0, setup };
         if let Some(model) = init {
             learner.start_from(&model)?;
         }
@@ -196,7 +188,7 @@ impl Learner {
         }
         let Weights { parameters, normalization, .. } = &model.weights;
         let adam = Adam::new(parameters.len());
-        self.ppo.restore(parameters.clone(), adam, None).map_err(|error| unfit(&error))?;
+        self.ppo.restore(parameters.clone(), adam).map_err(|error| unfit(&error))?;
         self.state.values = ValueStatistics::new(normalization.value_mean, normalization.value_std);
         if normalization.feature_mean.iter().any(|means| !means.is_empty()) {
             // A model file contains no moments, so freeze its statistics.
@@ -230,14 +222,8 @@ impl Learner {
         if checkpoint.adam.first.len() != n_parameters || checkpoint.adam.second.len() != n_parameters {
             return mismatch("the optimizer has other parameters");
         }
-        if let Err(error) = learner.ppo.restore(checkpoint.parameters, checkpoint.adam, checkpoint.imitator) {
+        if let Err(error) = learner.ppo.restore(checkpoint.parameters, checkpoint.adam) {
             return mismatch(&error.to_string());
-        }
-        if let Some(critic_adam) = checkpoint.critic_adam {
-            learner.ppo.restore_critic(&critic_adam);
-        }
-        if let Some(replay) = &mut learner.replay {
-            replay.restore(checkpoint.replay, &learner.setup.catalog);
         }
         let Checkpoint { state, mailbox, .. } = checkpoint;
         learner.mailbox.restore(state.version, state.mailbox, mailbox);
@@ -270,8 +256,8 @@ impl Learner {
         self.mailbox.n_steps() >= self.setup.config.steps_per_update
     }
 
-    /// Runs one update on the oldest trajectories and, with imitation, on labeled scenes. Returns `None` if there are
-    /// not enough trajectories, or if none has a usable goal. PPO uses only trajectories with sampled actions.
+    /// Runs one update on the oldest trajectories. Returns `None` if there are not enough, or if none has a usable goal.
+    /// PPO uses only trajectories with sampled actions.
     ///
     /// If no policy could act with the new weights, the update is taken back: its steps count, the weights stay.
     pub fn update(&mut self) -> Option<UpdateMetrics> {
@@ -313,7 +299,7 @@ impl Learner {
         self.state.version.0 += 1;
         let refused = self.refusal(&learned.ppo, &trial);
         if refused.is_some() {
-            learned = Learned { ppo: kept_metrics(&learned.ppo), imitation: None, ..learned };
+            learned = Learned { ppo: kept_metrics(&learned.ppo), ..learned };
             self.take_back(before);
         }
         self.state.n_updates += 1;
@@ -326,9 +312,9 @@ impl Learner {
         Some(metrics)
     }
 
-    /// Records how episodes ended, and the labeled scenes.
+    /// Records how episodes ended.
     fn record(&mut self, trajectories: &[Trajectory]) {
-        for trajectory in trajectories.iter().filter(|trajectory| trajectory.driver != Driver::Expert) {
+        for trajectory in trajectories {
             if let Some(outcome) = &trajectory.outcome {
                 self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
                 if let Some(reverse) = &self.setup.config.reverse {
@@ -336,9 +322,6 @@ impl Learner {
                     self.state.reverse.record(&trajectory.task.start, n_blocks, outcome.success, reverse);
                 }
             }
-        }
-        if let Some(replay) = &mut self.replay {
-            trajectories.iter().for_each(|trajectory| replay.push(trajectory.clone(), &self.setup.catalog));
         }
     }
 
@@ -352,14 +335,7 @@ impl Learner {
             values: &mut self.state.values,
             n_env_steps: self.state.n_env_steps,
         };
-        let imitation_source =
-            self.replay.as_ref().zip(config.imitation.as_ref()).map(|(replay, imitation)| ImitationSource {
-                config: imitation,
-                replay,
-                features: &self.setup.policy.features,
-                normalization: &self.state.normalization,
-            });
-        self.ppo.update(batch, imitation_source, config, &mut progress)
+        self.ppo.update(batch, config, &mut progress)
     }
 
     /// Returns why the weights of an update are of no use; `None` if policies can act with them.
@@ -414,10 +390,7 @@ impl Learner {
             table: self.table(),
             parameters: self.ppo.parameters().to_vec(),
             adam: self.ppo.adam().clone(),
-            critic_adam: self.ppo.critic_adam(),
-            imitator: self.ppo.imitator().map(<[f32]>::to_vec),
             mailbox,
-            replay: self.replay.as_ref().map(Replay::segments).unwrap_or_default(),
         }
     }
 

@@ -1,7 +1,7 @@
-//! The learner: PPO from trajectories to weights, with checkpoints, curriculum, and imitation.
+//! The learner: PPO from trajectories to weights, with checkpoints and curriculum.
 //!
 //! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`], [`reverse`] →
-//! [`admission`], [`mailbox`] → [`batch`] and [`replay`] → [`learner`] (the synchronous core) → [`checkpoint`],
+//! [`admission`], [`mailbox`] → [`batch`] → [`learner`] (the synchronous core) → [`checkpoint`],
 //! [`model`] → [`mod@run`] (the service on the bus). [`sink`] measures the bus with a learner that computes nothing.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -25,7 +25,6 @@ pub mod model;
 pub mod normalization;
 mod numbers;
 mod ppo;
-pub mod replay;
 pub mod reverse;
 pub mod run;
 pub mod sink;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use blueprints::BlueprintId;
 use proto::WeightsVersion;
-use proto::metrics::{EpisodeMetrics, ImitationMetrics, PpoMetrics, ProposalMetrics};
+use proto::metrics::{EpisodeMetrics, PpoMetrics, ProposalMetrics};
 use serde::Serialize;
 
 use crate::batch::Batch;
@@ -44,8 +44,6 @@ pub struct UpdateMetrics {
     pub n_steps: u64,
     /// PPO metrics.
     pub ppo: PpoMetrics,
-    /// Imitation metrics; `None` without imitation.
-    pub imitation: Option<ImitationMetrics>,
     /// What the mixture head drew; `None` for the Gaussian head, and if PPO had no samples.
     pub proposals: Option<ProposalMetrics>,
     /// Episodes that ended in the batch.
@@ -61,7 +59,7 @@ impl UpdateMetrics {
         state: &LearnerState,
         batch: &Batch,
         n_steps: u64,
-        Learned { ppo, imitation, proposals }: Learned,
+        Learned { ppo, proposals }: Learned,
         episodes: EpisodeMetrics,
         mailbox: &Mailbox,
     ) -> Self {
@@ -82,7 +80,6 @@ impl UpdateMetrics {
             refused: None,
             n_steps,
             ppo,
-            imitation,
             proposals,
             episodes,
             task_probabilities: state.curriculum.probabilities(),

@@ -47,9 +47,8 @@ struct Header {
     weights_version: u64,
     n_env_steps: u64,
     policy: PolicyConfig,
-    #[serde(default)]
     settings: CanonicalSettings,
-    digest: Option<String>,
+    digest: String,
     table: Vec<ParameterInfo>,
     #[serde(with = "NormalizationFields")]
     normalization: Normalization,
@@ -85,7 +84,7 @@ impl Model {
             n_env_steps: self.weights.n_env_steps,
             policy: self.policy.clone(),
             settings: self.weights.settings.clone(),
-            digest: Some(tensors::digest(&self.table, &self.weights.parameters)),
+            digest: tensors::digest(&self.table, &self.weights.parameters),
             table: self.table.clone(),
             normalization: self.weights.normalization.clone(),
             verdict: self.verdict.clone(),
@@ -124,8 +123,7 @@ impl Model {
         let policy = parse_policy(path, header["policy"].clone())?;
         let header: Header = serde_json::from_value(header).map_err(malformed)?;
         let [parameters] = tensors::read(path, bytes, &header.table, [""])?;
-        let Header { format_version, table, digest, .. } = &header;
-        tensors::check_digest(path, *format_version, table, &parameters, digest.as_deref())?;
+        tensors::check_digest(path, &header.table, &parameters, &header.digest)?;
         let weights = Weights {
             version: WeightsVersion(header.weights_version),
             n_env_steps: header.n_env_steps,

@@ -1,6 +1,5 @@
 //! One PPO update: advantages, epochs, minibatches, gradient steps.
 
-mod imitation_update;
 mod passes;
 mod workers;
 
@@ -9,18 +8,16 @@ use std::ops::Range;
 use burn::tensor::Device;
 use policy::PolicyConfig;
 use policy::parameters::{ParameterError, ParameterSpec, VALUE_HEAD};
-use proto::metrics::{ImitationMetrics, PpoMetrics, ProposalMetrics};
+use proto::metrics::{PpoMetrics, ProposalMetrics};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
-use crate::config::{LearnerConfig, LossTerms, Objective, RateRule};
+use crate::config::{LearnerConfig, Objective, RateRule};
 use crate::draws;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalization::ValueStatistics;
-pub(crate) use imitation_update::ImitationSource;
-use imitation_update::ImitationUpdate;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
 
@@ -34,20 +31,14 @@ pub(crate) struct Ppo {
     /// The parameters of the workers' networks, flat.
     parameters: Vec<f32>,
     adam: Adam,
-    /// The optimizer of the value head while nothing trains the policy. It is separate because the policy's moments
-    /// would decay meanwhile, and its first steps would be many times too long.
-    critic_adam: Adam,
     value_head: ValueHead,
-    /// The frozen parameters of the imitator, once it exists.
-    imitator: Option<Vec<f32>>,
 }
 
-/// What gradient steps change in the network and its optimizers.
+/// What gradient steps change in the network and its optimizer.
 #[derive(Debug)]
 pub(crate) struct Trained {
     parameters: Vec<f32>,
     adam: Adam,
-    critic_adam: Adam,
 }
 
 /// The state that an update changes in addition to the network.
@@ -66,8 +57,6 @@ pub(crate) struct Progress<'a> {
 #[derive(Debug)]
 pub(crate) struct Learned {
     pub(crate) ppo: PpoMetrics,
-    /// `None` without imitation.
-    pub(crate) imitation: Option<ImitationMetrics>,
     /// `None` for the Gaussian head, and without samples.
     pub(crate) proposals: Option<ProposalMetrics>,
 }
@@ -105,57 +94,27 @@ impl Ppo {
         let parameters = workers.engine().parameters();
         let adam = Adam::new(parameters.len());
         let value_head = ValueHead::find(workers.engine().table());
-        Self { workers, parameters, critic_adam: adam.clone(), adam, value_head, imitator: None }
+        Self { workers, parameters, adam, value_head }
     }
 
     /// Restores the parameters and moments from a checkpoint.
-    pub(crate) fn restore(
-        &mut self,
-        parameters: Vec<f32>,
-        adam: Adam,
-        imitator: Option<Vec<f32>>,
-    ) -> Result<(), ParameterError> {
+    pub(crate) fn restore(&mut self, parameters: Vec<f32>, adam: Adam) -> Result<(), ParameterError> {
         self.workers.load(&parameters)?;
-        if let Some(imitator) = &imitator {
-            self.workers.freeze(imitator)?;
-        }
-        (self.parameters, self.adam, self.imitator) = (parameters, adam, imitator);
+        self.parameters = parameters;
+        self.adam = adam;
         Ok(())
-    }
-
-    /// Returns the optimizer of the critic alone, for the parameters of the value head; `None` before its first step.
-    pub(crate) fn critic_adam(&self) -> Option<Adam> {
-        let Adam { first, second, n_steps } = &self.critic_adam;
-        let of_head = |moments: &[f32]| {
-            self.value_head.parameters.iter().flat_map(|range| &moments[range.clone()]).copied().collect()
-        };
-        (*n_steps > 0).then(|| Adam { first: of_head(first), second: of_head(second), n_steps: *n_steps })
-    }
-
-    /// Restores the result of [`Self::critic_adam`].
-    pub(crate) fn restore_critic(&mut self, critic_adam: &Adam) {
-        let positions = self.value_head.parameters.iter().cloned().flatten();
-        for (at, (&first, &second)) in positions.zip(critic_adam.first.iter().zip(&critic_adam.second)) {
-            (self.critic_adam.first[at], self.critic_adam.second[at]) = (first, second);
-        }
-        self.critic_adam.n_steps = critic_adam.n_steps;
     }
 
     /// Returns a copy, so that an update can be taken back.
     pub(crate) fn trained(&self) -> Trained {
-        let Self { parameters, adam, critic_adam, .. } = self;
-        Trained { parameters: parameters.clone(), adam: adam.clone(), critic_adam: critic_adam.clone() }
+        Trained { parameters: self.parameters.clone(), adam: self.adam.clone() }
     }
 
     /// Takes an update back.
     pub(crate) fn restore_trained(&mut self, before: Trained) {
-        (self.parameters, self.adam, self.critic_adam) = (before.parameters, before.adam, before.critic_adam);
+        self.parameters = before.parameters;
+        self.adam = before.adam;
         self.load();
-    }
-
-    /// Returns the frozen parameters of the imitator, once it exists.
-    pub(crate) fn imitator(&self) -> Option<&[f32]> {
-        self.imitator.as_deref()
     }
 
     /// Returns the parameters, flat.
@@ -173,61 +132,29 @@ impl Ppo {
         self.workers.engine().table()
     }
 
-    /// Runs one update on a batch with normalized features, from which it removes what it [refuses](Batch::refuse), and
-    /// on `imitation_source`.
+    /// Runs one update on a batch with normalized features, from which it removes what it [refuses](Batch::refuse).
     pub(crate) fn update(
         &mut self,
         batch: &mut Batch,
-        imitation_source: Option<ImitationSource<'_>>,
         config: &LearnerConfig,
         progress: &mut Progress<'_>,
     ) -> Learned {
-        let terms = config.loss_at(progress.n_env_steps);
         match &config.optimizer.rate_rule {
             // A resumed run may have been given another rate.
             RateRule::Fixed(_) => progress.learning_rate.0 = config.optimizer.learning_rate,
             RateRule::Line(line) => progress.learning_rate.0 = line.points.at(progress.n_env_steps),
             RateRule::Adaptive(_) => {}
         }
-        if terms.imitator_kl > 0.0 && self.imitator.is_none() {
-            self.workers.freeze(&self.parameters).expect("finite parameters of the same number");
-            self.imitator = Some(self.parameters.clone());
+        if batch.n_samples() > 0 {
+            return self.update_with(batch, config, progress);
         }
-        let mut imitation_update =
-            imitation_source.and_then(|imitation_source| ImitationUpdate::new(imitation_source, progress.n_env_steps));
-        let learns = terms.policy > 0.0 || terms.value_coefficient > 0.0 || terms.imitator_kl > 0.0;
-        let mut proposals = None;
-        let mut metrics = PpoMetrics { learning_rate: f64::from(progress.learning_rate.0), ..PpoMetrics::default() };
-        if learns && batch.n_samples() > 0 {
-            (metrics, proposals) = self.update_with(batch, terms, imitation_update.as_mut(), config, progress);
-        }
-        let Some(mut imitation_update) = imitation_update else {
-            return Learned { ppo: metrics, imitation: None, proposals };
-        };
-        let mut steps = Steps::default();
-        while imitation_update.n_left() > 0 {
-            let mut gradient = self.workers.zeros(self.parameters.len());
-            imitation_update.add_gradient(&mut self.workers, config.forward_size, progress.rng, &mut gradient);
-            self.step(&mut gradient, *progress.learning_rate, config, &mut steps);
-            self.workers.reuse(gradient);
-        }
-        if metrics.n_gradient_steps == 0 {
-            metrics.grad_norm = steps.mean_grad_norm();
-        }
-        metrics.n_gradient_steps += steps.n_steps;
-        metrics.n_skipped_steps += steps.n_skipped;
-        Learned { ppo: metrics, imitation: Some(imitation_update.metrics()), proposals }
+        let ppo = PpoMetrics { learning_rate: f64::from(progress.learning_rate.0), ..PpoMetrics::default() };
+        Learned { ppo, proposals: None }
     }
 
-    /// Runs PPO, and adds the imitation gradient to each gradient step while imitation steps are left.
-    fn update_with(
-        &mut self,
-        batch: &mut Batch,
-        terms: LossTerms,
-        mut imitation_update: Option<&mut ImitationUpdate<'_>>,
-        config: &LearnerConfig,
-        progress: &mut Progress<'_>,
-    ) -> (PpoMetrics, Option<ProposalMetrics>) {
+    /// Runs an update on a batch with samples.
+    fn update_with(&mut self, batch: &mut Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> Learned {
+        let terms = config.loss.at(progress.n_env_steps);
         let mut before = self.workers.evaluate(batch, config.forward_size);
         if batch.refuse(&before.values, &before.log_probs) > 0 {
             before = self.workers.evaluate(batch, config.forward_size);
@@ -269,8 +196,7 @@ impl Ppo {
                 // on-policy reinforcement learning", section 3.5).
                 self.refresh(batch, config, progress.values, &mut targets);
             }
-            moved =
-                self.epoch(batch, imitation_update.as_deref_mut(), config, &targets, rate, progress.rng, &mut steps);
+            moved = self.epoch(batch, config, &targets, rate, progress.rng, &mut steps);
             n_epochs += 1;
             if epoch + 1 == config.n_epochs || config.optimizer.stop_kl.is_some() {
                 moved.approx_kl = self.divergence(batch, targets.reference, config);
@@ -279,13 +205,11 @@ impl Ppo {
                 break;
             }
         }
-        // Adapt the rate only if the policy was trained; otherwise the KL divergence means nothing.
-        let trains_policy = terms.policy > 0.0 || imitation_update.is_some();
-        if let (RateRule::Adaptive(rule), true) = (&config.optimizer.rate_rule, trains_policy) {
+        if let RateRule::Adaptive(rule) = &config.optimizer.rate_rule {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
         let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;
-        let metrics = PpoMetrics {
+        let ppo = PpoMetrics {
             total_loss: mean(steps.losses.total(&targets.loss)),
             policy_loss: mean(steps.losses.policy),
             value_loss: mean(steps.losses.value),
@@ -296,7 +220,6 @@ impl Ppo {
             clip_fraction: moved.clip_fraction,
             effective_sample_size: effective_sample_size(&before.log_probs, &batch.behavior_log_probs),
             explained_variance: explained_variance(&values[..batch.n_samples()], &returns),
-            imitator_kl: mean(steps.losses.imitator_kl),
             grad_norm: steps.mean_grad_norm(),
             learning_rate: f64::from(rate.0),
             n_samples: batch.n_samples() as u64,
@@ -306,7 +229,8 @@ impl Ppo {
             value_mean: progress.values.mean,
             value_std: progress.values.std,
         };
-        (metrics, batch.draws.as_ref().map(|draws| draws::metrics(draws, &before.entropies)))
+        let proposals = batch.draws.as_ref().map(|draws| draws::metrics(draws, &before.entropies));
+        Learned { ppo, proposals }
     }
 
     /// Runs one epoch over all samples in random order.
@@ -314,7 +238,6 @@ impl Ppo {
     fn epoch(
         &mut self,
         batch: &Batch,
-        mut imitation_update: Option<&mut ImitationUpdate<'_>>,
         config: &LearnerConfig,
         targets: &Targets<'_>,
         rate: LearningRate,
@@ -335,17 +258,7 @@ impl Ppo {
                 pass.log_probs.iter().zip(&mut samples).for_each(|(&log_prob, &sample)| log_probs[sample] = log_prob);
                 losses += pass.losses;
             }
-            if let Some(imitation_update) =
-                imitation_update.as_mut().filter(|imitation_update| imitation_update.n_left() > 0)
-            {
-                imitation_update.add_gradient(&mut self.workers, config.forward_size, rng, &mut gradient);
-            }
-            let was_taken = if targets.loss.policy == 0.0 && imitation_update.is_none() {
-                self.step_critic(&gradient, rate, config, steps)
-            } else {
-                self.step(&mut gradient, rate, config, steps)
-            };
-            if was_taken {
+            if self.step(&mut gradient, rate, config, steps) {
                 steps.losses += losses;
                 steps.n_samples += minibatch.len();
             }
@@ -384,20 +297,6 @@ impl Ppo {
         }
         self.load();
         true
-    }
-
-    /// Takes one gradient step on the value head alone. While nothing trains the policy, the critic's gradient must not
-    /// change it through shared layers.
-    fn step_critic(&mut self, gradient: &[f32], rate: LearningRate, config: &LearnerConfig, steps: &mut Steps) -> bool {
-        let mut of_critic = self.workers.zeros(gradient.len());
-        for range in &self.value_head.parameters {
-            of_critic[range.clone()].copy_from_slice(&gradient[range.clone()]);
-        }
-        std::mem::swap(&mut self.adam, &mut self.critic_adam);
-        let was_taken = self.step(&mut of_critic, rate, config, steps);
-        std::mem::swap(&mut self.adam, &mut self.critic_adam);
-        self.workers.reuse(of_critic);
-        was_taken
     }
 
     /// Recomputes advantages and value targets with the current network.
@@ -493,7 +392,7 @@ mod tests {
                     values: &mut ValueStatistics::default(),
                     n_env_steps: 0,
                 };
-                let learned = ppo.update(&mut batch, None, &setup.config, &mut progress);
+                let learned = ppo.update(&mut batch, &setup.config, &mut progress);
                 (learned, batch.refused, ppo.parameters)
             };
             let (mut spoilt, mut others) = (drawn.clone(), drawn);

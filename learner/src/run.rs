@@ -362,7 +362,6 @@ impl Worker {
             unmade_total: update.unmade_total,
             refused_total: update.refused_total,
             ppo: update.ppo,
-            imitation: update.imitation,
             proposals: update.proposals.clone(),
             episodes: update.episodes.clone(),
             ingest,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// Version of the lists in `features.rs`, incremented when an entry moves or changes its meaning. Increment the format
 /// versions of checkpoints and policies with it, so that programs refuse parameters that were trained on other features.
-pub const FEATURE_LAYOUT: u32 = 2;
+pub const FEATURE_LAYOUT: u32 = 3;
 
 /// Version of the [slots](crate::proposals::Slot) and of the read-outs in `mixture.rs`, incremented likewise.
 pub const MIXTURE_LAYOUT: u32 = 2;
@@ -41,19 +41,6 @@ settings! {
         pub block_shape: bool = true;
         /// Edges: the move that the receiver needs if the sender stays, at two scales.
         pub needed_moves: bool = true;
-        /// Nodes: the block's place and order in the blueprint's [plan](blueprints::Blueprint::plan), and its path to
-        /// that place. Without them, an expert's labels are hard to predict.
-        pub plan: bool = false;
-        /// Nodes and edges: which blocks are joined by the blueprint's connections.
-        pub pieces: bool = false;
-        /// Nodes: the remaining fraction of an episode of this many steps; set it to `environment.episode_steps`. A
-        /// critic without it cannot distinguish a late start from a bad one.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        pub remaining_time: Option<u16> = None, in 1..=1000;
-        /// Nodes and edges: positions and distances saturate at 1 m, so that structures larger than those in training
-        /// look like the largest of them.
-        #[serde(skip_serializing_if = "std::ops::Not::not")]
-        pub saturation: bool = false;
         /// Number of grippers in the globals; must equal the network's.
         pub n_grippers: u8 = 2;
     }

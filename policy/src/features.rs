@@ -6,9 +6,6 @@
 //! m/s, angular velocities by 2π rad/s, and angles by π. Flags are the fields of [`FeatureConfig`]; an absent group
 //! shifts the indices after it down.
 //!
-//! With the flag `saturation`, what is divided by 0.5 m below has saturated first: a distance d becomes tanh(d / 1 m) ·
-//! 1 m, and a position keeps its direction.
-//!
 //! **Node** of block i:
 //!
 //! | index | meaning | frame, unit | flag |
@@ -18,18 +15,6 @@
 //! | 3–5 | the world's up axis | i, unit vector | `up_axis` |
 //! | 6 | belongs to the blueprint | 0 or 1 | `membership` |
 //! | 7–9 | half extents | i, m / 0.2 | `block_shape` |
-//! | 10–12 | up axis of the structure, standing as its plan builds it | i, unit vector | `plan` |
-//! | 13 | height of its center above the ground in that structure | m / 0.5 | `plan` |
-//! | 14 | its rank in the order of the plan, from 1 | 1/16 | `plan` |
-//! | 15–17 | from its place to the start of its approach path | i in its place, m / 0.5 | `plan` |
-//! | 18–20 | from its place to the center of the structure | i in its place, m / 0.5 | `plan` |
-//! | 21 | radius of the structure about its center, seen from above | m / 0.5 | `plan` |
-//! | 22 | number of blocks joined to it by correct connections, itself included | 1/16 | `pieces` |
-//! | 23 | remaining fraction of the episode's steps | 0 to 1 | `remaining_time` |
-//!
-//! Entries 10–21 are 0 for blocks outside the blueprint. The plan is a function of the blueprint alone
-//! ([`Blueprint::plan`]). A blueprint can be built on several sides and in several orders, and without these entries
-//! nothing shows which one an expert has chosen.
 //!
 //! **Edge** from sender j to receiver i, all in i's frame. C and D are the orientations of j relative to i in the scene
 //! and in the blueprint. Entries 0–17 and 24–35 are 0 if the blueprint lacks i or j, and entries 0–8 also if it does
@@ -49,7 +34,6 @@
 //! | 27–29 | the same, each entry tanh(x / 6 cm) | – | `needed_moves` |
 //! | 30–32 | turn that i needs if j stays, rotation vector | rad / π | `needed_moves` |
 //! | 33–35 | the same, each entry tanh(x / 0.25 rad) | – | `needed_moves` |
-//! | 36 | the two are joined by correct connections | 0 or 1 | `pieces` |
 //!
 //! Edges are ordered sender-major without self-edges: `for j in 0..16 { for i in 0..16 { if i != j } }`, 240 in all.
 //! The receiver gathers the messages and outputs its move in the same frame.
@@ -65,8 +49,7 @@
 //!
 //! The network reads the one-hot from the last 16 entries of each group.
 
-use blueprints::assembly::Plan;
-use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS, UNIT_M};
+use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
 use nalgebra::{Matrix3, Vector3};
 use proto::{Gripper, N_GRIPPERS, Observation, Scene};
 
@@ -78,8 +61,6 @@ pub const N_EDGES: usize = N_BLOCKS * (N_BLOCKS - 1);
 
 /// Scale of positions and distances, m.
 const POSITION_SCALE_M: f32 = 0.5;
-/// Bound of positions and distances with [`FeatureConfig::saturation`], m. Structures in training are mostly less high.
-const SATURATION_M: f32 = 1.0;
 /// Scale of half extents, m.
 const EXTENT_SCALE_M: f32 = 0.2;
 /// Scale of linear velocities, m/s.
@@ -92,7 +73,6 @@ const FINE_MOVE_M: f32 = 0.06;
 const FINE_TURN_RAD: f32 = 0.25;
 
 const BASE_NODE: usize = 3;
-const PLAN_PART: usize = 12;
 const BASE_EDGE: usize = 24;
 const GRIPPER_PART: usize = 9 + N_BLOCKS;
 
@@ -115,30 +95,10 @@ impl FeatureSizes {
             node: BASE_NODE
                 + on(config.up_axis, 3)
                 + on(config.membership, 1)
-                + on(config.block_shape, 3)
-                + on(config.plan, PLAN_PART)
-                + on(config.pieces, 1)
-                + on(config.remaining_time.is_some(), 1),
-            edge: BASE_EDGE + on(config.needed_moves, 12) + on(config.pieces, 1),
+                + on(config.block_shape, 3),
+            edge: BASE_EDGE + on(config.needed_moves, 12),
             global: usize::from(config.n_grippers) * GRIPPER_PART,
         }
-    }
-}
-
-impl FeatureConfig {
-    /// Returns a distance as a feature; m.
-    fn distance(&self, x: f32) -> f32 {
-        if self.saturation {
-            (x / SATURATION_M).tanh() * (SATURATION_M / POSITION_SCALE_M)
-        } else {
-            x / POSITION_SCALE_M
-        }
-    }
-
-    /// Returns a position as a feature; m.
-    fn position(&self, v: Vector3<f32>) -> Vector3<f32> {
-        let norm = v.norm();
-        if self.saturation && norm > 0.0 { v * (self.distance(norm) / norm) } else { v / POSITION_SCALE_M }
     }
 }
 
@@ -163,36 +123,18 @@ pub fn write_features(
     edges: &mut [f32],
     globals: &mut [f32],
 ) {
-    let Observation { scene, blueprint, n_steps } = *observation;
+    let Observation { scene, blueprint, .. } = *observation;
     let sizes = FeatureSizes::new(config);
     assert_eq!(nodes.len(), N_BLOCKS * sizes.node, "length of the node features");
     assert_eq!(edges.len(), N_EDGES * sizes.edge, "length of the edge features");
     assert_eq!(globals.len(), sizes.global, "length of the global features");
     nodes.fill(0.0);
     edges.fill(0.0);
-    let plan = if config.plan { blueprint.plan() } else { None };
-    let pieces = scene.pieces(blueprint);
     let frames = scene.blocks.each_ref().map(Frame::new);
     for (block, node) in BlockIdx::all().zip(nodes.chunks_exact_mut(sizes.node)) {
-        let mut writer = Writer::new(node);
-        write_node(scene, blueprint, config, block, &frames[block.get()], &mut writer);
-        if config.plan {
-            write_plan(blueprint, plan, config, block, &mut writer);
-        }
-        if config.pieces {
-            let size = pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
-            writer.number(size as f32 / N_BLOCKS as f32);
-        }
-        if let Some(episode_steps) = config.remaining_time {
-            writer.number(f32::from(episode_steps.saturating_sub(n_steps)) / f32::from(episode_steps));
-        }
+        write_node(scene, blueprint, config, block, &frames[block.get()], &mut Writer::new(node));
     }
     write_edges(scene, blueprint, config, &frames, edges, sizes.edge);
-    if config.pieces {
-        for ((sender, receiver), edge) in pairs().zip(edges.chunks_exact_mut(sizes.edge)) {
-            edge[sizes.edge - 1] = f32::from(u8::from(pieces[sender.get()] == pieces[receiver.get()]));
-        }
-    }
     for (gripper, part) in scene.grippers.iter().zip(globals.chunks_exact_mut(GRIPPER_PART)) {
         write_gripper(gripper.as_ref(), part);
     }
@@ -206,7 +148,7 @@ fn write_node(
     frame: &Frame,
     to: &mut Writer<'_>,
 ) {
-    to.number(config.distance(frame.position.z));
+    to.number(frame.position.z / POSITION_SCALE_M);
     for g in 0..N_GRIPPERS {
         let held = scene.grippers[g].as_ref().and_then(|gripper| gripper.held);
         to.bit(held == Some(block));
@@ -220,29 +162,6 @@ fn write_node(
     if config.block_shape {
         to.vector(&(Vector3::from(Inventory::standard().half_extents_m(block)) / EXTENT_SCALE_M));
     }
-}
-
-/// Writes a block's part of the plan; zeros if the plan does not contain the block.
-fn write_plan(
-    blueprint: &Blueprint,
-    plan: Option<&Plan>,
-    config: &FeatureConfig,
-    block: BlockIdx,
-    to: &mut Writer<'_>,
-) {
-    let planned = plan.and_then(|plan| Some((plan, blueprint.placement(block)?, blueprint.plan_step(plan, block)?)));
-    let Some((plan, placement, step)) = planned else { return to.zeros(PLAN_PART) };
-    let half_unit_m = UNIT_M / 2.0;
-    let up = Vector3::from(plan.up.map(|x| x as f32));
-    let center = Vector3::from(placement.center_half_units.map(|x| x as f32)) * half_unit_m;
-    let way = Vector3::from(step.way_half_units.map(|x| x as f32)) * half_unit_m;
-    let into = matrix(placement.rotation.matrix()).transpose();
-    to.vector(&(into * up));
-    to.number(config.distance(up.dot(&center) - plan.ground_half_units as f32 * half_unit_m));
-    to.number((step.rank + 1) as f32 / N_BLOCKS as f32);
-    to.vector(&config.position(into * way));
-    to.vector(&config.position(into * (Vector3::from(plan.middle_m) - center)));
-    to.number(config.distance(plan.radius_m));
 }
 
 /// Iterates over the sender and receiver of every edge.
@@ -276,26 +195,25 @@ fn write_edges(
                 // Current position of the same magnets of j in i's frame.
                 let now = offset + current * wanted_rotation.tr_mul(&(magnets - wanted_offset));
                 let mut writer = Writer::new(&mut edge[0..9]);
-                writer.vector(&config.position(magnets - now));
+                writer.vector(&((magnets - now) / POSITION_SCALE_M));
                 writer.two_columns(&(wanted_rotation * current.transpose()));
                 edge[21] = 1.0;
             }
             let mut writer = Writer::new(&mut edge[9..18]);
-            writer.vector(&config.position(offset - wanted_offset));
+            writer.vector(&((offset - wanted_offset) / POSITION_SCALE_M));
             writer.two_columns(&(current * wanted_rotation.transpose()));
             edge[23] = 1.0;
             if config.needed_moves {
-                write_needed_move(config, &offset, &current, &wanted_offset, &wanted_rotation, &mut edge[24..36]);
+                write_needed_move(&offset, &current, &wanted_offset, &wanted_rotation, &mut edge[24..36]);
             }
         }
-        Writer::new(&mut edge[18..21]).vector(&config.position(offset));
+        Writer::new(&mut edge[18..21]).vector(&(offset / POSITION_SCALE_M));
         edge[22] = f32::from(u8::from(connected[receiver.get()][sender.get()]));
     }
 }
 
 /// Writes the move, in the receiver's frame, that brings the receiver to its target pose relative to a fixed sender.
 fn write_needed_move(
-    config: &FeatureConfig,
     offset: &Vector3<f32>,
     current: &Matrix3<f32>,
     wanted_offset: &Vector3<f32>,
@@ -307,7 +225,7 @@ fn write_needed_move(
     let shift = offset - turn * wanted_offset;
     let turn = rotation_vector(&turn);
     let mut writer = Writer::new(to);
-    writer.vector(&config.position(shift));
+    writer.vector(&(shift / POSITION_SCALE_M));
     writer.vector(&shift.map(|x| (x / FINE_MOVE_M).tanh()));
     writer.vector(&(turn / std::f32::consts::PI));
     writer.vector(&turn.map(|x| (x / FINE_TURN_RAD).tanh()));
@@ -354,10 +272,6 @@ impl<'a> Writer<'a> {
 
     fn number(&mut self, value: f32) {
         *self.rest.next().expect("the sizes leave room for every feature") = value;
-    }
-
-    fn zeros(&mut self, n: usize) {
-        (0..n).for_each(|_| self.number(0.0));
     }
 
     fn bit(&mut self, value: bool) {

@@ -1,9 +1,8 @@
 //! From a scene to an action: graph features, the network, the action distribution, and parameters as flat vectors.
 //!
 //! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`cpu`] → [`engine`] → [`parameters`] →
-//! [`distribution`] (the Gaussian head) → [`proposals`] and [`mixture`] (the other head) → [`policy`] (inference),
-//! [`loss_terms`] (the same distributions on tensors, for training), and [`imitation`] (distances from the expert's
-//! labels and from another policy).
+//! [`distribution`] (the Gaussian head) → [`proposals`] and [`mixture`] (the other head) → [`policy`] (inference) and
+//! [`loss_terms`] (the same distributions on tensors, for training).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -15,7 +14,6 @@ pub mod distribution;
 pub mod engine;
 pub mod features;
 mod geometry;
-pub mod imitation;
 pub mod loss_terms;
 pub mod mixture;
 pub mod network;

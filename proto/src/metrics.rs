@@ -58,9 +58,6 @@ pub struct LearnerMetrics {
     pub refused_total: u64,
     /// PPO metrics of the update.
     pub ppo: PpoMetrics,
-    /// Imitation metrics; `null` without imitation.
-    #[serde(default)]
-    pub imitation: Option<ImitationMetrics>,
     /// What the mixture head drew; absent for the Gaussian head, and if PPO had no samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub proposals: Option<ProposalMetrics>,
@@ -114,9 +111,6 @@ pub struct PpoMetrics {
     pub effective_sample_size: f64,
     /// 1 − Var(target − value) / Var(target) before the update; at most 1, 0 for a constant prediction.
     pub explained_variance: f64,
-    /// Mean KL(imitator ‖ policy), nats; 0 without a constraint to the imitator.
-    #[serde(default)]
-    pub imitator_kl: f64,
     /// Norm of the gradient before clipping.
     pub grad_norm: f64,
     /// Learning rate of the update.
@@ -163,23 +157,6 @@ pub struct KindMetrics {
     /// longer connected wrongly (`detach`). A way of several steps counts as one success in as many tries. `null` without
     /// tries.
     pub success: Option<f64>,
-}
-
-/// Imitation of the expert's labels in one update; means over scenes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ImitationMetrics {
-    /// Weight of the imitation loss.
-    pub weight: f64,
-    /// Σ over grippers of the cross-entropy of the block choice, nats.
-    pub block_loss: f64,
-    /// Σ over labeled blocks of the mean smooth L1 distance of the move, fractions of the speed limits.
-    pub move_loss: f64,
-    /// Fraction of scenes in which the most probable block equals the expert's for all grippers, 0 to 1.
-    pub block_accuracy: f64,
-    /// Gradient steps with labels.
-    pub n_gradient_steps: u64,
-    /// Labeled scenes in the replay buffer.
-    pub n_replay: u64,
 }
 
 /// Statistics of finished episodes.

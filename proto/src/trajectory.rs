@@ -7,7 +7,7 @@ use blueprints::hash::fnv1a;
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use serde::{Deserialize, Serialize};
 
-use crate::{Action, Move, N_GRIPPERS, RewardTerms, Scene, Status, WeightsVersion};
+use crate::{Action, N_GRIPPERS, RewardTerms, Scene, Status, WeightsVersion};
 
 /// Name of an actor: 1 to 64 characters of `a-z`, `0-9`, `-`.
 ///
@@ -66,17 +66,6 @@ pub struct Transition {
     pub behavior_log_prob: f32,
     /// Reward by term.
     pub reward: RewardTerms,
-    /// The expert's action in `scene`; `None` without DAgger, or if the expert has no action.
-    pub label: Option<Label>,
-}
-
-/// The expert's action in a scene.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Label {
-    /// The block of each gripper; `Some` for exactly the grippers of the world.
-    pub choices: [Option<BlockIdx>; N_GRIPPERS],
-    /// The moves of those blocks, as in [`Action::moves`]; zeros without a choice.
-    pub moves: [Move; N_GRIPPERS],
 }
 
 /// The source of an episode's actions.
@@ -100,19 +89,6 @@ impl fmt::Display for Start {
             Self::NearGoal { undone } => write!(f, "near-goal:{undone}"),
             Self::AsItIs => f.write_str("as-it-is"),
         }
-    }
-}
-
-impl Label {
-    /// Returns the label of an expert's action; `None` if a gripper of the world has no block.
-    pub fn new(action: &Action, n_grippers: usize) -> Option<Self> {
-        let mut label = Self { choices: [None; N_GRIPPERS], moves: [[0.0; 6]; N_GRIPPERS] };
-        for gripper in 0..n_grippers.min(N_GRIPPERS) {
-            let block = action.choices[gripper]?;
-            label.choices[gripper] = Some(block);
-            label.moves[gripper] = action.moves[block.get()];
-        }
-        Some(label)
     }
 }
 

@@ -10,7 +10,7 @@ use safetensors::{SafeTensorError, SafeTensors};
 use serde::Deserialize;
 
 /// The supported format versions.
-const FORMAT_VERSIONS: std::ops::RangeInclusive<u32> = 2..=3;
+const FORMAT_VERSION: u32 = 4;
 
 /// Name of the metadata entry.
 const ENTRY: &str = "lodestone";
@@ -28,7 +28,7 @@ pub(crate) enum ModelError {
     #[error("its entry `{ENTRY}` cannot be read")]
     Entry(#[from] serde_json::Error),
     /// The format version is not supported.
-    #[error("its format version is {0}, this package reads {start} to {end}", start = FORMAT_VERSIONS.start(), end = FORMAT_VERSIONS.end())]
+    #[error("its format version is {0}, this package reads {FORMAT_VERSION}")]
     Version(u32),
     /// The tensors are not those that were exported.
     #[error("the digest of its tensors is {found} instead of {expected}")]
@@ -73,9 +73,8 @@ struct Header {
     weights_version: u64,
     n_env_steps: u64,
     policy: PolicyConfig,
-    #[serde(default)]
     settings: CanonicalSettings,
-    digest: Option<String>,
+    digest: String,
     table: Vec<Parameter>,
     #[serde(with = "Statistics")]
     normalization: Normalization,
@@ -111,7 +110,7 @@ impl Model {
         let (_, metadata) = SafeTensors::read_metadata(bytes)?;
         let entry = metadata.metadata().as_ref().and_then(|entries| entries.get(ENTRY)).ok_or(ModelError::NoPolicy)?;
         let FormatVersion { format_version } = serde_json::from_str(entry)?;
-        if !FORMAT_VERSIONS.contains(&format_version) {
+        if format_version != FORMAT_VERSION {
             return Err(ModelError::Version(format_version));
         }
         let header: Header = serde_json::from_str(entry)?;
@@ -126,14 +125,10 @@ impl Model {
             }
             parameters.extend(tensor.data().as_chunks::<4>().0.iter().map(|x| f32::from_le_bytes(*x)));
         }
-        // Version 2 has no digest.
-        if format_version > 2 {
-            let expected = header.digest.unwrap_or_else(|| "none".to_owned());
-            let table = header.table.iter().map(|parameter| (parameter.name.as_str(), parameter.shape.as_slice()));
-            let found = policy::parameters::digest(table, &parameters);
-            if found != expected {
-                return Err(ModelError::Digest { found, expected });
-            }
+        let table = header.table.iter().map(|parameter| (parameter.name.as_str(), parameter.shape.as_slice()));
+        let found = policy::parameters::digest(table, &parameters);
+        if found != header.digest {
+            return Err(ModelError::Digest { found, expected: header.digest });
         }
         let weights = Weights {
             version: WeightsVersion(header.weights_version),

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 # Appended after the installed packages: this folder also holds the sources of `lodestone` without the native module.
 sys.path.append(str(ROOT / "python"))
 
-from lodestone_torch import Config, GraphNetwork, Policy
+from lodestone_torch import Config, GraphNetwork, Policy, digest
 
 GOLDEN = ROOT / "policy/tests/golden"
 PRETRAINED = ROOT / "deploy/pretrained/model.safetensors"
@@ -97,24 +97,37 @@ def inputs(golden: dict[str, Any]) -> list[torch.Tensor]:
 
 def mixture(n_grippers: int = 2) -> Policy:
     """Makes a small policy with the mixture head, the paper's features, and parameters that nothing was learned from."""
-    sizes = {"node": 3, "edge": 24, "global_": 25 * n_grippers, "n_grippers": n_grippers}
+    return _untrained({"node": 3, "edge": 24, "global_": 25 * n_grippers, "n_grippers": n_grippers}, True)
+
+
+def gaussian() -> Policy:
+    """Makes a small policy with the Gaussian head, all features, and parameters that nothing was learned from."""
+    return _untrained({"node": 10, "edge": 36, "global_": 50, "n_grippers": 2}, False)
+
+
+def _untrained(sizes: dict[str, int], is_mixture: bool) -> Policy:
     encoder = {"attention": True, "self_edges": False, "n_layers": 2, "n_heads": 2, "head_dim": 8, "mlp_hidden": 32}
-    made = GraphNetwork(Config(**sizes, **encoder, width=32, value_hidden=(16,), mixture=True))
+    made = GraphNetwork(Config(**sizes, **encoder, width=32, value_hidden=(16,), mixture=is_mixture))
     with torch.no_grad():
         for name, value in made.named_parameters():
             numbers = generate(name, 1, value.numel()).reshape(value.shape)
             value += torch.from_numpy(numbers * min(0.5, 2.0 / np.sqrt(value.shape[0])))
+    n_grippers = sizes["n_grippers"]
     network = {"encoder": {"kind": "gat", **encoder}, "width": 32, "n_grippers": n_grippers, "value_hidden": [16]}
-    network |= {"scale": {"init_std": None, "max_std": None, "floor": 1e-6}, "move_head": "mixture"}
-    flags = ("up_axis", "membership", "block_shape", "needed_moves", "plan", "pieces")
-    features = {**dict.fromkeys(flags, False), "n_grippers": n_grippers}
+    network |= {"scale": {"init_std": None, "max_std": None, "floor": 1e-6}}
+    network |= {"move_head": "mixture"} if is_mixture else {}
+    flags = ("up_axis", "membership", "block_shape", "needed_moves")
+    features = {**dict.fromkeys(flags, not is_mixture), "n_grippers": n_grippers}
     policy = {"network": network, "features": features, "mask": "blueprint", "joint_form": "chosen-unique"}
+    table = [{"name": name, "shape": list(value.shape)} for name, value in made.state_dict().items()]
     header = {
-        "format_version": 2,
+        "format_version": 4,
         "weights_version": 7,
         "n_env_steps": 0,
         "policy": {**policy, "grip_steps": 1},
-        "table": [{"name": name, "shape": list(value.shape)} for name, value in made.state_dict().items()],
+        "settings": [],
+        "digest": digest(table, made.state_dict()),
+        "table": table,
         "normalization": {"feature_mean": [[]] * 3, "feature_std": [[]] * 3, "value_mean": 1.0, "value_std": 2.0},
     }
     return Policy(made, header)

@@ -101,8 +101,7 @@ WORLD: dict[str, tuple[Any, ...]] = {
     ),
     "features": (
         *(None, 3, ["x"], "none", b"all", ({"up": True}, "features: unknown field `up`, expected one of `up_axis`")),
-        *(({"plan": 3}, "features.plan = 3: expected a boolean"), ({3: True}, "3")),
-        ({"remaining_time": "x"}, 'features.remaining_time = "x": expected 1..=1000'),
+        *(({"up_axis": 3}, "features.up_axis = 3: expected a boolean"), ({3: True}, "3")),
     ),
     "observation": (None, 3, "pixels", ["flat"], b"flat", np.zeros(2)),
     "action": (None, 3, "joints", ["flat"], b"flat"),

@@ -1,17 +1,14 @@
-//! This version reads what earlier versions wrote: a run's folder with configuration, checkpoint, history, and
-//! recordings.
+//! This version reads the history and the recordings of version 0.1.0, and says that it cannot read its policies.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
-
 use crate::support::program::{lodestone, n_saved_steps};
 
-/// Copies the run `name` that an earlier version left behind into `folder`.
-pub(crate) fn old_run(name: &str, folder: &Path) -> PathBuf {
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden").join(name);
-    let run = folder.join("run");
+/// Copies the run that version 0.1.0 left behind into `folder`.
+pub(crate) fn old_run(folder: &Path) -> PathBuf {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden/run-0.1.0");
+    let run = folder.join("run-0.1.0");
     copy(&golden, &run);
     run
 }
@@ -36,41 +33,19 @@ fn output(folder: &Path, args: &[&str]) -> String {
     stdout
 }
 
-/// Reports a run, and renders one of its recordings.
-fn report_and_render(folder: &Path) {
-    output(folder, &["report", "run"]);
-    let groups = fs::read_to_string(folder.join("run/report/groups.md")).unwrap();
-    assert!(groups.contains("train 2-6"), "{groups}");
-    let recording = "run/replays/2_000/00000000-failure.trajectory";
-    output(folder, &["render", recording, "--format", "png-strip", "--out", "pictures"]);
-}
-
 #[test]
 fn the_policy_of_a_run_of_version_0_1_0_is_refused_and_everything_else_is_read() {
     let folder = tempfile::tempdir().unwrap();
-    let run = old_run("run-0.1.0", folder.path());
-    report_and_render(folder.path());
-    for command in [["eval", "--checkpoint", "run"], ["train", "--resume", "run"]] {
+    let run = old_run(folder.path());
+    output(folder.path(), &["report", "run-0.1.0"]);
+    let groups = fs::read_to_string(run.join("report/groups.md")).unwrap();
+    assert!(groups.contains("train 2-6"), "{groups}");
+    let recording = "run-0.1.0/replays/2_000/00000000-failure.trajectory";
+    output(folder.path(), &["render", recording, "--format", "png-strip", "--out", "pictures"]);
+    for command in [["eval", "--checkpoint", "run-0.1.0"], ["train", "--resume", "run-0.1.0"]] {
         let output = lodestone(folder.path()).args(command).output().unwrap();
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success() && stderr.contains("has format version 1"), "{command:?}: {stderr}");
     }
     assert_eq!(n_saved_steps(&run), 256);
-}
-
-#[test]
-fn a_run_of_format_version_2_is_continued_evaluated_and_reported() {
-    let folder = tempfile::tempdir().unwrap();
-    let run = old_run("run-format-2", folder.path());
-    report_and_render(folder.path());
-    let table = output(folder.path(), &["eval", "--checkpoint", "run", "--episodes", "1"]);
-    assert!(table.contains("2_000"), "{table}");
-
-    assert_eq!(n_saved_steps(&run), 256);
-    output(folder.path(), &["train", "--resume", "run", "--steps", "512"]);
-    assert_eq!(n_saved_steps(&run), 512);
-    let lines = fs::read_to_string(run.join("metrics.jsonl")).unwrap();
-    let learner = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-    let updates: Vec<u64> = learner.filter_map(|line| line["n_updates"].as_u64()).collect();
-    assert_eq!(updates, [2]);
 }

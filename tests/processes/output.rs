@@ -33,7 +33,7 @@ const RESULTS: [&[&str]; 26] = [
     &["report", "run", "--json", "--out", "plots"],
     &["expert", "eval", "2_000", "--episodes", "1"],
     &["record", "--expert", "--blueprint", "2_000", "--format", "trajectory", "--out", "played"],
-    &["render", "run/replays/2_000/00000000-failure.trajectory", "--format", "png-strip", "--out", "films"],
+    &["render", "run-0.1.0/replays/2_000/00000000-failure.trajectory", "--format", "png-strip", "--out", "films"],
     &["blueprints", "list"],
     &["blueprints", "list", "--json"],
     &["blueprints", "check", "goal.toml"],
@@ -48,10 +48,11 @@ const RESULTS: [&[&str]; 26] = [
 /// Commands without a result on stdout, or tested elsewhere (`sweep`, `watch`).
 const OTHERS: [&str; 5] = ["healthcheck", "play", "router", "sweep", "watch"];
 
-/// A folder with a run and a blueprint.
+/// A folder with a run, one of version 0.1.0, and a blueprint.
 fn prepared() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    old_run("run-format-2", folder.path());
+    assert!(served::train(&mut lodestone(folder.path())).args(["--steps", "256"]).status().unwrap().success());
+    old_run(folder.path());
     let blocks = "blocks = [{ type = \"3x1x1\", at = [0, 0, 0] }, { type = \"1x1x1\", at = [2, 0, 1] }]";
     std::fs::write(folder.path().join("goal.toml"), blocks).unwrap();
     folder

@@ -5,21 +5,15 @@ use std::path::Path;
 
 use burn::tensor::Device;
 use deploy::config::{Base, Config, PRESETS, Preset, merge};
-use learner::{Checkpoint, Model};
+use learner::Model;
 use policy::Engine;
 use proto::codec::MAX_PARAMETERS;
 
 /// The hash of each preset's network, which weights on the bus carry.
-const NETWORK_HASHES: [(&str, u64); 17] = [
+const NETWORK_HASHES: [(&str, u64); 11] = [
     ("quickstart", 0x2ad3_0aa4_acb5_69d4),
     ("laptop", 0x5a20_0d1b_a8c8_d23b),
-    ("imitation", 0xf4b1_52b0_2568_485a),
-    ("fine-tune", 0xf4b1_52b0_2568_485a),
-    ("compact", 0xf99b_8fac_bfc2_1bb4),
     ("near-goal", 0xf7f2_fb08_c875_81f5),
-    ("imitation-only", 0xfc9c_4a11_7786_3f8c),
-    ("ppo-only", 0x519c_d97d_fce8_8887),
-    ("imitation-and-ppo", 0xfc9c_4a11_7786_3f8c),
     ("paper", 0x1b29_9c70_276a_9e04),
     ("no-attention", 0xa0de_49a2_3c4c_c00b),
     ("resnet", 0x1ded_3756_1a44_c343),
@@ -42,30 +36,18 @@ fn the_networks_of_the_presets_keep_their_hashes() {
 }
 
 #[test]
-fn the_shipped_policy_is_read_and_is_one_of_the_imitation_preset() {
+fn the_shipped_policy_is_read_and_is_one_of_the_laptop_preset() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/pretrained/model.safetensors");
     let model = Model::from_bytes(&std::fs::read(&path).unwrap(), &path).unwrap();
     assert_eq!((model.weights.version.0, model.weights.n_env_steps), (439, 3_602_616));
-    assert_eq!(model.weights.network_hash, network_hash("imitation"));
-}
-
-#[test]
-fn a_policy_of_format_version_2_is_read() {
-    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("golden");
-    let path = golden.join("policy-format-2.safetensors");
-    let model = Model::from_bytes(&std::fs::read(&path).unwrap(), &path).unwrap();
-    let found = Checkpoint::read_latest(&golden.join("run-format-2/checkpoints")).unwrap();
-    // Written again, it has the present version and the same content.
-    assert_eq!(model, Model::from(&found.checkpoint));
-    assert_eq!(Model::from_bytes(&model.to_bytes().unwrap(), &path).unwrap(), model);
-    assert!(model.weights.settings.is_empty());
+    assert_eq!(model.weights.network_hash, network_hash("laptop"));
 }
 
 #[test]
 fn the_networks_of_all_ablations_fit_onto_the_bus() {
     for preset in Preset::ablations() {
         let over = preset.overrides().unwrap();
-        for base in ["base = \"laptop\"", "base = \"imitation\""] {
+        for base in ["base = \"laptop\"", "base = \"paper\""] {
             let config = merge(base, preset.name, Base::Defaults, &over).unwrap();
             let n_parameters = Engine::new(&config.policy, 0, &Device::flex(), false).parameters().len();
             assert!(n_parameters <= MAX_PARAMETERS, "{}: {n_parameters}", preset.name);

@@ -4,7 +4,6 @@ use actor::{ActorSetup, Lockstep, TaskFilter};
 use blueprints::Catalog;
 use deploy::config::{Config, PRESETS};
 use evaluator::{EvalSetup, evaluate};
-use learner::config::{RateLine, RateRule, Schedule};
 use learner::{Learner, LearnerSetup};
 
 /// A preset trained in lockstep: worlds pause while the learner updates.
@@ -108,25 +107,4 @@ fn rewards_alone_teach_five_blocks_from_scattered_starts() {
         trained = ring.success_rate();
     }
     assert!(untrained < 0.6 && trained >= 0.95, "{untrained} before, {trained} after {}", ring.learner.n_env_steps());
-}
-
-#[test]
-fn imitation_learns_to_build_two_block_goals_from_scattered_starts() {
-    let mut config = Ring::config("imitation-only");
-    // Use the network of the smallest preset, so that the test takes a minute.
-    config.policy.network = Ring::config("near-goal").policy.network;
-    let rate = vec![(0, 1e-3), (60_000, 1e-3), (150_000, 1e-4)];
-    config.learner.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Line(rate) });
-    let ids = ["2_000", "2_007"].map(|id| id.parse().unwrap()).to_vec();
-    config.actor.tasks.filter = TaskFilter::Blueprints(ids.clone());
-    config.evaluator.selection.blueprints = ids;
-    config.evaluator.episodes.n_episodes = 20;
-    let mut ring = Ring::new(config);
-    let mut trained = 0.0;
-    while trained < 0.9 && ring.learner.n_env_steps() < ring.config.n_env_steps {
-        (0..10).for_each(|_| ring.update());
-        trained = ring.success_rate();
-        eprintln!("{} {trained}", ring.learner.n_env_steps());
-    }
-    assert!(trained >= 0.9, "{trained} after {} steps", ring.learner.n_env_steps());
 }

@@ -23,7 +23,6 @@ fn segment(n_steps: usize) -> Trajectory {
             proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward: Default::default(),
-            label: None,
         };
         let cut = builder.push(transition, WeightsVersion(0), &toy::scene(), Status::Running, &toy::identity());
         if let Cut::Segment(segment) = cut {

@@ -22,7 +22,6 @@ fn with_burn_in(scripts: &[&[Status]], seed: u64, burn_in: BurnInConfig) -> Roll
         tasks,
         segment_len: 3,
         burn_in,
-        dagger: None,
         identity: toy::identity(),
         seed,
     };

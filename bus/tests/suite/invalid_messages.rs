@@ -36,7 +36,7 @@ async fn garbage_trajectory_is_refused() {
     assert_eq!(refused(&script, "ingest/x", &older).await, Refusal::Invalid(reason.to_owned()));
     assert_eq!(learner.server.counts().invalid_total, 5);
     let sender = sender(&cluster.client().await, "a").await;
-    within("an ack", sender.send(&samples::labeled("a", 0))).await.unwrap();
+    within("an ack", sender.send(&samples::of_expert("a", 0))).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -10,22 +10,19 @@ use super::proposals::{CHARTED, Look};
 const MAX_VALUES: usize = 200;
 
 /// Learner metrics that are tracked, by name; those of [`CHARTED`] follow them.
-const FOLLOWED: [(&str, Look); 12] = [
+const FOLLOWED: [(&str, Look); 9] = [
     ("success of episodes", |learner| {
         let success = &learner.episodes.success;
         (success.n_episodes > 0).then_some(success.rate)
     }),
     ("steps per second", |learner| Some(learner.env_steps_per_s)),
-    ("block accuracy", |learner| labels(learner).map(|imitation| imitation.block_accuracy)),
-    ("block loss, nats", |learner| labels(learner).map(|imitation| imitation.block_loss)),
-    ("move loss", |learner| labels(learner).map(|imitation| imitation.move_loss)),
     ("lag, versions", |learner| Some(learner.policy_lag_mean)),
-    ("policy loss", |learner| of_rewards(learner.ppo.policy_loss)),
-    ("value loss", |learner| of_rewards(learner.ppo.value_loss)),
-    ("entropy, nats", |learner| of_rewards(learner.ppo.entropy)),
-    ("KL of an update, nats", |learner| of_rewards(learner.ppo.approx_kl)),
-    ("explained variance", |learner| of_rewards(learner.ppo.explained_variance)),
-    ("gradient norm", |learner| of_rewards(learner.ppo.grad_norm)),
+    ("policy loss", |learner| Some(learner.ppo.policy_loss)),
+    ("value loss", |learner| Some(learner.ppo.value_loss)),
+    ("entropy, nats", |learner| Some(learner.ppo.entropy)),
+    ("KL of an update, nats", |learner| Some(learner.ppo.approx_kl)),
+    ("explained variance", |learner| Some(learner.ppo.explained_variance)),
+    ("gradient norm", |learner| Some(learner.ppo.grad_norm)),
 ];
 
 /// The newest values of all tracked metrics.
@@ -64,16 +61,6 @@ impl Trends {
 
 fn followed() -> impl Iterator<Item = (&'static str, Look)> {
     FOLLOWED.into_iter().chain(CHARTED.into_iter().map(|(_, name, look)| (name, look)))
-}
-
-/// Returns the imitation metrics, if the imitation loss is active.
-fn labels(learner: &LearnerMetrics) -> Option<&proto::metrics::ImitationMetrics> {
-    learner.imitation.as_ref().filter(|imitation| imitation.weight > 0.0)
-}
-
-/// Returns a PPO metric, or `None` if it is zero, which happens only if training uses no rewards.
-fn of_rewards(value: f64) -> Option<f64> {
-    (value != 0.0).then_some(value)
 }
 
 fn push(values: &mut VecDeque<f64>, value: Option<f64>) {

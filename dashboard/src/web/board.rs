@@ -90,20 +90,9 @@ struct Point {
     entropy: f64,
     approx_kl: f64,
     explained_variance: f64,
-    /// Imitation metrics; absent if the imitation loss is inactive.
-    #[serde(flatten)]
-    labels: Option<Labels>,
     /// Draws of the mixture head; absent for the Gaussian head.
     #[serde(flatten)]
     draws: BTreeMap<&'static str, f64>,
-}
-
-/// Imitation metrics of an update.
-#[derive(Clone, Debug, Serialize)]
-struct Labels {
-    block_accuracy: f64,
-    block_loss: f64,
-    move_loss: f64,
 }
 
 /// The response to `/api/history`.
@@ -264,11 +253,6 @@ impl Points {
             entropy: learner.ppo.entropy,
             approx_kl: learner.ppo.approx_kl,
             explained_variance: learner.ppo.explained_variance,
-            labels: learner.imitation.filter(|imitation| imitation.weight > 0.0).map(|imitation| Labels {
-                block_accuracy: imitation.block_accuracy,
-                block_loss: imitation.block_loss,
-                move_loss: imitation.move_loss,
-            }),
             draws: CHARTED.iter().filter_map(|&(name, _, look)| Some((name, look(learner)?))).collect(),
         };
         self.newest = Some(point.clone());
@@ -293,22 +277,15 @@ mod tests {
     use crate::samples;
 
     #[test]
-    fn history_has_what_labels_teach_and_the_time_before_a_resume() {
+    fn history_counts_the_time_before_a_resume() {
         let board = Board::default();
         let mut learner = samples::learner();
         board.told(News::Metrics(vec![learner.clone()]), Duration::ZERO);
         learner.value["n_env_steps"] = 4_000_000.into();
         learner.value["run_elapsed_s"] = 5000.into();
-        learner.value["imitation"] = json!({
-            "weight": 1.0, "block_loss": 0.25, "move_loss": 0.5, "block_accuracy": 0.75, "n_gradient_steps": 8,
-            "n_replay": 100,
-        });
         board.told(News::Metrics(vec![learner]), Duration::ZERO);
         let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
         let points = &history["learner"];
-        let labels = ["block_accuracy", "block_loss", "move_loss"];
-        assert_eq!(labels.map(|name| points[0].get(name)), [None; 3]);
-        assert_eq!(labels.map(|name| points[1][name].as_f64()), [0.75, 0.25, 0.5].map(Some));
         assert_eq!([&points[0]["elapsed_s"], &points[1]["elapsed_s"]], [&json!(2520.5), &json!(5000.0)]);
     }
 

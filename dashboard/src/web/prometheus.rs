@@ -10,7 +10,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use proto::metrics::{FilmCounts, ImitationMetrics, ProposalMetrics};
+use proto::metrics::{FilmCounts, ProposalMetrics};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Role};
 use serde::Serialize;
@@ -150,17 +150,6 @@ fn learner(page: &mut Scrape, state: &State) {
     });
     gauge("learner_learning_rate", "Learning rate of the newest update", |l| l.ppo.learning_rate);
     proposals(page, learner.and_then(|learner| learner.proposals.as_ref()));
-    let imitation = learner.and_then(|learner| learner.imitation);
-    let mut gauge = |name, help, value: fn(&ImitationMetrics) -> f64| {
-        page.gauge(name, help, imitation.as_ref().map(value));
-    };
-    gauge("learner_imitation_weight", "Weight of the imitation loss", |i| i.weight);
-    gauge("learner_imitation_block_loss_nats", "Cross-entropy of the expert's choice of blocks", |i| i.block_loss);
-    gauge("learner_imitation_move_loss", "Distance from the expert's moves", |i| i.move_loss);
-    gauge("learner_imitation_block_accuracy_ratio", "Scenes in which the expert's blocks are the likeliest", |i| {
-        i.block_accuracy
-    });
-    gauge("learner_imitation_replay_scenes", "Labeled scenes in the replay buffer", |i| i.n_replay as f64);
 }
 
 fn proposals(page: &mut Scrape, proposals: Option<&ProposalMetrics>) {
@@ -334,21 +323,6 @@ mod tests {
         let reasons = by_reason(&counts);
         assert!(reasons.contains(&(vec![label("reason", "weights_refused")], 2)), "{reasons:?}");
         assert!(reasons.contains(&(vec![label("reason", "tokens_invalid")], 0)), "{reasons:?}");
-    }
-
-    #[test]
-    fn imitation_is_scraped_where_labels_teach() {
-        let board = Board::default();
-        let mut learner = samples::learner();
-        learner.value["imitation"] = serde_json::json!({
-            "weight": 1.0, "block_loss": 0.25, "move_loss": 0.5, "block_accuracy": 0.75, "n_gradient_steps": 8,
-            "n_replay": 100,
-        });
-        board.told(News::Metrics(vec![learner]), Duration::ZERO);
-        let samples = parse(&text(&board.state(), "a run").unwrap());
-        for (name, value) in [("block_loss_nats", 0.25), ("block_accuracy_ratio", 0.75), ("replay_scenes", 100.0)] {
-            assert_eq!(samples.get(&format!("lodestone_learner_imitation_{name}")), Some(&value), "{samples:#?}");
-        }
     }
 
     #[test]

@@ -244,7 +244,6 @@ pub(super) mod tests {
             proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward,
-            label: None,
         };
         Trajectory {
             actor: "a".parse().unwrap(),

@@ -12,10 +12,6 @@ use serde_json::Value;
 
 use super::*;
 
-fn features() -> FeatureConfig {
-    FeatureConfig { plan: true, pieces: true, ..FeatureConfig::default() }
-}
-
 fn goal() -> &'static Blueprint {
     Catalog::builtin().get(&"3_000".parse().unwrap()).unwrap()
 }
@@ -34,7 +30,7 @@ fn begun(root: &Path) -> Result<Writer, DatasetError> {
         code_permalink: None,
         origin: Origin { lodestone_version: "0", weights_version: 0, n_env_steps: 0, acting: "mode", seed: 1 },
     };
-    let (settings, features) = (EnvironmentConfig::default(), features());
+    let (settings, features) = (EnvironmentConfig::default(), FeatureConfig::default());
     let starts = [("scattered", 1.0)].into();
     let world = World { blueprint: vec!["3_000".to_owned()], starts, settings: &settings, features: &features };
     Writer::create(root, about, Spaces::new(&features), &world)
@@ -87,11 +83,11 @@ fn check(rows: &StructArray, episode: &Trajectory) {
     assert_eq!(rows.len(), n_steps + 1);
     let goal = goal().permuted(&episode.task.assignment);
     let scenes = episode.transitions.iter().map(|step| &step.scene).chain([&episode.last_scene]);
-    let [n_nodes, n_edges, n_globals] = Spaces::new(&features()).lengths();
+    let [n_nodes, n_edges, n_globals] = Spaces::new(&FeatureConfig::default()).lengths();
     for (row, scene) in scenes.enumerate() {
         let (mut nodes, mut edges, mut globals) = (vec![0.0; n_nodes], vec![0.0; n_edges], vec![0.0; n_globals]);
         let seen = Observation { scene, blueprint: &goal, n_steps: row as u16 };
-        write_features(&seen, &features(), &mut nodes, &mut edges, &mut globals);
+        write_features(&seen, &FeatureConfig::default(), &mut nodes, &mut edges, &mut globals);
         for (name, numbers) in [("nodes", nodes), ("edges", edges), ("globals", globals)] {
             assert_eq!(floats(part(rows, "observations"), name, row), numbers, "{name} of row {row}");
         }

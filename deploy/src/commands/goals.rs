@@ -351,7 +351,7 @@ mod tests {
         assert_eq!(inferred(&named).unwrap().len(), 5);
         let goals = TrainingGoals::open(&named, None).unwrap();
         let config =
-            crate::config::merge("base = \"imitation\"", "file", crate::config::Base::Defaults, &goals.settings())
+            crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &goals.settings())
                 .unwrap();
         config.validate().unwrap();
         assert_eq!(config.actor.tasks.generated_probability, 0.0);

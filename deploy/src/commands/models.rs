@@ -20,7 +20,7 @@ use runlog::paths::BEST_POLICY;
 const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
 
 /// Preset that the shipped policy was trained with.
-const PRETRAINED_PRESET: &str = "imitation";
+const PRETRAINED_PRESET: &str = "laptop";
 
 /// A policy, and the text and origin of the configuration that it was trained with.
 pub(super) struct Source {

@@ -99,7 +99,7 @@ impl Override {
     /// Names the first such override and the sections.
     pub fn only_in(sections: &[&str], overrides: &[Self]) -> Result<(), ConfigError> {
         let is_read = |given: &&Self| {
-            let key = given.renamed().path.join(".");
+            let key = given.path.join(".");
             sections
                 .iter()
                 .any(|section| key.strip_prefix(section).is_some_and(|rest| rest.is_empty() || rest.starts_with('.')))
@@ -111,17 +111,6 @@ impl Override {
                 message: format!("this command reads {} alone; see its flags for the rest", sections.join(" and ")),
             }),
         }
-    }
-
-    /// The same override with the key's current name.
-    fn renamed(&self) -> Self {
-        let path = self.path.join(".");
-        let now = |(old, new): &(&str, &str)| {
-            let rest = path.strip_prefix(old).filter(|rest| rest.is_empty() || rest.starts_with('.'))?;
-            Some(format!("{new}{rest}"))
-        };
-        let path = RENAMED.iter().find_map(now).unwrap_or(path);
-        Self { path: path.split('.').map(str::to_owned).collect(), ..self.clone() }
     }
 
     /// Sets the key in `table`. Other keys stay, except those of an alternative that this key replaces.
@@ -200,7 +189,7 @@ pub fn merge(text: &str, origin: &str, base: Base, overrides: &[Override]) -> Re
         // Apply each layer to the whole tree, so that it can set a single key of a choice, and apply layers one at a
         // time, so that an error names the layer that caused it.
         let mut table = config.to_table();
-        layer.renamed().apply(&mut table)?;
+        layer.apply(&mut table)?;
         config = to_config(&table, &layer.origin)?;
     }
     Ok(config)
@@ -210,12 +199,8 @@ pub fn merge(text: &str, origin: &str, base: Base, overrides: &[Override]) -> Re
 fn with_base(text: &str, origin: &str, base: Base) -> Result<toml::Table, ConfigError> {
     let refused = |error: toml::de::Error| ConfigError::from_toml(&error, Some(text), origin);
     let mut keys: toml::Table = toml::from_str(text).map_err(refused)?;
-    let file: Config = if rename(&mut keys, origin)? {
-        to_config(&keys, origin)?
-    } else {
-        // Deserialize the text rather than the table, because only then does an error know its line.
-        toml::from_str(text).map_err(refused)?
-    };
+    // Deserialize the text rather than the table, because only then does an error know its line.
+    let file: Config = toml::from_str(text).map_err(refused)?;
     keys.remove("base");
     let base = file.base.as_deref().map_or(Ok(base), Base::find)?;
     let mut table = base.keys()?;
@@ -225,39 +210,6 @@ fn with_base(text: &str, origin: &str, base: Base) -> Result<toml::Table, Config
 
 /// Sections that hold one of several alternative keys.
 const CHOICES: [&str; 2] = ["every", "filter"];
-
-/// Keys of earlier versions and their current names; either is a section or a value. Files and flags may use both.
-const RENAMED: [(&str, &str); 5] = [
-    ("actor.lead_in", "actor.burn_in"),
-    ("actor.teacher", "actor.dagger"),
-    ("evaluator.judge_last", "evaluator.evaluate_last"),
-    ("evaluator.web", "dashboard.web"),
-    ("learner.normalisation", "learner.normalization"),
-];
-
-/// Renames keys of earlier versions to their current names; returns whether there were any.
-fn rename(keys: &mut toml::Table, origin: &str) -> Result<bool, ConfigError> {
-    let mut any = false;
-    for (old, new) in RENAMED {
-        let Some(value) = take(keys, old) else { continue };
-        if take(keys, new).is_some() {
-            let message = format!("`{old}` is now called `{new}`, and both are given");
-            return Err(ConfigError::Value { origin: origin.to_owned(), message });
-        }
-        let path = new.split('.').map(str::to_owned).collect();
-        Override { origin: origin.to_owned(), path, value }.apply(keys)?;
-        any = true;
-    }
-    Ok(any)
-}
-
-/// Removes the value at a dotted path from the table and returns it.
-fn take(table: &mut toml::Table, path: &str) -> Option<toml::Value> {
-    match path.split_once('.') {
-        None => table.remove(path),
-        Some((section, rest)) => take(table.get_mut(section)?.as_table_mut()?, rest),
-    }
-}
 
 /// Replaces single keys. If a choice changes, by `kind` or by key, the keys of the other alternatives are dropped.
 fn put_over(table: &mut toml::Table, keys: toml::Table) {
@@ -371,18 +323,6 @@ mod tests {
         {
             assert_eq!(Override::parse(&format!("key={text}")).unwrap().value, value, "{text}");
         }
-    }
-
-    #[test]
-    fn keys_of_earlier_versions_are_read() {
-        let listen = |config: Config| config.dashboard.web.map(|web| web.listen.to_string());
-        let old = "[evaluator]\nnice = 3\n[evaluator.web]\nlisten = \"127.0.0.1:80\"";
-        let config = merge(old, "file", &[]).unwrap();
-        assert_eq!((config.evaluator.nice, listen(config).as_deref()), (3, Some("127.0.0.1:80")));
-        let set = Override::parse("evaluator.web.listen=127.0.0.1:81").unwrap();
-        assert_eq!(listen(merge(old, "file", &[set]).unwrap()).as_deref(), Some("127.0.0.1:81"));
-        let both = merge(&format!("{old}\n[dashboard.web]\nhosts = []"), "file", &[]).unwrap_err().to_string();
-        assert_eq!(both, "file: `evaluator.web` is now called `dashboard.web`, and both are given");
     }
 
     #[test]

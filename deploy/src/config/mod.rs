@@ -116,11 +116,10 @@ impl Config {
 
     /// What actors with these settings do.
     pub fn acting_limits(&self) -> ActingLimits {
-        let ActorConfig { burn_in, tasks, dagger, .. } = &self.actor;
+        let ActorConfig { burn_in, tasks, .. } = &self.actor;
         ActingLimits {
             episode_steps: self.environment.episode_steps,
             burn_in_steps: if burn_in.probability > 0.0 { burn_in.max_steps } else { 0 },
-            has_expert: dagger.is_some(),
             has_prebuilt_starts: tasks.prebuilt_probability > 0.0,
             has_near_goal_starts: tasks.near_goal_probability > 0.0,
         }
@@ -135,12 +134,6 @@ impl Config {
         let (worlds, network) = (self.environment.n_grippers, self.policy.network.n_grippers);
         if worlds != network {
             return Err(format!("environment.n_grippers = {worlds}: expected {network}, as policy.network.n_grippers"));
-        }
-        let (seen, steps) = (self.policy.features.remaining_time, self.environment.episode_steps);
-        if let Some(seen) = seen.filter(|seen| *seen != steps) {
-            return Err(format!(
-                "policy.features.remaining_time = {seen}: expected {steps}, as environment.episode_steps"
-            ));
         }
         Ok(())
     }

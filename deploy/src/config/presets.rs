@@ -29,13 +29,7 @@ const PAPER: &str = "months on two cores: meant for hundreds of actors and a GPU
 pub const PRESETS: &[Preset] = presets![
     "quickstart": "about a minute on two cores, 0.3 GB of memory and 0.1 GB of disk",
     "laptop": "about 35 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk; it may be ended and resumed at any time",
-    "imitation": "about an hour and a half on two cores, 1.3 GB of memory and 1 GB of disk; it may be ended and resumed at any time",
-    "fine-tune": "about 20 minutes on two cores, 1 GB of memory and 1 GB of disk",
-    "compact": "15 to 60 minutes on two cores, 1 GB of memory and 1 GB of disk",
     "near-goal": "one to two minutes on two cores",
-    "imitation-only": "about 13 minutes on two cores",
-    "ppo-only": "about 13 minutes on two cores",
-    "imitation-and-ppo": "about 20 minutes on two cores",
     "paper": PAPER,
     "no-attention": PAPER,
     "resnet": PAPER,

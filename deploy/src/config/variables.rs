@@ -119,9 +119,6 @@ mod tests {
             let expected = format!("{name}: there is no such variable; did you mean `{meant}`?");
             assert_eq!(refused(name), Some(expected));
         }
-        // A setting that only some presets have.
-        let message = refused("LODESTONE_LEARNER_IMITATION_WEIGHT").unwrap();
-        assert!(message.contains("LODESTONE_LEARNER__IMITATION__"), "{message}");
         let message = refused("LODESTONE_XYZ").unwrap();
         assert!(message.contains("two underscores between section and key"), "{message}");
     }

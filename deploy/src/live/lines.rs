@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use dashboard::{Sizes, waits};
-use learner::config::Schedule;
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 
 /// What a line about the learner needs in addition to its metrics.
@@ -11,8 +10,6 @@ use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 pub(super) struct Context {
     /// Total environment steps of the run.
     pub(super) n_env_steps: u64,
-    /// Weight of the reward loss relative to labels; without imitation it is 1.
-    pub(super) ppo_weight: Option<Schedule>,
     /// Number of live actors.
     pub(super) n_actors: usize,
     /// Seconds left at the current pace.
@@ -48,11 +45,10 @@ pub(super) fn learner(learner: &LearnerMetrics, context: &Context) -> String {
     format!("{minutes:6.1} min  {:>9} steps ({percent:3.0} %)  {parts}", learner.n_env_steps)
 }
 
-/// How episodes end, also by size, what labels and rewards teach, and the throughput with the time left: one line each under the bar,
-/// of at most 80 characters.
+/// How episodes end, also by size, what the update did, and the throughput with the time left: one line each under the
+/// bar, of at most 80 characters.
 pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> {
     let episodes = &learner.episodes;
-    // Actors count the expert's episodes, too.
     let mut outcome = if episodes.success.n_episodes == 0 {
         let when = if learner.n_episodes == 0 { "yet" } else { "in this update" };
         format!("no episode of the policy ended {when}")
@@ -66,8 +62,7 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     let mut parts: Vec<String> = learner.not_saved.iter().map(waits).collect();
     parts.push(outcome);
     parts.extend(context.sizes.text().map(|sizes| format!("by blocks: {sizes}")));
-    parts.extend(labels(learner));
-    parts.extend(rewards(learner, context));
+    parts.push(update(learner));
     let actors = if context.n_actors == 1 { "actor" } else { "actors" };
     let (rate, steps_per_s) = (learner.ppo.learning_rate, learner.env_steps_per_s);
     let mut pace = format!("lr {rate:.1e}  {steps_per_s:.0} steps/s  {} {actors}", context.n_actors);
@@ -92,27 +87,13 @@ pub(super) fn actor(actor: &ActorMetrics) -> String {
     )
 }
 
-/// What the expert's labels teach, if they are used.
-fn labels(learner: &LearnerMetrics) -> Option<String> {
-    let imitation = learner.imitation.as_ref().filter(|imitation| imitation.weight > 0.0)?;
-    Some(format!(
-        "labels: block accuracy {:.1} %  block loss {:.3}  move loss {:.4}",
-        100.0 * imitation.block_accuracy,
-        imitation.block_loss,
-        imitation.move_loss,
-    ))
-}
-
-/// What rewards teach, if they are used.
-fn rewards(learner: &LearnerMetrics, context: &Context) -> Option<String> {
-    let weight = context.ppo_weight.as_ref().map_or(1.0, |weight| weight.at(learner.n_env_steps));
+/// What the newest update did.
+fn update(learner: &LearnerMetrics) -> String {
     let ppo = &learner.ppo;
-    (weight > 0.0).then(|| {
-        format!(
-            "rewards: lag {:.1}  kl {:.4}  clip {:.2}  entropy {:.2}  explained variance {:.2}",
-            learner.policy_lag_mean, ppo.approx_kl, ppo.clip_fraction, ppo.entropy, ppo.explained_variance,
-        )
-    })
+    format!(
+        "lag {:.1}  kl {:.4}  clip {:.2}  entropy {:.2}  explained variance {:.2}",
+        learner.policy_lag_mean, ppo.approx_kl, ppo.clip_fraction, ppo.entropy, ppo.explained_variance,
+    )
 }
 
 /// Success over all blueprints of a report: of greedy actions, or of sampled ones if no greedy episodes were run.
@@ -140,14 +121,12 @@ pub(super) fn duration(seconds: f64) -> String {
 #[cfg(test)]
 mod tests {
     use proto::WeightsVersion;
-    use proto::metrics::{
-        BusCounts, EpisodeMetrics, ImitationMetrics, IngestCounts, METRICS_SCHEMA_VERSION, PpoMetrics,
-    };
+    use proto::metrics::{BusCounts, EpisodeMetrics, IngestCounts, METRICS_SCHEMA_VERSION, PpoMetrics};
     use proto::wilson::SuccessRate;
 
     use super::*;
 
-    fn metrics(imitation: Option<ImitationMetrics>) -> LearnerMetrics {
+    fn metrics() -> LearnerMetrics {
         LearnerMetrics {
             schema_version: METRICS_SCHEMA_VERSION,
             weights_version: WeightsVersion(3),
@@ -167,7 +146,6 @@ mod tests {
             unmade_total: 0,
             refused_total: 0,
             ppo: PpoMetrics { explained_variance: 0.25, learning_rate: 1e-3, ..PpoMetrics::default() },
-            imitation,
             proposals: None,
             episodes: EpisodeMetrics::default(),
             ingest: IngestCounts::default(),
@@ -179,36 +157,25 @@ mod tests {
     }
 
     #[test]
-    fn a_line_says_what_teaches() {
-        let labels = ImitationMetrics { weight: 1.0, block_loss: 0.25, block_accuracy: 0.875, ..Default::default() };
-        let line = |imitation, ppo_weight| {
-            learner(&metrics(imitation), &Context { n_env_steps: 3000, ppo_weight, n_actors: 1, ..Context::default() })
-        };
-        let imitated = line(Some(labels), Some(Schedule::Constant(0.0)));
+    fn a_line_has_the_progress_the_update_and_the_pace() {
+        let context = Context { n_env_steps: 3000, n_actors: 1, ..Context::default() };
         assert_eq!(
-            imitated,
-            "   1.5 min       1500 steps ( 50 %)  no episode of the policy ended yet  labels: block accuracy 87.5 %  \
-             block loss 0.250  move loss 0.0000  lr 1.0e-3  12 steps/s  1 actor"
+            learner(&metrics(), &context),
+            "   1.5 min       1500 steps ( 50 %)  no episode of the policy ended yet  lag 0.5  kl 0.0000  clip 0.00  \
+             entropy 0.00  explained variance 0.25  lr 1.0e-3  12 steps/s  1 actor"
         );
-        let rewarded = line(None, None);
-        assert!(rewarded.contains("rewards: lag 0.5") && rewarded.contains("explained variance 0.25"), "{rewarded}");
-        assert!(!rewarded.contains("labels"), "{rewarded}");
-        // From 1000 to 2000 steps, the weight of rewards rises from 0 to 1.
-        let both = line(Some(labels), Some(Schedule::Line(vec![(1000, 0.0), (2000, 1.0)])));
-        assert!(both.contains("labels") && both.contains("rewards"), "{both}");
     }
 
     #[test]
     fn a_lull_in_episodes_does_not_deny_those_before() {
-        let mut learner = metrics(None);
+        let mut learner = metrics();
         learner.n_episodes = 97;
         assert_eq!(parts(&learner, &Context::default())[0], "no episode of the policy ended in this update");
     }
 
     #[test]
     fn lines_under_the_bar_fit_into_80_columns() {
-        let labels = ImitationMetrics { weight: 1.0, block_accuracy: 1.0, ..Default::default() };
-        let mut learner = metrics(Some(labels));
+        let mut learner = metrics();
         learner.episodes.success = SuccessRate::new(9999, 9999);
         learner.ppo.entropy = 12.34;
         learner.ppo.explained_variance = -0.25;
@@ -225,7 +192,7 @@ mod tests {
 
     #[test]
     fn a_run_that_cannot_save_says_so_first() {
-        let mut learner = metrics(None);
+        let mut learner = metrics();
         let reason = "cannot write runs/a/metrics.jsonl: No space left on device".to_owned();
         learner.not_saved = Some(proto::metrics::NotSaved { since_unix_ms: 1_769_846_700_999, reason: reason.clone() });
         let parts = parts(&learner, &Context::default());
@@ -235,7 +202,7 @@ mod tests {
     #[test]
     fn what_is_left_is_told_from_the_pace_since_the_first_look() {
         let mut pace = Pace::default();
-        let mut learner = metrics(None);
+        let mut learner = metrics();
         assert_eq!(pace.left_s(&learner, 3000), None);
         // 500 steps in 50 s, with 1000 left.
         (learner.n_env_steps, learner.elapsed_s) = (2000, 140.0);

@@ -43,8 +43,7 @@ pub async fn show_learning(
 ) {
     let progress = terminal.progress(config.n_env_steps, "steps");
     let actors = actors.watch();
-    let ppo_weight = config.learner.imitation.as_ref().map(|imitation| imitation.ppo_weight.clone());
-    let mut context = Context { n_env_steps: config.n_env_steps, ppo_weight, ..Context::default() };
+    let mut context = Context { n_env_steps: config.n_env_steps, ..Context::default() };
     let mut pace = Pace::default();
     let mut last_line: Option<Instant> = None;
     let mut not_saved = None;

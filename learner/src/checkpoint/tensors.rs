@@ -7,7 +7,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 use serde::{Deserialize, Serialize};
 
-use super::{CheckpointError, OLDEST_VERSION};
+use super::CheckpointError;
 
 /// Name and shape of one parameter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,20 +38,18 @@ pub(crate) fn digest(table: &[ParameterInfo], parameters: &[f32]) -> String {
     policy::parameters::digest(tensors, parameters)
 }
 
-/// Checks flat parameters against their digest. Only files of the oldest format version have none.
+/// Checks flat parameters against their digest.
 pub(crate) fn check_digest(
     path: &Path,
-    format_version: u32,
     table: &[ParameterInfo],
     parameters: &[f32],
-    expected: Option<&str>,
+    expected: &str,
 ) -> Result<(), CheckpointError> {
-    let reason = match (expected, digest(table, parameters)) {
-        (None, _) if format_version == OLDEST_VERSION => return Ok(()),
-        (None, _) => "it has no digest of its tensors".to_owned(),
-        (Some(expected), found) if found == expected => return Ok(()),
-        (Some(expected), found) => format!("the digest of its tensors is {found} instead of {expected}"),
-    };
+    let found = digest(table, parameters);
+    if found == expected {
+        return Ok(());
+    }
+    let reason = format!("the digest of its tensors is {found} instead of {expected}");
     Err(CheckpointError::Damaged { path: path.into(), reason })
 }
 

@@ -42,10 +42,6 @@ pub enum Objective {
 /// The loss coefficients of one update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossTerms {
-    /// Weight of the clipped surrogate and the entropies; 1 without imitation.
-    pub policy: f32,
-    /// Weight of KL(imitator ‖ policy); 0 without imitation.
-    pub imitator_kl: f32,
     /// See [`LossConfig::clip`].
     pub clip: f32,
     /// See [`LossConfig::value_clip`].
@@ -62,8 +58,6 @@ impl LossConfig {
     /// Returns the coefficients after `n_env_steps` environment steps.
     pub fn at(&self, n_env_steps: u64) -> LossTerms {
         LossTerms {
-            policy: 1.0,
-            imitator_kl: 0.0,
             clip: self.clip,
             value_clip: self.value_clip,
             value_coefficient: self.value_coefficient,

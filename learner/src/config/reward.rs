@@ -14,8 +14,7 @@ settings! {
         pub wrong_weight: Schedule = Schedule::Constant(1.0), in 0.0..=100.0;
         /// Divides advantages by the number of connections in the goal, so that large goals do not outweigh small ones.
         pub advantages_per_link: bool = false;
-        /// Treats the time limit as a deadline: the return ends there, without the critic's value of the last scene. A
-        /// policy sees the deadline only through `policy.features.remaining_time`.
+        /// Treats the time limit as a deadline: the return ends there, without the critic's value of the last scene.
         pub deadline: bool = false;
     }
 }

@@ -6,15 +6,13 @@ use blueprints::N_BLOCKS;
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::cpu::Outputs;
 use policy::distribution::mask_logits;
-use policy::imitation::{self, LabelTensors};
 use policy::loss_terms::{self, ActionTensors};
 use policy::mixture::{ActionRows, MixtureDistribution, N_READOUTS};
 use policy::parameters::ParameterError;
 use policy::{Engine, FeatureBatch, MoveTensors, NetworkOutput, PolicyConfig};
-use proto::Label;
 
 use crate::batch::Batch;
-use crate::config::{ImitationConfig, LossTerms};
+use crate::config::LossTerms;
 use crate::draws::Draws;
 use crate::loss::{policy_loss, value_loss};
 
@@ -25,7 +23,6 @@ pub(super) struct Passes {
     device: Device,
     tracked_device: Device,
     engine: Engine,
-    imitator: Option<Engine>,
 }
 
 /// The network's output for rows of a batch, without gradients.
@@ -65,30 +62,6 @@ pub(super) struct GradientPass {
     pub(super) losses: LossSums,
 }
 
-/// Scenes with the expert's labels.
-pub(super) struct ImitationBatch {
-    /// Normalized features.
-    pub(super) features: FeatureBatch,
-    /// One label per scene.
-    pub(super) labels: Vec<Label>,
-}
-
-/// Result of a forward and backward pass over labeled scenes.
-pub(super) struct ImitationPass {
-    /// Gradient of the loss, in the order of the flat parameters.
-    pub(super) gradient: Vec<f32>,
-    pub(super) sums: ImitationSums,
-}
-
-/// Sums over labeled scenes.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct ImitationSums {
-    pub(super) blocks: f64,
-    pub(super) moves: f64,
-    pub(super) n_hits: usize,
-    pub(super) n_scenes: usize,
-}
-
 /// Sums of the loss terms over samples.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LossSums {
@@ -96,7 +69,6 @@ pub(super) struct LossSums {
     pub(super) value: f64,
     pub(super) blocks: f64,
     pub(super) moves: f64,
-    pub(super) imitator_kl: f64,
 }
 
 impl LossSums {
@@ -104,9 +76,7 @@ impl LossSums {
     pub(super) fn total(&self, config: &LossTerms) -> f64 {
         let weighted = |coefficient: f32, sum: f64| f64::from(coefficient) * sum;
         let entropies = weighted(config.block_entropy, self.blocks) + weighted(config.move_entropy, self.moves);
-        weighted(config.policy, self.policy - entropies)
-            + weighted(config.value_coefficient, self.value)
-            + weighted(config.imitator_kl, self.imitator_kl)
+        self.policy - entropies + weighted(config.value_coefficient, self.value)
     }
 }
 
@@ -116,16 +86,6 @@ impl AddAssign for LossSums {
         self.value += other.value;
         self.blocks += other.blocks;
         self.moves += other.moves;
-        self.imitator_kl += other.imitator_kl;
-    }
-}
-
-impl AddAssign for ImitationSums {
-    fn add_assign(&mut self, other: Self) {
-        self.blocks += other.blocks;
-        self.moves += other.moves;
-        self.n_hits += other.n_hits;
-        self.n_scenes += other.n_scenes;
     }
 }
 
@@ -137,7 +97,6 @@ impl Passes {
             device: device.clone(),
             tracked_device: device.clone().autodiff(),
             engine: Engine::new(policy, seed, device, true),
-            imitator: None,
         }
     }
 
@@ -151,45 +110,6 @@ impl Passes {
     /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         self.engine.load(parameters)
-    }
-
-    /// Loads `parameters` into the imitator.
-    ///
-    /// # Errors
-    /// If their number is wrong or one is not finite.
-    pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        let mut imitator = Engine::new(&self.policy, 0, &self.device, false);
-        imitator.load(parameters)?;
-        self.imitator = Some(imitator);
-        Ok(())
-    }
-
-    /// Computes the gradient of `share` × the summed imitation loss of normalized scenes.
-    pub(super) fn imitate(
-        &mut self,
-        batch: &ImitationBatch,
-        rows: &[usize],
-        config: &ImitationConfig,
-        scale_weight: f32,
-        share: f32,
-        spare: Vec<f32>,
-    ) -> ImitationPass {
-        // Do not mask: the expert may move an obstructing block that a mask would forbid.
-        let (output, leaves) = self.engine.run_tracked(&batch.features, rows, &[]);
-        let device = &self.tracked_device;
-        let labels: Vec<Label> = rows.iter().map(|&row| batch.labels[row]).collect();
-        let tensors = LabelTensors::new(&labels, usize::from(self.policy.network.n_grippers), device);
-        let loss = imitation::imitation(&output, &tensors, config.move_delta);
-        let (blocks, moves) = (loss.blocks.sum(), loss.moves.sum());
-        let mut total = blocks.clone() + moves.clone() * config.move_weight;
-        if scale_weight > 0.0 {
-            total = total + loss.scales.sum() * scale_weight;
-        }
-        let gradient = self.engine.gradient(leaves, &(total * share), &[], spare);
-        let sums = to_vec(Tensor::cat(vec![blocks, moves], 0));
-        let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
-        let n_hits = n_hits(&to_vec(output.logits.flatten::<1>(0, 2)), &labels);
-        ImitationPass { gradient, sums: ImitationSums { blocks: sum(0), moves: sum(1), n_hits, n_scenes: rows.len() } }
     }
 
     /// Computes the values of `rows` and, for rows that are samples, the log-probabilities of their actions. `rows`
@@ -249,27 +169,13 @@ impl Passes {
         let (blocks, moves) = (entropy.blocks.sum(), entropy.moves.sum());
         let (old, target) = (column(&targets.old_values), column(&targets.value_targets));
         let value = value_loss(values, old, target, config.value_clip).sum();
-        let mut loss = value.clone() * config.value_coefficient;
-        // While labels move the policy, the ratio can overflow, and infinity times a weight of 0 is NaN.
-        let policy = if config.policy > 0.0 { policy } else { Tensor::zeros([1], device) };
-        if config.policy > 0.0 {
-            let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
-            loss = loss + (policy.clone() - entropies) * config.policy;
-        }
-        let mut parts = vec![policy, value, blocks, moves];
-        if let Some(imitator) = self.imitator.as_mut().filter(|_| config.imitator_kl > 0.0) {
-            let reference = imitator.run(&batch.features, samples);
-            let mut reference = self.tensors(&reference, device);
-            self.mask(&mut reference, &batch.features, samples);
-            let divergence = imitation::divergence(&reference, &output).sum();
-            loss = loss + divergence.clone() * config.imitator_kl;
-            parts.push(divergence);
-        }
+        let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
+        let loss = value.clone() * config.value_coefficient + (policy.clone() - entropies);
+        let parts = vec![policy, value, blocks, moves];
         let gradient = self.engine.gradient(leaves, &(loss * share), &draws, spare);
         let sums = to_vec(Tensor::cat(parts, 0));
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
-        let imitator_kl = sums.get(4).copied().map_or(0.0, f64::from);
-        let losses = LossSums { policy: sum(0), value: sum(1), blocks: sum(2), moves: sum(3), imitator_kl };
+        let losses = LossSums { policy: sum(0), value: sum(1), blocks: sum(2), moves: sum(3) };
         GradientPass { gradient, log_probs: to_vec(log_prob), losses }
     }
 
@@ -331,18 +237,6 @@ fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
         readouts: None,
         draws: None,
     }
-}
-
-/// Returns the number of scenes in which the most probable block equals the label's for all grippers. The logits have
-/// shape `[B, G, 16]`.
-fn n_hits(logits: &[f32], labels: &[Label]) -> usize {
-    let rows = logits.chunks_exact(logits.len() / labels.len().max(1));
-    let right = |(row, label): (&[f32], &Label)| {
-        row.chunks_exact(N_BLOCKS)
-            .zip(label.choices)
-            .all(|(logits, choice)| choice.is_none_or(|block| logits.iter().all(|&logit| logit <= logits[block.get()])))
-    };
-    rows.zip(labels).filter(|(row, label)| right((row, label))).count()
 }
 
 fn to_vec(tensor: Tensor<1>) -> Vec<f32> {

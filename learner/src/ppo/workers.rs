@@ -7,9 +7,8 @@ use burn::tensor::Device;
 use policy::parameters::ParameterError;
 use policy::{Engine, PolicyConfig};
 
-use super::passes::{Evaluation, GradientPass, ImitationBatch, ImitationPass, Passes, Targets};
+use super::passes::{Evaluation, GradientPass, Passes, Targets};
 use crate::batch::Batch;
-use crate::config::ImitationConfig;
 
 /// One set of networks per thread. Each has its own buffers, and in burn, gradients of graphs that share a tensor would
 /// block each other.
@@ -57,29 +56,6 @@ impl Workers {
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         let loaded = self.each(|passes, _| passes.load(parameters));
         loaded.into_iter().collect()
-    }
-
-    /// Loads `parameters` into all imitators.
-    ///
-    /// # Errors
-    /// If their number is wrong or one is not finite.
-    pub(super) fn freeze(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        self.each(|passes, _| passes.freeze(parameters)).into_iter().collect()
-    }
-
-    /// Computes gradients of the batch's mean imitation loss, one for each piece of about `size` scenes.
-    pub(super) fn imitate(
-        &mut self,
-        batch: &ImitationBatch,
-        size: usize,
-        config: &ImitationConfig,
-        scale_weight: f32,
-    ) -> Vec<ImitationPass> {
-        let rows: Vec<usize> = (0..batch.labels.len()).collect();
-        let share = 1.0 / rows.len() as f32;
-        self.map(&pieces(&rows, size), |passes, piece, spares| {
-            passes.imitate(batch, piece, config, scale_weight, share, spares.take())
-        })
     }
 
     /// Computes the values of all rows and the log-probabilities of all actions, in pieces of about `size` rows.

@@ -8,12 +8,10 @@ use rand_chacha::ChaCha8Rng;
 use safetensors::SafeTensors;
 use serde_json::{Value, json};
 
-use proto::Driver;
-
-use super::learning::{bandit, feed, labeled, small_setup};
+use super::learning::{bandit, feed, small_setup};
 use crate::adam::LearningRate;
 use crate::checkpoint::{self, Checkpoint, CheckpointError, files};
-use crate::config::{AdaptiveRate, FixedRate, ImitationConfig, RateRule, ReplayConfig, Schedule};
+use crate::config::{AdaptiveRate, FixedRate, RateRule};
 use crate::model::Model;
 use crate::state::LearnerState;
 use crate::{Learner, LearnerError, LearnerSetup};
@@ -49,24 +47,6 @@ fn resumed_learner_continues_bit_for_bit() {
     train(&setup, &mut resumed, 2);
     assert_eq!(resumed.checkpoint(), learner.checkpoint());
     assert_eq!(resumed.weights(), learner.weights());
-}
-
-#[test]
-fn a_critic_that_learns_alone_resumes_bit_for_bit() {
-    let dir = tempfile::tempdir().unwrap();
-    let [none, all] = [0.0, 1.0].map(Schedule::Constant);
-    let mut setup = small_setup(4);
-    setup.config.imitation =
-        Some(ImitationConfig { weight: none.clone(), ppo_weight: none, value_weight: all, ..Default::default() });
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    train(&setup, &mut learner, 2);
-    let path = learner.save(dir.path()).unwrap();
-    assert_eq!(learner.checkpoint().adam.n_steps, 0);
-    let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
-    train(&setup, &mut learner, 2);
-    train(&setup, &mut resumed, 2);
-    assert!(learner.checkpoint().critic_adam.is_some());
-    assert_eq!(resumed.checkpoint(), learner.checkpoint());
 }
 
 #[test]
@@ -113,47 +93,6 @@ fn a_checkpoint_with_which_no_policy_can_act_is_not_resumed() {
     checkpoint.parameters.fill(1e30);
     let error = Learner::resume(setup, checkpoint).unwrap_err();
     assert!(matches!(error, LearnerError::Weights(_)), "{error}");
-}
-
-#[test]
-fn resumed_learner_keeps_its_labels() {
-    let dir = tempfile::tempdir().unwrap();
-    let mut setup = small_setup(4);
-    let one = Schedule::Constant(1.0);
-    // Room for two updates, so that old segments are evicted before and after the checkpoint.
-    let replay = ReplayConfig { capacity_steps: 1024, ..Default::default() };
-    let imitation = ImitationConfig {
-        minibatch_size: 32,
-        steps_per_update: Schedule::Constant(6.0),
-        ppo_weight: one.clone(),
-        kl_weight: one,
-        replay,
-        ..Default::default()
-    };
-    setup.config.imitation = Some(imitation);
-    let train = |learner: &mut Learner, n: u64| {
-        for _ in 0..n {
-            let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
-            feed(learner, labeled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Sampled));
-            feed(learner, labeled(bandit(&setup, &learner.weights(), 200, &mut rng), Driver::Expert));
-            learner.update().unwrap();
-        }
-    };
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    train(&mut learner, 5);
-    let path = learner.save(dir.path()).unwrap();
-    let found = Checkpoint::read(&path).unwrap();
-    assert_eq!(found, learner.checkpoint());
-    assert!(found.imitator.is_some() && !found.replay.is_empty());
-    let mut resumed = Learner::resume(setup.clone(), found).unwrap();
-    train(&mut learner, 2);
-    train(&mut resumed, 2);
-    assert_eq!(resumed.checkpoint(), learner.checkpoint());
-
-    let file = path.join("replay.bin");
-    let whole = fs::read(&file).unwrap();
-    fs::write(&file, &whole[..whole.len() / 2]).unwrap();
-    assert!(Checkpoint::read(&path).unwrap_err().to_string().contains("replay.bin"));
 }
 
 #[test]

@@ -2,16 +2,15 @@
 
 use std::sync::Arc;
 
-use blueprints::{BlockIdx, Catalog, Inventory};
+use blueprints::Catalog;
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
 use policy::{NetworkConfig, Policy, PolicyConfig};
-use proto::metrics::PpoMetrics;
-use proto::{ActionMode, Agent, Driver, Label, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Weights};
+use proto::{ActionMode, Agent, Driver, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{FixedRate, ImitationConfig, LearnerConfig, Objective, RateLine, RateRule, Schedule};
+use crate::config::{FixedRate, LearnerConfig, Objective, RateRule};
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::{Learner, LearnerSetup, Model};
 
@@ -164,111 +163,20 @@ fn gradient_step_that_is_not_finite_is_skipped() {
 }
 
 #[test]
-fn rewards_without_weight_cannot_spoil_a_step() {
-    let mut setup = small_setup(1);
-    setup.config.loss.objective = Objective::Standard;
-    let [none, all] = [0.0, 1.0].map(Schedule::Constant);
-    let imitation = ImitationConfig { weight: none.clone(), ppo_weight: none, value_weight: all, ..Default::default() };
-    setup.config.imitation = Some(imitation);
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    let before = learner.weights();
-    let mut trajectories = bandit(&setup, &before, 256, &mut ChaCha8Rng::seed_from_u64(3));
-    // This makes the ratio overflow.
-    trajectories[0].transitions[0].behavior_log_prob = -2000.0;
-    feed(&learner, trajectories);
-    let metrics = learner.update().unwrap();
-    assert_eq!(metrics.ppo.n_skipped_steps, 0);
-    assert_ne!(learner.weights().parameters, before.parameters, "the critic learns");
-    // JSON writes what is not finite as null, which no reader accepts.
-    let text = serde_json::to_string(&metrics.ppo).unwrap();
-    let read: PpoMetrics = serde_json::from_str(&text).unwrap();
-    assert_eq!(read.policy_loss, 0.0);
-}
-
-/// Returns the label that [`labeled`] adds to every scene.
-fn expert_label() -> Label {
-    let block = |index: u8| BlockIdx::try_from(index).ok();
-    let moves = [[0.5, -0.5, 0.25, 0.0, 0.0, -0.25], [-0.5, 0.0, 0.0, 0.5, 0.0, 0.0]];
-    Label { choices: [block(2), block(7)], moves }
-}
-
-/// Adds the expert's label to the trajectories, as if `driver` had acted.
-pub(super) fn labeled(mut trajectories: Vec<Trajectory>, driver: Driver) -> Vec<Trajectory> {
-    for trajectory in &mut trajectories {
-        trajectory.driver = driver;
-        trajectory.transitions.iter_mut().for_each(|transition| transition.label = Some(expert_label()));
-    }
-    trajectories
-}
-
-#[test]
-fn labels_are_learned_and_expert_successes_are_not_counted() {
-    let mut setup = small_setup(3);
-    let n_steps = Schedule::Constant(40.0);
-    let imitation = ImitationConfig { minibatch_size: 32, steps_per_update: n_steps, ..Default::default() };
-    setup.config.imitation = Some(imitation);
-    setup.config.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Constant(3e-3) });
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let mut losses = Vec::new();
-    for _ in 0..4 {
-        feed(&learner, labeled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
-        let update = learner.update().unwrap();
-        let learned = update.imitation.unwrap();
-        losses.push(learned.block_loss + learned.move_loss);
-        assert_eq!((update.n_steps, update.ppo.n_samples, learned.n_gradient_steps), (256, 0, 40));
-        assert_eq!((update.episodes.success.n_episodes, update.n_episodes), (0, 0));
-        assert!((update.ppo.learning_rate - 3e-3).abs() < 1e-9);
-    }
-    // Two choices among 16 cost 2 ln 16 = 5.5 nats at first. After training, only a guess among blocks of one type
-    // remains.
-    let guess = |block| (Inventory::standard().same_type(block).count() as f64).ln();
-    let guesses: f64 = expert_label().choices.into_iter().flatten().map(guess).sum();
-    assert!(losses[0] > guesses + 1.0 && losses[3] < guesses + 0.2, "{guesses} {losses:?}");
-    assert_eq!(learner.checkpoint().replay.len(), 1024);
-}
-
-#[test]
-fn the_number_of_steps_with_labels_follows_its_schedule() {
-    let mut setup = small_setup(3);
-    let n_steps = Schedule::Line(vec![(256, 6.0), (512, 2.4)]);
-    let imitation = ImitationConfig { minibatch_size: 32, steps_per_update: n_steps, ..Default::default() };
-    setup.config.imitation = Some(imitation);
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let n_gradient_steps = [0; 3].map(|_| {
-        feed(&learner, labeled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
-        learner.update().unwrap().imitation.unwrap().n_gradient_steps
-    });
-    assert_eq!(n_gradient_steps, [6, 6, 2]);
-}
-
-#[test]
 fn ppo_uses_only_sampled_actions() {
     let mut setup = small_setup(3);
-    let one = Schedule::Constant(1.0);
-    let imitation = ImitationConfig {
-        minibatch_size: 32,
-        steps_per_update: Schedule::Constant(2.0),
-        ppo_weight: one.clone(),
-        value_weight: one.clone(),
-        kl_weight: one,
-        ..Default::default()
-    };
-    setup.config.imitation = Some(imitation);
+    setup.config.n_epochs = 3;
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let trajectories = bandit(&setup, &learner.weights(), 300, &mut rng);
     let (sampled, others) = trajectories.split_at(100);
-    feed(&learner, labeled(sampled.to_vec(), Driver::Sampled));
-    feed(&learner, labeled(others.to_vec(), Driver::Greedy));
+    feed(&learner, sampled.to_vec());
+    let greedy = |trajectory: &Trajectory| Trajectory { driver: Driver::Greedy, ..trajectory.clone() };
+    feed(&learner, others.iter().map(greedy).collect());
     let update = learner.update().unwrap();
     assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));
-    // One minibatch of 64 or more in each of 3 epochs; the first two include the imitation gradient.
-    assert_eq!((update.ppo.n_gradient_steps, update.imitation.unwrap().n_gradient_steps), (3, 2));
-    // The imitator is the policy before the update, and the update moves away from it.
-    assert!(update.ppo.imitator_kl > 0.0, "{}", update.ppo.imitator_kl);
-    assert!(learner.checkpoint().imitator.is_some());
+    // One minibatch of 64 or more in each of 3 epochs.
+    assert_eq!(update.ppo.n_gradient_steps, 3);
 }
 
 #[test]
@@ -294,69 +202,6 @@ fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_net
     setup.init = Some(Arc::new(broken));
     let error = Learner::new(setup).unwrap_err().to_string();
     assert!(error.contains("does not fit"), "{error}");
-}
-
-#[test]
-fn deviations_become_as_small_as_the_errors_where_labels_train_them() {
-    let log_deviation = |scale_weight: f32| {
-        let mut setup = small_setup(3);
-        let imitation = ImitationConfig {
-            minibatch_size: 32,
-            steps_per_update: Schedule::Constant(40.0),
-            scale_weight: Schedule::Constant(scale_weight),
-            ..Default::default()
-        };
-        setup.config.imitation = Some(imitation);
-        setup.config.optimizer.rate_rule = RateRule::Line(RateLine { points: Schedule::Constant(3e-3) });
-        let mut learner = Learner::new(setup.clone()).unwrap();
-        let mut rng = ChaCha8Rng::seed_from_u64(5);
-        for _ in 0..6 {
-            feed(&learner, labeled(bandit(&setup, &learner.weights(), 256, &mut rng), Driver::Expert));
-            learner.update().unwrap();
-        }
-        // The log-density of the greedy action shows how large the policy's noise is.
-        let mut policy = Policy::with_weights(&setup.policy, &learner.weights()).unwrap();
-        let trajectory = random_trajectory(1, 0, &mut rng);
-        let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
-        let observation = Observation { scene: &trajectory.transitions[0].scene, blueprint, n_steps: 0 };
-        let mut rngs = [ChaCha8Rng::seed_from_u64(1)];
-        let decisions = policy.act(&[observation], &[ActionMode::Greedy], &mut rngs).unwrap();
-        // The log-density of the greedy action has 12 entries of ln(1 / (σ √2π)).
-        f64::from(decisions[0].log_prob)
-    };
-    let (untrained, trained) = (log_deviation(0.0), log_deviation(1.0));
-    assert!(trained > untrained + 3.0, "{untrained} {trained}");
-}
-
-#[test]
-fn a_critic_that_learns_alone_leaves_the_policy_as_it_is() {
-    let mut setup = small_setup(3);
-    setup.config.imitation = Some(ImitationConfig {
-        weight: Schedule::Constant(0.0),
-        value_weight: Schedule::Constant(1.0),
-        ..Default::default()
-    });
-    setup.config.optimizer.critic_rate = Some(1e-3);
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    let before = learner.weights();
-    feed(&learner, bandit(&setup, &before, 256, &mut ChaCha8Rng::seed_from_u64(5)));
-    assert!(learner.update().unwrap().ppo.n_gradient_steps > 0);
-    let after = learner.weights();
-    let mut at = 0;
-    let mut n_moved = 0;
-    for info in learner.checkpoint().table {
-        let range = at..at + info.shape.iter().product::<usize>();
-        at = range.end;
-        let is_same = before.parameters[range.clone()] == after.parameters[range];
-        assert!(is_same || info.name.starts_with("value."), "{} moved", info.name);
-        n_moved += usize::from(!is_same);
-    }
-    assert!(n_moved > 2, "{n_moved} tensors of the value head moved");
-    // The policy's training begins with the initial learning rate and an optimizer that has taken no step.
-    assert_eq!(learner.checkpoint().adam.n_steps, 0);
-    feed(&learner, bandit(&setup, &after, 256, &mut ChaCha8Rng::seed_from_u64(6)));
-    let rate = learner.update().unwrap().ppo.learning_rate;
-    assert_eq!(rate, f64::from(setup.config.optimizer.learning_rate));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::learning::{bandit, feed, small_setup};
-use crate::config::{FixedRate, ImitationConfig, RateRule};
+use crate::config::{FixedRate, RateRule};
 use crate::{Learner, LearnerSetup, Model};
 
 pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
@@ -165,14 +165,6 @@ fn nobody_acts_with_a_file_whose_parameters_are_of_another_head() {
         let error = format!("{error}: {}", std::error::Error::source(&error).unwrap());
         assert_eq!(error, format!("weights 0 do not fit: {given} parameters given, the network has {expected}"));
     }
-}
-
-#[test]
-fn a_mixture_cannot_imitate() {
-    let mut setup = mixture_setup(1);
-    setup.config.imitation = Some(ImitationConfig::default());
-    let error = Learner::new(setup).unwrap_err().to_string();
-    assert!(error.starts_with("policy.network.move_head = mixture: expected gaussian"), "{error}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use blueprints::{CubeRotation, N_BLOCKS, RelativePlacement};
 
 use super::DecodeError;
 use super::check::{array, block, invalid, narrow, not_negative, number, numbers, present, unit_quaternion};
-use crate::{Action, Gripper, Joint, Label, N_GRIPPERS, Pose, RewardTerms, Scene, wire};
+use crate::{Action, Gripper, Joint, N_GRIPPERS, Pose, RewardTerms, Scene, wire};
 
 /// Number of values in a pose: position and orientation.
 const POSE_LEN: usize = 7;
@@ -114,27 +114,6 @@ pub(super) fn action_from_wire(action: wire::Action) -> Result<Action, DecodeErr
     let mut moves = [[0.0; MOVE_LEN]; N_BLOCKS];
     moves.as_flattened_mut().copy_from_slice(&values);
     Ok(Action { choices, moves })
-}
-
-pub(super) fn label_to_wire(label: &Label) -> wire::Label {
-    let [choice_0, choice_1] = label.choices.map(|choice| choice.map(|block| u8::from(block).into()));
-    let chosen = label.choices.iter().zip(&label.moves).filter(|(choice, _)| choice.is_some());
-    wire::Label { choice_0, choice_1, moves: chosen.flat_map(|(_, entries)| *entries).collect() }
-}
-
-pub(super) fn label_from_wire(label: wire::Label) -> Result<Label, DecodeError> {
-    let choice = |index: Option<u32>| index.map(|index| block("label.choice", index)).transpose();
-    let choices = [choice(label.choice_0)?, choice(label.choice_1)?];
-    let mut moves = [[0.0; MOVE_LEN]; N_GRIPPERS];
-    let n_chosen = choices.iter().flatten().count();
-    if label.moves.len() != n_chosen * MOVE_LEN {
-        return Err(invalid("label.moves", format!("{} values", label.moves.len()), "6 for each choice"));
-    }
-    let chosen = moves.iter_mut().zip(choices).filter(|(_, choice)| choice.is_some());
-    for ((entries, _), values) in chosen.zip(label.moves.chunks_exact(MOVE_LEN)) {
-        *entries = numbers("label.moves", values)?;
-    }
-    Ok(Label { choices, moves })
 }
 
 pub(super) fn reward_to_wire(reward: &RewardTerms) -> wire::Reward {

@@ -8,7 +8,6 @@ use super::check::{array, block, blueprint_id, invalid, narrow, number, present}
 use super::scene::{
     action_from_wire, action_to_wire, reward_from_wire, reward_to_wire, scene_from_wire, scene_to_wire,
 };
-use super::scene::{label_from_wire, label_to_wire};
 use super::{DecodeError, PROTOCOL_VERSION, check_size, check_version, elements, parse};
 use crate::{
     ActorId, Driver, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire,
@@ -151,7 +150,7 @@ fn from_wire(message: wire::Trajectory) -> Result<Trajectory, DecodeError> {
     Ok(trajectory)
 }
 
-/// Checks that the grippers stay the same in all scenes, and that actions and labels have choices for exactly those.
+/// Checks that the grippers stay the same in all scenes, and that actions have choices for exactly those.
 fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
     let grippers = |scene: &Scene| scene.grippers.map(|g| g.is_some());
     let expected = grippers(&trajectory.last_scene);
@@ -163,10 +162,6 @@ fn check_grippers(trajectory: &Trajectory) -> Result<(), DecodeError> {
         let chosen = transition.action.choices.map(|c| c.is_some());
         if chosen != expected {
             return Err(invalid("action.choice", named(chosen), "a choice for exactly the grippers of the world"));
-        }
-        let labeled = transition.label.map(|label| label.choices.map(|c| c.is_some()));
-        if let Some(labeled) = labeled.filter(|labeled| *labeled != expected) {
-            return Err(invalid("label.choice", named(labeled), "a choice for exactly the grippers of the world"));
         }
     }
     Ok(())
@@ -265,7 +260,6 @@ fn transition_to_wire(transition: &Transition) -> wire::Transition {
         proposal_1: transition.proposals[1].map(u32::from),
         behavior_log_prob: transition.behavior_log_prob,
         reward: Some(reward_to_wire(&transition.reward)),
-        label: transition.label.as_ref().map(label_to_wire),
     }
 }
 
@@ -279,7 +273,6 @@ fn transition_from_wire(transition: wire::Transition) -> Result<Transition, Deco
         ],
         behavior_log_prob: number("transition.behavior_log_prob", transition.behavior_log_prob)?,
         reward: reward_from_wire(present("transition.reward", transition.reward)?)?,
-        label: transition.label.map(label_from_wire).transpose()?,
     })
 }
 

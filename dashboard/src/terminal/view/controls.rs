@@ -170,7 +170,6 @@ pub(super) fn help() -> Vec<Line<'static>> {
         ("greedy, sampled", "ways of acting in an evaluation"),
         ("of", "episodes behind a rate, with its 95 % interval"),
         ("lag", "versions from the weights that act to the newest"),
-        ("labels", "what the expert's choices teach, with imitation"),
         ("KL, entropy, clipped", "of an update of PPO, in nats; the share of samples"),
         ("draws, succeeded", "the mixture head's, by kind; those done in one step"),
         ("entropy 1 / 2 / 3", "of 1st proposal, 2nd gripper's block, 2nd proposal"),

@@ -117,28 +117,6 @@ fn an_evaluation_that_runs_is_shown_as_such_and_is_no_part_of_the_curve() {
 }
 
 #[test]
-fn while_only_labels_teach_there_are_no_zeros_of_ppo() {
-    let mut sample = samples::learner();
-    for name in
-        ["total_loss", "policy_loss", "value_loss", "approx_kl", "entropy", "clip_fraction", "explained_variance"]
-    {
-        sample.value["ppo"][name] = 0.0.into();
-    }
-    sample.value["imitation"] = serde_json::json!({
-        "weight": 1.0, "block_loss": 0.25, "move_loss": 0.125, "block_accuracy": 0.9, "n_gradient_steps": 8, "n_replay": 64,
-    });
-    let mut run = RunView::default();
-    run.take(&sample, seconds(30));
-    let shown = screen(&run, seconds(42), 80, 24);
-    let start = shown.iter().position(|line| line.starts_with("Learning")).unwrap();
-    let expected = [
-        "  episodes    success 50.0 ( 23.7 to  76.3) of 10, return 3.250, 45.2 steps",
-        "  labels      block accuracy 90.0 %, block loss 0.250, move loss 0.125",
-    ];
-    assert_eq!(shown[start + 2..start + 4], expected);
-}
-
-#[test]
 fn success_by_size_is_that_of_more_than_one_update() {
     let mut run = RunView::default();
     for (update, id, n_successes) in [(1, "2_000", 10), (2, "3_000", 9)] {

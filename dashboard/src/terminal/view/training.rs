@@ -39,36 +39,25 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
             learner.policy_lag_mean,
             learner.policy_lag_max,
         )),
-    ];
-    // All zero while only the imitation loss is active.
-    if [ppo.policy_loss, ppo.value_loss, ppo.entropy, ppo.approx_kl].iter().any(|number| *number != 0.0) {
-        lines.push(plain(format!(
+        plain(format!(
             "  loss        total {}, policy {}, value {}, gradient norm {}",
             number(ppo.total_loss),
             number(ppo.policy_loss),
             number(ppo.value_loss),
             number(ppo.grad_norm),
-        )));
-        lines.push(plain(format!(
+        )),
+        plain(format!(
             "  policy      KL {}, entropy {}, clipped {}, explained variance {}",
             number(ppo.approx_kl),
             number(ppo.entropy),
             number(ppo.clip_fraction),
             number(ppo.explained_variance),
-        )));
-    }
-    lines.push(plain(format!("  episodes    {ended}")));
+        )),
+        plain(format!("  episodes    {ended}")),
+    ];
     lines.extend(run.sizes().text().map(|sizes| plain(format!("  by blocks   {sizes}"))));
     if let Some(proposals) = &learner.proposals {
         lines.extend(draws(proposals));
-    }
-    if let Some(imitation) = learner.imitation.filter(|imitation| imitation.weight > 0.0) {
-        lines.push(plain(format!(
-            "  labels      block accuracy {:.1} %, block loss {}, move loss {}",
-            100.0 * imitation.block_accuracy,
-            number(imitation.block_loss),
-            number(imitation.move_loss),
-        )));
     }
     lines.extend(trends::overview(run, width));
     lines

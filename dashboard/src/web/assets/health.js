@@ -1,7 +1,5 @@
 // The learner's metrics over time, live processes, and drop counts.
 
-/** Returns the imitation metrics, if the imitation loss is active. */
-const labels = ({ imitation }) => (imitation && imitation.weight > 0 ? imitation : {});
 
 /** Returns the mixture head's draws of one kind of proposal, if there are any. */
 const drawn = ({ proposals }, kind) => proposals?.kinds?.[kind] || {};
@@ -16,9 +14,6 @@ const CHOICES = [
 const HEALTH = [
   ["env_steps_per_s", "steps per second", (learner) => learner.env_steps_per_s],
   ["policy_lag_mean", "lag, versions", (learner) => learner.policy_lag_mean],
-  ["block_accuracy", "block accuracy", (learner) => labels(learner).block_accuracy],
-  ["block_loss", "block loss, nats", (learner) => labels(learner).block_loss],
-  ["move_loss", "move loss", (learner) => labels(learner).move_loss],
   ["policy_loss", "policy loss", (learner) => learner.ppo.policy_loss],
   ["value_loss", "value loss", (learner) => learner.ppo.value_loss],
   ["entropy", "entropy, nats", (learner) => learner.ppo.entropy],

@@ -178,7 +178,6 @@ mod tests {
             proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward: RewardTerms::default(),
-            label: None,
         };
         let mut blocks = BlockIdx::all();
         Trajectory {

@@ -35,7 +35,6 @@ fn encoded_bytes_match_the_golden_file() {
         line("trajectory-running", samples::running("actor-1", 7), encode_trajectory, decode_trajectory),
         line("trajectory-success", samples::successful("actor-1", 8), encode_trajectory, decode_trajectory),
         line("trajectory-one-gripper", near_goal, encode_trajectory, decode_trajectory),
-        line("trajectory-labelled", samples::labeled("actor-1", 9), encode_trajectory, decode_trajectory),
         line("recording", samples::one_gripper("actor-1", 10), encode_recording, decode_recording),
         line(
             "weights",

@@ -69,9 +69,8 @@ fn reward() -> impl Strategy<Value = RewardTerms> {
 
 fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
     let moves = prop::collection::vec(array::<6>(-4.0..4.0), N_BLOCKS).prop_map(|m| m.try_into().unwrap());
-    let label = (any::<bool>(), array::<6>(-1.0..1.0));
-    (scene(two_grippers), 0..16u8, 0..16u8, moves, -90.0..90.0f32, reward(), label).prop_map(
-        move |(scene, first, second, moves, behavior_log_prob, reward, (labeled, moves_of_label))| Transition {
+    (scene(two_grippers), 0..16u8, 0..16u8, moves, -90.0..90.0f32, reward()).prop_map(
+        move |(scene, first, second, moves, behavior_log_prob, reward)| Transition {
             scene,
             action: Action {
                 choices: [Some(samples::block(first)), two_grippers.then(|| samples::block(second))],
@@ -80,10 +79,6 @@ fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
             proposals: [None, Some(50)],
             behavior_log_prob,
             reward,
-            label: labeled.then(|| Label {
-                choices: [Some(samples::block(second)), two_grippers.then(|| samples::block(first))],
-                moves: [moves_of_label, if two_grippers { moves_of_label } else { [0.0; 6] }],
-            }),
         },
     )
 }

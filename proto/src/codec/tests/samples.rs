@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::{BlockIdx, CubeRotation, N_BLOCKS, RelativePlacement};
 use proto::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, PassId};
 use proto::{
-    Action, CanonicalSettings, Driver, Gripper, Joint, Label, Normalization, Outcome, Pose, RewardTerms, Scene, Start,
+    Action, CanonicalSettings, Driver, Gripper, Joint, Normalization, Outcome, Pose, RewardTerms, Scene, Start,
     Status, Task, Trajectory, Transition, Weights, WeightsVersion,
 };
 
@@ -48,7 +48,6 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         proposals: [Some(3), None],
         behavior_log_prob: -7.5,
         reward: RewardTerms { connected: 1.0, wrong: -1.0, magnets: 0.5, blocks: -0.25, force: -0.125 },
-        label: None,
     };
     Trajectory {
         actor: actor.parse().unwrap(),
@@ -97,12 +96,10 @@ pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
     trajectory
 }
 
-/// Returns the same trajectory, driven by the expert, with a label at the first step.
-pub(crate) fn labeled(actor: &str, seq: u64) -> Trajectory {
+/// Returns the same trajectory, driven by the expert.
+pub(crate) fn of_expert(actor: &str, seq: u64) -> Trajectory {
     let mut trajectory = running(actor, seq);
     trajectory.driver = Driver::Expert;
-    let moves = [[0.5, -1.0, 0.25, 0.0, 0.125, 1.0], [0.0, 0.0, -0.5, 0.0, 0.0, 0.75]];
-    trajectory.transitions[0].label = Some(Label { choices: [Some(block(4)), Some(block(7))], moves });
     trajectory
 }
 
