@@ -20,7 +20,7 @@ fn main() -> anyhow::Result<()> {
     let model = Model::read(&path)?;
 
     // Evaluate in the world that the policy was trained in.
-    let preset = Preset::find("imitation")?;
+    let preset = Preset::find("laptop")?;
     let config = Config::parse(preset.text, preset.name)?;
 
     let catalog = Catalog::builtin();

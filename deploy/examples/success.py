@@ -15,7 +15,7 @@ import queue
 
 import zenoh
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 def lines(summary):

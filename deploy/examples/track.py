@@ -17,7 +17,7 @@ import queue
 import signal
 import tomllib
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 # Not logged. The values per blueprint would make hundreds of curves.
 LEFT_OUT = {"schema_version", "weights_version", "n_env_steps", "task_probabilities", "reverse_reach"}
 
@@ -89,7 +89,6 @@ def settings(file):
     """Reads a config.toml without the settings of the page, because its token is a secret."""
     config = tomllib.loads(file.read_text())
     config.pop("dashboard", None)
-    config.get("evaluator", {}).pop("web", None)  # The name in version 0.1.0.
     return config
 
 

@@ -407,10 +407,11 @@ pub struct EvalArgs {
     /// Only this blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
     pub blueprint: Vec<OsString>,
-    /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation [default: the
-    /// splits of the run's last evaluation, without validation unless it is the only one].
+    /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
+    /// repeated [default: the splits of the run's last evaluation, without validation unless it is the only one; of the
+    /// shipped policy, the paper's].
     #[arg(long, value_name = "S")]
-    pub split: Option<Split>,
+    pub split: Vec<Split>,
     /// Episodes per blueprint and action mode.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub episodes: u32,

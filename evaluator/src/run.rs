@@ -64,7 +64,7 @@ pub struct Stop {
     pub last: Option<watch::Receiver<Option<Arc<Weights>>>>,
 }
 
-/// Evaluates the newest weights whenever an evaluation is due, the first weights at once, until `stop`.
+/// Evaluates the newest weights whenever an evaluation is due, until `stop`.
 ///
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of the run, and to
 /// the `listeners`. During an evaluation, intermediate results go to the bus; see

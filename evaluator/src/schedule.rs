@@ -30,13 +30,20 @@ pub(crate) enum Due {
 
 /// Returns when to evaluate `newest` after `last`.
 ///
-/// The first weights are due at once, and the same weights are never evaluated again. A version or step count lower
-/// than the last one means that the learner resumed from a checkpoint, so its weights count as new.
+/// Untrained weights are not evaluated. The first weights after them are due as if weights 0 had been evaluated, or at
+/// once where a time says when. The same weights are never evaluated again. A version or step count lower than the last
+/// one means that the learner resumed from a checkpoint, so its weights count as new.
 pub(crate) fn due(every: Every, last: Option<LastEvaluation>, newest: &Weights) -> Due {
-    let Some(last) = last else { return Due::Now };
     let far_enough = |passed: Option<u64>, step: u64| match passed {
         Some(passed) if passed < step => Due::WithNewer,
         _ => Due::Now,
+    };
+    let Some(last) = last else {
+        return match every {
+            Every::Minutes(_) => far_enough(Some(newest.n_env_steps), 1),
+            Every::Steps(steps) => far_enough(Some(newest.n_env_steps), steps),
+            Every::Versions(versions) => far_enough(Some(newest.version.0), versions),
+        };
     };
     if newest.version == last.version && newest.n_env_steps == last.n_env_steps {
         return Due::WithNewer;
@@ -78,7 +85,12 @@ mod tests {
             Some(LastEvaluation { version: WeightsVersion(version), n_env_steps, elapsed: secs(seconds) })
         };
         let table = [
-            (Every::Minutes(10.0), None, weights(0, 0), Due::Now),
+            (Every::Minutes(10.0), None, weights(0, 0), Due::WithNewer),
+            (Every::Minutes(10.0), None, weights(1, 10), Due::Now),
+            (Every::Steps(100), None, weights(1, 99), Due::WithNewer),
+            (Every::Steps(100), None, weights(2, 100), Due::Now),
+            (Every::Versions(5), None, weights(4, 40), Due::WithNewer),
+            (Every::Versions(5), None, weights(5, 50), Due::Now),
             (Every::Minutes(10.0), last(3, 30, 60), weights(3, 30), Due::WithNewer),
             (Every::Minutes(10.0), last(3, 30, 60), weights(4, 40), Due::After(secs(540))),
             (Every::Minutes(10.0), last(3, 30, 600), weights(4, 40), Due::Now),

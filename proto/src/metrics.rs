@@ -11,7 +11,7 @@ use crate::wilson::SuccessRate;
 use crate::{ActorId, RewardTerms, WeightsVersion};
 
 /// Schema version of all structs in this module.
-pub const METRICS_SCHEMA_VERSION: u32 = 1;
+pub const METRICS_SCHEMA_VERSION: u32 = 2;
 
 /// The learner's state after an update; key `metrics/learner`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -42,10 +42,13 @@ fn the_policy_of_a_run_of_version_0_1_0_is_refused_and_everything_else_is_read()
     assert!(groups.contains("train 2-6"), "{groups}");
     let recording = "run-0.1.0/replays/2_000/00000000-failure.trajectory";
     output(folder.path(), &["render", recording, "--format", "png-strip", "--out", "pictures"]);
-    for command in [["eval", "--checkpoint", "run-0.1.0"], ["train", "--resume", "run-0.1.0"]] {
+    for (command, reason) in [
+        (["eval", "--checkpoint", "run-0.1.0"], "has format version 1, and this program reads version 4"),
+        (["train", "--resume", "run-0.1.0"], "run-0.1.0/config.toml:101: unknown key `plan`"),
+    ] {
         let output = lodestone(folder.path()).args(command).output().unwrap();
         let stderr = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success() && stderr.contains("has format version 1"), "{command:?}: {stderr}");
+        assert!(!output.status.success() && stderr.contains(reason), "{command:?}: {stderr}");
     }
     assert_eq!(n_saved_steps(&run), 256);
 }

@@ -48,7 +48,7 @@ async fn a_run_is_printed_once() {
         put(&bus, "actor/actor-1", &sample(include_str!("../../dashboard/tests/metrics/actor.json"))).await,
         put(&bus, "actor/hostile", &hostile).await,
         put(&bus, "eval/train/2_000", &sample(include_str!("../../dashboard/tests/metrics/eval-blueprint.json"))).await,
-        put(&bus, "eval/train/2_001", &json!({ "schema_version": 2 })).await,
+        put(&bus, "eval/train/2_001", &json!({ "schema_version": 1 })).await,
         put(&bus, "eval/summary", &sample(include_str!("../../dashboard/tests/metrics/eval-summary.json"))).await,
         put(&bus, "learner", &sample(include_str!("../../dashboard/tests/metrics/learner.json"))).await,
     ];

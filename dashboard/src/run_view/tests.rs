@@ -46,8 +46,8 @@ fn what_cannot_be_shown_is_counted_by_reason() {
     let schema = Unread { schema_unknown_total: 1, ..Unread::default() };
     let unreadable = Unread { metrics_unreadable_total: 1, ..Unread::default() };
     let key = Unread { keys_unknown_total: 1, ..Unread::default() };
-    check_refused(samples::learner(), |s| s.value["schema_version"] = 2.into(), schema);
-    check_refused(samples::learner(), |s| s.value["schema_version"] = "1".into(), schema);
+    check_refused(samples::learner(), |s| s.value["schema_version"] = 1.into(), schema);
+    check_refused(samples::learner(), |s| s.value["schema_version"] = "2".into(), schema);
     for value in [Value::Null, json!(1), json!("x"), json!([1]), json!({})] {
         check_refused(samples::learner(), |s| s.value = value.clone(), schema);
     }

@@ -380,7 +380,7 @@ mod tests {
         let now = Duration::ZERO;
         board.told(News::Session(samples::session(&["a", "b"])), now);
         let mut other = samples::learner();
-        other.value["schema_version"] = 2.into();
+        other.value["schema_version"] = 1.into();
         board.told(News::Metrics(vec![samples::actor("a"), samples::actor("gone"), other]), now);
         board.told(News::Session(samples::session(&["a", "b"])), now);
         let samples = parse(&text(&board.state(), "a run").unwrap());

@@ -4,11 +4,11 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use clap::builder::PossibleValuesParser;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use learner::config::RateRule;
 use runlog::RunPaths;
 
-use crate::config::{Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
+use crate::config::{ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
 
 /// Sources of the configuration.
 #[derive(Clone, Debug, Default, Args)]
@@ -20,7 +20,7 @@ pub struct ConfigArgs {
     #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
     pub preset: Option<String>,
     /// One of the paper's ablations; overrides the preset and the file.
-    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(Preset::ablations().map(|preset| preset.name)))]
+    #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(ABLATIONS.iter().map(of_ablation)))]
     pub ablation: Option<String>,
     /// Set one configuration key, for example actor.n_worlds=16; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
@@ -112,10 +112,8 @@ impl ConfigArgs {
 
     /// All overrides in order: the ablation, the variables, the flags of this struct, then `flags`.
     fn overrides(&self, flags: Vec<Override>) -> Result<Vec<Override>, ConfigError> {
-        let mut overrides = match self.ablation.as_deref() {
-            Some(name) => Preset::find(name)?.overrides()?,
-            None => Vec::new(),
-        };
+        let ablation = self.ablation.as_deref().and_then(Ablation::find);
+        let mut overrides = ablation.map_or_else(|| Ok(Vec::new()), Ablation::overrides)?;
         overrides.extend(Override::from_variables(std::env::vars_os())?);
         for text in &self.set {
             overrides.push(Override::parse(text)?);
@@ -126,6 +124,11 @@ impl ConfigArgs {
         overrides.extend(flags);
         Ok(overrides)
     }
+}
+
+/// An ablation as a value of `--ablation`.
+fn of_ablation(ablation: &Ablation) -> PossibleValue {
+    PossibleValue::new(ablation.name).help(ablation.about)
 }
 
 /// Refuses a learning rate that is given while a schedule sets it.
@@ -209,11 +212,13 @@ mod tests {
         expected.policy.features.n_grippers = 1;
         assert_eq!((&settings.config, settings.preset), (&expected, None));
         assert_eq!(settings.source, "the preset `laptop`, with the ablation `single-gripper`");
-        assert_eq!(
-            load("single-blueprint", &[]).config.actor.tasks.filter,
-            preset("single-blueprint").actor.tasks.filter
-        );
-        assert_eq!(load("no-curriculum", &[]).config.learner.curriculum, preset("no-curriculum").learner.curriculum);
+        let text = load("no-attention", &[]).config.to_toml();
+        assert!(text.contains("attention = false") && text.contains("head_dim = 32"), "the rest of the network stays");
+        for ablation in ABLATIONS {
+            let settings = load(ablation.name, &[]);
+            settings.config.validate().unwrap();
+            assert_eq!(settings.config.bus.run, ablation.name);
+        }
         assert_eq!(load("single-gripper", &["bus.run=one"]).config.bus.run, "one", "flags come last");
     }
 

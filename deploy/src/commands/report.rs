@@ -198,7 +198,7 @@ fn nothing(run: &Path, passes: &[&Pass], acting: ActionMode) -> Failure {
     Failure::NothingToShow(if Grid::success(passes, other).is_some() {
         format!("{run} has no evaluation of {acting} actions: use --acting {other}")
     } else {
-        format!("{run} has no evaluation yet: wait for the first one, which a run makes as it starts")
+        format!("{run} has no evaluation yet: wait for the first one")
     })
 }
 

@@ -75,24 +75,6 @@ impl Override {
         Ok(overrides)
     }
 
-    /// One override per key of a table; a section that is a choice becomes one override.
-    pub(super) fn of_table(origin: &str, keys: toml::Table) -> Vec<Self> {
-        let mut overrides = Vec::new();
-        let mut open = vec![(Vec::new(), keys)];
-        while let Some((sections, keys)) = open.pop() {
-            for (key, value) in keys {
-                let path = [&sections[..], std::slice::from_ref(&key)].concat();
-                match value {
-                    toml::Value::Table(keys) if !keys.contains_key("kind") && !CHOICES.contains(&key.as_str()) => {
-                        open.push((path, keys));
-                    }
-                    value => overrides.push(Self { origin: origin.to_owned(), path, value }),
-                }
-            }
-        }
-        overrides
-    }
-
     /// Refuses overrides of keys outside these sections, which the command would ignore.
     ///
     /// # Errors

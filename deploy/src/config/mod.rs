@@ -3,6 +3,7 @@
 //! Layers, from lowest to highest precedence: defaults, a preset, a file, an ablation, `LODESTONE_*` variables,
 //! `--set`, other flags. Unknown keys are errors.
 
+mod ablations;
 mod error;
 mod layers;
 mod presets;
@@ -19,6 +20,7 @@ use learner::{ActingLimits, DeviceKind, LearnerConfig};
 use proto::setting::Section;
 use proto::{CanonicalSettings, settings};
 
+pub use ablations::{ABLATIONS, Ablation};
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
 pub use layers::{Base, NO_BASE, Override, merge};
