@@ -285,9 +285,6 @@ pub struct EvalSummary {
     /// Episodes of the whole evaluation per action mode, without the reset-free runs.
     #[serde(default)]
     pub n_planned: u64,
-    /// Episodes, or reset-free runs, that remote workers ran, in both action modes.
-    #[serde(default)]
-    pub n_assisted: u64,
     /// Seed of the start states; evaluations with the same seed have the same start states.
     pub seed: u64,
     /// All blueprints.
