@@ -4,10 +4,7 @@ use blueprints::Catalog;
 use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, Step, VecEnv};
 use policy::{Policy, PolicyConfig, PolicyError};
-use proto::{
-    ActionMode, CanonicalSettings, Driver, Status, Task, Trajectory, Transition,
-    Weights, WeightsVersion,
-};
+use proto::{ActionMode, CanonicalSettings, Driver, Status, Task, Trajectory, Transition, Weights, WeightsVersion};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::security::ROLES;
-use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_UNIT_BYTES, MAX_WEIGHTS_BYTES};
+use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
 
 /// Maximum size of metrics and history, in bytes; a history of 400 evaluations of all blueprints has 2 MB.
 const MAX_METRICS_BYTES: usize = 8 << 20;
@@ -61,20 +61,20 @@ const GRANTS: [Grants; 4] = [
     Grants {
         role: "evaluator",
         sends: &[
-            ("query", &["weights/latest", "worker/*", "metrics/**"]),
+            ("query", &["weights/latest", "metrics/**"]),
             ("declare_subscriber", &["weights/version/*", "metrics/**", "trajectories/*"]),
             ("put", &["metrics/eval/**"]),
-            ("declare_queryable", &["metrics/eval/**", "history/eval", "worker/*"]),
-            ("reply", &["metrics/eval/**", "history/eval", "worker/*"]),
-            ("liveliness_token", &["live/evaluator/*", "live/worker/*"]),
+            ("declare_queryable", &["metrics/eval/**", "history/eval"]),
+            ("reply", &["metrics/eval/**", "history/eval"]),
+            ("liveliness_token", &["live/evaluator/*"]),
             ("declare_liveliness_subscriber", &["live/**"]),
             ("liveliness_query", &["live/**"]),
         ],
         gets: &[
-            ("reply", &["weights/latest", "worker/*", "metrics/**"]),
+            ("reply", &["weights/latest", "metrics/**"]),
             ("put", &["weights/version/*", "metrics/**", "trajectories/*"]),
-            ("query", &["metrics/**", "history/eval", "worker/*"]),
-            ("declare_queryable", &["weights/latest", "worker/*"]),
+            ("query", &["metrics/**", "history/eval"]),
+            ("declare_queryable", &["weights/latest"]),
             ("declare_subscriber", &["metrics/**"]),
             ("liveliness_token", &["live/**"]),
         ],
@@ -145,7 +145,6 @@ pub(super) fn size_limits() -> Value {
         limit("notices", &["put"], &["weights/version/*"], MAX_NOTICE_BYTES),
         limit("questions", &["query"], &["weights/latest", "metrics/**", "history/eval"], MAX_NOTICE_BYTES),
         limit("metrics", &["put", "reply"], &["metrics/**", "history/eval"], MAX_METRICS_BYTES),
-        limit("units", &["query", "reply"], &["worker/*"], MAX_UNIT_BYTES),
     ])
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Reading order: `config`, [`security`], and `gate` (authentication) → `session` → `sender` and `ingest`
 //! (trajectories) → `weights` → `metrics`, `history`, and `viewer` → `latest`, `turns`, and `refusals` (floods) →
-//! `units` (distributed evaluation) → `alive`, `pulse` and `runs`.
+//! `alive`, `pulse` and `runs`.
 //!
 //! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
 //! liveliness tokens show which processes are alive. The services use only the types of this crate, never zenoh's.
@@ -30,7 +30,6 @@ pub mod security;
 mod sender;
 mod session;
 mod turns;
-mod units;
 mod viewer;
 mod weights;
 
@@ -46,6 +45,5 @@ pub use runs::runs;
 pub use security::{KeysError, SecurityConfig};
 pub use sender::TrajectorySender;
 pub use session::{Bus, process_epoch_ms};
-pub use units::{CallError, UnitCall, UnitServer, WorkerCaller};
 pub use viewer::TrajectoryViewer;
 pub use weights::{LearnerWatch, WeightsPublisher, WeightsSubscriber};

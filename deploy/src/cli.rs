@@ -330,11 +330,8 @@ pub struct EvaluatorArgs {
     #[command(flatten)]
     pub member: MemberArgs,
     /// Keep reports in this folder, in metrics.jsonl and eval.db.
-    #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR", conflicts_with = "worker")]
+    #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR")]
     pub run_dir: Option<PathBuf>,
-    /// Run episodes for the run's evaluator; start as many workers as you like.
-    #[arg(long, alias = "assist")]
-    pub worker: bool,
     /// Print every blueprint after an evaluation, not only the groups and the worst blueprints.
     #[arg(long)]
     pub verbose: bool,

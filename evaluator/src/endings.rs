@@ -7,11 +7,10 @@ use environment::Step;
 use nalgebra::Vector3;
 use parking_lot::Mutex;
 use policy::proposals::Slot;
-use proto::unit::End;
 use proto::{ActionMode, Observation, Scene};
 use serde::{Deserialize, Serialize};
 
-use crate::report::EpisodeResult;
+use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
 /// Number of steps without movement after which an episode counts as still.

@@ -13,7 +13,6 @@ use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
 use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use crate::setup::{EvalError, EvalSetup};
-use crate::work_queue::WorkQueue;
 
 /// Number of episodes per action mode after which an evaluation first reports intermediate results.
 pub const FIRST_PART: usize = 32;
@@ -55,9 +54,14 @@ pub fn evaluate_followed(
     endings: Option<&Endings>,
 ) -> Result<EvalReport, EvalError> {
     let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
-    let (queue, keep_going) = (&WorkQueue::default(), follower.keep_going);
     let observer = Both(&endings, follower);
-    let pool = EvaluationPool { setup, agent: &agent, queue, observer: Some(&observer), keep_going };
+    let pool = EvaluationPool {
+        setup,
+        agent: &agent,
+        observer: Some(&observer),
+        progress: None,
+        keep_going: follower.keep_going,
+    };
     let mut last_part = None;
     match evaluate_in_parts(&pool, weights, blueprints, &mut |part| last_part = Some(part)) {
         Err(EvalError::Interrupted) => last_part.ok_or(EvalError::Interrupted),
@@ -98,7 +102,7 @@ where
         report
     };
     let n_reset_free = setup.reset_free.as_ref().map_or(0, ResetFreeConfig::n_episodes);
-    pool.queue.plan((sequences.len() as u64 + n_reset_free) * setup.episodes.acting.len() as u64);
+    pool.plan((sequences.len() as u64 + n_reset_free) * setup.episodes.acting.len() as u64);
     let mut episodes = Vec::new();
     let mut n_run = 0;
     let mut run_all = || -> Result<Option<EvalResetFree>, EvalError> {
@@ -123,7 +127,6 @@ where
     }
     let mut report = report(&episodes, true);
     report.summary.reset_free = ended?;
-    report.summary.n_assisted = pool.queue.n_assisted();
     Ok(report)
 }
 

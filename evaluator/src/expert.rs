@@ -14,7 +14,6 @@ use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
 use crate::sequences::EpisodeSpec;
 use crate::setup::{EvalError, EvalSetup};
-use crate::work_queue::WorkQueue;
 use diary::Diaries;
 pub use diary::{Cause, ExpertFailure, Trouble};
 
@@ -111,11 +110,11 @@ pub fn evaluate_expert_followed(
         (0..u64::from(setup.episodes.n_episodes)).map(spec).collect()
     };
     let sequences: Vec<Vec<EpisodeSpec>> = blueprints.iter().map(|blueprint| sequence(blueprint)).collect();
-    let (diaries, tally, queue) = (Diaries::default(), Tally::default(), &WorkQueue::default());
+    let (diaries, tally) = (Diaries::default(), Tally::default());
     let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
     let told = Both(&tally, follower);
     let observer = Some(&Both(&diaries, &told));
-    let pool = EvaluationPool { setup, agent: &agent, queue, observer, keep_going: follower.keep_going };
+    let pool = EvaluationPool { setup, agent: &agent, observer, progress: None, keep_going: follower.keep_going };
     let runs = |config| reset_free::evaluate(&pool, config, &[ActionMode::Greedy]);
     let (episodes, ended) = pool.run(&sequences, ActionMode::Greedy);
     let played = ended.and_then(|()| {

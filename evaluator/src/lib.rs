@@ -1,18 +1,16 @@
 //! Evaluates weights: runs episodes of a frozen policy and reports success per blueprint and group, with its
 //! uncertainty.
 //!
-//! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `work_queue` (distribution
-//! of the work) → [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), [`endings`] (how episodes end)
-//! → [`table`] (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus),
-//! which shares its work through `dispatcher` with processes that call [`run_worker()`]. [`films`] records films in
-//! every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one episode for display,
-//! and [`record()`] records many.
+//! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
+//! [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), [`endings`] (how episodes end) → [`table`]
+//! (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). [`films`]
+//! records films in every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one
+//! episode for display, and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod best;
 pub mod config;
-mod dispatcher;
 pub mod endings;
 pub mod episodes;
 pub mod expert;
@@ -33,8 +31,6 @@ pub mod setup;
 pub mod table;
 pub mod trials;
 mod vetting;
-mod work_queue;
-mod worker;
 
 pub use best::{Judged, Verdict};
 pub use config::{
@@ -47,9 +43,8 @@ pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_e
 pub use follower::Follower;
 pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
+pub use pool::EvaluationProgress;
 pub use record::{Callbacks, Recorded, record};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
 pub use table::{Detail, render, render_endings, render_expert};
-pub use work_queue::EvaluationProgress;
-pub use worker::run_worker;

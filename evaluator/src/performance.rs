@@ -77,7 +77,7 @@ where
             EpisodeSpec::new(goal, start, seed, idx)
         })
         .collect();
-    let mut sequences = std::iter::once((0, specs.into()));
+    let mut sequences = std::iter::once((0, specs.as_slice()));
     run_sequences(&rules, &mut agent, vec![World::new(environment)?], || sequences.next(), |_, _| {})?;
     Ok(witness.seen.into_inner())
 }

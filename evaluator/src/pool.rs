@@ -1,26 +1,31 @@
 //! A pool of threads that run episodes in parallel.
 
-use std::time::Duration;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use environment::World;
 use proto::{ActionMode, Agent};
+use tokio::sync::watch;
 
 use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Rules, run_sequences};
 use crate::setup::{EvalError, EvalSetup};
-use crate::work_queue::WorkQueue;
 
-/// Time that an idle thread waits before it calls `keep_going`.
-const PATIENCE: Duration = Duration::from_millis(100);
+/// Progress of an evaluation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EvaluationProgress {
+    /// Episodes that have ended, in all action modes and including reset-free runs.
+    pub n_ended: u64,
+    /// Total number of episodes; 0 while there is nothing to evaluate.
+    pub n_planned: u64,
+}
 
-/// Runs sequences on threads of this process, while remote workers may take others from the work queue. The observer
-/// follows only the episodes of this process.
+/// Runs sequences on threads.
 pub(crate) struct EvaluationPool<'a, A, O> {
     pub(crate) setup: &'a EvalSetup<'a>,
     /// Creates the agent of a thread.
     pub(crate) agent: &'a (dyn Fn() -> Result<A, EvalError> + Sync),
-    pub(crate) queue: &'a WorkQueue,
     pub(crate) observer: Option<&'a O>,
+    pub(crate) progress: Option<&'a watch::Sender<EvaluationProgress>>,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
 }
 
@@ -28,6 +33,11 @@ impl<A: Agent, O: EpisodeObserver<A>> EvaluationPool<'_, A, O>
 where
     EvalError: From<A::Error>,
 {
+    /// Sets the total number of episodes.
+    pub(crate) fn plan(&self, n_episodes: u64) {
+        self.change_progress(|progress| progress.n_planned = n_episodes);
+    }
+
     /// Runs the sequences and returns the results in their shape. After an error, only the completed sequences have
     /// results.
     pub(crate) fn run(
@@ -35,28 +45,37 @@ where
         sequences: &[Vec<EpisodeSpec>],
         acting: ActionMode,
     ) -> (Vec<Vec<EpisodeResult>>, Result<(), EvalError>) {
-        self.queue.post(sequences, acting);
         let n_threads = self.setup.episodes.n_threads.min(sequences.len()).max(1);
         let n_worlds = self.setup.episodes.n_worlds.min(sequences.len().div_ceil(n_threads));
-        let ended: Result<(), EvalError> = std::thread::scope(|scope| {
-            let others: Vec<_> = (1..n_threads).map(|_| scope.spawn(|| self.work(acting, n_worlds))).collect();
-            let own = self.work(acting, n_worlds);
-            let join = |thread: std::thread::ScopedJoinHandle<'_, _>| {
-                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-            };
-            others.into_iter().map(join).fold(own, Result::and)
+        let queue = Queue::new(sequences);
+        let work = || {
+            let mut completed = Vec::new();
+            let ended = self.work(&queue, acting, n_worlds, &mut completed);
+            (completed, ended)
+        };
+        let (mut completed, ended) = std::thread::scope(|scope| {
+            let others: Vec<_> = (1..n_threads).map(|_| scope.spawn(work)).collect();
+            let (mut completed, mut ended) = work();
+            for thread in others {
+                let (more, its_end) = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                completed.extend(more);
+                ended = ended.and(its_end);
+            }
+            (completed, ended)
         });
-        (self.queue.clear(), ended)
+        completed.sort_unstable_by_key(|&(sequence_idx, _)| sequence_idx);
+        (completed.into_iter().map(|(_, results)| results).collect(), ended)
     }
 
-    /// Runs sequences from the work queue until all are done. After a failure or a panic, gives up the queue, because
-    /// the other threads would otherwise wait for the sequences that this thread has taken.
-    fn work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
-        let _guard = PanicGuard(self.queue);
-        self.try_to_work(acting, n_worlds).inspect_err(|_| self.queue.give_up())
-    }
-
-    fn try_to_work(&self, acting: ActionMode, n_worlds: usize) -> Result<(), EvalError> {
+    /// Runs sequences from the queue until it is empty. Completed sequences go to `completed` with their index.
+    fn work(
+        &self,
+        queue: &Queue<'_>,
+        acting: ActionMode,
+        n_worlds: usize,
+        completed: &mut Vec<(usize, Vec<EpisodeResult>)>,
+    ) -> Result<(), EvalError> {
+        let _closing = CloseOnDrop(queue);
         let mut agent = (self.agent)()?;
         let rules = Rules {
             catalog: self.setup.catalog,
@@ -65,30 +84,135 @@ where
             keep_going: self.keep_going,
             observer: self.observer,
         };
-        loop {
-            let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
-            let bring = |sequence_idx, results| self.queue.bring(sequence_idx, results);
-            run_sequences(&rules, &mut agent, worlds?, || self.queue.take(), bring)?;
-            if self.queue.is_done() {
-                return Ok(());
-            }
-            // Others have the last sequences. If they do not return them, a thread of this pool must run them.
-            self.queue.wait(PATIENCE);
-            if !(self.keep_going)() {
-                return Err(EvalError::Interrupted);
-            }
+        let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
+        let done = |sequence_idx, results: Vec<EpisodeResult>| {
+            self.change_progress(|progress| progress.n_ended += results.len() as u64);
+            completed.push((sequence_idx, results));
+        };
+        run_sequences(&rules, &mut agent, worlds?, || queue.take(), done)
+    }
+
+    fn change_progress(&self, change: impl FnOnce(&mut EvaluationProgress)) {
+        if let Some(progress) = self.progress {
+            progress.send_modify(change);
         }
     }
 }
 
-/// Gives up the work queue if the thread that holds this guard panics. The other threads then end, and
-/// [`EvaluationPool::run`] passes the panic on.
-struct PanicGuard<'a>(&'a WorkQueue);
+/// Hands out each sequence once.
+struct Queue<'s> {
+    sequences: &'s [Vec<EpisodeSpec>],
+    next_idx: AtomicUsize,
+}
 
-impl Drop for PanicGuard<'_> {
+impl<'s> Queue<'s> {
+    fn new(sequences: &'s [Vec<EpisodeSpec>]) -> Self {
+        Self { sequences, next_idx: AtomicUsize::new(0) }
+    }
+
+    /// Takes the next sequence, with its index.
+    fn take(&self) -> Option<(usize, &'s [EpisodeSpec])> {
+        // Relaxed: the sequences do not change.
+        let sequence_idx = self.next_idx.fetch_add(1, Ordering::Relaxed);
+        Some((sequence_idx, self.sequences.get(sequence_idx)?.as_slice()))
+    }
+}
+
+/// Empties the queue when dropped. A thread that ends leaves an empty queue anyway, unless it failed or panicked: the
+/// others then must not run all the rest before [`EvaluationPool::run`] can pass the failure on.
+struct CloseOnDrop<'q>(&'q Queue<'q>);
+
+impl Drop for CloseOnDrop<'_> {
     fn drop(&mut self) {
-        if std::thread::panicking() {
-            self.0.give_up();
-        }
+        self.0.next_idx.store(self.0.sequences.len(), Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    use blueprints::{Catalog, Split};
+    use proto::Start;
+
+    use super::*;
+    use crate::config::EpisodeConfig;
+    use crate::episodes::tests::{agent, small_setup};
+    use crate::films::EpisodeSelector;
+
+    /// Sequences of one or two episodes, of different goals.
+    fn sequences(n: usize) -> Vec<Vec<EpisodeSpec>> {
+        let goals = Catalog::builtin().of_split(Split::Train);
+        let sequence = |idx: usize| {
+            let starts = [Start::Scattered, Start::AsItIs].into_iter().take(1 + idx % 2);
+            starts.map(|start| EpisodeSpec::new(goals[idx], start, 1, 0)).collect()
+        };
+        (0..n).map(sequence).collect()
+    }
+
+    #[test]
+    fn each_sequence_is_handed_out_once() {
+        let sequences = sequences(20);
+        let queue = Queue::new(&sequences);
+        let take_all = || std::iter::from_fn(|| queue.take().map(|(idx, _)| idx)).collect::<Vec<_>>();
+        let mut taken = std::thread::scope(|scope| {
+            let threads = [(); 3].map(|()| scope.spawn(take_all));
+            threads.into_iter().flat_map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
+        });
+        taken.sort_unstable();
+        assert_eq!(taken, (0..20).collect::<Vec<_>>());
+        assert!(queue.take().is_none());
+    }
+
+    #[test]
+    fn nothing_is_handed_out_after_a_panic() {
+        let sequences = sequences(3);
+        let queue = Queue::new(&sequences);
+        let panicking = || {
+            let _closing = CloseOnDrop(&queue);
+            assert_eq!(queue.take().unwrap().0, 0);
+            panic!("out of order");
+        };
+        catch_unwind(AssertUnwindSafe(panicking)).unwrap_err();
+        assert!(queue.take().is_none());
+    }
+
+    #[test]
+    fn results_come_in_the_order_of_the_sequences_and_are_counted() {
+        let setup = small_setup(EpisodeConfig { n_threads: 3, n_worlds: 2, ..Default::default() });
+        let (sequences, progress) = (sequences(12), watch::Sender::default());
+        let pool = EvaluationPool {
+            setup: &setup,
+            agent: &agent,
+            observer: None::<&EpisodeSelector>,
+            progress: Some(&progress),
+            keep_going: &|| true,
+        };
+        pool.plan(30);
+        let (results, ended) = pool.run(&sequences, ActionMode::Greedy);
+        ended.unwrap();
+        let goals = |specs: &Vec<EpisodeSpec>| specs.iter().map(|spec| spec.task().blueprint.clone()).collect();
+        let goals: Vec<Vec<_>> = sequences.iter().map(goals).collect();
+        let reached = |results: &Vec<EpisodeResult>| results.iter().map(|result| result.blueprint.clone()).collect();
+        assert_eq!(results.iter().map(reached).collect::<Vec<Vec<_>>>(), goals);
+        assert_eq!(*progress.borrow(), EvaluationProgress { n_ended: 18, n_planned: 30 });
+    }
+
+    #[test]
+    fn an_interrupted_pool_returns_the_completed_sequences() {
+        let setup = small_setup(EpisodeConfig { n_threads: 1, n_worlds: 1, ..Default::default() });
+        let sequences = sequences(5);
+        let progress = watch::Sender::<EvaluationProgress>::default();
+        let pool = EvaluationPool {
+            setup: &setup,
+            agent: &agent,
+            observer: None::<&EpisodeSelector>,
+            progress: Some(&progress),
+            // The second sequence, of two episodes, is the last one.
+            keep_going: &|| progress.borrow().n_ended < 3,
+        };
+        let (results, ended) = pool.run(&sequences, ActionMode::Greedy);
+        assert!(matches!(ended, Err(EvalError::Interrupted)));
+        assert_eq!(results.iter().map(Vec::len).collect::<Vec<_>>(), [1, 2]);
     }
 }

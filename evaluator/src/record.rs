@@ -6,16 +6,14 @@ use blueprints::Blueprint;
 use environment::{ExpertAgent, Step};
 use parking_lot::Mutex;
 use policy::Policy;
-use proto::unit::End;
 use proto::{ActionMode, Agent, Observation, Scene, Trajectory};
 
 use crate::performance::{Credits, Performer};
 use crate::pool::EvaluationPool;
 use crate::recording::Recording;
-use crate::report::EpisodeResult;
+use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, episode_seed};
 use crate::setup::{EvalError, EvalSetup};
-use crate::work_queue::WorkQueue;
 
 /// A completed episode.
 #[derive(Clone, Debug)]
@@ -84,8 +82,8 @@ where
         .unzip();
     let in_order = Mutex::new(InOrder::new(callbacks.on_episode));
     let recorder = Recorder { credits, seeds: &seeds, in_order: &in_order };
-    let queue = &WorkQueue::default();
-    let pool = EvaluationPool { setup, agent, queue, observer: Some(&recorder), keep_going: callbacks.keep_going };
+    let keep_going = callbacks.keep_going;
+    let pool = EvaluationPool { setup, agent, observer: Some(&recorder), progress: None, keep_going };
     let (_, played) = pool.run(&sequences, acting);
     in_order.into_inner().clear();
     match played {
@@ -137,13 +135,9 @@ impl<'s, T> InOrder<'s, T> {
         Self { next: 0, early: BTreeMap::new(), take }
     }
 
-    /// Accepts the item with this index. Only the first counts, because a sequence that was not returned in time is run
-    /// again.
+    /// Accepts the item with this index.
     fn put(&mut self, idx: usize, thing: Option<T>) {
-        if idx < self.next {
-            return;
-        }
-        self.early.entry(idx).or_insert(thing);
+        self.early.insert(idx, thing);
         while let Some(thing) = self.early.remove(&self.next) {
             self.next += 1;
             thing.into_iter().for_each(self.take);
@@ -179,8 +173,7 @@ mod tests {
         let taken = Mutex::new(Vec::new());
         let take = |x: char| taken.lock().push(x);
         let mut in_order = InOrder::new(&take);
-        for (idx, thing) in [(1, Some('b')), (0, Some('a')), (1, Some('x')), (3, Some('d')), (2, None), (6, Some('g'))]
-        {
+        for (idx, thing) in [(1, Some('b')), (0, Some('a')), (3, Some('d')), (2, None), (6, Some('g'))] {
             in_order.put(idx, thing);
         }
         assert_eq!(*taken.lock(), ['a', 'b', 'd']);

@@ -3,8 +3,7 @@
 use environment::{Step, StepResult};
 use proto::{ActorId, Decision, Driver, Outcome, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
 
-use crate::report::EpisodeResult;
-use proto::unit::End;
+use crate::report::{End, EpisodeResult};
 
 /// The recorded steps of an episode.
 #[derive(Clone, Debug, Default)]

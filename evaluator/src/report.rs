@@ -6,9 +6,22 @@ use blueprints::{BlueprintId, Group, Split};
 use proto::metrics::{
     BusCounts, EvalBlueprint, EvalGroup, EvalOutcome, EvalReport, EvalSummary, METRICS_SCHEMA_VERSION,
 };
-pub use proto::unit::End;
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, RewardTerms, WeightsVersion};
+
+/// The end of an episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The blueprint is complete.
+    Success {
+        /// Whether it was still complete some steps later.
+        stable: bool,
+    },
+    /// The episode reached the time limit.
+    TimeLimit,
+    /// The physics diverged.
+    Diverged,
+}
 
 /// Result of an episode.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,8 +45,7 @@ pub struct EpisodeResult {
 }
 
 /// Groups the episodes of weights trained on `n_env_steps` by blueprint and group. The report is marked complete.
-/// Fields that do not follow from the episodes stay 0: the seed, the plan, the duration, the remote workers' share, and
-/// all counts.
+/// Fields that do not follow from the episodes stay 0: the seed, the plan, the duration, and all counts.
 pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[EpisodeResult]) -> EvalReport {
     let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&EpisodeResult>> = BTreeMap::new();
     let mut by_group: BTreeMap<Group, Vec<&EpisodeResult>> = BTreeMap::new();
@@ -62,7 +74,6 @@ pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[
         elapsed_s: 0.0,
         is_complete: true,
         n_planned: 0,
-        n_assisted: 0,
         seed: 0,
         all: score_group("all", &episodes.iter().collect::<Vec<_>>()),
         groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),

@@ -2,14 +2,13 @@
 
 use blueprints::{Blueprint, Catalog, Split};
 use proto::metrics::{EvalResetFree, EvalRuns};
-use proto::unit::End;
 use proto::{ActionMode, Agent, Start};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::ResetFreeConfig;
 use crate::pool::EvaluationPool;
-use crate::report::{EpisodeResult, outcome};
+use crate::report::{End, EpisodeResult, outcome};
 use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use crate::setup::EvalError;
 

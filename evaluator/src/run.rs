@@ -17,16 +17,14 @@ use tokio_util::sync::CancellationToken;
 
 use crate::best::{Judged, Verdict};
 use crate::config::EpisodeConfig;
-use crate::dispatcher::{Dispatcher, UNIT_PATIENCE};
 use crate::episodes::evaluate_in_parts;
 use crate::films::{EpisodeSelector, VideoRecorder};
 use crate::nice::on_thread;
-use crate::pool::EvaluationPool;
+use crate::pool::{EvaluationPool, EvaluationProgress};
 use crate::records::Records;
 use crate::schedule::{Due, LastEvaluation, due};
 use crate::setup::{EvalError, EvalSetup, EvaluatorSetup};
 use crate::vetting::vetted;
-use crate::work_queue::{EvaluationProgress, WorkQueue};
 
 /// How long an evaluator waits for another one with its name to disconnect: a killed process still appears alive for up
 /// to 6 s.
@@ -69,8 +67,7 @@ pub struct Stop {
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of the run, and to
 /// the `listeners`. During an evaluation, intermediate results go to the bus; see
 /// [`FIRST_PART`](crate::episodes::FIRST_PART). If its weights prove unusable, the last complete report follows them.
-/// Evaluations run on their own threads and share their episodes with all [remote workers](crate::run_worker()).
-/// Weights that arrive in the meantime wait.
+/// Evaluations run on their own threads. Weights that arrive in the meantime wait.
 ///
 /// # Errors
 /// If the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
@@ -151,7 +148,6 @@ async fn evaluate_all(
         () = stop.now.cancelled() => return Ok(0),
         alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
     };
-    let mut workers = Dispatcher::start(bus, setup.settings(), UNIT_PATIENCE).await?;
     let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();
@@ -166,35 +162,16 @@ async fn evaluate_all(
         let (parts, mut newest_part) = watch::channel(None);
         let films = outlets.films;
         let selector = films.and_then(|films| films.selector(&newest, &setup.config.episodes.acting));
-        let queue = Arc::new(WorkQueue::default());
-        let mut progress = queue.watch_progress();
-        workers.open(queue.clone(), newest.clone());
+        let (counted, progress) = watch::channel(EvaluationProgress::default());
         let (goals, signals) = (selected.of(is_last).to_vec(), (&stop.now, bus.pulse()));
-        let evaluation = evaluate_once(setup, goals, newest.clone(), queue, selector, parts, signals);
-        tokio::pin!(evaluation);
+        let evaluation = evaluate_once(setup, goals, newest.clone(), selector, parts, counted, signals);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
             report.summary.bus = bus.counts();
             report.summary.films = films.map(VideoRecorder::counts);
             report
         };
-        let ended = loop {
-            tokio::select! {
-                // Biased, so that a part that arrives just before the end is still published.
-                biased;
-                Ok(()) = newest_part.changed() => {
-                    let part = newest_part.borrow_and_update().clone();
-                    if let Some(part) = part {
-                        outlets.publishers.publish(&stamp(part)).await?;
-                    }
-                }
-                Ok(()) = progress.changed() => outlets.progress(Some(*progress.borrow_and_update())),
-                ended = &mut evaluation => break ended?,
-            }
-        };
-        workers.close();
-        outlets.progress(None);
-        let report = match ended {
+        let report = match outlets.follow(evaluation, &mut newest_part, progress, &stamp).await? {
             Err(EvalError::Interrupted) => {
                 // The partial report goes to the listener but not to the history, which has only complete evaluations.
                 let part = newest_part.borrow().clone().filter(|part| !part.blueprints.is_empty());
@@ -213,11 +190,7 @@ async fn evaluate_all(
             report => stamp(report?),
         };
         n_evaluations += 1;
-        if let Some(judged) = &outlets.judged {
-            let verdict = Verdict::of(&setup.config.best, &selected.usual, &report);
-            // The receiver may be gone.
-            drop(judged.send(Judged { weights: newest, verdict }));
-        }
+        outlets.judge(newest, Verdict::of(&setup.config.best, &selected.usual, &report));
         outlets.put(report).await?;
     }
 }
@@ -241,6 +214,40 @@ impl Outlets<'_> {
         if let Some(progress) = &self.progress {
             progress.send_replace(so_far);
         }
+    }
+
+    fn judge(&self, weights: Arc<Weights>, verdict: Verdict) {
+        if let Some(judged) = &self.judged {
+            // The receiver may be gone.
+            drop(judged.send(Judged { weights, verdict }));
+        }
+    }
+
+    /// Waits for the end of an evaluation. Until then, publishes its parts, after `stamp`, and its progress.
+    async fn follow<T>(
+        &mut self,
+        evaluation: impl Future<Output = anyhow::Result<T>>,
+        parts: &mut watch::Receiver<Option<EvalReport>>,
+        mut progress: watch::Receiver<EvaluationProgress>,
+        stamp: impl Fn(EvalReport) -> EvalReport,
+    ) -> anyhow::Result<T> {
+        tokio::pin!(evaluation);
+        let ended = loop {
+            tokio::select! {
+                // Biased, so that a part that arrives just before the end is still published.
+                biased;
+                Ok(()) = parts.changed() => {
+                    let part = parts.borrow_and_update().clone();
+                    if let Some(part) = part {
+                        self.publishers.publish(&stamp(part)).await?;
+                    }
+                }
+                Ok(()) = progress.changed() => self.progress(Some(*progress.borrow_and_update())),
+                ended = &mut evaluation => break ended,
+            }
+        };
+        self.progress(None);
+        ended
     }
 
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
@@ -398,14 +405,14 @@ fn unix_ms() -> u64 {
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
-/// Runs one evaluation on a separate thread; intermediate reports go to `parts`.
+/// Runs one evaluation on a separate thread; intermediate reports go to `parts`, its progress goes to `counted`.
 async fn evaluate_once(
     setup: &EvaluatorSetup,
     selected: Vec<&'static Blueprint>,
     weights: Arc<Weights>,
-    queue: Arc<WorkQueue>,
     films: Option<EpisodeSelector>,
     parts: watch::Sender<Option<EvalReport>>,
+    counted: watch::Sender<EvaluationProgress>,
     (shutdown, pulse): (&CancellationToken, &Pulse),
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let eval_setup = EvalSetup {
@@ -422,8 +429,8 @@ async fn evaluate_once(
             !shutdown.is_cancelled()
         };
         let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
-        let (setup, queue, observer) = (&eval_setup, &queue, films.as_ref());
-        let pool = EvaluationPool { setup, agent: &agent, queue, observer, keep_going: &keep_going };
+        let (setup, observer, progress) = (&eval_setup, films.as_ref(), Some(&counted));
+        let pool = EvaluationPool { setup, agent: &agent, observer, progress, keep_going: &keep_going };
         evaluate_in_parts(&pool, &weights, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await

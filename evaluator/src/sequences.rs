@@ -1,19 +1,16 @@
 //! Runs many short sequences of episodes in parallel: the agent acts in all worlds at once.
 
-use std::sync::Arc;
-
 use blueprints::hash::fnv1a;
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::config::SuccessConfig;
 use environment::vec_env::generator;
 use environment::{Env, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment};
-use proto::unit::End;
 use proto::{Action, ActionMode, Agent, Observation, RewardTerms, Scene, Start, Status, Task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::Starts;
-use crate::report::EpisodeResult;
+use crate::report::{End, EpisodeResult};
 use crate::setup::EvalError;
 
 /// Number of steps in which a success can prove stable after the grippers have let go, unless the setting asks for
@@ -77,12 +74,6 @@ impl EpisodeSpec {
         Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
     }
 
-    /// Creates an episode from a task of another process; `None` if the catalog does not have the goal.
-    pub(crate) fn of_task(catalog: &Catalog, task: Task) -> Option<Self> {
-        let blueprint = catalog.get(&task.blueprint)?;
-        Some(Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() })
-    }
-
     pub(crate) fn task(&self) -> &Task {
         &self.task
     }
@@ -124,17 +115,17 @@ pub(crate) trait EpisodeObserver<A>: Sync {
 
 /// Runs the sequences returned by `next`. The episodes of a sequence run one after another in one world, which then
 /// starts the next sequence. Each sequence's results go to `done` with its index.
-pub(crate) fn run_sequences<E: Env, A: Agent, O: EpisodeObserver<A>>(
+pub(crate) fn run_sequences<'s, E: Env, A: Agent, O: EpisodeObserver<A>>(
     rules: &Rules<'_, O>,
     agent: &mut A,
     mut worlds: Vec<E>,
-    mut next: impl FnMut() -> Option<(usize, Arc<[EpisodeSpec]>)>,
+    mut next: impl FnMut() -> Option<(usize, &'s [EpisodeSpec])>,
     mut done: impl FnMut(usize, Vec<EpisodeResult>),
 ) -> Result<(), EvalError>
 where
     EvalError: From<A::Error>,
 {
-    let slots: Vec<EnvSlot<O::Record>> = worlds.iter().map_while(|_| next()).map(EnvSlot::new).collect();
+    let slots: Vec<EnvSlot<'_, O::Record>> = worlds.iter().map_while(|_| next()).map(EnvSlot::new).collect();
     worlds.truncate(slots.len());
     let mut running = EnvironmentLoop { rules, agent, envs: VecEnv::new(worlds), slots };
     for row in 0..running.slots.len() {
@@ -174,14 +165,14 @@ struct EnvironmentLoop<'a, E, A, O: EpisodeObserver<A>> {
     agent: &'a mut A,
     envs: VecEnv<E>,
     /// One slot per world.
-    slots: Vec<EnvSlot<O::Record>>,
+    slots: Vec<EnvSlot<'a, O::Record>>,
 }
 
 /// A world's sequence and its current episode.
-struct EnvSlot<R> {
+struct EnvSlot<'s, R> {
     sequence_idx: usize,
     /// Never empty.
-    sequence: Arc<[EpisodeSpec]>,
+    sequence: &'s [EpisodeSpec],
     /// Results of the episodes before the current one.
     results: Vec<EpisodeResult>,
     /// The current episode as it started; differs from `sequence` if the start was retried.
@@ -192,8 +183,8 @@ struct EnvSlot<R> {
     record: Option<R>,
 }
 
-impl<R> EnvSlot<R> {
-    fn new((sequence_idx, sequence): (usize, Arc<[EpisodeSpec]>)) -> Self {
+impl<'s, R> EnvSlot<'s, R> {
+    fn new((sequence_idx, sequence): (usize, &'s [EpisodeSpec])) -> Self {
         let (results, episode_return, record) = (Vec::new(), RewardTerms::default(), None);
         let played = sequence[0].clone();
         Self { sequence_idx, sequence, results, played, forced_reset: false, n_steps: 0, episode_return, record }

@@ -1,12 +1,11 @@
 //! The setup of an evaluation, and its errors.
 
-use std::collections::BTreeMap;
 use std::convert::Infallible;
 
 use blueprints::Catalog;
 use environment::{EnvironmentConfig, StartError};
 use policy::{PolicyConfig, PolicyError};
-use proto::{CanonicalSettings, InvalidSetting, config_hash};
+use proto::InvalidSetting;
 use runlog::RunPaths;
 
 use crate::config::{EpisodeConfig, EvaluatorConfig, ResetFreeConfig};
@@ -72,15 +71,4 @@ pub struct EvaluatorSetup {
     pub records: Option<RunPaths>,
     /// The catalog of goals and starts.
     pub catalog: &'static Catalog,
-}
-
-impl EvaluatorSetup {
-    /// Returns everything other than weights and tasks that affects an episode's result.
-    pub(crate) fn settings(&self) -> CanonicalSettings {
-        let catalog = self.catalog.iter().map(|blueprint| (blueprint.id(), blueprint.canonical_hash()));
-        let hash = config_hash(&catalog.collect::<Vec<_>>());
-        CanonicalSettings::of_run(&self.policy, &self.environment)
-            .with("catalog", &BTreeMap::from([("hash", hash)]))
-            .with("program", &BTreeMap::from([("version", env!("CARGO_PKG_VERSION"))]))
-    }
 }

@@ -218,9 +218,8 @@ mod tests {
     use proto::{RewardTerms, WeightsVersion};
 
     use super::*;
-    use crate::report::{EpisodeResult, summarize};
+    use crate::report::{End, EpisodeResult, summarize};
     use proto::ActionMode;
-    use proto::unit::End;
 
     fn episode(id: &str, n_successes: usize) -> impl Iterator<Item = EpisodeResult> {
         (0..4).map(move |i| EpisodeResult {

@@ -7,9 +7,7 @@ use blueprints::generator::{Draws, Request};
 use blueprints::{BlueprintId, Catalog, Split};
 use policy::proposals::{N_SLOTS, Slot};
 use policy::{MoveHead, NetworkConfig};
-use proto::{
-    Action, CanonicalSettings, Driver, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition,
-};
+use proto::{Action, CanonicalSettings, Driver, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition};
 
 /// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
 const MAX_POSITION_M: f32 = 50.0;
@@ -49,12 +47,7 @@ pub struct ActingLimits {
 impl Default for ActingLimits {
     /// Returns the limits of all settings.
     fn default() -> Self {
-        Self {
-            episode_steps: 1000,
-            burn_in_steps: 1000,
-            has_prebuilt_starts: true,
-            has_near_goal_starts: true,
-        }
+        Self { episode_steps: 1000, burn_in_steps: 1000, has_prebuilt_starts: true, has_near_goal_starts: true }
     }
 }
 

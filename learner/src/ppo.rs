@@ -133,12 +133,7 @@ impl Ppo {
     }
 
     /// Runs one update on a batch with normalized features, from which it removes what it [refuses](Batch::refuse).
-    pub(crate) fn update(
-        &mut self,
-        batch: &mut Batch,
-        config: &LearnerConfig,
-        progress: &mut Progress<'_>,
-    ) -> Learned {
+    pub(crate) fn update(&mut self, batch: &mut Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> Learned {
         match &config.optimizer.rate_rule {
             // A resumed run may have been given another rate.
             RateRule::Fixed(_) => progress.learning_rate.0 = config.optimizer.learning_rate,

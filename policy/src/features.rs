@@ -92,10 +92,7 @@ impl FeatureSizes {
     pub fn new(config: &FeatureConfig) -> Self {
         let on = |flag: bool, n: usize| if flag { n } else { 0 };
         Self {
-            node: BASE_NODE
-                + on(config.up_axis, 3)
-                + on(config.membership, 1)
-                + on(config.block_shape, 3),
+            node: BASE_NODE + on(config.up_axis, 3) + on(config.membership, 1) + on(config.block_shape, 3),
             edge: BASE_EDGE + on(config.needed_moves, 12),
             global: usize::from(config.n_grippers) * GRIPPER_PART,
         }

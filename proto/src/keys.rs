@@ -53,11 +53,6 @@ pub fn weights_version(session: &str) -> String {
     format!("weights/version/{session}")
 }
 
-/// Returns the key on which a remote worker receives units.
-pub fn worker(worker: &str) -> String {
-    format!("worker/{worker}")
-}
-
 /// The evaluator's queryable for all evaluations.
 pub const HISTORY_EVAL: &str = "history/eval";
 
@@ -91,8 +86,6 @@ pub enum Role {
     Learner,
     /// Evaluates.
     Evaluator,
-    /// Runs episodes for evaluators.
-    Worker,
 }
 
 impl Role {
@@ -102,7 +95,6 @@ impl Role {
             Self::Actor => "actor",
             Self::Learner => "learner",
             Self::Evaluator => "evaluator",
-            Self::Worker => "worker",
         }
     }
 }

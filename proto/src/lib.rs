@@ -1,7 +1,7 @@
 //! The interface between processes: validated plain types, their wire format, and key expressions. It does no I/O.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`], the reports [`metrics`],
-//! and the units [`mod@unit`] of distributed evaluations → [`codec`] → [`keys`].
+//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`], and the reports
+//! [`metrics`] → [`codec`] → [`keys`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -18,7 +18,6 @@ pub mod scene;
 pub mod setting;
 pub mod step;
 pub mod trajectory;
-pub mod unit;
 pub mod weights;
 pub mod wilson;
 mod wire;

@@ -285,9 +285,6 @@ pub struct EvalSummary {
     /// Episodes of the whole evaluation per action mode, without the reset-free runs.
     #[serde(default)]
     pub n_planned: u64,
-    /// Episodes, or reset-free runs, that remote workers ran, in both action modes.
-    #[serde(default)]
-    pub n_assisted: u64,
     /// Seed of the start states; evaluations with the same seed have the same start states.
     pub seed: u64,
     /// All blueprints.
@@ -385,9 +382,9 @@ pub struct BusCounts {
     pub weights_refused_total: u64,
     /// Pulls of weights that failed and were retried.
     pub pulls_failed_total: u64,
-    /// Queries for weights, metrics, or the history that carried a payload, and invalid evaluation units.
+    /// Queries for weights, metrics, or the history that carried a payload.
     pub queries_invalid_total: u64,
-    /// Queries for weights, metrics, or the history, and evaluation units, refused or dropped because too many came.
+    /// Queries for weights, metrics, or the history refused or dropped because too many came.
     pub queries_dropped_total: u64,
     /// Metrics that were not JSON.
     pub metrics_invalid_total: u64,

@@ -152,7 +152,6 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let cluster = Cluster::start();
     let _actor = cluster.member("actor", &[]);
     let _evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
-    let _worker = cluster.member("evaluator", &["--worker"]);
     cluster.learn(["--run-dir", "run"], 2048);
 
     let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--once"]);

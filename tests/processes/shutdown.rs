@@ -46,11 +46,10 @@ fn whoever_waits_for_a_router_ends_with_a_signal() {
     let folder = tempfile::tempdir().unwrap();
     let silent = Silent::new();
     let endpoint = silent.endpoint();
-    let commands: [&[&str]; 7] = [
+    let commands: [&[&str]; 6] = [
         &["actor"],
         &["learner", "--run-dir", "run"],
         &["evaluator"],
-        &["evaluator", "--worker"],
         &["render", "--out", "films"],
         &["watch", "--json"],
         &["watch", "--once"],

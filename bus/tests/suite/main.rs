@@ -11,6 +11,5 @@ mod metrics;
 #[path = "../../../proto/src/codec/tests/samples.rs"]
 mod samples;
 mod trajectories;
-mod units;
 mod viewer;
 mod weights;

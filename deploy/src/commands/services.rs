@@ -105,7 +105,7 @@ pub(super) async fn run_learner(
     ended
 }
 
-/// Runs `evaluator`: evaluates and prints reports, or runs episodes for another evaluator.
+/// Runs `evaluator`: evaluates and prints reports.
 pub(super) async fn run_evaluator(
     settings: &Settings,
     args: &EvaluatorArgs,
@@ -113,26 +113,14 @@ pub(super) async fn run_evaluator(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let config = &settings.config;
-    // A worker is told what to run.
-    if !args.worker {
-        check_evaluator(config, Catalog::builtin())?;
-    }
+    check_evaluator(config, Catalog::builtin())?;
     let id = match &args.member.id {
         Some(id) => id.clone(),
         None => random_name(Role::Evaluator.as_str()).map_err(anyhow::Error::from)?,
     };
-    let what = if args.worker { "runs episodes for the evaluator" } else { "evaluates weights" };
-    terminal.print(&begins(&format!("evaluator `{id}` {what}"), settings));
+    terminal.print(&begins(&format!("evaluator `{id}` evaluates weights"), settings));
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
-    if args.worker {
-        return on_bus(config, &health, &shutdown, async |bus| {
-            let n_units = evaluator::run_worker(setup, &bus, shutdown.clone()).await?;
-            tracing::info!(n_units, "worked on behalf of the evaluator");
-            Ok(())
-        })
-        .await;
-    }
     let opened = page(config.dashboard.web.as_ref(), terminal).await?;
     let command = args.run_dir.clone().map(|run_dir| serve::command(&[run_dir]));
     let farewell = Farewell { ended: "the evaluator", command };

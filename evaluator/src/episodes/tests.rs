@@ -76,8 +76,8 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     // 62 blueprints of 2 to 4 blocks: 124 episodes in parts of 32, 64, and 124.
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
-    let (queue, observer) = (WorkQueue::default(), None::<&EpisodeSelector>);
-    let pool = EvaluationPool { setup: &setup, agent: &agent, queue: &queue, observer, keep_going: &|| true };
+    let observer = None::<&EpisodeSelector>;
+    let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
     let whole = evaluate_in_parts(&pool, &weights(), &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
@@ -138,19 +138,16 @@ fn what_one_thread_cannot_start_ends_the_work_of_all() {
 }
 
 #[test]
-fn a_panic_of_one_thread_ends_the_work_of_all() {
-    // With two sequences for two threads, the thread of the first call has one of them, which the other must not await.
+fn a_panic_of_one_thread_is_passed_on() {
     let setup = small_setup(EpisodeConfig { n_episodes: 1, n_threads: 2, n_worlds: 1, ..Default::default() });
     let n_calls = AtomicUsize::new(0);
-    // An idle thread calls ten times per second. A limit of a minute makes the test fail instead of hang.
     let keep_going = || match n_calls.fetch_add(1, Ordering::Relaxed) {
         0 => panic!("out of order"),
-        n => n < 600,
+        _ => true,
     };
     let evaluation = || evaluate(&setup, &small_policy(), &weights(), &blueprints(2), &keep_going);
     let panic = catch_unwind(AssertUnwindSafe(evaluation)).unwrap_err();
     assert_eq!(panic.downcast_ref::<&str>(), Some(&"out of order"));
-    assert!(n_calls.into_inner() < 600, "the other thread waited");
 }
 
 #[test]

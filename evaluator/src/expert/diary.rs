@@ -6,12 +6,11 @@ use std::fmt;
 use blueprints::BlueprintId;
 use environment::{Activity, ExpertAgent, Step};
 use parking_lot::Mutex;
-use proto::unit::End;
 use proto::{ActionMode, ActorId, Driver, Joint, Observation, Scene, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
 use crate::recording::Recording;
-use crate::report::EpisodeResult;
+use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
 /// Minimum number of steps spent on a problem for it to count as the cause.

@@ -6,13 +6,12 @@ use std::sync::Arc;
 
 use blueprints::{BlueprintId, Group};
 use environment::Step;
-use proto::unit::End;
 use proto::{ActionMode, ActorId, Driver, Observation, Scene, Weights};
 
 use super::queue::{Clip, ClipQueue};
 use crate::config::FilmsConfig;
 use crate::recording::Recording;
-use crate::report::EpisodeResult;
+use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 use runlog::clips::Ending;
 

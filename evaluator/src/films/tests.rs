@@ -8,7 +8,6 @@ use blueprints::{Blueprint, Catalog, Split};
 use environment::{Step, StepResult};
 use proto::codec::decode_recording;
 use proto::metrics::FilmCounts;
-use proto::unit::End;
 use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Scene, Start, Status};
 use render::video::Miniature;
 use runlog::RunPaths;
@@ -22,8 +21,8 @@ use crate::episodes::evaluate_in_parts;
 use crate::episodes::tests::{agent, small_setup, weights};
 use crate::pool::EvaluationPool;
 use crate::recording::Recording;
+use crate::report::End;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
-use crate::work_queue::WorkQueue;
 
 fn blueprint() -> &'static Blueprint {
     Catalog::builtin().of_split(Split::Train)[0]
@@ -46,8 +45,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let selector = recorder.selector(&weights, &setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
     let evaluate = |observer: Option<&EpisodeSelector>| {
-        let queue = WorkQueue::default();
-        let pool = EvaluationPool { setup: &setup, agent: &agent, queue: &queue, observer, keep_going: &|| true };
+        let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
         evaluate_in_parts(&pool, &weights, &goals, &mut |_| {}).unwrap()
     };
     assert_eq!(evaluate(selector.as_ref()), evaluate(None));

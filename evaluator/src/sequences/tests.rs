@@ -77,7 +77,7 @@ fn run(
         keep_going: &|| keep_going,
         observer: None,
     };
-    let mut waiting = sequences.iter().map(|sequence| Arc::from(sequence.as_slice())).enumerate();
+    let mut waiting = sequences.iter().map(Vec::as_slice).enumerate();
     let mut all = vec![Vec::new(); sequences.len()];
     let done = |sequence_idx: usize, results| all[sequence_idx] = results;
     run_sequences(&rules, &mut policy, worlds, || waiting.next(), done)?;

@@ -9,12 +9,11 @@ mod scene;
 #[cfg(test)]
 mod tests;
 mod trajectory;
-mod unit;
 mod weights;
 
 use prost::Message;
 use prost::bytes::Buf;
-use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
+use prost::encoding::{DecodeContext, decode_key, skip_field};
 
 pub use error::DecodeError;
 pub use header::{TRAJECTORY_HEADER_BYTES, trajectory_actor};
@@ -24,7 +23,6 @@ pub use trajectory::{
     MAX_RECORDING_BYTES, MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, decode_recording, decode_trajectory,
     encode_recording, encode_trajectory,
 };
-pub use unit::{MAX_UNIT_BYTES, decode_answer, decode_unit, encode_answer, encode_unit};
 pub use weights::{
     MAX_PARAMETERS, MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice,
     encode_weights,
@@ -47,36 +45,26 @@ fn check_size(message: &'static str, bytes: usize, limit: usize) -> Result<(), D
     if bytes > limit { Err(DecodeError::TooLarge { message, bytes, limit }) } else { Ok(()) }
 }
 
-/// Returns the bytes of each element of a message's repeated field, or an error that says what is `expected` if there
-/// are more than `limit`.
+/// Returns an error that says what is `expected` if a message's repeated field has more than `limit` elements.
 ///
 /// An empty element is two bytes long and becomes a value of hundreds of bytes, so this check comes before parsing.
-fn elements<'b>(
+fn check_count(
     message: &'static str,
     (field, tag): (&'static str, u32),
-    mut bytes: &'b [u8],
+    mut bytes: &[u8],
     (limit, expected): (usize, &'static str),
-) -> Result<Vec<&'b [u8]>, DecodeError> {
+) -> Result<(), DecodeError> {
     let malformed = |source| DecodeError::Malformed { message, source };
-    let mut found = Vec::new();
+    let mut n_elements = 0;
     while !bytes.is_empty() {
         let (key, wire_type) = decode_key(&mut bytes).map_err(malformed)?;
-        if (key, wire_type) != (tag, WireType::LengthDelimited) {
-            skip_field(wire_type, key, &mut bytes, DecodeContext::default()).map_err(malformed)?;
-            continue;
-        }
-        if found.len() == limit {
+        n_elements += usize::from(key == tag);
+        if n_elements > limit {
             return Err(check::invalid(field, format!("more than {limit}"), expected));
         }
-        let length = decode_varint(&mut bytes).map_err(malformed)?;
-        // A length beyond the end is left to the parser, which has an error for it.
-        let Some((element, rest)) = usize::try_from(length).ok().and_then(|n| bytes.split_at_checked(n)) else {
-            return Ok(found);
-        };
-        found.push(element);
-        bytes = rest;
+        skip_field(wire_type, key, &mut bytes, DecodeContext::default()).map_err(malformed)?;
     }
-    Ok(found)
+    Ok(())
 }
 
 fn check_version(found: u32) -> Result<(), DecodeError> {

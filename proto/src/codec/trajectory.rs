@@ -8,7 +8,7 @@ use super::check::{array, block, blueprint_id, invalid, narrow, number, present}
 use super::scene::{
     action_from_wire, action_to_wire, reward_from_wire, reward_to_wire, scene_from_wire, scene_to_wire,
 };
-use super::{DecodeError, PROTOCOL_VERSION, check_size, check_version, elements, parse};
+use super::{DecodeError, PROTOCOL_VERSION, check_count, check_size, check_version, parse};
 use crate::{
     ActorId, Driver, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire,
 };
@@ -116,7 +116,7 @@ fn checksums(bytes: &[u8]) -> Option<(u64, u64)> {
 
 fn message(bytes: &[u8], limit: usize) -> Result<wire::Trajectory, DecodeError> {
     check_size("Trajectory", bytes.len(), limit)?;
-    elements("Trajectory", ("transitions", TRANSITIONS), bytes, (MAX_SEGMENT_STEPS, "1 to 1000 steps"))?;
+    check_count("Trajectory", ("transitions", TRANSITIONS), bytes, (MAX_SEGMENT_STEPS, "1 to 1000 steps"))?;
     parse("Trajectory", bytes, limit)
 }
 
@@ -198,7 +198,7 @@ fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
     Ok(())
 }
 
-pub(super) fn task_to_wire(task: &Task) -> wire::Task {
+fn task_to_wire(task: &Task) -> wire::Task {
     use wire::task::Start as WireStart;
     wire::Task {
         blueprint: task.blueprint.to_string(),
@@ -213,7 +213,7 @@ pub(super) fn task_to_wire(task: &Task) -> wire::Task {
     }
 }
 
-pub(super) fn task_from_wire(task: wire::Task) -> Result<Task, DecodeError> {
+fn task_from_wire(task: wire::Task) -> Result<Task, DecodeError> {
     use wire::task::Start as WireStart;
     let start = match present("task.start", task.start)? {
         WireStart::Scattered(wire::Scattered {}) => Start::Scattered,

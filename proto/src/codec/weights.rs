@@ -43,11 +43,6 @@ pub struct PublishedWeights {
 
 /// Encodes weights published by the learner process that started at `epoch`.
 pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
-    weights_to_wire(weights, epoch).encode_to_vec()
-}
-
-/// Converts weights to a message, which evaluation units also contain.
-pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
     let statistics = |i: usize| {
         Some(wire::FeatureStatistics {
             mean: weights.normalization.feature_mean[i].clone(),
@@ -80,6 +75,7 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
             .map(|(&n_blocks, &undone)| wire::ReverseReach { n_blocks: n_blocks.into(), undone: undone.into() })
             .collect(),
     }
+    .encode_to_vec()
 }
 
 /// Decodes weights and checks every rule that [`Weights`] documents. The parameters are copied once.
@@ -87,11 +83,7 @@ pub(super) fn weights_to_wire(weights: &Weights, epoch: u64) -> wire::Weights {
 /// # Errors
 /// The error names the first field that breaks a rule, and its value.
 pub fn decode_weights(bytes: Bytes) -> Result<PublishedWeights, DecodeError> {
-    weights_from_wire(parse("Weights", bytes, MAX_WEIGHTS_BYTES)?)
-}
-
-/// Validates a message as [`decode_weights`] does.
-pub(super) fn weights_from_wire(message: wire::Weights) -> Result<PublishedWeights, DecodeError> {
+    let message: wire::Weights = parse("Weights", bytes, MAX_WEIGHTS_BYTES)?;
     check_version(message.protocol_version)?;
     let parameters = parameters_from_wire(&message.parameters)?;
     let weights = Weights {

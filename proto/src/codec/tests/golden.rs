@@ -2,7 +2,6 @@
 
 use super::samples;
 use crate::codec::*;
-use crate::unit::EvalAnswer;
 use crate::{Start, WeightsVersion};
 
 const GOLDEN: &str = include_str!("../../../tests/golden/v2.txt");
@@ -43,10 +42,6 @@ fn encoded_bytes_match_the_golden_file() {
             |bytes| decode_weights(Bytes::copy_from_slice(bytes)),
         ),
         line("notice", notice, |&n| encode_notice(n), decode_notice),
-        line("unit", samples::unit(), encode_unit, decode_unit),
-        line("episodes", samples::episodes(), encode_answer, decode_answer),
-        line("needs-weights", EvalAnswer::NeedsWeights, encode_answer, decode_answer),
-        line("unit-refused", EvalAnswer::Refused("no".into()), encode_answer, decode_answer),
         line("ack", Ack { weights_version: version }, |&a| encode_ack(a), decode_ack),
         line("refusal-stale", refused(Refusal::Stale), encode_refused, decode_refused),
         line("refusal-full", refused(Refusal::Full), encode_refused, decode_refused),

@@ -133,8 +133,6 @@ fn decode_all(bytes: &[u8]) {
     let _ = decode_weights(Bytes::copy_from_slice(bytes));
     let _ = decode_notice(bytes);
     let _ = decode_ack(bytes);
-    let _ = decode_unit(bytes);
-    let _ = decode_answer(bytes);
     let _ = decode_refused(bytes);
 }
 

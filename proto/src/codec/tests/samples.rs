@@ -3,10 +3,9 @@
 use std::collections::BTreeMap;
 
 use blueprints::{BlockIdx, CubeRotation, N_BLOCKS, RelativePlacement};
-use proto::unit::{End, EvalAnswer, EvalEpisode, EvalUnit, PassId};
 use proto::{
-    Action, CanonicalSettings, Driver, Gripper, Joint, Normalization, Outcome, Pose, RewardTerms, Scene, Start,
-    Status, Task, Trajectory, Transition, Weights, WeightsVersion,
+    Action, CanonicalSettings, Driver, Gripper, Joint, Normalization, Outcome, Pose, RewardTerms, Scene, Start, Status,
+    Task, Trajectory, Transition, Weights, WeightsVersion,
 };
 
 pub(crate) fn block(index: u8) -> BlockIdx {
@@ -127,24 +126,4 @@ pub(crate) fn weights(version: u64) -> Weights {
             .collect::<BTreeMap<_, _>>(),
         reverse_reach: BTreeMap::new(),
     }
-}
-
-/// Returns a unit of two sequences, the first with two tasks, without weights.
-pub(crate) fn unit() -> EvalUnit {
-    let task = |start| Task { start, ..running("x", 0).task };
-    EvalUnit {
-        settings: settings(),
-        pass: PassId { epoch: 77, number: 3 },
-        weights: None,
-        is_sampled: true,
-        sequences: vec![vec![task(Start::Scattered), task(Start::AsItIs)], vec![task(Start::NearGoal { undone: 2 })]],
-    }
-}
-
-/// Returns an answer to [`unit`] with every kind of end.
-pub(crate) fn episodes() -> EvalAnswer {
-    let episode_return = RewardTerms { connected: 2.0, wrong: -3.0, magnets: 0.5, blocks: 0.25, force: -1.0 };
-    let episode = |end, forced_reset| EvalEpisode { end, n_steps: 42, episode_return, forced_reset };
-    let first = vec![episode(End::Success { stable: true }, false), episode(End::Diverged, true)];
-    EvalAnswer::Episodes(vec![first, vec![episode(End::TimeLimit, false)]])
 }
