@@ -29,7 +29,7 @@ pub use self::bench::{BenchActorsArgs, BenchCommand, Transport};
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
-pub use self::record::{GoalArgs, PerformerArgs, RecordArgs, RecordFormat};
+pub use self::record::{GoalArgs, PerformerArgs, RecordArgs};
 pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
 pub use self::report::ReportArgs;
 pub use self::serve::ServeArgs;
@@ -162,7 +162,9 @@ pub enum Command {
     /// Run the scripted expert.
     #[command(subcommand)]
     Expert(ExpertCommand),
-    /// Record episodes: as a Minari dataset for offline learning, or as trajectories for `render`.
+    /// Record episodes as trajectories, for `render`.
+    ///
+    /// For a Minari dataset for offline learning, use the Python package: `python -m lodestone.record`.
     Record(RecordArgs),
     /// Render recorded or live episodes as films.
     Render(RenderArgs),

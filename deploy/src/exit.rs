@@ -8,7 +8,6 @@ use blueprints::Split;
 use bus::{BusError, KeysError};
 use dashboard::WebError;
 use dashboard::terminal::WatchError;
-use dataset::DatasetError;
 use learner::{CheckpointError, Diverged, LearnerError};
 use proto::SettingsDifference;
 use runlog::HistoryError;
@@ -57,9 +56,9 @@ pub enum Failure {
     /// No blueprints of this kind can be generated; code 64.
     #[error(transparent)]
     Generate(#[from] blueprints::generator::GenerateError),
-    /// A generated blueprint would replace a file; code 64.
+    /// A generated blueprint or a recording would replace what exists; code 64.
     #[error("{} exists already; nothing was written", .0.display())]
-    BlueprintExists(PathBuf),
+    Exists(PathBuf),
     /// A generated blueprint cannot be written; code 64.
     #[error("cannot write {}: {error}", path.display())]
     BlueprintFile {
@@ -85,9 +84,6 @@ pub enum Failure {
         /// What is wrong with them.
         reason: String,
     },
-    /// Recorded episodes cannot be written, or already exist; code 64.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
     /// A split of the catalog without blueprints; code 64.
     #[error("the catalog has no blueprints of the split {0}")]
     EmptySplit(Split),
@@ -221,11 +217,10 @@ impl Failure {
             | Self::Catalog(_)
             | Self::Blueprints { .. }
             | Self::Generate(_)
-            | Self::BlueprintExists(_)
+            | Self::Exists(_)
             | Self::BlueprintFile { .. }
             | Self::UnknownBlueprint { .. }
             | Self::Recording { .. }
-            | Self::Dataset(_)
             | Self::EmptySplit(_) => 64,
             Self::Bus(_) => 65,
             Self::Diverged(_) => 67,

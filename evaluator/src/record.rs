@@ -12,7 +12,7 @@ use crate::performance::{Credits, Performer};
 use crate::pool::EvaluationPool;
 use crate::recording::Recording;
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, episode_seed};
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 use crate::setup::{EvalError, EvalSetup};
 
 /// A completed episode.
@@ -22,8 +22,6 @@ pub struct Recorded {
     pub trajectory: Trajectory,
     /// Result of the episode. A diverged episode has [`Status::Running`](proto::Status::Running) in its trajectory.
     pub result: EpisodeResult,
-    /// Seed of the generator that draws, in this order, the block assignment and the task's seed.
-    pub seed: u64,
 }
 
 /// Callbacks of [`record`]. Both are called by the threads that run the episodes, `on_episode` by one thread at a time.
@@ -74,14 +72,10 @@ where
     let (catalog, starts, seed) = (setup.catalog, setup.episodes.starts, setup.seed);
     let rounds = 0..u64::from(setup.episodes.n_episodes);
     let plan = rounds.flat_map(|idx| blueprints.iter().map(move |&blueprint| (blueprint, idx)));
-    let (sequences, seeds): (Vec<_>, Vec<_>) = plan
-        .map(|(blueprint, idx)| {
-            let spec = EpisodeSpec::one_of(catalog, blueprint, starts, seed, idx);
-            (vec![spec], episode_seed(seed, blueprint.id(), idx))
-        })
-        .unzip();
+    let sequences: Vec<_> =
+        plan.map(|(blueprint, idx)| vec![EpisodeSpec::one_of(catalog, blueprint, starts, seed, idx)]).collect();
     let in_order = Mutex::new(InOrder::new(callbacks.on_episode));
-    let recorder = Recorder { credits, seeds: &seeds, in_order: &in_order };
+    let recorder = Recorder { credits, in_order: &in_order };
     let keep_going = callbacks.keep_going;
     let pool = EvaluationPool { setup, agent, observer: Some(&recorder), progress: None, keep_going };
     let (_, played) = pool.run(&sequences, acting);
@@ -96,8 +90,6 @@ where
 /// Records every episode.
 struct Recorder<'r, 's> {
     credits: Credits,
-    /// One seed per sequence.
-    seeds: &'r [u64],
     in_order: &'r Mutex<InOrder<'s, Recorded>>,
 }
 
@@ -115,8 +107,7 @@ impl<A> EpisodeObserver<A> for Recorder<'_, '_> {
     fn end(&self, (idx, recording): Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
         let Credits { actor, driver, weights_version } = self.credits.clone();
         let trajectory = recording.into_trajectory(actor, driver, weights_version, spec.task(), last, result);
-        let seed = self.seeds[idx];
-        let recorded = trajectory.map(|trajectory| Recorded { trajectory, result: result.clone(), seed });
+        let recorded = trajectory.map(|trajectory| Recorded { trajectory, result: result.clone() });
         self.in_order.lock().put(idx, recorded);
     }
 }
@@ -226,7 +217,7 @@ mod tests {
         assert!(!is_complete && !episodes.is_empty() && episodes.len() < 6, "{} episodes", episodes.len());
         let (_, all) = recorded(&setup(1), &|| true);
         for (kept, whole) in episodes.iter().zip(&all) {
-            assert_eq!((&kept.trajectory, kept.seed), (&whole.trajectory, whole.seed));
+            assert_eq!(kept.trajectory, whole.trajectory);
         }
     }
 }

@@ -259,7 +259,7 @@ fn settles<E: Env>(env: &mut E, success: &SuccessConfig) -> bool {
 }
 
 /// Hashes everything that identifies an episode into the seed of its task's generator.
-pub(crate) fn episode_seed(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
+fn episode_seed(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
     let bytes = seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes());
     fnv1a(bytes)
 }

@@ -6,7 +6,7 @@
     envs = gymnasium.make_vec("Lodestone/Assembly-v0", num_envs=32, blueprint="4_000")
 
 `lodestone.parallel` provides the same world for PettingZoo, with one agent per gripper. `lodestone.sb3` provides a
-batch of worlds for Stable-Baselines3.
+batch of worlds for Stable-Baselines3. `lodestone.record` records episodes as Minari datasets.
 """
 
 import gymnasium

@@ -1,4 +1,4 @@
-"""Tests that the examples run, with few steps. Skips `record.py` because Minari's collector needs jax.
+"""Tests that the examples run, with few steps.
 
 python -m unittest discover -s python/tests
 """

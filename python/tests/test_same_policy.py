@@ -9,6 +9,8 @@ import json
 import math
 import os
 import pickle
+import re
+import struct
 import subprocess
 import tempfile
 import unittest
@@ -18,7 +20,6 @@ from typing import Any
 import golden
 import lodestone
 import lodestone_torch
-import minari
 import numpy as np
 import torch
 from gymnasium.utils.env_checker import data_equivalence
@@ -31,6 +32,23 @@ TOLERANCE = 2e-5
 BLUEPRINTS = ("2_000", "6_005", "12_000", "test_14_000")
 N_STEPS = 15
 PROGRAM = os.environ.get("LODESTONE_PROGRAM")
+# An action in a recording (proto/proto/lodestone.proto): a block for each gripper, and 16 × 6 moves.
+ACTION = re.compile(rb"\x08(.)\x10(.)\x1a\x80\x03(.{384})", re.DOTALL)
+
+
+def recorded_actions(path: Path) -> list[dict[str, NDArray[Any]]]:
+    """Returns the actions in a recording of the program, as the environment takes them."""
+    found = ACTION.findall(path.read_bytes())
+    moves = [np.frombuffer(moves, "<f4").reshape(16, 6).clip(-1.0, 1.0) for *_, moves in found]
+    return [{"choices": np.array([*a, *b]), "moves": x} for (a, b, _), x in zip(found, moves, strict=True)]
+
+
+def episode_seed(blueprint: str, number: int) -> int:
+    """Returns the seed with which the program records an episode: FNV-1a of its own seed, 0, and the arguments."""
+    seed = 0xCBF29CE484222325
+    for byte in struct.pack("<Q", 0) + blueprint.encode() + struct.pack("<Q", number):
+        seed = (seed ^ byte) * 0x100000001B3 % 2**64
+    return seed
 
 
 def seen_while_acting(policy: lodestone.Policy) -> list[NDArray[np.float32]]:
@@ -228,20 +246,22 @@ class SameMixture(unittest.TestCase):
             path = Path(folder, "policy.safetensors")
             golden.mixture().save(path)
             native = lodestone.Policy.load(path)
-            os.environ["MINARI_DATASETS_PATH"] = folder
-            args = ["--checkpoint", str(path), "--blueprint", "3_000", "--episodes", "2", "--out", folder]
-            command = [str(PROGRAM), "record", "--name", "mixture-v0", *args]
-            subprocess.run(command, check=True, capture_output=True)
-            dataset = minari.load_dataset("mixture-v0")
-            env = dataset.recover_environment()
-            metadata = dataset.storage.get_episode_metadata(dataset.episode_indices)
-            for episode, about in zip(dataset.iterate_episodes(), metadata, strict=True):
-                env.reset(seed=about["seed"], options=about["options"])
-                for step in range(len(episode)):
+            played = Path(folder, "played")
+            args = ["--checkpoint", str(path), "--blueprint", "3_000", "--episodes", "2", "--out", str(played)]
+            subprocess.run([str(PROGRAM), "record", *args], check=True, capture_output=True)
+            env = lodestone.AssemblyEnv()
+            for number, recording in enumerate(sorted(played.iterdir())):
+                options = {"blueprint": "3_000", "start": "scattered"}
+                env.reset(seed=episode_seed("3_000", number), options=options)
+                has_ended = False
+                for expected in recorded_actions(recording):
+                    self.assertFalse(has_ended)
                     action = native.act(env)
-                    for name, x in action.items():
-                        np.testing.assert_array_equal(x, episode.actions[name][step])
-                    env.step(action)
+                    self.assertTrue(data_equivalence(action, expected, exact=True))
+                    _, _, terminated, truncated, _ = env.step(action)
+                    has_ended = terminated or truncated
+                self.assertTrue(has_ended)
+            self.assertEqual(number, 1)
 
 
 if __name__ == "__main__":

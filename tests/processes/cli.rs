@@ -49,7 +49,6 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["record", "--out", "x"], &["--blueprint", "--split"]),
         (&["record", "--split", "train"], &["--out"]),
         (&["record", "--out", "x", "--expert", "--sampled"], &["--sampled", "cannot be used with"]),
-        (&["record", "--out", "x", "--split", "test", "--name", "../x-v0"], &["../x-v0", "lodestone/expert-v0"]),
         (&["serve"], &["<RUN>"]),
         (&["export", "--checkpoint", "x"], &["--out"]),
         (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),

@@ -32,7 +32,7 @@ const RESULTS: [&[&str]; 26] = [
     &["report", "run-0.1.0"],
     &["report", "run-0.1.0", "--json", "--out", "plots"],
     &["expert", "eval", "2_000", "--episodes", "1"],
-    &["record", "--expert", "--blueprint", "2_000", "--format", "trajectory", "--out", "played"],
+    &["record", "--expert", "--blueprint", "2_000", "--out", "played"],
     &["render", "run-0.1.0/replays/2_000/00000000-failure.trajectory", "--format", "png-strip", "--out", "films"],
     &["blueprints", "list"],
     &["blueprints", "list", "--json"],

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use crate::repository::{files, manifest, members, read, root, shown};
 
 /// Each crate, with all crates of the workspace that it may depend on.
-const ALLOWED: [(&str, &[&str]); 13] = [
+const ALLOWED: [(&str, &[&str]); 12] = [
     ("blueprints", &[]),
     ("proto", &["blueprints"]),
     ("bus", &["blueprints", "proto"]),
@@ -17,16 +17,11 @@ const ALLOWED: [(&str, &[&str]); 13] = [
     ("learner", &["blueprints", "proto", "bus", "policy", "runlog"]),
     ("evaluator", &["blueprints", "proto", "bus", "environment", "policy", "runlog", "render"]),
     ("dashboard", &["blueprints", "proto", "bus", "policy", "runlog", "render"]),
-    ("dataset", &["blueprints", "proto", "policy"]),
-    (
-        "deploy",
-        &["blueprints", "proto", "bus", "runlog", "render", "actor", "learner", "evaluator", "dashboard", "dataset"],
-    ),
+    ("deploy", &["blueprints", "proto", "bus", "runlog", "render", "actor", "learner", "evaluator", "dashboard"]),
 ];
 
 /// External crates by name prefix, with the only crates that may depend on them.
-const HOMES: [(&str, &[&str]); 13] = [
-    ("arrow", &["dataset"]),
+const HOMES: [(&str, &[&str]); 12] = [
     ("rapier", &["environment"]),
     ("burn", &["policy", "learner"]),
     ("cubecl", &["policy", "learner"]),

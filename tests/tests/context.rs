@@ -125,7 +125,7 @@ fn the_last_pattern_that_matches_decides() {
     let patterns = ["*", "!actor", "!tests", "tests/.env*", "**/*.md", "**/target"].map(pattern);
     for (path, expected) in [
         ("actor/src/lib.rs", true),
-        ("dataset/src/lib.rs", false),
+        ("bus/src/lib.rs", false),
         ("actor/README.md", false),
         ("actor/src/readme.mdx", true),
         ("tests/.env.example", false),

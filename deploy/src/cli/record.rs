@@ -4,8 +4,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 
 use blueprints::Split;
-use clap::{Args, ValueEnum};
-use dataset::DatasetId;
+use clap::Args;
 
 use super::StartArg;
 
@@ -27,19 +26,9 @@ pub struct RecordArgs {
     /// Seed of the start states and of sampled actions.
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub seed: u64,
-    /// Output format.
-    #[arg(long, value_enum, default_value_t = RecordFormat::Minari)]
-    pub format: RecordFormat,
-    /// Output folder: with `minari`, the root of all datasets, as in MINARI_DATASETS_PATH; with `trajectory`, a new
-    /// folder for the files.
+    /// New folder for the trajectories, one file per episode.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Name of the dataset [default: lodestone/POLICY-v0, for example lodestone/pretrained-v0].
-    #[arg(long, value_name = "ID")]
-    pub name: Option<DatasetId>,
-    /// URL of the code that produced the episodes, for the dataset's metadata.
-    #[arg(long, value_name = "URL")]
-    pub code_permalink: Option<String>,
     /// Threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
     pub threads: Option<u16>,
@@ -77,13 +66,4 @@ pub struct GoalArgs {
     /// repeated.
     #[arg(long, value_name = "S")]
     pub split: Vec<Split>,
-}
-
-/// Output format of `record`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum RecordFormat {
-    /// A dataset for offline learning, about 40 kB per step, for the Python package `minari[arrow]`.
-    Minari,
-    /// One file per episode, for `lodestone render`.
-    Trajectory,
 }

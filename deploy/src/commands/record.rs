@@ -1,38 +1,31 @@
-//! `record`: records episodes, as a dataset for offline learning or as trajectories.
+//! `record`: records episodes as trajectories.
 
 use std::borrow::Cow;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context;
-use blueprints::{Blueprint, Catalog};
-use dataset::{About, DatasetError, DatasetId, Origin, Spaces, World, Writer};
+use blueprints::Blueprint;
 use evaluator::{Callbacks, EpisodeConfig, EvalSetup, Performer, Recorded, record};
 use parking_lot::Mutex;
-use proto::ActionMode;
 use proto::codec::encode_recording;
+use proto::{ActionMode, Trajectory};
 use tokio_util::sync::CancellationToken;
 
-use super::goals::{Goals, find, is_path, tell_choices};
+use super::files::write_files;
+use super::goals::{Goals, is_path, tell_choices};
 use super::models::Source;
-use crate::cli::{PerformerArgs, RecordArgs, RecordFormat, StartArg};
-use crate::config::{Config, Override};
+use crate::cli::{PerformerArgs, RecordArgs};
+use crate::config::Override;
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::{EpisodeCounter, Terminal};
 use crate::shell;
 
-/// Destination of the episodes.
-enum Sink {
-    Minari(Box<Writer>),
-    /// A folder, and the number of files in it.
-    Trajectories(PathBuf, u64),
-}
-
 /// State of the recording.
-struct Recording<'k> {
-    sink: Sink,
-    catalog: &'k Catalog,
+struct Recording<'a> {
+    folder: &'a Path,
+    n_files: u64,
     n_diverged: u64,
     failure: Option<Failure>,
 }
@@ -40,13 +33,13 @@ struct Recording<'k> {
 /// Runs the episodes and writes each when it ends. After `shutdown`, the episodes that have ended are kept.
 ///
 /// # Errors
-/// When the policy or the run's configuration cannot be read, the dataset already exists, a file cannot be written, or
+/// When the policy or the run's configuration cannot be read, the folder already exists, a file cannot be written, or
 /// `shutdown` came first.
 pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     Override::only_in(&["environment", "policy"], &overrides)?;
     let PerformerArgs { checkpoint, expert, sampled, .. } = &args.performer;
-    // The expert acts in the world of the shipped policy, and its episodes are recorded with that policy's features.
+    // The expert acts in the world of the shipped policy.
     let source = Source::of(checkpoint.as_deref())?;
     let config = source.config(&overrides)?;
     tell_choices(&args.goals.blueprint, terminal)?;
@@ -55,11 +48,7 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let performer = if *expert { Performer::Expert } else { Performer::Policy(&config.policy, &source.model.weights) };
     let acting = if *sampled { ActionMode::Sampled } else { ActionMode::Greedy };
-    let name = dataset_id(args)?;
-    let sink = match args.format {
-        RecordFormat::Minari => Sink::Minari(Box::new(begin(args, name, &config, &source, acting, &blueprints)?)),
-        RecordFormat::Trajectory => Sink::Trajectories(new_folder(&args.out)?, 0),
-    };
+    create(&args.out)?;
     let setup = EvalSetup {
         catalog: goals.catalog(),
         environment: config.evaluation_environment(),
@@ -78,7 +67,7 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;
     let counter = EpisodeCounter::new(terminal.on_stderr(), n_planned);
     let stop = shutdown.child_token();
-    let recording = Mutex::new(Recording { sink, catalog: goals.catalog(), n_diverged: 0, failure: None });
+    let recording = Mutex::new(Recording { folder: &args.out, n_files: 0, n_diverged: 0, failure: None });
     let callbacks = Callbacks {
         keep_going: &|| !stop.is_cancelled(),
         on_episode: &|episode| {
@@ -109,86 +98,13 @@ fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Result<Vec<Cow<'g, Bluepri
     Ok(goals.catalog().iter().filter(wanted).map(Cow::Borrowed).collect())
 }
 
-/// A word for the acting policy or expert, for use in names.
-fn actor(args: &PerformerArgs) -> String {
-    match &args.checkpoint {
-        _ if args.expert => "expert".to_owned(),
-        None => "pretrained".to_owned(),
-        Some(path) => path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
-    }
-}
-
-/// The given name, or one derived from the acting policy or expert.
-fn dataset_id(args: &RecordArgs) -> Result<DatasetId, Failure> {
-    if let Some(name) = &args.name {
-        return Ok(name.clone());
-    }
-    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
-    let actor: String = actor(&args.performer).chars().map(plain).collect();
-    let sampled = if args.performer.sampled { "-sampled" } else { "" };
-    let name = format!("lodestone/{actor}{sampled}-v0");
-    name.parse::<DatasetId>().map_err(|error| Failure::Usage(format!("{error}; choose a --name")))
-}
-
-/// Creates the dataset.
-fn begin(
-    args: &RecordArgs,
-    id: DatasetId,
-    config: &Config,
-    source: &Source,
-    acting: ActionMode,
-    blueprints: &[&Blueprint],
-) -> Result<Writer, Failure> {
-    let weights = &source.model.weights;
-    let (version, n_env_steps) = if args.performer.expert { (0, 0) } else { (weights.version.0, weights.n_env_steps) };
-    let origin = Origin {
-        lodestone_version: env!("CARGO_PKG_VERSION"),
-        weights_version: version,
-        n_env_steps,
-        acting: acting.name(),
-        seed: args.seed,
-    };
-    let actor = actor(&args.performer);
-    let goals = match blueprints {
-        [one] => one.id().to_string(),
-        several => format!("{} blueprints", several.len()),
-    };
-    let about = About {
-        id,
-        description: format!("{actor} of Lodestone assembles {goals}, {} episodes each.", args.episodes),
-        algorithm: actor,
-        code_permalink: args.code_permalink.clone(),
-        origin,
-    };
-    let world = World {
-        blueprint: blueprints.iter().map(|blueprint| known(blueprint)).collect(),
-        starts: match args.start {
-            StartArg::Scattered => [("scattered", 1.0)].into(),
-            StartArg::Prebuilt => [("prebuilt", 1.0)].into(),
-            StartArg::Mixed => [("scattered", 0.8), ("prebuilt", 0.2)].into(),
-        },
-        settings: &config.evaluation_environment(),
-        features: &config.policy.features,
-    };
-    Ok(Writer::create(&args.out, about, Spaces::new(&config.policy.features), &world)?)
-}
-
-/// How the Python package identifies a blueprint: by its id, or by its text if it is not built in.
-fn known(blueprint: &Blueprint) -> String {
-    let own = Catalog::builtin().find(blueprint.id());
-    if own.is_some_and(|own| *own == *blueprint) {
-        blueprint.id().to_string()
-    } else {
-        blueprint.to_toml("a goal of recorded episodes")
-    }
-}
-
-fn new_folder(folder: &Path) -> Result<PathBuf, Failure> {
+/// Creates the folder.
+fn create(folder: &Path) -> Result<(), Failure> {
     if folder.exists() {
-        return Err(DatasetError::Exists(folder.to_owned()).into());
+        return Err(Failure::Exists(folder.to_owned()));
     }
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    Ok(folder.to_owned())
+    Ok(())
 }
 
 impl Recording<'_> {
@@ -197,53 +113,32 @@ impl Recording<'_> {
         if episode.is_diverged() {
             self.n_diverged += 1;
         } else if self.failure.is_none() {
-            self.failure = self.write(episode).err();
+            self.failure = self.write(&episode.trajectory).err().map(Failure::from);
             tracing::debug!(blueprint = %episode.result.blueprint, "an episode was kept");
         }
         self.failure.is_none()
     }
 
-    fn write(&mut self, Recorded { trajectory, seed, .. }: &Recorded) -> Result<(), Failure> {
-        let id = &trajectory.task.blueprint;
-        match &mut self.sink {
-            Sink::Minari(writer) => {
-                let goal = find(self.catalog, id.as_str())?;
-                writer.write(trajectory, &goal, *seed)?;
-            }
-            Sink::Trajectories(folder, n_files) => {
-                let name = format!("{n_files:05}-{id}.trajectory");
-                super::files::write_files(folder, &[(name, encode_recording(trajectory))])?;
-                *n_files += 1;
-            }
-        }
+    fn write(&mut self, trajectory: &Trajectory) -> anyhow::Result<()> {
+        let name = format!("{:05}-{}.trajectory", self.n_files, trajectory.task.blueprint);
+        write_files(self.folder, &[(name, encode_recording(trajectory))])?;
+        self.n_files += 1;
         Ok(())
     }
 
-    /// A summary of the recording and a command that reads it.
+    /// A summary of the recording and a command that shows it.
     fn said(&self, args: &RecordArgs) -> String {
         let left_out = match self.n_diverged {
             0 => String::new(),
             n => format!(", {n} more diverged and are left out"),
         };
-        match &self.sink {
-            Sink::Minari(writer) => format!(
-                "{} episodes, {} steps, {:.1} MB{left_out}\nMINARI_DATASETS_PATH={} python -c 'import minari; \
-                 print(minari.load_dataset(\"{}\"))'",
-                writer.n_episodes(),
-                writer.n_steps(),
-                writer.n_bytes() as f64 / 1e6,
-                shell::quoted(&args.out),
-                writer.id(),
-            ),
-            Sink::Trajectories(folder, n_files) => {
-                // `render` finds the user's own blueprints in the same files.
-                let own = args.goals.blueprint.iter().filter(|name| is_path(name));
-                let own: String = own.map(|path| format!(" --blueprint {}", shell::path(Path::new(path)))).collect();
-                format!(
-                    "{n_files} episodes{left_out}\nlodestone render {}/*.trajectory{own} --out films",
-                    shell::path(folder)
-                )
-            }
-        }
+        // `render` finds the user's own blueprints in the same files.
+        let own = args.goals.blueprint.iter().filter(|name| is_path(name));
+        let own: String = own.map(|path| format!(" --blueprint {}", shell::path(Path::new(path)))).collect();
+        format!(
+            "{} episodes{left_out}\nlodestone render {}/*.trajectory{own} --out films",
+            self.n_files,
+            shell::path(self.folder)
+        )
     }
 }

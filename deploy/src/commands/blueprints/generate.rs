@@ -23,7 +23,7 @@ pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failur
     // Check all paths before writing the first file, so that a refusal leaves the folder unchanged.
     let paths: Vec<PathBuf> = made.iter().map(path).collect();
     if let Some(taken) = paths.iter().find(|path| path.exists()) {
-        return Err(Failure::BlueprintExists(taken.clone()));
+        return Err(Failure::Exists(taken.clone()));
     }
     fs::create_dir_all(&args.out).map_err(failed(&args.out))?;
     for (blueprint, path) in made.iter().zip(&paths) {
